@@ -1,0 +1,129 @@
+"""Settings: frozen dataclasses whose fields carry unit, range and meaning.
+
+One declaration is the source of the default, the validation, the ROS parameter and the documentation of a
+number. A settings object is valid from the moment it exists, and is replaced, never changed, so that a value
+refused at runtime leaves the old one in force::
+
+    @dataclass(frozen=True)
+    class GateSettings(Settings):
+        probability: float = setting(0.999, lower=0.0, upper=1.0, doc="probability kept by the gate")
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+S = TypeVar("S", bound="Settings")
+
+
+class SettingError(ValueError):
+    """A setting that has no such name, the wrong type, or a value outside its range."""
+
+
+def setting(
+    default: Any = dataclasses.MISSING,
+    *,
+    doc: str,
+    unit: str = "",
+    lower: float | None = None,
+    upper: float | None = None,
+    choices: tuple[Any, ...] | None = None,
+    length: int | None = None,
+) -> Any:
+    """Declare one field of a `Settings` class.
+
+    A list default is stored as a tuple. `lower` and `upper` are inclusive and, like `choices`, hold for every
+    element of a sequence; `length` is the number of its elements.
+    """
+    if isinstance(default, list):
+        default = tuple(default)
+    metadata = {
+        "doc": doc, "unit": unit, "lower": lower, "upper": upper, "choices": choices, "length": length,
+    }  # fmt: skip
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of all settings; validates on construction and raises `SettingError`."""
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = _coerce(field, getattr(self, field.name))
+            _check_range(field, value)
+            object.__setattr__(self, field.name, value)
+
+    @classmethod
+    def from_mapping(cls: type[S], values: Mapping[str, Any], where: str = "") -> S:
+        """Build from names and values; `where` (a file and line) goes into the error's message."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        prefix = f"{where}: " if where else ""
+        for name in values:
+            if name not in names:
+                raise SettingError(prefix + unknown_name(name, names))
+        try:
+            return cls(**values)
+        except (SettingError, TypeError) as error:
+            raise SettingError(f"{prefix}{error}") from error
+
+    def replaced(self: S, **changes: Any) -> S:
+        """A copy with some values changed and all of them validated again."""
+        return type(self).from_mapping({**dataclasses.asdict(self), **changes})
+
+
+def unknown_name(name: str, choices: list[str] | tuple[str, ...]) -> str:
+    """The message for a name that is not among the choices, with the nearest one if it looks like a typo."""
+    near = difflib.get_close_matches(name, choices, n=1)
+    hint = f" (did you mean '{near[0]}'?)" if near else ""
+    return f"unknown name '{name}'{hint}; valid: {', '.join(sorted(choices))}"
+
+
+def _coerce(field: dataclasses.Field[Any], value: Any) -> Any:
+    """The value in the type of the field's default: int to float, list to tuple; anything else is refused."""
+    if field.default is dataclasses.MISSING:
+        return value
+    if isinstance(field.default, tuple):
+        return _coerce_sequence(field, value)
+    return _coerce_scalar(field.name, field.default, value)
+
+
+def _coerce_sequence(field: dataclasses.Field[Any], value: Any) -> tuple[Any, ...]:
+    if isinstance(value, str) or not hasattr(value, "__len__"):
+        raise SettingError(f"{field.name} = {value!r}: must be a list")
+    length = field.metadata.get("length")
+    if length is not None and len(value) != length:
+        raise SettingError(f"{field.name}: must have {length} elements, has {len(value)}")
+    if not field.default:
+        return tuple(value)
+    return tuple(_coerce_scalar(field.name, field.default[0], element) for element in value)
+
+
+def _coerce_scalar(name: str, default: Any, value: Any) -> Any:
+    if hasattr(value, "item"):
+        value = value.item()
+    expected = type(default)
+    if expected is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if default is not None and type(value) is not expected:
+        raise SettingError(f"{name} = {value!r}: must be of type {expected.__name__}, is {type(value).__name__}")
+    if isinstance(value, float) and math.isnan(value):
+        raise SettingError(f"{name}: is not a number")
+    return value
+
+
+def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
+    lower, upper = field.metadata.get("lower"), field.metadata.get("upper")
+    choices = field.metadata.get("choices")
+    unit = f" {field.metadata['unit']}" if field.metadata.get("unit") else ""
+    for element in value if isinstance(value, tuple) else (value,):
+        if choices is not None and element not in choices:
+            raise SettingError(f"{field.name} = {element!r}: must be one of {', '.join(map(str, choices))}")
+        if lower is not None and element < lower or upper is not None and element > upper:
+            low = "-inf" if lower is None else f"{lower:g}"
+            high = "inf" if upper is None else f"{upper:g}"
+            raise SettingError(f"{field.name} = {element!r}{unit}: must lie in [{low}, {high}]{unit}")
