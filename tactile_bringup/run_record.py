@@ -1,0 +1,237 @@
+"""RunRecord: one run of one arm as arrays, the same whether it came from the offline loop or from a bag.
+
+Each stream keeps its own stamps, since a belief, a truth and a command are not made at the same instants;
+`metrics` and `figures` align them by stamp. All is SI; poses are (4, 4) matrices `T_parent_child`::
+
+    record = RunRecord(scene="ramp", task="surface_following")
+    record.pose = PoseSeries(stamp_ns, T_base_sensor)
+    ...
+    record.save("run.npz"); same = RunRecord.load("run.npz")
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+T = TypeVar("T", bound="Series")
+
+FOLLOW = "follow"  # the phase that metrics are about
+
+
+def _array(*shape: int, dtype: Any = np.float64) -> Any:
+    """A field that starts as an empty array of the given row shape."""
+    return field(default_factory=lambda: np.zeros((0, *shape), dtype), metadata={"row": shape, "dtype": dtype})
+
+
+@dataclass
+class Series:
+    """Base of all streams: arrays with one row a stamp, checked for length and row shape."""
+
+    stamp_ns: Array = _array(dtype=np.int64)
+
+    def __post_init__(self) -> None:
+        rows = len(self.stamp_ns)
+        for item in dataclasses.fields(self):
+            value = np.asarray(getattr(self, item.name), dtype=item.metadata["dtype"])
+            wanted = (rows, *item.metadata["row"])
+            if len(value) == 0 and rows > 0:
+                value = _missing(wanted, item.metadata["dtype"])
+            if value.shape != wanted and rows > 0:
+                raise ValueError(f"{type(self).__name__}.{item.name}: shape {value.shape}, must be {wanted}")
+            setattr(self, item.name, value)
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def rows(self: T, selection: Array) -> T:
+        """The rows that a boolean mask or an index array picks."""
+        return type(self)(**{f.name: getattr(self, f.name)[selection] for f in dataclasses.fields(self)})
+
+
+def _missing(shape: tuple[int, ...], dtype: Any) -> Array:
+    """What an optional column holds where nothing was recorded: NaN, False, 0 or an empty string."""
+    return np.full(shape, np.nan) if dtype is np.float64 else np.zeros(shape, dtype)
+
+
+@dataclass
+class PoseSeries(Series):
+    """The sensor in the arm's base, as the arm reported it."""
+
+    T_base_sensor: Array = _array(4, 4)
+
+
+@dataclass
+class GaussianSeries(Series):
+    """Gaussians over X_sf with left covariance (rho, phi), SI: the estimator's answers, at exposure stamps."""
+
+    mean: Array = _array(4, 4)
+    cov: Array = _array(6, 6)
+
+
+@dataclass
+class BeliefSeries(GaussianSeries):
+    """The filter's beliefs over X_sf, at exposure stamps; `accepted` is False where the gate refused."""
+
+    nis: Array = _array()
+    nis_dof: Array = _array(dtype=np.int64)
+    accepted: Array = _array(dtype=np.bool_)
+
+
+@dataclass
+class TruthSeries(Series):
+    """The simulator's truth: the equivalent surface contact pose X_fs, with the depth from geometry as its z."""
+
+    T_fs: Array = _array(4, 4)
+    slip_fraction: Array = _array()  # part of the nodes in contact that slide, 0..1
+    in_contact: Array = _array(dtype=np.bool_)
+
+
+@dataclass
+class PresenceSeries(Series):
+    """The contact detector's answers, at exposure stamps."""
+
+    score: Array = _array()
+    in_contact: Array = _array(dtype=np.bool_)
+
+
+@dataclass
+class CommandSeries(Series):
+    """Twists [v, omega] in {s} (m/s, rad/s) at their emission stamps, with the terms that they were made of."""
+
+    twist: Array = _array(6)  # what was sent: after watchdog and limiter
+    unlimited: Array = _array(6)  # before watchdog and limiter
+    error: Array = _array(6)  # log(X_ss') (m, rad); NaN where the phase does not servo
+    feedforward: Array = _array(6)  # in {s}
+    phase: Array = _array(dtype=np.dtype("U16"))
+    path: Array = _array(dtype=np.int64)  # index of the path in the task, from 0
+    exposure_ns: Array = _array(dtype=np.int64)  # stamp of the belief used; 0 for none
+
+
+@dataclass
+class ArmSeries(Series):
+    """What the arm made of the commands: the twist after its own limits, in {s}."""
+
+    twist: Array = _array(6)
+
+
+@dataclass
+class StageSeries(Series):
+    """Latency of one stage by exposure stamp: seconds from the exposure to the stage's output."""
+
+    seconds: Array = _array()
+
+
+@dataclass
+class SurfaceMesh:
+    """The true surface in the arm's base frame, for pictures: vertices (V, 3) m, triangles (F, 3) indices."""
+
+    vertices: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    faces: Array = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+
+
+@dataclass
+class RunRecord:
+    """One run of one arm.
+
+    Attributes
+    ----------
+    source : str
+        "offline" or "ros".
+    reference : ndarray (6,)
+        Feedback reference contact pose, Euler (x, y, z, alpha, beta, gamma) of X_fs', m and rad.
+    tip_radius : float
+        Radius of the sensor's tip, m.
+    paths : list of str
+        Names of the task's paths; `command.path` indexes it.
+    latency : dict
+        Stage name -> StageSeries, cumulative from the exposure, in the order of the stages.
+    lost : dict
+        Stage name -> number of frames lost (dropped and counted) there.
+    result : dict
+        succeeded (bool) and reason (str) of the task, wall_s, and whatever else is worth a line in the report.
+    """
+
+    scene: str = ""
+    task: str = ""
+    arm: str = "arm"
+    source: str = "offline"
+    seed: int = 0
+    reference: Array = field(default_factory=lambda: np.zeros(6))
+    tip_radius: float = 0.020
+    paths: list[str] = field(default_factory=list)
+    pose: PoseSeries = field(default_factory=PoseSeries)
+    truth: TruthSeries = field(default_factory=TruthSeries)
+    estimate: GaussianSeries = field(default_factory=GaussianSeries)
+    belief: BeliefSeries = field(default_factory=BeliefSeries)
+    presence: PresenceSeries = field(default_factory=PresenceSeries)
+    command: CommandSeries = field(default_factory=CommandSeries)
+    arm_twist: ArmSeries = field(default_factory=ArmSeries)
+    latency: dict[str, StageSeries] = field(default_factory=dict)
+    lost: dict[str, int] = field(default_factory=dict)
+    surface: SurfaceMesh = field(default_factory=SurfaceMesh)
+    result: dict[str, Any] = field(default_factory=dict)
+
+    def phase_at(self, stamp_ns: Array) -> Array:
+        """The phase in force at each stamp: that of the latest command emitted at or before it, else ''."""
+        return self._held(self.command.phase, stamp_ns, "")
+
+    def path_at(self, stamp_ns: Array) -> Array:
+        """The index of the path at each stamp, -1 before the first command."""
+        return self._held(self.command.path, stamp_ns, -1)
+
+    def save(self, path: str | Path) -> None:
+        """Write all of it into one compressed .npz file."""
+        arrays: dict[str, Array] = {}
+        plain: dict[str, Any] = {}
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, Series | SurfaceMesh):
+                arrays |= _columns(item.name, value)
+            elif item.name == "latency":
+                for stage, series in value.items():
+                    arrays |= _columns(f"latency/{stage}", series)
+            elif isinstance(value, np.ndarray):
+                arrays[item.name] = value
+            else:
+                plain[item.name] = value
+        arrays["plain"] = np.array(json.dumps(plain | {"stages": list(self.latency)}))
+        np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, path: str | Path) -> RunRecord:
+        """Read what `save` wrote."""
+        with np.load(path) as file:
+            arrays = dict(file)
+        plain = json.loads(str(arrays["plain"]))
+        stages = plain.pop("stages")
+        record = cls(**plain)
+        for item in dataclasses.fields(cls):
+            value = getattr(record, item.name)
+            if isinstance(value, Series | SurfaceMesh):
+                setattr(record, item.name, _from_columns(type(value), item.name, arrays))
+            elif isinstance(value, np.ndarray):
+                setattr(record, item.name, arrays[item.name])
+        record.latency = {s: _from_columns(StageSeries, f"latency/{s}", arrays) for s in stages}
+        return record
+
+    def _held(self, values: Array, stamp_ns: Array, before: Any) -> Array:
+        index = np.searchsorted(self.command.stamp_ns, np.asarray(stamp_ns), side="right") - 1
+        if len(values) == 0:
+            return np.full(index.shape, before)
+        return np.where(index >= 0, values[np.maximum(index, 0)], before)
+
+
+def _columns(prefix: str, value: Any) -> dict[str, Array]:
+    return {f"{prefix}/{f.name}": getattr(value, f.name) for f in dataclasses.fields(value)}
+
+
+def _from_columns(kind: Any, prefix: str, arrays: dict[str, Array]) -> Any:
+    return kind(**{f.name: arrays[f"{prefix}/{f.name}"] for f in dataclasses.fields(kind)})
