@@ -1,0 +1,63 @@
+"""Labels: Euler surface contact pose -> X_fs -> X_sf -> xi_sf, the network's target, and back.
+
+Public data gives the Euler surface contact pose (x, y, z, alpha, beta, gamma) of X_fs in millimeters and
+degrees, extrinsic xyz. The network learns xi_sf = ln(X_sf) in millimeters and radians, so that its six
+components have comparable sizes and read like the paper's tables. Everything else is SI.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_filter import se3
+
+Array = NDArray[np.float64]
+
+#: SI per network unit, by component of xi = [rho, phi].
+NETWORK_SCALE: Array = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
+NETWORK_SCALE.setflags(write=False)
+COMPONENTS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
+NETWORK_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
+EULER_COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
+EULER_UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
+
+
+def surface_contact_pose(euler_mm_deg: ArrayLike) -> Array:
+    """T_fs (4, 4) in SI from (x, y, z, alpha, beta, gamma) in mm and degrees, extrinsic xyz."""
+    euler = np.asarray(euler_mm_deg, dtype=np.float64)
+    if euler.shape != (6,):
+        raise ValueError(f"Euler surface contact pose: must have the shape (6,), has {euler.shape}")
+    return se3.pose_from_euler(np.concatenate([euler[:3] * 1e-3, np.radians(euler[3:])]))
+
+
+def euler_from_pose(T_fs: ArrayLike) -> Array:
+    """(x, y, z, alpha, beta, gamma) in mm and degrees, extrinsic xyz, of T_fs (4, 4) in SI."""
+    euler = se3.euler_from_pose(np.asarray(T_fs, dtype=np.float64))
+    return np.concatenate([euler[:3] * 1e3, np.degrees(euler[3:])])
+
+
+def label_from_euler(euler_mm_deg: ArrayLike) -> Array:
+    """The network's target xi_sf (6,) in mm and rad for one Euler surface contact pose in mm and degrees."""
+    return network_from_pose(se3.inverse(surface_contact_pose(euler_mm_deg)))
+
+
+def labels_from_euler(euler_mm_deg: ArrayLike) -> Array:
+    """`label_from_euler` for each row: (N, 6) -> (N, 6)."""
+    rows = np.asarray(euler_mm_deg, dtype=np.float64).reshape(-1, 6)
+    return np.array([label_from_euler(row) for row in rows]).reshape(-1, 6)
+
+
+def euler_from_label(xi_network: ArrayLike) -> Array:
+    """Euler surface contact pose in mm and degrees of a network vector xi_sf (6,) in mm and rad."""
+    return euler_from_pose(se3.inverse(pose_from_network(xi_network)))
+
+
+def network_from_pose(T_sf: ArrayLike) -> Array:
+    """xi_sf (6,) in mm and rad of T_sf (4, 4) in SI."""
+    return se3.log(np.asarray(T_sf, dtype=np.float64)) / NETWORK_SCALE
+
+
+def pose_from_network(xi_network: ArrayLike) -> Array:
+    """T_sf (4, 4) in SI of a network vector xi_sf (6,) in mm and rad."""
+    return se3.exp(np.asarray(xi_network, dtype=np.float64) * NETWORK_SCALE)

@@ -1,0 +1,74 @@
+"""Reads the JSON files of published data sets, some of which are malformed, and says what it had to repair."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+_CLOSING = {"}": "{", "]": "["}
+
+
+class JsonError(ValueError):
+    """JSON that is malformed beyond its brackets."""
+
+
+def loads(text: str, name: str) -> tuple[Any, list[str]]:
+    """Parse JSON, dropping brackets that close nothing and adding those that are missing at the end.
+
+    Parameters
+    ----------
+    text : str
+        Contents of the file; `Infinity` and `NaN` are accepted, as Python writes them.
+    name : str
+        What to call the file in messages.
+
+    Returns
+    -------
+    value, repairs : the parsed value and one sentence for each repair (empty for a well-formed file).
+
+    Raises
+    ------
+    JsonError
+        If the text does not parse even with its brackets balanced.
+    """
+    try:
+        return json.loads(text), []
+    except json.JSONDecodeError as error:
+        repaired, repairs = _balanced(text)
+        try:
+            value = json.loads(repaired)
+        except json.JSONDecodeError:
+            where = f"line {error.lineno}, column {error.colno}"
+            raise JsonError(f"{name}: malformed JSON at {where} ({error.msg}); not repairable") from error
+        return value, [f"{name}: malformed JSON; {repair}" for repair in repairs]
+
+
+def _balanced(text: str) -> tuple[str, list[str]]:
+    """The text with every bracket matched, and what was changed."""
+    kept: list[str] = []
+    opened: list[str] = []
+    repairs: list[str] = []
+    in_string = escaped = False
+    for position, character in enumerate(text):
+        if in_string:
+            in_string = escaped or character != '"'
+            escaped = character == "\\" and not escaped
+        elif character == '"':
+            in_string = True
+        elif character in "[{":
+            opened.append(character)
+        elif character in _CLOSING:
+            if not opened or opened[-1] != _CLOSING[character]:
+                repairs.append(f"dropped a surplus '{character}' at {_line_and_column(text, position)}")
+                continue
+            opened.pop()
+        kept.append(character)
+    missing = "".join("}" if bracket == "{" else "]" for bracket in reversed(opened))
+    if missing:
+        repairs.append(f"added the missing '{missing}' at the end")
+    return "".join(kept) + missing, repairs
+
+
+def _line_and_column(text: str, position: int) -> str:
+    before = text[:position]
+    return f"line {before.count(chr(10)) + 1}, column {position - before.rfind(chr(10))}"

@@ -1,0 +1,153 @@
+"""Pre-processing of tactile images: crop, median, adaptive threshold, circle mask, resize, [0, 1]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter.settings import SettingError, Settings, setting
+
+Image = NDArray[np.uint8]
+
+_THRESHOLD_METHODS = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
+
+
+class ImageError(ValueError):
+    """An image of the wrong size, type or number of channels."""
+
+
+@dataclass(frozen=True)
+class PreprocessingSettings(Settings):
+    """The five steps of the paper's "Pre- and post-processing"; travels inside a model's metadata.
+
+    The defaults are those of the published TacTip data on the Franka arm (`processed_image_params.json`).
+    """
+
+    raw_width: int = setting(640, unit="px", lower=16, doc="width of the camera's image")
+    raw_height: int = setting(480, unit="px", lower=16, doc="height of the camera's image")
+    bbox: tuple[int, ...] = setting(
+        (105, 20, 550, 460), unit="px", lower=0, length=4, doc="crop x0, y0, x1, y1; the ends are exclusive"
+    )
+    median: int = setting(5, unit="px", choices=(0, 3, 5), doc="side of the median filter; 0: none")
+    threshold_block: int = setting(61, unit="px", lower=3, doc="side of the threshold's neighborhood, odd")
+    threshold_offset: float = setting(
+        5.0, lower=-255.0, upper=255.0, doc="gray levels below the neighborhood's mean that still count as white"
+    )
+    threshold_method: str = setting("mean", choices=("mean", "gaussian"), doc="weights of the neighborhood")
+    circle_mask_radius: int = setting(
+        230, unit="px", lower=0, doc="black outside this circle around the crop's center; 0: no mask"
+    )
+    size: int = setting(128, unit="px", lower=16, upper=512, doc="side of the network's square input")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        x0, y0, x1, y1 = self.bbox
+        if not (x0 < x1 <= self.raw_width and y0 < y1 <= self.raw_height):
+            raise SettingError(
+                f"bbox = {self.bbox}: must satisfy x0 < x1 <= {self.raw_width} and y0 < y1 <= {self.raw_height}"
+            )
+        if self.threshold_block % 2 == 0:
+            raise SettingError(f"threshold_block = {self.threshold_block}: must be odd")
+
+    @property
+    def raw_shape(self) -> tuple[int, int]:
+        """(rows, columns) of a camera image."""
+        return self.raw_height, self.raw_width
+
+    @property
+    def crop_shape(self) -> tuple[int, int]:
+        """(rows, columns) of a cropped image."""
+        x0, y0, x1, y1 = self.bbox
+        return y1 - y0, x1 - x0
+
+
+def check_image(image: object, shape: tuple[int, int], what: str) -> Image:
+    """`image` if it is uint8 of this (rows, columns); `ImageError` saying what it is instead otherwise."""
+    if not isinstance(image, np.ndarray):
+        raise ImageError(f"{what}: must be a NumPy array, is {type(image).__name__}")
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[:, :, 0]
+    if image.ndim != 2:
+        raise ImageError(
+            f"{what}: must be a gray image (mono8) of {shape[1]}x{shape[0]}, has the array shape {image.shape}"
+        )
+    if image.dtype != np.uint8:
+        raise ImageError(f"{what}: must be 8-bit (mono8, uint8), is {image.dtype}")
+    if image.shape != shape:
+        raise ImageError(
+            f"{what}: must be {shape[1]}x{shape[0]} pixels, is {image.shape[1]}x{image.shape[0]}"
+        )
+    return image
+
+
+class Preprocessor:
+    """Turns images into the network's input, with buffers of its own: use one per thread.
+
+    OpenCV is set to one thread for the process: on images this small its threads cost more than they bring,
+    and the cores belong to the other nodes.
+    """
+
+    def __init__(self, settings: PreprocessingSettings | None = None) -> None:
+        self.settings = settings or PreprocessingSettings()
+        cv2.setNumThreads(1)
+        shape = self.settings.crop_shape
+        self._smooth = np.empty(shape, np.uint8)
+        self._mask = _circle_mask(shape, self.settings.circle_mask_radius)
+
+    def __call__(self, image: Image) -> NDArray[np.float32]:
+        """Camera image, uint8 (raw_height, raw_width) -> network input, float32 (1, 1, size, size) in [0, 1]."""
+        return as_input(self.resized(self.binary(image)))
+
+    def from_processed(self, crop: Image) -> NDArray[np.float32]:
+        """Already cropped and thresholded image, uint8 of `crop_shape` -> network input."""
+        return as_input(self.resized(crop))
+
+    def binary(self, image: Image) -> Image:
+        """Camera image -> cropped, thresholded and masked image, uint8 0 or 255 of `crop_shape`.
+
+        Raises
+        ------
+        ImageError
+            If the image is not uint8 of `raw_shape`.
+        """
+        settings = self.settings
+        image = check_image(image, settings.raw_shape, "camera image")
+        x0, y0, x1, y1 = settings.bbox
+        crop = image[y0:y1, x0:x1]
+        if settings.median:
+            crop = cv2.medianBlur(crop, settings.median, dst=self._smooth)
+        method = _THRESHOLD_METHODS[settings.threshold_method]
+        binary = cv2.adaptiveThreshold(
+            crop, 255, method, cv2.THRESH_BINARY, settings.threshold_block, settings.threshold_offset
+        )
+        if self._mask is not None:
+            cv2.bitwise_and(binary, self._mask, dst=binary)
+        return binary
+
+    def resized(self, crop: Image) -> Image:
+        """Processed crop -> uint8 (size, size); what training keeps in memory.
+
+        Raises
+        ------
+        ImageError
+            If the crop is not uint8 of `crop_shape`.
+        """
+        crop = check_image(crop, self.settings.crop_shape, "processed image")
+        side = self.settings.size
+        return cv2.resize(crop, (side, side), interpolation=cv2.INTER_AREA)
+
+
+def as_input(resized: Image) -> NDArray[np.float32]:
+    """uint8 (size, size) or (N, size, size) -> float32 (N, 1, size, size) in [0, 1]."""
+    stack = resized if resized.ndim == 3 else resized[np.newaxis]
+    return np.multiply(stack[:, np.newaxis], np.float32(1.0 / 255.0), dtype=np.float32)
+
+
+def _circle_mask(shape: tuple[int, int], radius: int) -> Image | None:
+    if radius == 0:
+        return None
+    mask = np.zeros(shape, np.uint8)
+    return cv2.circle(mask, (shape[1] // 2, shape[0] // 2), radius, 255, thickness=-1)
