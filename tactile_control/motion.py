@@ -1,0 +1,96 @@
+"""Moves of the sensor by its own pose: to a pose through the air, and how far it has come along a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_control.task_settings import TaskSettings
+from tactile_filter import se3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A pose of the sensor in the base to come to, and how near is near enough."""
+
+    T_base_goal: Array
+    position_tolerance: float
+    angle_tolerance: float
+
+    def reached(self, T_base_sensor: Array) -> bool:
+        position, rotation = pose_difference(T_base_sensor, self.T_base_goal)
+        return bool(
+            np.linalg.norm(position) <= self.position_tolerance and np.linalg.norm(rotation) <= self.angle_tolerance
+        )
+
+
+def pose_difference(T_base_sensor: Array, T_base_goal: Array) -> tuple[Array, Array]:
+    """Straight way (3,) m and rotation vector (3,) rad to the goal, both in the sensor frame."""
+    R = T_base_sensor[:3, :3]
+    turn = np.eye(4)
+    turn[:3, :3] = R.T @ T_base_goal[:3, :3]
+    return R.T @ (T_base_goal[:3, 3] - T_base_sensor[:3, 3]), se3.log(turn)[3:]
+
+
+def way_to_start(T_base_sensor: Array, T_base_start: Array, settings: TaskSettings) -> list[Waypoint]:
+    """Waypoints: up along the start's -z, across at travel height, down to the start; only the last if that near."""
+    last = Waypoint(T_base_start, settings.position_tolerance, settings.angle_tolerance)
+    offset = np.linalg.solve(T_base_start, T_base_sensor)[:3, 3]
+    _, rotation = pose_difference(T_base_sensor, T_base_start)
+    coarse = 10.0 * settings.position_tolerance, 10.0 * settings.angle_tolerance
+    if np.hypot(*offset[:2]) <= coarse[0] and np.linalg.norm(rotation) <= coarse[1]:
+        return [last]
+    height = max(-float(offset[2]), settings.travel_height)
+    up = -T_base_start[:3, 2]
+    lifted, above = T_base_sensor.copy(), T_base_start.copy()
+    lifted[:3, 3] += up * (height + offset[2])
+    above[:3, 3] += up * height
+    return [Waypoint(lifted, *coarse), Waypoint(above, *coarse), last]
+
+
+def twist_towards(T_base_sensor: Array, T_base_goal: Array, settings: TaskSettings) -> Array:
+    """Twist (6,) in {s} straight to the goal, slower with the distance left, within the travel speeds."""
+    position, rotation = pose_difference(T_base_sensor, T_base_goal)
+    v = _capped(settings.travel_gain * position, settings.travel_speed)
+    omega = _capped(settings.travel_gain * rotation, settings.travel_angular_speed)
+    return np.concatenate([v, omega])
+
+
+class Odometer:
+    """Arc length along the sensor's positions; moves shorter than `step` wait until they add up to it."""
+
+    def __init__(self, step: float) -> None:
+        self.step = step
+        self.length = 0.0
+        self._last: Array | None = None
+
+    def add(self, position: Array) -> float:
+        """Take in a position (3,) m and return the length so far, m."""
+        if self._last is None:
+            self._last = position.copy()
+        moved = float(np.linalg.norm(position - self._last))
+        if moved > self.step:
+            self.length += moved
+            self._last = position.copy()
+        return self.length
+
+    def break_off(self) -> None:
+        """The next position starts a new stretch: the way to it does not count."""
+        self._last = None
+
+
+def smooth_ramp(elapsed: float, duration: float) -> float:
+    """0 to 1 over `duration` s with zero slope at both ends."""
+    if duration <= 0.0 or elapsed >= duration:
+        return 1.0
+    x = max(0.0, elapsed / duration)
+    return x * x * (3.0 - 2.0 * x)
+
+
+def _capped(vector: Array, largest: float) -> Array:
+    norm = float(np.linalg.norm(vector))
+    return vector if norm <= largest else vector * (largest / norm)

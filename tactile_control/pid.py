@@ -1,0 +1,222 @@
+"""Feedforward-feedback PID in the tangent spaces of SE(3), six channels with diagonal gains.
+
+The paper's section "Feedforward-feedback control in local and global tangent spaces": with the observed pose X
+and the reference X*, the error is `log(X^-1 X*)` in the local tangent space (that of the body) or
+`log(X* X^-1)` in the global one, and
+
+    u = v + Kp e + Ki int(e dt) + Kd de/dt
+
+Integral and derivative are backward Euler; the derivative is that of an exponentially weighted moving average
+(EWMA) of the error. Vectors are [rho, phi]: translation (m) first, then rotation (rad).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_filter import se3
+from tactile_filter.settings import Settings, setting
+
+Array = NDArray[np.float64]
+
+CHANNELS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
+SPACES = ("local", "global")
+NANOSECOND = 1e-9
+
+
+class ControlInputError(ValueError):
+    """A number or a stamp that no controller can use: NaN, infinite, of the wrong shape, or not later."""
+
+
+@dataclass(frozen=True)
+class PidSettings(Settings):
+    """Diagonal gains and limits of a `TangentPid`. Zero gains and no limits by default."""
+
+    kp: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1/s", doc="proportional gains")
+    ki: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1/s^2", doc="integral gains")
+    kd: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1", doc="derivative gains")
+    integral_limit: tuple[float, ...] = setting(
+        [np.inf] * 6,
+        length=6,
+        lower=0.0,
+        unit="m s, rad s",
+        doc="the integral of each error is clipped to +- this, before its gain",
+    )
+    output_limit: tuple[float, ...] = setting(
+        [np.inf] * 6,
+        length=6,
+        lower=0.0,
+        unit="m/s, rad/s",
+        doc="each channel of the feedback is clipped to +- this; its integral does not wind up meanwhile",
+    )
+    ewma_decay: float = setting(
+        0.5,
+        lower=0.0,
+        upper=0.999,
+        doc="weight of the past in the moving average whose derivative is taken (the paper's 0.5)",
+    )
+    longest_step: float = setting(
+        0.1,
+        lower=1e-3,
+        upper=10.0,
+        unit="s",
+        doc="after a gap longer than this the integral advances by this only and the derivative is zero",
+    )
+    transfer_time: float = setting(
+        0.5,
+        lower=0.0,
+        upper=60.0,
+        unit="s",
+        doc="time constant with which the output goes over to new gains that were set while it runs",
+    )
+
+
+@dataclass(frozen=True)
+class PidOutput:
+    """One step of a `TangentPid`: the feedback and its parts, (6,) each, in the tangent space of the error."""
+
+    feedback: Array
+    proportional: Array
+    integral: Array
+    derivative: Array
+    transfer: Array
+    saturated: NDArray[np.bool_]
+
+
+def tangent_error(X: Array, X_reference: Array, space: str = "local") -> Array:
+    """Error (6,) that takes X to X_reference, in the local (`X^-1 X*`) or global (`X* X^-1`) tangent space."""
+    if space == "local":
+        return se3.log(se3.inverse(X) @ X_reference)
+    if space == "global":
+        return se3.log(X_reference @ se3.inverse(X))
+    raise ValueError(f"tangent space '{space}': must be one of {', '.join(SPACES)}")
+
+
+def to_local(control: Array, X: Array, space: str) -> Array:
+    """A control signal (6,) computed in `space`, in the local tangent space at X (what a robot takes)."""
+    return control if space == "local" else se3.adjoint(se3.inverse(X)) @ control
+
+
+def to_global(control: Array, X: Array) -> Array:
+    """A control signal (6,) of the local tangent space at X, in the global one."""
+    return se3.adjoint(X) @ control
+
+
+class TangentPid:
+    """PID over six channels of one tangent space; knows nothing of poses, only of their errors.
+
+    Time comes from the stamps of the errors. The first step after construction or `reset` has neither integral
+    nor derivative. New gains through `configure` never make the output jump: the difference between the old and
+    the new law at the last error is carried on and fades with `transfer_time`.
+    """
+
+    def __init__(self, settings: PidSettings) -> None:
+        self.settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget integral, derivative and the last stamp."""
+        self.stamp_ns: int | None = None
+        self.integral = np.zeros(6)
+        self._error = np.zeros(6)
+        self._smooth = np.zeros(6)
+        self._derivative = np.zeros(6)
+        self._transfer = np.zeros(6)
+
+    def configure(self, settings: PidSettings) -> None:
+        """Replace the settings between two steps without a jump of the output."""
+        before = self._law()
+        self.settings = settings
+        self.integral = _clip(self.integral, settings.integral_limit)
+        if self.stamp_ns is not None:
+            self._transfer = before - self._law(transfer=False)
+
+    def update(self, stamp_ns: int, error: ArrayLike, hold_integral: bool = False) -> PidOutput:
+        """Advance to `stamp_ns` with the error (6,) measured there; return the feedback.
+
+        Parameters
+        ----------
+        hold_integral : bool
+            Do not integrate in this step: for a caller whose own limits keep the feedback from acting.
+
+        Raises
+        ------
+        ControlInputError
+            The error is not six finite numbers, or the stamp is not later than the last. The state stays as it was.
+        """
+        error = checked_vector("error", error)
+        dt, gap = self._elapsed(stamp_ns)
+        self._smooth, self._derivative = self._differentiate(error, dt, gap)
+        self._transfer = self._transfer * self._fade(dt)
+        self._error, self.stamp_ns = error, stamp_ns
+        if not hold_integral:
+            self._integrate(error, dt)
+        return self._output()
+
+    def _elapsed(self, stamp_ns: int) -> tuple[float, bool]:
+        """Seconds since the last step, at most `longest_step`; True with it after a gap or at the first step."""
+        if self.stamp_ns is None:
+            return 0.0, True
+        if stamp_ns <= self.stamp_ns:
+            raise ControlInputError(f"stamp {stamp_ns} ns is not later than the last one, {self.stamp_ns} ns")
+        dt = (stamp_ns - self.stamp_ns) * NANOSECOND
+        longest = self.settings.longest_step
+        return min(dt, longest), dt > longest
+
+    def _differentiate(self, error: Array, dt: float, gap: bool) -> tuple[Array, Array]:
+        if gap:
+            return error.copy(), np.zeros(6)
+        decay = self.settings.ewma_decay
+        smooth = decay * self._smooth + (1.0 - decay) * error
+        return smooth, (smooth - self._smooth) / dt
+
+    def _integrate(self, error: Array, dt: float) -> None:
+        """Backward Euler with clipping; a channel whose output is clipped does not integrate further outwards."""
+        grown = _clip(self.integral + error * dt, self.settings.integral_limit)
+        output = self._law()
+        beyond = np.abs(output) > np.asarray(self.settings.output_limit)
+        outwards = beyond & (np.sign(output) * (grown - self.integral) > 0.0)
+        self.integral = np.where(outwards, self.integral, grown)
+
+    def _fade(self, dt: float) -> float:
+        return float(np.exp(-dt / self.settings.transfer_time)) if self.settings.transfer_time > 0.0 else 0.0
+
+    def _law(self, transfer: bool = True) -> Array:
+        gains = self.settings
+        law = (
+            np.asarray(gains.kp) * self._error
+            + np.asarray(gains.ki) * self.integral
+            + np.asarray(gains.kd) * self._derivative
+        )
+        return law + self._transfer if transfer else law
+
+    def _output(self) -> PidOutput:
+        gains = self.settings
+        unclipped = self._law()
+        feedback = _clip(unclipped, gains.output_limit)
+        return PidOutput(
+            feedback=feedback,
+            proportional=np.asarray(gains.kp) * self._error,
+            integral=np.asarray(gains.ki) * self.integral,
+            derivative=np.asarray(gains.kd) * self._derivative,
+            transfer=self._transfer.copy(),
+            saturated=feedback != unclipped,
+        )
+
+
+def checked_vector(name: str, value: ArrayLike) -> Array:
+    """The value as a (6,) float array of its own; `ControlInputError` names the channels that are not finite."""
+    vector = np.array(value, dtype=np.float64)
+    if vector.shape != (6,):
+        raise ControlInputError(f"{name}: shape {vector.shape}, must be (6,)")
+    bad = [f"{channel} = {number}" for channel, number in zip(CHANNELS, vector) if not np.isfinite(number)]
+    if bad:
+        raise ControlInputError(f"{name} is not finite: {', '.join(bad)}")
+    return vector
+
+
+def _clip(value: Array, limit: ArrayLike) -> Array:
+    return np.clip(value, -np.asarray(limit), np.asarray(limit))

@@ -1,0 +1,131 @@
+"""Tactile servoing: from the belief over the surface contact pose to the twist that brings the sensor to a reference.
+
+The paper's section "Tactile servoing controller". With the observed feature pose X_sf and the reference X_s'f,
+
+    X_ss' = X_sf X_s'f^-1                        what is left to move, in the sensor frame
+    u     = PID(log(X_ss')) + Ad(X_ss') v        v: reference velocity, in the reference frame {s'}
+
+The twist is [v, omega] in the sensor frame {s}.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_control.pid import (
+    SPACES,
+    ControlInputError,
+    PidOutput,
+    PidSettings,
+    TangentPid,
+    checked_vector,
+    tangent_error,
+    to_local,
+)
+from tactile_filter import se3
+from tactile_filter.settings import Settings, setting
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ServoingSettings(Settings):
+    """Reference and variant of the `ServoingController`; the gains are `PidSettings`."""
+
+    reference: tuple[float, ...] = setting(
+        [0.0, 0.0, 0.003, 0.0, 0.0, 0.0],
+        length=6,
+        lower=-3.2,
+        upper=3.2,
+        unit="m, rad",
+        doc="feedback reference contact pose: Euler (x, y, z, alpha, beta, gamma) of X_fs'",
+    )
+    tangent_space: str = setting(
+        "local", choices=SPACES, doc="tangent space of the error and of the gains: local (the paper's) or global"
+    )
+    free_shear: bool = setting(
+        False,
+        doc="take x, y, gamma of the reference from the belief, so that shear neither turns the path nor leaks "
+        "into depth through a tilt (off in the paper)",
+    )
+
+
+@dataclass(frozen=True)
+class ServoingOutput:
+    """One step of servoing.
+
+    Attributes
+    ----------
+    twist : ndarray (6,)
+        Feedback + feedforward, in {s}, m/s and rad/s.
+    error : ndarray (6,)
+        log(X_ss') in {s}, m and rad, whatever the tangent space of the gains.
+    feedforward : ndarray (6,)
+        Reference velocity mapped into {s} by Ad(X_ss').
+    pid : PidOutput
+        The feedback's parts, in the tangent space of the gains.
+    """
+
+    twist: Array
+    error: Array
+    feedforward: Array
+    pid: PidOutput
+
+
+class ServoingController:
+    """The paper's tactile servoing controller, in local or global tangent space."""
+
+    def __init__(self, settings: ServoingSettings, pid: PidSettings) -> None:
+        self.settings = settings
+        self.pid = TangentPid(pid)
+
+    def reset(self) -> None:
+        """Forget the integral and the last error."""
+        self.pid.reset()
+
+    def configure(self, settings: ServoingSettings, pid: PidSettings) -> None:
+        """Replace the settings between two steps; gains go over without a jump."""
+        self.settings = settings
+        if pid != self.pid.settings:
+            self.pid.configure(pid)
+
+    def step(
+        self, stamp_ns: int, X_sf: ArrayLike, velocity: ArrayLike = (0.0,) * 6, hold_integral: bool = False
+    ) -> ServoingOutput:
+        """Twist for a belief with mean X_sf (4, 4) exposed at `stamp_ns`.
+
+        `velocity` (6,) is the reference velocity in the reference frame {s'}. Raises `ControlInputError` for a
+        pose or velocity that is not finite and for a stamp that is not later; nothing changes then.
+        """
+        X_fs = se3.inverse(checked_pose("X_sf", X_sf))
+        velocity = checked_vector("velocity", velocity)
+        X_reference = self.reference_for(X_fs)
+        space = self.settings.tangent_space
+        pid = self.pid.update(stamp_ns, tangent_error(X_fs, X_reference, space), hold_integral)
+        X_ss_ref = se3.inverse(X_fs) @ X_reference
+        feedforward = se3.adjoint(X_ss_ref) @ velocity
+        twist = to_local(pid.feedback, X_fs, space) + feedforward
+        return ServoingOutput(twist, se3.log(X_ss_ref), feedforward, pid)
+
+    def reference_for(self, X_fs: Array) -> Array:
+        """The reference contact pose X_fs' (4, 4) for an observed one."""
+        euler = np.array(self.settings.reference)
+        if self.settings.free_shear:
+            observed = se3.euler_from_pose(X_fs)
+            euler[[0, 1, 5]] = observed[[0, 1, 5]]
+        return se3.pose_from_euler(euler)
+
+
+def checked_pose(name: str, value: ArrayLike) -> Array:
+    """The value as a (4, 4) float array; `ControlInputError` where it is not finite or not a rigid transform."""
+    T = np.asarray(value, dtype=np.float64)
+    if T.shape != (4, 4):
+        raise ControlInputError(f"{name}: shape {T.shape}, must be (4, 4)")
+    if not np.isfinite(T).all():
+        raise ControlInputError(f"{name} is not finite")
+    if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6 or np.linalg.det(T[:3, :3]) < 0.0:
+        raise ControlInputError(f"{name}: its rotation is not orthonormal and right-handed")
+    return T

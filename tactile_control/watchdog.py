@@ -1,0 +1,85 @@
+"""Watchdog: ages of the inputs against their limits, and the ramp to rest when one is too old.
+
+From the moment an input goes silent to zero twist it takes its age limit plus `ramp_time`: with the defaults 180 ms,
+so that the arm is commanded to rest within 200 ms. The message says which input, how old it is, and its limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from tactile_control.pid import NANOSECOND
+from tactile_filter.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class WatchdogSettings(Settings):
+    """Age limits by input. An age is the time of the step less the input's stamp (for images: the exposure)."""
+
+    belief_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest belief acted upon")
+    presence_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest contact presence acted upon")
+    pose_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest sensor pose acted upon")
+    ramp_time: float = setting(
+        0.08, lower=0.0, upper=5.0, unit="s", doc="time in which the last twist goes to zero, linearly"
+    )
+    future_tolerance: float = setting(
+        0.02, lower=0.0, upper=10.0, unit="s", doc="a stamp may lie this far ahead of the clock"
+    )
+
+    def limit(self, name: str) -> float:
+        """The age limit of the input `name`: belief, presence or pose."""
+        return float(getattr(self, f"{name}_age"))
+
+
+@dataclass(frozen=True)
+class WatchdogState:
+    """scale: 1 while all is well, then down to 0 over the ramp; reason: '' or which input, how old, limit."""
+
+    scale: float
+    reason: str
+
+    @property
+    def ok(self) -> bool:
+        return self.reason == ""
+
+
+class Watchdog:
+    """Watches stamps. Recovers by itself when every input is fresh again; whoever asks decides what that means."""
+
+    def __init__(self, settings: WatchdogSettings) -> None:
+        self.settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget that anything was ever too old."""
+        self._since_ns: int | None = None
+
+    def configure(self, settings: WatchdogSettings) -> None:
+        """Replace the limits between two steps."""
+        self.settings = settings
+
+    def step(self, now_ns: int, stamps_ns: Mapping[str, int | None]) -> WatchdogState:
+        """State at `now_ns` for the stamps of the inputs needed now (None: none has come yet)."""
+        reasons = [reason for name, stamp in stamps_ns.items() if (reason := self._complaint(now_ns, name, stamp))]
+        if not reasons:
+            self._since_ns = None
+            return WatchdogState(1.0, "")
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        return WatchdogState(self._ramp((now_ns - self._since_ns) * NANOSECOND), "; ".join(reasons))
+
+    def _complaint(self, now_ns: int, name: str, stamp_ns: int | None) -> str:
+        limit = self.settings.limit(name)
+        if stamp_ns is None:
+            return f"no {name} has arrived (limit {limit * 1e3:.0f} ms)"
+        age = (now_ns - stamp_ns) * NANOSECOND
+        if age > limit:
+            return f"{name} is {age * 1e3:.0f} ms old, limit {limit * 1e3:.0f} ms"
+        if age < -self.settings.future_tolerance:
+            return f"{name} is stamped {-age * 1e3:.0f} ms ahead of the clock"
+        return ""
+
+    def _ramp(self, elapsed: float) -> float:
+        ramp = self.settings.ramp_time
+        return max(0.0, 1.0 - elapsed / ramp) if ramp > 0.0 else 0.0
