@@ -1,0 +1,97 @@
+"""Removes what killed ROS nodes leave in shared memory (Fast DDS: /dev/shm/fastdds_*, sem.fastdds_*).
+
+A Fast DDS process holds a file lock on `<segment>_el` for as long as it lives; that is also how
+`fastdds shm clean` tells the dead from the living. Some port files stay without a lock file even after a
+regular end, so a segment counts as dead when no lock on it is held and no process maps it. Segments of other
+users, and those made before `since_ns`, are left alone.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+from pathlib import Path
+
+SHARED_MEMORY = Path("/dev/shm")
+_LOCK = "_el"
+_SEGMENT = re.compile(r"^(fastdds|fastrtps)_(?P<name>port\d+|[0-9a-f]{16})(_el|_sl)?$")
+_MUTEX = re.compile(r"^sem\.(fastdds|fastrtps)_(?P<name>port\d+)_mutex$")
+
+
+def remove_orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[str]:
+    """Remove dead processes' segments made at or after `since_ns` (epoch, ns); returns the files removed."""
+    groups: dict[str, list[Path]] = {}
+    for path in _ours(folder):
+        match = _SEGMENT.match(path.name) or _MUTEX.match(path.name)
+        if match:
+            groups.setdefault(match["name"], []).append(path)
+    mapped = _mapped_files()
+    removed = []
+    for paths in groups.values():
+        if _made_since(paths, since_ns) and not _is_owned(paths, mapped):
+            removed += [path.name for path in paths if _unlink(path)]
+    return sorted(removed)
+
+
+def segments(folder: Path = SHARED_MEMORY) -> set[str]:
+    """Names of all Fast DDS files in shared memory."""
+    return {path.name for path in folder.glob("*") if _SEGMENT.match(path.name) or _MUTEX.match(path.name)}
+
+
+def _ours(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return [path for path in folder.iterdir() if _owner(path) == os.getuid()]
+
+
+def _owner(path: Path) -> int | None:
+    try:
+        return path.lstat().st_uid
+    except FileNotFoundError:  # its process removed it since the folder was listed
+        return None
+
+
+def _made_since(paths: list[Path], since_ns: int) -> bool:
+    try:
+        return max(path.lstat().st_mtime_ns for path in paths) >= since_ns
+    except FileNotFoundError:
+        return False
+
+
+def _is_owned(paths: list[Path], mapped: set[str]) -> bool:
+    """Whether a living process holds the segment's lock or maps any of its files."""
+    return any(_is_locked(path) for path in paths if path.name.endswith(_LOCK)) or any(
+        str(path) in mapped for path in paths
+    )
+
+
+def _mapped_files() -> set[str]:
+    """Files in shared memory that any process which we may look into has mapped."""
+    mapped: set[str] = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        try:
+            lines = maps.read_text().splitlines()
+        except OSError:  # the process ended, or is not ours
+            continue
+        mapped |= {line.split(None, 5)[5] for line in lines if str(SHARED_MEMORY) in line}
+    return mapped
+
+
+def _is_locked(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except FileNotFoundError:
+        return False
+    return False
+
+
+def _unlink(path: Path) -> bool:
+    try:
+        path.unlink()
+    except FileNotFoundError:
+        return False
+    return True

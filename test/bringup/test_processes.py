@@ -1,0 +1,186 @@
+"""Children are stopped, reported and never left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tactile_bringup import shared_memory
+from tactile_bringup.processes import ProcessDied, ProcessGroup, describe_exit, tail
+
+ROOT = Path(__file__).resolve().parents[2]
+POLITE = "import time\ntry:\n time.sleep(60)\nexcept KeyboardInterrupt:\n print('bye', flush=True)"
+DEAF = """import signal, time
+for number in (signal.SIGINT, signal.SIGTERM): signal.signal(number, signal.SIG_IGN)
+print("up", flush=True)
+time.sleep(60)"""
+
+
+def python(code: str) -> list[str]:
+    return [sys.executable, "-S", "-c", code]
+
+
+def wait_for(condition, timeout_s: float = 8.0) -> bool:
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def runs(pid: int) -> bool:
+    """Whether a process exists and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.fixture
+def group():
+    with ProcessGroup(grace_s=1.0, kill_after_s=0.3) as group:
+        yield group
+
+
+def test_a_child_that_ends_is_reported_with_name_exit_code_and_the_last_lines(group, tmp_path):
+    log = tmp_path / "filter.log"
+    group.start(
+        "arm/filter", python("print('no calibration in sight'); raise SystemExit(3)"), os.environ, log
+    )
+    with pytest.raises(ProcessDied) as caught:
+        assert wait_for(lambda: group.check())
+    message = str(caught.value)
+    assert "arm/filter ended with exit code 3" in message
+    assert str(log) in message and "no calibration in sight" in message
+
+
+def test_a_child_killed_by_a_signal_is_reported_by_the_signals_name(group, tmp_path):
+    child = group.start("sim", python(POLITE), os.environ, tmp_path / "sim.log")
+    child.process.kill()
+    with pytest.raises(ProcessDied, match="sim was killed by SIGKILL"):
+        wait_for(lambda: group.check())
+
+
+def test_a_healthy_child_passes_the_check(group, tmp_path):
+    group.start("sim", python(POLITE), os.environ, tmp_path / "sim.log")
+    group.check()
+
+
+def test_stopping_lets_a_child_finish_after_an_interrupt(group, tmp_path):
+    child = group.start("polite", python("print('up', flush=True)\n" + POLITE), os.environ, tmp_path / "log")
+    assert wait_for(lambda: "up" in child.log.read_text())
+    (report,) = group.stop()
+    assert (report.exit_code, report.escalated_to) == (0, "")
+    assert "bye" in child.log.read_text()
+
+
+def test_stopping_kills_a_child_that_ignores_signals(group, tmp_path):
+    child = group.start("deaf", python(DEAF), os.environ, tmp_path / "log")
+    assert wait_for(lambda: "up" in child.log.read_text())
+    started = time.monotonic()
+    (report,) = group.stop()
+    assert (report.exit_code, report.escalated_to) == (-signal.SIGKILL, "SIGKILL")
+    assert 1.3 <= time.monotonic() - started < 4.0
+
+
+def test_stopping_urgently_does_not_wait(group, tmp_path):
+    child = group.start("deaf", python(DEAF), os.environ, tmp_path / "log")
+    assert wait_for(lambda: "up" in child.log.read_text())
+    started = time.monotonic()
+    group.stop(urgent=True)
+    assert time.monotonic() - started < 1.0
+
+
+def test_children_stop_in_the_reverse_of_their_order_and_only_those_that_are_named(group, tmp_path):
+    for name in ("recorder", "sim", "controller"):
+        group.start(name, python(POLITE), os.environ, tmp_path / f"{name}.log")
+    assert [report.name for report in group.stop(["sim", "controller"])] == ["controller", "sim"]
+    assert list(group.children) == ["recorder"]
+
+
+def test_what_a_child_started_itself_ends_with_it(group, tmp_path):
+    start = f"print(subprocess.Popen({python(DEAF)!r}).pid, flush=True)"
+    code = f"import subprocess, time\n{start}\ntime.sleep(60)"
+    child = group.start("parent", python(code), os.environ, tmp_path / "log")
+    assert wait_for(lambda: child.log.read_text().strip())
+    grandchild = int(child.log.read_text().split()[0])
+    group.stop()
+    assert wait_for(lambda: not runs(grandchild))
+
+
+def test_two_children_of_one_name_are_refused(group, tmp_path):
+    group.start("sim", python(POLITE), os.environ, tmp_path / "a")
+    with pytest.raises(ValueError, match="a process named sim runs already"):
+        group.start("sim", python(POLITE), os.environ, tmp_path / "b")
+
+
+def test_a_missing_program_is_an_error_at_once(group, tmp_path):
+    with pytest.raises(FileNotFoundError, match="/no/such/program"):
+        group.start("camera", ["/no/such/program"], os.environ, tmp_path / "log")
+
+
+@pytest.mark.parametrize("child_code", [POLITE, DEAF], ids=["polite", "ignores signals"])
+def test_a_killed_parent_leaves_no_child(tmp_path, child_code):
+    code = f"""
+import os, time
+from pathlib import Path
+from tactile_bringup.processes import ProcessGroup
+group = ProcessGroup()
+folder = Path({str(tmp_path)!r})
+pids = [group.start(n, {python(child_code)!r}, os.environ, folder / n).process.pid for n in "ab"]
+time.sleep(0.3)
+print(*pids, group._keeper._process.pid, flush=True)
+time.sleep(60)
+"""
+    parent = subprocess.Popen(
+        python(code), env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout is not None
+    pids = [int(pid) for pid in parent.stdout.readline().split()]
+    assert len(pids) == 3 and all(map(runs, pids))
+    parent.kill()
+    parent.wait()
+    assert wait_for(lambda: not any(map(runs, pids)))
+
+
+def test_exit_codes_in_words():
+    assert describe_exit(1) == "ended with exit code 1"
+    assert describe_exit(-11) == "was killed by SIGSEGV"
+
+
+def test_the_tail_of_a_log_is_its_last_lines(tmp_path):
+    log = tmp_path / "log"
+    assert tail(log) == "(no log)"
+    log.write_text("")
+    assert tail(log) == "(it wrote nothing)"
+    log.write_text("\n".join(str(n) for n in range(100)))
+    assert tail(log, 2) == "98\n99"
+
+
+def test_only_segments_without_a_living_owner_are_removed(tmp_path):
+    data = "fastdds_0123456789abcdef"
+    names = [data, data + "_el", "fastdds_port7000", "sem.fastdds_port7000_mutex"]
+    for name in [*names, "fastdds_fedcba9876543210", "fastdds_fedcba9876543210_el", "somebody_elses"]:
+        (tmp_path / name).touch()
+    lock_file = str(tmp_path / "fastdds_fedcba9876543210_el")
+    lock = f"import fcntl, time\nf = open({lock_file!r})\nfcntl.flock(f, 2)\n"
+    owner = subprocess.Popen(python(lock + "print('up', flush=True)\ntime.sleep(60)"), stdout=subprocess.PIPE)
+    try:
+        assert owner.stdout is not None and owner.stdout.readline()
+        assert shared_memory.remove_orphans(folder=tmp_path) == names
+        assert shared_memory.segments(tmp_path) == {"fastdds_fedcba9876543210", "fastdds_fedcba9876543210_el"}
+    finally:
+        owner.kill()
+        owner.wait()
+    assert len(shared_memory.remove_orphans(folder=tmp_path)) == 2
+    assert (tmp_path / "somebody_elses").exists()
+
+
+def test_segments_older_than_the_run_stay(tmp_path):
+    (tmp_path / "fastdds_0123456789abcdef").touch()
+    assert shared_memory.remove_orphans(time.time_ns() + 10**9, folder=tmp_path) == []
