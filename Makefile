@@ -1,0 +1,38 @@
+# make         set up and build into .venv and install
+# make demo    follow a curved ramp by touch in simulation; results in out/demo
+# make test    run all tests            (ARGS="test/filter -k gate" to choose)
+# make lint    ruff and mypy
+# make clean   remove what was built    (make distclean: .venv and out as well)
+#
+# PYTHON=python3.12 chooses the interpreter for .venv. TORCH is what the tests of the training install; for a smaller
+# one without CUDA: make test TORCH="--extra-index-url https://download.pytorch.org/whl/cpu torch==2.13.0+cpu"
+
+SHELL := bash
+TORCH ?= torch==2.13.0
+ARGS ?=
+export PYTHON TORCH
+
+.PHONY: build demo test lint clean distclean
+
+build:
+	@scripts/setup.sh
+	@scripts/build.sh
+
+demo: build
+	@. scripts/env.sh && export ROS_DOMAIN_ID=$${ROS_DOMAIN_ID:-$$((1 + $$$$ % 101))} && \
+	    exec tactile demo --out out/demo $(ARGS)
+
+test:
+	@scripts/setup.sh test train
+	@scripts/build.sh
+	@scripts/test.sh $(ARGS)
+
+lint:
+	@scripts/setup.sh lint
+	@. scripts/env.sh && ruff check . && ruff format --check . && mypy
+
+clean:
+	rm -rf build install log
+
+distclean: clean
+	rm -rf .venv out

@@ -1,0 +1,37 @@
+#!/usr/bin/env bash
+# Build what changed with colcon into install/: first the interface packages, then the Python package with its C code.
+set -euo pipefail
+. "$(dirname "$0")/common.sh"
+. scripts/env.sh
+lock
+
+interfaces=(tactile_msgs)
+# Wheels of tf2_msgs do not exist yet; where they do, the real package is used.
+[ -d .venv/share/tf2_msgs ] || interfaces+=(deps/tf2_msgs)
+
+# build NAME TITLE PACKAGE...: run colcon on these packages.
+build() {
+    local name=$1 title=$2
+    shift 2
+    step "$name" "$title" colcon build --base-paths . "${interfaces[@]}" --merge-install \
+        --packages-select "$@" --event-handlers console_direct+ \
+        --cmake-args -DPython3_EXECUTABLE="$VIRTUAL_ENV/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release
+}
+
+wanted="$(fingerprint "${interfaces[@]}") $(cat .venv/stamp* | sha256sum)"
+if ! up_to_date build/stamp-interfaces "$wanted"; then
+    build colcon-interfaces "messages, services and actions" "${interfaces[@]##*/}"
+    printf '%s\n' "$wanted" >build/stamp-interfaces
+    # The overlay's site-packages exist only now.
+    . scripts/env.sh
+fi
+
+wanted="$(fingerprint package.xml setup.py setup.cfg resource scripts/tactile launch config \
+    tactile_filter tactile_perception tactile_control tactile_drivers tactile_bringup)"
+if ! up_to_date build/stamp-package "$wanted"; then
+    # Neither setuptools nor colcon removes what a deleted or renamed source left behind.
+    rm -rf build/tactile_servoing/build install/share/tactile_servoing install/lib/tactile_servoing \
+        install/lib/python3*/site-packages/tactile_{filter,perception,control,drivers,bringup,servoing-*}
+    build colcon-package "Python package with C extensions" tactile_servoing
+    printf '%s\n' "$wanted" >build/stamp-package
+fi

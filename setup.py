@@ -1,0 +1,68 @@
+"""The ROS 2 package `tactile_servoing`: Python packages, C extensions, executables, launch files and configuration.
+
+Names, versions and requirements stand in setup.cfg.
+"""
+
+from pathlib import Path
+
+from setuptools import Extension, find_packages, setup
+
+PACKAGE = "tactile_servoing"
+
+# Extension module -> folder with its C sources; all of them go into the one module.
+C_MODULES = {
+    "tactile_filter._fusion": "tactile_filter/_csrc",
+    "tactile_drivers.sim._contact": "tactile_drivers/sim/_csrc",
+}
+
+# Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.
+NODES = {
+    "estimator": "tactile_perception.estimator_node",
+    "filter": "tactile_filter.filter_node",
+    "controller": "tactile_control.controller_node",
+    "sim": "tactile_drivers.sim_node",
+    "recorder": "tactile_bringup.recorder_node",
+}
+
+
+def extension(name: str, folder: str) -> Extension:
+    """A C module without fast-math and without -march: the same numbers on every machine."""
+    import numpy
+
+    return Extension(
+        name,
+        sources=sorted(map(str, Path(folder).glob("*.c"))),
+        depends=sorted(map(str, Path(folder).glob("*.h"))),
+        include_dirs=[numpy.get_include(), folder],
+        define_macros=[("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")],
+        extra_compile_args=["-O3", "-std=c99", "-Wall", "-Wextra", "-ffp-contract=off"],
+    )
+
+
+def shared_files(folder: str, pattern: str) -> list[tuple[str, list[str]]]:
+    """Install the matching files under `folder`, in the same tree, into the package's share folder."""
+    by_folder: dict[Path, list[str]] = {}
+    for path in sorted(Path(folder).rglob(pattern)):
+        if path.is_file():
+            by_folder.setdefault(path.parent, []).append(str(path))
+    return [(f"share/{PACKAGE}/{parent}", files) for parent, files in by_folder.items()]
+
+
+setup(
+    packages=find_packages(include=["tactile_*"], exclude=["tactile_msgs", "tactile_msgs.*"]),
+    package_data={"": ["py.typed", "*.yaml", "*.npz", "models/*.onnx", "models/*.json"]},
+    ext_modules=[extension(name, folder) for name, folder in C_MODULES.items() if list(Path(folder).glob('*.c'))],
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        ("bin", ["scripts/tactile"]),
+        *shared_files("launch", "*.launch.py"),
+        *shared_files("config", "*"),
+    ],
+    entry_points={
+        "console_scripts": [
+            "tactile = tactile_bringup.cli:main",
+            *(f"{name} = {module}:main" for name, module in NODES.items()),
+        ],
+    },
+)
