@@ -1,0 +1,75 @@
+"""What a model file says about itself, written at export and checked by the estimator."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from tactile_filter.settings import SettingError
+from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.preprocessing import PreprocessingSettings
+
+FORMAT = "tactile_servoing.gdn/1"
+INPUT_NAME = "image"
+OUTPUT_NAMES = ("mu", "inverse_sigma")
+FRAMES = (
+    "xi = [rho, phi] = ln(X_sf): the surface feature frame {f} in the sensor frame {s}. {s}: origin at the "
+    "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
+    "sensor just touches; inverse_sigma: of the components of xi around mu"
+)
+_REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
+
+
+class MetadataError(ValueError):
+    """A model file without the entries that its use needs, or with entries of another convention."""
+
+
+@dataclass(frozen=True)
+class ModelMetadata:
+    """Contents of an ONNX file's `metadata_props`.
+
+    Attributes
+    ----------
+    preprocessing : how the training images were made from camera images
+    training_data : number of samples and SHA-256 of training and validation data
+    validation : loss and mean absolute error per component (mm, rad) on the validation data
+    training : every setting of network and training
+    """
+
+    preprocessing: PreprocessingSettings
+    training_data: dict[str, Any]
+    validation: dict[str, Any]
+    training: dict[str, Any] = field(default_factory=dict)
+    components: tuple[str, ...] = COMPONENTS
+    units: tuple[str, ...] = NETWORK_UNITS
+    frames: str = FRAMES
+
+    def to_properties(self) -> dict[str, str]:
+        """As the strings that an ONNX file holds; everything but `format` is JSON."""
+        values = dataclasses.asdict(self)
+        return {"format": FORMAT, **{name: json.dumps(value) for name, value in values.items()}}
+
+    @classmethod
+    def from_properties(cls, properties: Mapping[str, str]) -> ModelMetadata:
+        """The reverse; `MetadataError` names what is missing or different and what would be right."""
+        missing = [name for name in _REQUIRED if name not in properties]
+        if missing:
+            raise MetadataError(f"metadata has no {', '.join(missing)}: was the model exported by `tactile train`?")
+        if properties["format"] != FORMAT:
+            raise MetadataError(f"format is '{properties['format']}', must be '{FORMAT}'")
+        try:
+            values = {name: json.loads(text) for name, text in properties.items() if name in _FIELD_NAMES}
+            values["preprocessing"] = PreprocessingSettings.from_mapping(values["preprocessing"])
+        except (json.JSONDecodeError, SettingError, TypeError) as error:
+            raise MetadataError(f"unreadable metadata: {error}") from error
+        for name, expected in (("units", NETWORK_UNITS), ("components", COMPONENTS)):
+            values[name] = tuple(values[name])
+            if values[name] != expected:
+                raise MetadataError(f"{name} are {values[name]}, must be {expected}")
+        return cls(**values)
+
+
+_FIELD_NAMES = tuple(item.name for item in dataclasses.fields(ModelMetadata))
