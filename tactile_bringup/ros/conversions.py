@@ -1,0 +1,196 @@
+"""Messages <-> NumPy: poses, transforms, twists, Gaussians with left covariance, images.
+
+Poses are `T_parent_child` (4, 4) in meters, twists [v, omega] (6,) in m/s and rad/s, covariances left ones over
+[rho, phi]. Whatever comes in is checked; `MessageError` says what was wrong and what would be right.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Twist,
+    TwistStamped,
+    Vector3,
+)
+from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from tactile_bringup.ros.stamps import time_from_ns
+from tactile_filter import pose_covariance
+from tactile_filter.gaussian import PoseGaussian
+
+Array = NDArray[np.float64]
+
+QUATERNION_TOLERANCE = 1e-3  # how far from 1 the norm of a quaternion may be before it is refused
+MONO8 = "mono8"
+
+
+class MessageError(ValueError):
+    """A message whose content cannot be used; the text says what it holds and what would be right."""
+
+
+def header(stamp_ns: int, frame_id: str) -> Header:
+    """Header with this stamp and frame."""
+    return Header(stamp=time_from_ns(stamp_ns), frame_id=frame_id)
+
+
+def matrix_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
+    """Rotation (3, 3) of a unit quaternion; small deviations of its norm are divided out.
+
+    Raises
+    ------
+    MessageError
+        If a component is not finite or the norm is off 1 by more than `QUATERNION_TOLERANCE`.
+    """
+    square = x * x + y * y + z * z + w * w
+    if not abs(square - 1.0) <= 2.0 * QUATERNION_TOLERANCE:
+        raise MessageError(f"quaternion (x, y, z, w) = ({x}, {y}, {z}, {w}): must have norm 1")
+    s = 2.0 / square
+    xx, yy, zz, xy, xz, yz = s * x * x, s * y * y, s * z * z, s * x * y, s * x * z, s * y * z
+    wx, wy, wz = s * w * x, s * w * y, s * w * z
+    return np.array(
+        ((1.0 - yy - zz, xy - wz, xz + wy), (xy + wz, 1.0 - xx - zz, yz - wx), (xz - wy, yz + wx, 1.0 - xx - yy))
+    )
+
+
+def quaternion_from_matrix(R: ArrayLike) -> tuple[float, float, float, float]:
+    """Unit quaternion (x, y, z, w), w >= 0, of a rotation (3, 3): Shepperd's method, exact near every angle."""
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = np.asarray(R, dtype=np.float64).tolist()
+    trace = r00 + r11 + r22
+    largest = max(trace, r00, r11, r22)
+    if largest == trace:
+        x, y, z, w = r21 - r12, r02 - r20, r10 - r01, 1.0 + trace
+    elif largest == r00:
+        x, y, z, w = 1.0 + r00 - r11 - r22, r01 + r10, r02 + r20, r21 - r12
+    elif largest == r11:
+        x, y, z, w = r01 + r10, 1.0 - r00 + r11 - r22, r12 + r21, r02 - r20
+    else:
+        x, y, z, w = r02 + r20, r12 + r21, 1.0 - r00 - r11 + r22, r10 - r01
+    scale = math.copysign(1.0 / math.sqrt(x * x + y * y + z * z + w * w), w)
+    return x * scale, y * scale, z * scale, w * scale
+
+
+def matrix_from_pose(pose: Pose) -> Array:
+    """T (4, 4) of a Pose message."""
+    p, q = pose.position, pose.orientation
+    return _matrix(p.x, p.y, p.z, matrix_from_quaternion(q.x, q.y, q.z, q.w))
+
+
+def pose_from_matrix(T: Array) -> Pose:
+    """Pose message of T (4, 4)."""
+    x, y, z = T[:3, 3].tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(T))
+
+
+def matrix_from_transform(transform: Transform) -> Array:
+    """T_parent_child (4, 4) of a Transform message."""
+    p, q = transform.translation, transform.rotation
+    return _matrix(p.x, p.y, p.z, matrix_from_quaternion(q.x, q.y, q.z, q.w))
+
+
+def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> TransformStamped:
+    """TransformStamped message of T_parent_child (4, 4)."""
+    x, y, z = T_parent_child[:3, 3].tolist()
+    transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(T_parent_child))
+    return TransformStamped(header=header(stamp_ns, parent), child_frame_id=child, transform=transform)
+
+
+def pose_stamped(stamp_ns: int, frame_id: str, T: Array) -> PoseStamped:
+    """PoseStamped message of T (4, 4) in `frame_id`."""
+    return PoseStamped(header=header(stamp_ns, frame_id), pose=pose_from_matrix(T))
+
+
+def vector_from_twist(twist: Twist) -> Array:
+    """[v, omega] (6,) of a Twist message; may hold NaN, which is for the limiter to refuse."""
+    v, omega = twist.linear, twist.angular
+    return np.array((v.x, v.y, v.z, omega.x, omega.y, omega.z))
+
+
+def twist_stamped(stamp_ns: int, frame_id: str, twist: ArrayLike) -> TwistStamped:
+    """TwistStamped message of [v, omega] (6,) in `frame_id`."""
+    vx, vy, vz, wx, wy, wz = np.asarray(twist, dtype=np.float64).tolist()
+    message = Twist(linear=Vector3(x=vx, y=vy, z=vz), angular=Vector3(x=wx, y=wy, z=wz))
+    return TwistStamped(header=header(stamp_ns, frame_id), twist=message)
+
+
+def gaussian_from_message(message: PoseWithCovariance) -> PoseGaussian:
+    """Gaussian with left covariance of a PoseWithCovariance, whose covariance is about the header's axes.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite or a variance is negative.
+    """
+    mean = matrix_from_pose(message.pose)
+    cov = np.asarray(message.covariance, dtype=np.float64).reshape(6, 6)
+    if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
+        raise MessageError("pose or covariance is not finite")
+    if (np.diagonal(cov) < 0.0).any():
+        raise MessageError(f"covariance has a negative variance: {np.diagonal(cov).tolist()}")
+    return PoseGaussian(mean, pose_covariance.left_from_ros(cov, mean[:3, 3]))
+
+
+def gaussian_message(stamp_ns: int, frame_id: str, mean: Array, cov: Array) -> PoseWithCovarianceStamped:
+    """PoseWithCovarianceStamped of a mean (4, 4) with left covariance (6, 6), both in `frame_id`."""
+    ros = pose_covariance.ros_from_left(cov, mean[:3, 3])
+    pose = PoseWithCovariance(pose=pose_from_matrix(mean), covariance=np.ascontiguousarray(ros).reshape(36))
+    return PoseWithCovarianceStamped(header=header(stamp_ns, frame_id), pose=pose)
+
+
+def array_from_image(message: Image) -> NDArray[np.uint8]:
+    """Gray image (height, width) uint8 that shares the message's memory (a row view where rows are padded).
+
+    Raises
+    ------
+    MessageError
+        If the encoding is not mono8, or width, height, step and the number of bytes contradict each other.
+    """
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    if message.encoding != MONO8:
+        raise MessageError(f"encoding is '{message.encoding}', must be '{MONO8}'")
+    if height == 0 or width == 0:
+        raise MessageError(f"image is empty: {width}x{height} pixels")
+    if step < width:
+        raise MessageError(f"step is {step} bytes, must be at least the width {width}")
+    if len(message.data) != step * height:
+        raise MessageError(f"data has {len(message.data)} bytes, must have step * height = {step * height}")
+    rows = np.frombuffer(message.data, dtype=np.uint8).reshape(height, step)
+    return rows[:, :width]
+
+
+def image_message(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> Image:
+    """Image message, mono8, of a gray image (height, width) uint8; one copy, no element is looked at."""
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise MessageError(f"image: must be uint8 (height, width), is {image.dtype} {image.shape}")
+    data: Any = array.array("B")
+    data.frombytes(np.ascontiguousarray(image).data.cast("B"))
+    height, width = image.shape
+    return Image(
+        header=header(stamp_ns, frame_id), height=height, width=width, encoding=MONO8, step=width, data=data
+    )
+
+
+def _matrix(x: float, y: float, z: float, R: Array) -> Array:
+    T = np.empty((4, 4))
+    T[:3, :3] = R
+    T[:3, 3] = x, y, z
+    T[3] = 0.0, 0.0, 0.0, 1.0
+    return T
+
+
+def _quaternion(T: Array) -> Quaternion:
+    x, y, z, w = quaternion_from_matrix(T[:3, :3])
+    return Quaternion(x=x, y=y, z=z, w=w)

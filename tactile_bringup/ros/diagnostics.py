@@ -1,0 +1,98 @@
+"""What a node says about itself: counters, ages of its inputs, complaints; published as /diagnostics at 1 Hz."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+@dataclass
+class InputWatch:
+    """Age of one input against its limit; the clock starts when the node becomes active.
+
+    Ages are measured on the steady clock from arrival, so that a jump of the system's time cannot hide silence.
+    """
+
+    name: str
+    limit: float  # s; 0 for none
+    last: float = field(default_factory=time.monotonic)
+    count: int = 0
+
+    def seen(self) -> None:
+        """A message arrived now."""
+        self.last = time.monotonic()
+        self.count += 1
+
+    def restart(self) -> None:
+        """The node became active: silence counts from now."""
+        self.last = time.monotonic()
+        self.count = 0
+
+    @property
+    def age(self) -> float:
+        """Seconds since the last message, or since `restart`."""
+        return time.monotonic() - self.last
+
+    def complaint(self) -> str:
+        """'' or which input is silent, for how long, and the limit."""
+        age = self.age
+        if self.limit <= 0.0 or age <= self.limit:
+            return ""
+        what = "no message for" if self.count else "no message yet in"
+        return f"{self.name}: {what} {age:.2f} s (limit {self.limit:.2f} s)"
+
+
+class Diagnostics:
+    """Collects what is worth telling and turns it into a DiagnosticArray.
+
+    A complaint lasts for one publication, a fault until it is cleared.
+    """
+
+    def __init__(self, name: str, hardware_id: str) -> None:
+        self._name = name
+        self._hardware_id = hardware_id
+        self.counters: Counter[str] = Counter()
+        self.values: dict[str, str] = {}
+        self.inputs: dict[str, InputWatch] = {}
+        self.fault = ""
+        self._complaints: dict[str, str] = {}
+
+    def watch(self, name: str, limit: float) -> InputWatch:
+        """Watch the age of an input from now on (limit in s, 0 for none)."""
+        self.inputs[name] = InputWatch(name, limit)
+        return self.inputs[name]
+
+    def complain(self, key: str, message: str) -> None:
+        """Say this at the next publication, as a warning; the newest complaint of one key counts."""
+        self._complaints[key] = message
+
+    def silent_inputs(self) -> list[str]:
+        """Complaints about inputs that are older than their limit."""
+        return [complaint for watch in self.inputs.values() if (complaint := watch.complaint())]
+
+    def message(self, stamp: object, state: str, active: bool) -> DiagnosticArray:
+        """The report as of now; takes the complaints with it."""
+        complaints = list(self._complaints.values()) + (self.silent_inputs() if active else [])
+        self._complaints.clear()
+        level = ERROR if self.fault else WARN if complaints else OK
+        text = self.fault or "; ".join(complaints) or state
+        status = DiagnosticStatus(
+            level=level, name=self._name, hardware_id=self._hardware_id, message=text, values=self._values(state)
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = stamp
+        return array
+
+    def _values(self, state: str) -> list[KeyValue]:
+        values = {"state": state, **self.values}
+        values |= {name: str(count) for name, count in sorted(self.counters.items())}
+        for watch in self.inputs.values():
+            values[f"{watch.name} messages"] = str(watch.count)
+            values[f"{watch.name} age (s)"] = f"{watch.age:.3f}"
+            values[f"{watch.name} age limit (s)"] = f"{watch.limit:g}"
+        return [KeyValue(key=key, value=value) for key, value in values.items()]

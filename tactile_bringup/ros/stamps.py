@@ -1,0 +1,109 @@
+"""Stamps as int nanoseconds, and events in the order of (stamp, source, sequence) whatever order they arrived in."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from builtin_interfaces.msg import Duration, Time
+
+SECOND_NS = 1_000_000_000
+
+
+def ns_from_time(stamp: Time | Duration) -> int:
+    """Nanoseconds of a Time or Duration message."""
+    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
+
+
+def time_from_ns(stamp_ns: int) -> Time:
+    """Time message of nanoseconds since the epoch; negative ones become zero, which ROS reads as 'none'."""
+    sec, nanosec = divmod(max(int(stamp_ns), 0), SECOND_NS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def duration_from_ns(duration_ns: int) -> Duration:
+    """Duration message of nanoseconds."""
+    sec, nanosec = divmod(int(duration_ns), SECOND_NS)
+    return Duration(sec=sec, nanosec=nanosec)
+
+
+@dataclass
+class Event:
+    """All messages of one stamp, by source; `received_ns` (steady clock) is when the first of them arrived."""
+
+    stamp_ns: int
+    received_ns: int
+    parts: dict[str, Any] = field(default_factory=dict)
+
+
+class EventJoin:
+    """Joins the messages of one stamp from several sources and hands the events out in the order of their stamps.
+
+    Every source delivers its own messages in order. So an event that misses a source is lost as soon as that
+    source has delivered a later stamp; until then it may still come and the caller decides how long to wait.
+    What is handed out therefore depends on the messages and not on the order in which the sources' messages
+    arrived, as long as no deadline passes.
+
+    Attributes
+    ----------
+    late : int
+        Messages refused because their stamp was not later than what had been handed out or dropped.
+    incomplete : int
+        Events dropped because a source had skipped their stamp, or by `drop_oldest`.
+    """
+
+    def __init__(self, sources: Sequence[str]) -> None:
+        self.sources = tuple(sources)
+        self.late = 0
+        self.incomplete = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all pending events and the last stamp, after a backward time jump for instance."""
+        self._events: list[Event] = []
+        self._newest = dict.fromkeys(self.sources, -1)
+        self._done_ns = -1
+
+    def __len__(self) -> int:
+        return len(self._events)
+
+    def add(self, source: str, stamp_ns: int, message: Any, received_ns: int) -> bool:
+        """Take a message; False (and counted) if its stamp has been passed already."""
+        if stamp_ns <= self._done_ns or stamp_ns <= self._newest[source]:
+            self.late += 1
+            return False
+        self._newest[source] = stamp_ns
+        index = bisect.bisect_left(self._events, stamp_ns, key=lambda event: event.stamp_ns)
+        if index == len(self._events) or self._events[index].stamp_ns != stamp_ns:
+            self._events.insert(index, Event(stamp_ns, received_ns))
+        self._events[index].parts[source] = message
+        return True
+
+    def oldest(self) -> Event | None:
+        """The oldest pending event, complete or not."""
+        return self._events[0] if self._events else None
+
+    def ready(self) -> Event | None:
+        """The oldest event if it is complete; those before it that can no longer become complete are dropped."""
+        while self._events:
+            event = self._events[0]
+            missing = [source for source in self.sources if source not in event.parts]
+            if not missing:
+                return event
+            if all(self._newest[source] < event.stamp_ns for source in missing):
+                return None
+            self.drop_oldest()
+        return None
+
+    def pop(self) -> Event:
+        """Take the oldest event off; from now on its stamp is past."""
+        event = self._events.pop(0)
+        self._done_ns = event.stamp_ns
+        return event
+
+    def drop_oldest(self) -> Event:
+        """Give the oldest event up and count it."""
+        self.incomplete += 1
+        return self.pop()
