@@ -1,0 +1,1 @@
+"""Sensors and arms: real drivers and the simulated cell."""
