@@ -1,0 +1,82 @@
+"""The .msg texts of message types with all that they use: with them a bag is read without their packages."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+_SEPARATOR = "=" * 80
+_FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
+_PRIMITIVES = frozenset(
+    ("bool", "byte", "char", "float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32")
+    + ("int64", "uint64", "string", "wstring")
+)
+
+
+class DefinitionMissing(LookupError):
+    """A message type whose .msg file is not installed; the message says where it was looked for."""
+
+
+def message_definition(type_name: str, prefixes: Sequence[Path] | None = None) -> str:
+    """The .msg text of a type with all types that it uses, as MCAP wants it (`ros2msg`).
+
+    Read from `share/<package>/msg` under the prefixes, by default those of
+    AMENT_PREFIX_PATH, then the Python environment. Raises `DefinitionMissing`
+    where a file is missing.
+    """
+    roots = _ament_prefixes() if prefixes is None else list(prefixes)
+    texts: dict[str, str] = {}
+    _collect_definitions(type_name, roots, texts)
+    first, *others = texts.items()
+    parts = [first[1]] + [f"{_SEPARATOR}\nMSG: {_short(name)}\n{text}" for name, text in others]
+    return "\n".join(parts)
+
+
+def _collect_definitions(type_name: str, roots: Sequence[Path], texts: dict[str, str]) -> None:
+    if type_name in texts:
+        return
+    texts[type_name] = _read_definition(type_name, roots)
+    package = type_name.split("/")[0]
+    for line in texts[type_name].splitlines():
+        match = _FIELD_TYPE.match(line.split("#")[0])
+        if match and match[1] not in _PRIMITIVES:
+            _collect_definitions(_full(match[1], package), roots, texts)
+
+
+def _read_definition(type_name: str, roots: Sequence[Path]) -> str:
+    package, _, name = type_name.split("/")
+    for root in roots:
+        path = root / "share" / package / "msg" / f"{name}.msg"
+        if path.is_file():
+            return path.read_text()
+    where = ", ".join(map(str, roots))
+    raise DefinitionMissing(
+        f"no definition of {type_name}: share/{package}/msg/{name}.msg is under none of {where}"
+    )
+
+
+def _ament_prefixes() -> list[Path]:
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [Path(prefix) for prefix in (*prefixes, sys.prefix) if prefix]
+
+
+def _full(name: str, package: str) -> str:
+    """`Header`, `std_msgs/Header` or `std_msgs/msg/Header` as `std_msgs/msg/Header`."""
+    parts = name.split("/")
+    return f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}"
+
+
+def _short(name: str) -> str:
+    return name.replace("/msg/", "/")
+
+
+def type_hash(type_name: str, text: str) -> str:
+    """The RIHS01 hash of a type, from its whole definition."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, type_name))
+    return store.hash_rihs01(type_name)
