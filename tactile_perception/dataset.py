@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -354,6 +355,7 @@ class DatasetWriter:
         self._journal = self.folder / "targets_images.partial.csv"
         self._preprocessor = Preprocessor(preprocessing)
         (self.folder / IMAGES_NAME).mkdir(parents=True, exist_ok=True)
+        self._drop_cut_row()
         self._write_image_params()
 
     @property
@@ -370,7 +372,7 @@ class DatasetWriter:
         """Store the label of an image that `write_processed` has already written."""
         x, y, z, alpha, beta, gamma = (repr(float(value)) for value in euler_mm_deg)
         row = [image_name(number), "0", "0", z, alpha, beta, "0", x, y, "0", "0", "0", gamma]
-        new = not self._journal.exists()
+        new = not self._journal.exists() or self._journal.stat().st_size == 0
         with self._journal.open("a", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             if new:
@@ -393,7 +395,7 @@ class DatasetWriter:
         return path
 
     def _rows(self) -> Iterator[dict[str, str]]:
-        """Complete rows whose image exists; a row cut off by an interruption is not complete."""
+        """Rows written so far whose image exists, each once."""
         seen: set[str] = set()
         for path in (self.folder / TARGETS_NAME, self._journal):
             if not path.exists():
@@ -401,14 +403,17 @@ class DatasetWriter:
             with path.open(newline="") as file:
                 for row in csv.DictReader(file):
                     name = row["sensor_image"]
-                    if name in seen or None in row.values() or not (self.folder / IMAGES_NAME / name).exists():
-                        continue
-                    seen.add(name)
-                    yield row
+                    if name not in seen and (self.folder / IMAGES_NAME / name).exists():
+                        seen.add(name)
+                        yield row
+
+    def _drop_cut_row(self) -> None:
+        """Remove a last row that an interruption cut short; it could still look like numbers."""
+        if self._journal.exists():
+            text = self._journal.read_text()
+            self._journal.write_text(text[: text.rfind("\n") + 1])
 
     def _write_image_params(self) -> None:
-        import json
-
         settings = self.preprocessing
         params = {
             "type": "standard",
