@@ -28,7 +28,9 @@ FOLLOW = "follow"  # the phase that metrics are about
 
 def _array(*shape: int, dtype: Any = np.float64) -> Any:
     """A field that starts as an empty array of the given row shape."""
-    return field(default_factory=lambda: np.zeros((0, *shape), dtype), metadata={"row": shape, "dtype": dtype})
+    return field(
+        default_factory=lambda: np.zeros((0, *shape), dtype), metadata={"row": shape, "dtype": dtype}
+    )
 
 
 @dataclass

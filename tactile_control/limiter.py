@@ -12,6 +12,8 @@ from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
+HUGE = 1e9  # m/s, rad/s: far over any limit, and its square is still a number
+
 
 @dataclass(frozen=True)
 class LimiterSettings(Settings):
@@ -19,7 +21,9 @@ class LimiterSettings(Settings):
 
     linear_speed: float = setting(0.1, lower=0.0, upper=2.0, unit="m/s", doc="largest norm of v")
     angular_speed: float = setting(1.0, lower=0.0, upper=6.3, unit="rad/s", doc="largest norm of omega")
-    linear_acceleration: float = setting(0.5, lower=1e-3, upper=50.0, unit="m/s^2", doc="largest norm of dv/dt")
+    linear_acceleration: float = setting(
+        0.5, lower=1e-3, upper=50.0, unit="m/s^2", doc="largest norm of dv/dt"
+    )
     angular_acceleration: float = setting(
         5.0, lower=1e-2, upper=500.0, unit="rad/s^2", doc="largest norm of domega/dt"
     )
@@ -90,7 +94,7 @@ def _finite(twist: Array) -> tuple[Array, str]:
     bad = [channel for channel, number in zip(CHANNELS, twist) if not np.isfinite(number)]
     if bad:
         return np.zeros(6), f"twist not finite in {', '.join(bad)}: decelerating to rest"
-    return twist, ""
+    return np.clip(twist, -HUGE, HUGE), ""
 
 
 def _limit(

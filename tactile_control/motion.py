@@ -24,7 +24,8 @@ class Waypoint:
     def reached(self, T_base_sensor: Array) -> bool:
         position, rotation = pose_difference(T_base_sensor, self.T_base_goal)
         return bool(
-            np.linalg.norm(position) <= self.position_tolerance and np.linalg.norm(rotation) <= self.angle_tolerance
+            np.linalg.norm(position) <= self.position_tolerance
+            and np.linalg.norm(rotation) <= self.angle_tolerance
         )
 
 

@@ -332,7 +332,10 @@ class SurfaceFollowing:
             return self._after_lost_contact()
         position = self._sensor_pose()[:3, 3]
         travelled = self._odometer.add(position)
-        near = self.goal.target is not None and np.linalg.norm(position - self.goal.target) <= self.goal.target_radius
+        near = (
+            self.goal.target is not None
+            and np.linalg.norm(position - self.goal.target) <= self.goal.target_radius
+        )
         if near or (self.goal.target is None and travelled >= self.goal.length):
             self._enter(RETREAT)
         elif travelled >= self.goal.length:
@@ -464,9 +467,7 @@ class SurfaceFollowing:
         return min(1.0, self._odometer.length / self.goal.length)
 
 
-def _newer(
-    value: StampedPose | StampedPresence | None, last: StampedPose | StampedPresence | None
-) -> bool:
+def _newer(value: StampedPose | StampedPresence | None, last: StampedPose | StampedPresence | None) -> bool:
     return value is not None and (last is None or value.stamp_ns > last.stamp_ns)
 
 

@@ -37,7 +37,9 @@ class TaskSettings(Settings):
     start_timeout: float = setting(
         2.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
     )
-    travel_speed: float = setting(0.05, lower=1e-3, upper=1.0, unit="m/s", doc="speed through the air to the start")
+    travel_speed: float = setting(
+        0.05, lower=1e-3, upper=1.0, unit="m/s", doc="speed through the air to the start"
+    )
     travel_angular_speed: float = setting(
         0.6, lower=1e-2, upper=6.3, unit="rad/s", doc="rotation speed through the air to the start"
     )
@@ -73,7 +75,9 @@ class TaskSettings(Settings):
     )
     settle_time: float = setting(0.3, lower=0.0, upper=60.0, unit="s", doc="for this long")
     settle_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest settling")
-    follow_timeout: float = setting(120.0, lower=0.1, upper=3600.0, unit="s", doc="longest following of one path")
+    follow_timeout: float = setting(
+        120.0, lower=0.1, upper=3600.0, unit="s", doc="longest following of one path"
+    )
     lost_contact_time: float = setting(
         0.1, lower=0.0, upper=10.0, unit="s", doc="contact counts as lost when it was absent for this long"
     )
@@ -81,7 +85,9 @@ class TaskSettings(Settings):
         "reapproach", choices=LOST_CONTACT, doc="on lost contact: approach again where the sensor is, or fail"
     )
     reapproaches: int = setting(3, lower=0, upper=100, doc="fail when contact is lost more often than this")
-    retreat_distance: float = setting(0.015, lower=0.0, upper=1.0, unit="m", doc="way back along the sensor's -z")
+    retreat_distance: float = setting(
+        0.015, lower=0.0, upper=1.0, unit="m", doc="way back along the sensor's -z"
+    )
     retreat_speed: float = setting(0.03, lower=1e-3, upper=1.0, unit="m/s", doc="speed of the retreat")
     retreat_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest retreat")
     pose_step: float = setting(

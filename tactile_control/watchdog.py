@@ -18,7 +18,9 @@ class WatchdogSettings(Settings):
     """Age limits by input. An age is the time of the step less the input's stamp (for images: the exposure)."""
 
     belief_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest belief acted upon")
-    presence_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest contact presence acted upon")
+    presence_age: float = setting(
+        0.1, lower=0.005, upper=10.0, unit="s", doc="oldest contact presence acted upon"
+    )
     pose_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest sensor pose acted upon")
     ramp_time: float = setting(
         0.08, lower=0.0, upper=5.0, unit="s", doc="time in which the last twist goes to zero, linearly"
@@ -61,7 +63,9 @@ class Watchdog:
 
     def step(self, now_ns: int, stamps_ns: Mapping[str, int | None]) -> WatchdogState:
         """State at `now_ns` for the stamps of the inputs needed now (None: none has come yet)."""
-        reasons = [reason for name, stamp in stamps_ns.items() if (reason := self._complaint(now_ns, name, stamp))]
+        reasons = [
+            reason for name, stamp in stamps_ns.items() if (reason := self._complaint(now_ns, name, stamp))
+        ]
         if not reasons:
             self._since_ns = None
             return WatchdogState(1.0, "")

@@ -8,7 +8,9 @@ from tactile_bringup.run_record import CommandSeries, PoseSeries, RunRecord, Sta
 
 def small_record() -> RunRecord:
     stamps = np.arange(5) * 10
-    command = CommandSeries(stamps, twist=np.ones((5, 6)), phase=["approach"] * 2 + ["follow"] * 3, path=[0] * 5)
+    command = CommandSeries(
+        stamps, twist=np.ones((5, 6)), phase=["approach"] * 2 + ["follow"] * 3, path=[0] * 5
+    )
     record = RunRecord(scene="ramp", task="surface_following", command=command, paths=["up"])
     record.pose = PoseSeries(stamps, np.tile(np.eye(4), (5, 1, 1)))
     record.latency = {"estimate": StageSeries(stamps, np.full(5, 0.004))}

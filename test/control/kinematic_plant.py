@@ -1,0 +1,125 @@
+"""A small plant to close the loop on: exact geometry of a sphere or a plane, a first-order arm, a pipeline delay.
+
+No images and no skin: the belief is the exact surface contact pose without shear, of `delay` seconds ago.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tactile_control.task import StampedPose, StampedPresence, TaskInputs
+from tactile_filter import se3
+
+MS = 1_000_000
+PERIOD = 1.0 / 60.0
+TIP_RADIUS = 0.020
+
+
+def pointing_down(position=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """T_base_sensor with the sensor's z down and its y along the base's y."""
+    T = np.diag([-1.0, 1.0, -1.0, 1.0])
+    T[:3, 3] = position
+    return T
+
+
+class Sphere:
+    """A ball of the given radius about the origin of the base."""
+
+    def __init__(self, radius: float) -> None:
+        self.radius = radius
+
+    def query(self, p: np.ndarray) -> tuple[float, np.ndarray]:
+        distance = float(np.linalg.norm(p))
+        return distance - self.radius, p / distance
+
+    def top(self) -> np.ndarray:
+        return np.array([0.0, 0.0, self.radius])
+
+
+class Plane:
+    """z = 0, outside above."""
+
+    def query(self, p: np.ndarray) -> tuple[float, np.ndarray]:
+        return float(p[2]), np.array([0.0, 0.0, 1.0])
+
+    def top(self) -> np.ndarray:
+        return np.zeros(3)
+
+
+def contact_pose(surface, T_base_sensor: np.ndarray) -> np.ndarray:
+    """X_fs without shear: depth along z, the smallest rotation between the sensor's z and the inward normal."""
+    distance, normal = surface.query(T_base_sensor[:3, 3])
+    inward = T_base_sensor[:3, :3].T @ -normal  # f's z in s
+    axis = np.cross(inward, [0.0, 0.0, 1.0])
+    sine, angle = np.linalg.norm(axis), np.arctan2(np.linalg.norm(axis), inward[2])
+    T = np.eye(4)
+    if sine > 0.0:
+        T = se3.exp(np.concatenate([np.zeros(3), axis / sine * angle]))
+    T[2, 3] = TIP_RADIUS - distance
+    return T
+
+
+class Plant:
+    """Kinematic arm over a surface. `step` applies a twist for one period and returns what the controller sees."""
+
+    def __init__(
+        self, surface, T_base_sensor, delay_steps=1, time_constant=0.02, period=PERIOD, seed=0
+    ) -> None:
+        self.surface = surface
+        self.T = np.array(T_base_sensor, dtype=float)
+        self.delay_steps = delay_steps
+        self.time_constant = time_constant
+        self.period_ns = round(period * 1e9)
+        self.now_ns = 10**9
+        self.twist = np.zeros(6)
+        self.rng = np.random.default_rng(seed)
+        self.noise = np.zeros(6)
+        self.history = [(self.now_ns, self.T.copy())]
+
+    def truth(self) -> np.ndarray:
+        return contact_pose(self.surface, self.T)
+
+    @property
+    def depth(self) -> float:
+        return float(self.truth()[2, 3])
+
+    @property
+    def tilt(self) -> float:
+        return float(np.arccos(np.clip(self.truth()[2, 2], -1.0, 1.0)))
+
+    def inputs(self) -> TaskInputs:
+        stamp, T = self.history[max(0, len(self.history) - 1 - self.delay_steps)]
+        X_fs = contact_pose(self.surface, T)
+        noisy = se3.exp(self.noise * self.rng.standard_normal(6)) @ se3.inverse(X_fs)
+        touching = bool(X_fs[2, 3] > 0.0003)
+        return TaskInputs(
+            belief=StampedPose(stamp, noisy) if touching else None,
+            presence=StampedPresence(stamp, touching),
+            sensor_pose=StampedPose(self.history[-1][0], self.history[-1][1]),
+        )
+
+    def step(self, twist: np.ndarray) -> None:
+        dt = self.period_ns * 1e-9
+        pieces = 4
+        for _ in range(pieces):
+            self.twist += (np.asarray(twist) - self.twist) * (1.0 - np.exp(-dt / pieces / self.time_constant))
+            self.T = self.T @ se3.exp(self.twist * dt / pieces)
+        self.now_ns += self.period_ns
+        self.history.append((self.now_ns, self.T.copy()))
+
+
+def run(task, plant, limit_s=60.0, change=None, each=None):
+    """Run the task on the plant; `change(k, inputs)` may replace inputs, `each(k, command)` looks on. All commands."""
+    commands = []
+    for k in range(round(limit_s * 1e9 / plant.period_ns)):
+        inputs = plant.inputs()
+        if change is not None:
+            inputs = change(k, inputs)
+        command = task.step(plant.now_ns, inputs)
+        commands.append((plant.now_ns, command, plant.depth, plant.tilt))
+        if each is not None:
+            each(k, command)
+        if command.done:
+            break
+        plant.step(command.twist)
+    return commands

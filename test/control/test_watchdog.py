@@ -1,0 +1,43 @@
+"""The watchdog ramps to rest and says which input, how old, and the limit."""
+
+import pytest
+
+from tactile_control.watchdog import Watchdog, WatchdogSettings
+
+MS = 1_000_000
+FRESH = {"belief": 0, "presence": 0, "pose": 0}
+
+
+def test_fresh_inputs_pass():
+    state = Watchdog(WatchdogSettings()).step(90 * MS, FRESH)
+    assert state.ok and state.scale == 1.0
+
+
+def test_a_silent_input_is_at_rest_within_200_ms_of_its_last_stamp():
+    watchdog = Watchdog(WatchdogSettings())
+    scales = [watchdog.step(t * MS, {"belief": 0, "pose": t * MS}).scale for t in range(0, 201, 5)]
+    assert scales[0] == 1.0 and scales[-1] == 0.0
+    assert scales == sorted(scales, reverse=True)
+
+
+def test_the_reason_names_input_age_and_limit():
+    state = Watchdog(WatchdogSettings()).step(130 * MS, {"belief": 0, "pose": 120 * MS})
+    assert state.reason == "belief is 130 ms old, limit 100 ms"
+
+
+def test_all_silent_inputs_are_named():
+    state = Watchdog(WatchdogSettings()).step(130 * MS, {"belief": 0, "pose": None})
+    assert "belief is 130 ms old" in state.reason and "no pose has arrived" in state.reason
+
+
+def test_it_recovers_when_inputs_come_back():
+    watchdog = Watchdog(WatchdogSettings())
+    assert not watchdog.step(130 * MS, {"belief": 0}).ok
+    assert watchdog.step(140 * MS, {"belief": 135 * MS}).scale == 1.0
+    assert watchdog.step(250 * MS, {"belief": 135 * MS}).scale == 1.0 - 0.0  # the ramp starts anew
+    assert watchdog.step(290 * MS, {"belief": 135 * MS}).scale == pytest.approx(0.5)
+
+
+def test_a_stamp_from_the_future_is_refused():
+    state = Watchdog(WatchdogSettings()).step(0, {"belief": 3000 * MS})
+    assert state.reason == "belief is stamped 3000 ms ahead of the clock"
