@@ -1,0 +1,104 @@
+"""The camera inside the sensor: marker positions to gray images.
+
+A pinhole with radial distortion looks along {s}'s z axis from behind the dome; markers are bright discs on a
+dark ground that brightens towards its middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter.settings import Settings, setting
+
+try:
+    from tactile_drivers.sim import _contact
+except ImportError as error:
+    raise ImportError(
+        "tactile_drivers.sim._contact is not built: run `make`, or `python setup.py build_ext --inplace`"
+    ) from error
+
+Array = NDArray[np.float64]
+_NOISE_LEVELS = 4096
+
+
+@dataclass(frozen=True)
+class CameraSettings(Settings):
+    """Optics and gray levels; the defaults resemble a published TacTip (docs/simulator.md)."""
+
+    width: int = setting(640, unit="px", lower=16, upper=4096, doc="image width")
+    height: int = setting(480, unit="px", lower=16, upper=4096, doc="image height")
+    center_column: float = setting(330.7, unit="px", doc="column of the optical axis")
+    center_row: float = setting(242.0, unit="px", doc="row of the optical axis")
+    focal_length: float = setting(750.0, unit="px", lower=1.0, doc="focal length")
+    distance: float = setting(0.034, unit="m", lower=1e-3, doc="from the camera's pinhole to the dome's centre")
+    distortion: tuple[float, ...] = setting(
+        (0.0, 0.0), length=2, doc="k1, k2 of r = f q (1 + k1 q^2 + k2 q^4), q the tangent of the angle to the axis"
+    )
+    rotation_deg: float = setting(-51.0, unit="deg", doc="angle of {s}'s x axis in the image, from right to down")
+    marker_radius: float = setting(0.00045, unit="m", lower=0.0, doc="radius of a marker")
+    marker_gray: float = setting(200.0, lower=0.0, upper=255.0, doc="gray level of a marker in the middle")
+    ground_gray: float = setting(40.0, lower=0.0, upper=255.0, doc="gray level between the markers in the middle")
+    vignette: float = setting(0.35, lower=0.0, upper=1.0, doc="part of the brightness lost at the image's corner")
+    edge_width: float = setting(3.0, unit="px", lower=0.1, upper=50.0, doc="width over which a marker's edge fades")
+    gain: float = setting(1.0, lower=0.0, upper=10.0, doc="factor on all gray levels")
+    noise_gray: float = setting(2.0, lower=0.0, upper=50.0, doc="standard deviation of the pixel noise")
+
+
+class Camera:
+    """Projects and draws markers; images depend only on the settings, the markers and the frame's seed."""
+
+    def __init__(self, settings: CameraSettings) -> None:
+        self.settings = settings
+        shape = (settings.height, settings.width)
+        self._gain_at = _vignette(settings)
+        self._background = (settings.gain * settings.ground_gray * self._gain_at).astype(np.float32)
+        self._canvas = np.empty(shape, dtype=np.float32)
+        quantiles = _normal_quantiles(_NOISE_LEVELS)
+        self._noise = (settings.noise_gray * quantiles).astype(np.float32) if settings.noise_gray else None
+        angle = np.radians(settings.rotation_deg)
+        self._axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Image positions (n, 2) (column, row) and scale (n,) px/m of points (n, 3) m in {s}."""
+        settings = self.settings
+        away = settings.distance + points[:, 2]
+        if np.any(away <= 0):
+            raise ValueError(f"a marker lies {-away.min():.4f} m behind the camera")
+        q = points[:, :2] @ self._axes.T / away[:, None]
+        square = np.sum(q * q, axis=1)
+        stretch = 1 + square * (settings.distortion[0] + settings.distortion[1] * square)
+        pixels = settings.focal_length * stretch[:, None] * q + (settings.center_column, settings.center_row)
+        return pixels, settings.focal_length * stretch / away
+
+    def draw(self, points: Array, seed: int) -> NDArray[np.uint8]:
+        """Gray image (height, width) of markers at points (n, 3) m in {s}; `seed` selects the noise."""
+        settings = self.settings
+        pixels, scale = self.project(points)
+        blobs = np.empty((len(points), 4))
+        blobs[:, :2] = pixels
+        blobs[:, 2] = settings.marker_radius * scale
+        column, row = np.rint(pixels).astype(int).T
+        shade = self._gain_at[row.clip(0, settings.height - 1), column.clip(0, settings.width - 1)]
+        blobs[:, 3] = settings.gain * settings.marker_gray * shade
+        image = np.empty((settings.height, settings.width), dtype=np.uint8)
+        _contact.render(image, self._background, blobs, settings.edge_width, self._noise, seed, self._canvas)
+        return image
+
+
+def _vignette(settings: CameraSettings) -> Array:
+    """Relative brightness (height, width), one on the axis, falling with the square of the distance to it."""
+    row, column = np.mgrid[: settings.height, : settings.width]
+    square = (row - settings.center_row) ** 2 + (column - settings.center_column) ** 2
+    corner = (settings.height**2 + settings.width**2) / 4
+    return np.asarray(np.clip(1 - settings.vignette * square / corner, 0.0, 1.0))
+
+
+def _normal_quantiles(count: int) -> Array:
+    """Quantiles of the standard normal at the middles of `count` equal intervals."""
+    from statistics import NormalDist
+
+    normal = NormalDist()
+    return np.array([normal.inv_cdf((k + 0.5) / count) for k in range(count)])

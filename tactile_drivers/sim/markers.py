@@ -1,0 +1,86 @@
+"""Markers on pins inside the skin: where their tips are when the skin is displaced.
+
+A pin stands on the inside of the skin along its normal, so that its tip shows both the displacement of the skin
+and the turn of its normal. Both are interpolated from the skin nodes by moving least squares with quadratic
+terms (weights fixed at the start), which is smooth where a piecewise linear mesh would show its edges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_drivers.sim.skin import Skin, ring_directions
+from tactile_filter.settings import Settings, setting
+
+Array = NDArray[np.float64]
+_NEIGHBORS = 16
+
+
+@dataclass(frozen=True)
+class MarkerSettings(Settings):
+    """Layout of the markers: rings of 1, 6, 12, ... about the tip's axis."""
+
+    rings: int = setting(10, lower=1, upper=13, doc="rings about the central marker; 10 make 331 markers")
+    pitch_deg: float = setting(4.7, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings, seen from {s}")
+    azimuth_deg: float = setting(0.0, unit="deg", doc="azimuth of each ring's first marker about {s}'s z axis")
+    pin_length: float = setting(0.002, unit="m", lower=0.0, upper=0.01, doc="from the skin's inside to the marker")
+
+
+class Markers:
+    """Tips of the pins of one skin.
+
+    Attributes
+    ----------
+    rest : (n, 3) m
+        Marker positions with no contact, in {s}.
+    """
+
+    def __init__(self, settings: MarkerSettings, skin: Skin, radius: float, skin_thickness: float) -> None:
+        directions = ring_directions(np.radians(settings.pitch_deg) * np.arange(settings.rings + 1))
+        azimuth = np.radians(settings.azimuth_deg)
+        c, s = np.cos(azimuth), np.sin(azimuth)
+        normals = directions @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        self._depth = skin_thickness + settings.pin_length
+        self._base = radius * normals
+        self._tangents = _tangents(normals)
+        self._neighbors, weights = _least_squares_weights(self._base, self._tangents, skin, radius)
+        self._weights = weights.astype(np.float32)
+        self.rest = (radius - self._depth) * normals
+
+    def __len__(self) -> int:
+        return len(self._base)
+
+    def positions(self, displacement: NDArray[np.float32]) -> Array:
+        """Marker positions (n, 3) m in {s} for displacements (nodes, 3) m of the skin."""
+        near = displacement[self._neighbors]
+        moved, along, across = np.einsum("nck,nkd->cnd", self._weights, near)
+        normal = np.cross(self._tangents[0] + along, self._tangents[1] + across)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return np.asarray(self._base + moved - self._depth * normal)
+
+
+def _tangents(normals: Array) -> Array:
+    """Two unit tangents (2, n, 3) with tangent 0 x tangent 1 = normal."""
+    first = np.cross([0.0, 1.0, 0.0], normals)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normals, first)])
+
+
+def _least_squares_weights(base: Array, tangents: Array, skin: Skin, radius: float) -> tuple[NDArray[np.intp], Array]:
+    """Nodes (n, k) near each marker, and weights (n, 3, k) of the value and its two tangential derivatives.
+
+    The derivatives are with respect to arc length on the sphere at the marker.
+    """
+    difference = skin.nodes[None] - base[:, None]
+    order = np.argsort(np.linalg.norm(difference, axis=2), axis=1)[:, :_NEIGHBORS]
+    near = np.take_along_axis(difference, order[:, :, None], axis=1)
+    s, t = (np.einsum("nkd,nd->nk", near, tangent) / radius for tangent in tangents)
+    basis = np.stack([np.ones_like(s), s, t, s * s, s * t, t * t], axis=2)
+    reach = 1.05 * np.sqrt(s * s + t * t).max(axis=1, keepdims=True)
+    taper = (1 - (s * s + t * t) / reach**2) ** 2
+    weighted = basis * taper[:, :, None]
+    solution = np.linalg.solve(basis.transpose(0, 2, 1) @ weighted, weighted.transpose(0, 2, 1))
+    return order, solution[:, :3] / np.array([1.0, radius, radius])[None, :, None]
