@@ -9,6 +9,8 @@ Each stream keeps its own stamps, since a belief, a truth and a command are not 
     record.save("run.npz"); same = RunRecord.load("run.npz")
 """
 
+# ruff: noqa: RUF009 (`_array` declares a column as `field` does)
+
 from __future__ import annotations
 
 import dataclasses
@@ -72,7 +74,7 @@ class PoseSeries(Series):
 
 @dataclass
 class GaussianSeries(Series):
-    """Gaussians over X_sf with left covariance (rho, phi), SI: the estimator's answers, at exposure stamps."""
+    """Gaussians over X_sf with left covariance (rho, phi): the estimator's answers, at exposure stamps."""
 
     mean: Array = _array(4, 4)
     cov: Array = _array(6, 6)
@@ -89,7 +91,7 @@ class BeliefSeries(GaussianSeries):
 
 @dataclass
 class TruthSeries(Series):
-    """The simulator's truth: the equivalent surface contact pose X_fs, with the depth from geometry as its z."""
+    """The simulator's truth: the equivalent surface contact pose X_fs, its z the depth from geometry."""
 
     T_fs: Array = _array(4, 4)
     slip_fraction: Array = _array()  # part of the nodes in contact that slide, 0..1
@@ -106,7 +108,7 @@ class PresenceSeries(Series):
 
 @dataclass
 class CommandSeries(Series):
-    """Twists [v, omega] in {s} (m/s, rad/s) at their emission stamps, with the terms that they were made of."""
+    """Twists [v, omega] in {s} (m/s, rad/s) at their emission stamps, with the terms they are made of."""
 
     twist: Array = _array(6)  # what was sent: after watchdog and limiter
     unlimited: Array = _array(6)  # before watchdog and limiter
@@ -158,7 +160,7 @@ class RunRecord:
     lost : dict
         Stage name -> number of frames lost (dropped and counted) there.
     result : dict
-        succeeded (bool) and reason (str) of the task, wall_s, and whatever else is worth a line in the report.
+        succeeded (bool) and reason (str) of the task, wall_s, and what else is worth a line in a report.
     """
 
     scene: str = ""

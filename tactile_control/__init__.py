@@ -1,1 +1,1 @@
-"""Control: tangent-space PID, tactile servoing, limits, watchdog and the surface following task. No ROS here."""
+"""Control: tangent-space PID, tactile servoing, limits, watchdog, the surface following task. Without ROS."""

@@ -1,4 +1,4 @@
-"""Controller and task files: YAML to settings and goals; an error names the file, the line and the valid choices."""
+"""Controller and task files: YAML to settings and goals; errors name file, line and valid choices."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class _Document:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         try:
-            self.data = yaml.load(self.path.read_text(), Loader=_Lines)  # noqa: S506 (derived from SafeLoader)
+            self.data = yaml.load(self.path.read_text(), Loader=_Lines)
         except yaml.MarkedYAMLError as error:
             line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
             raise SettingError(f"{self.path}{line}: {error.problem}") from error
@@ -153,7 +153,7 @@ class _Document:
     def merge(
         self, settings: SurfaceFollowingSettings, groups: Mapping[str, Any]
     ) -> SurfaceFollowingSettings:
-        """The settings with {group: {name: value}} in place, one value at a time so that errors know their line."""
+        """The settings with {group: {name: value}} in place, one by one so that errors know their line."""
         for group, values in groups.items():
             names = tuple(item.name for item in dataclasses.fields(getattr(settings, group)))
             for key, value in self.mapping(values, group, names).items():

@@ -47,8 +47,8 @@ class LimitedTwist:
 class TwistLimiter:
     """Scales v and omega each to its largest norm and bounds the change of each by acceleration times time.
 
-    Directions are kept where only the norm is limited. It starts from rest. A twist that is not finite is replaced
-    by zero: the output decelerates to rest within the acceleration limits and says why.
+    Directions are kept where only the norm is limited. It starts from rest. A twist that is not finite is
+    replaced by zero: the output decelerates to rest within the acceleration limits and says why.
     """
 
     def __init__(self, settings: LimiterSettings) -> None:
@@ -65,7 +65,7 @@ class TwistLimiter:
         self.settings = settings
 
     def step(self, now_ns: int, wanted: ArrayLike) -> LimitedTwist:
-        """The twist to send at `now_ns`. With no time passed since the last step the last twist is repeated."""
+        """The twist to send at `now_ns`; the last one again where no time has passed since."""
         target, refused = _finite(np.asarray(wanted, dtype=np.float64))
         dt = self._elapsed(now_ns)
         limits = self.settings
@@ -91,7 +91,7 @@ def _finite(twist: Array) -> tuple[Array, str]:
     """The twist, or zero and the reason where it cannot be used."""
     if twist.shape != (6,):
         return np.zeros(6), f"twist of shape {twist.shape} refused, must be (6,): decelerating to rest"
-    bad = [channel for channel, number in zip(CHANNELS, twist) if not np.isfinite(number)]
+    bad = [channel for channel, number in zip(CHANNELS, twist, strict=True) if not np.isfinite(number)]
     if bad:
         return np.zeros(6), f"twist not finite in {', '.join(bad)}: decelerating to rest"
     return np.clip(twist, -HUGE, HUGE), ""

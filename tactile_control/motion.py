@@ -38,7 +38,7 @@ def pose_difference(T_base_sensor: Array, T_base_goal: Array) -> tuple[Array, Ar
 
 
 def way_to_start(T_base_sensor: Array, T_base_start: Array, settings: TaskSettings) -> list[Waypoint]:
-    """Waypoints: up along the start's -z, across at travel height, down to the start; only the last if that near."""
+    """Waypoints: up along the start's -z, across at travel height, down; only the last where it is near."""
     last = Waypoint(T_base_start, settings.position_tolerance, settings.angle_tolerance)
     offset = np.linalg.solve(T_base_start, T_base_sensor)[:3, 3]
     _, rotation = pose_difference(T_base_sensor, T_base_start)

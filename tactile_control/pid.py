@@ -1,7 +1,7 @@
 """Feedforward-feedback PID in the tangent spaces of SE(3), six channels with diagonal gains.
 
-The paper's section "Feedforward-feedback control in local and global tangent spaces": with the observed pose X
-and the reference X*, the error is `log(X^-1 X*)` in the local tangent space (that of the body) or
+The paper's section "Feedforward-feedback control in local and global tangent spaces": with the observed pose
+X and the reference X*, the error is `log(X^-1 X*)` in the local tangent space (that of the body) or
 `log(X* X^-1)` in the global one, and
 
     u = v + Kp e + Ki int(e dt) + Kd de/dt
@@ -76,7 +76,7 @@ class PidSettings(Settings):
 
 @dataclass(frozen=True)
 class PidOutput:
-    """One step of a `TangentPid`: the feedback and its parts, (6,) each, in the tangent space of the error."""
+    """One step of a `TangentPid`: the feedback and its parts, (6,), in the tangent space of the error."""
 
     feedback: Array
     proportional: Array
@@ -87,7 +87,7 @@ class PidOutput:
 
 
 def tangent_error(X: Array, X_reference: Array, space: str = "local") -> Array:
-    """Error (6,) that takes X to X_reference, in the local (`X^-1 X*`) or global (`X* X^-1`) tangent space."""
+    """Error (6,) from X to X_reference, in the local (`X^-1 X*`) or global (`X* X^-1`) tangent space."""
     if space == "local":
         return se3.log(se3.inverse(X) @ X_reference)
     if space == "global":
@@ -108,9 +108,9 @@ def to_global(control: Array, X: Array) -> Array:
 class TangentPid:
     """PID over six channels of one tangent space; knows nothing of poses, only of their errors.
 
-    Time comes from the stamps of the errors. The first step after construction or `reset` has neither integral
-    nor derivative. New gains through `configure` never make the output jump: the difference between the old and
-    the new law at the last error is carried on and fades with `transfer_time`.
+    Time comes from the stamps of the errors. The first step after construction or `reset` has neither
+    integral nor derivative. New gains through `configure` never make the output jump: the difference between
+    the old and the new law at the last error is carried on and fades with `transfer_time`.
     """
 
     def __init__(self, settings: PidSettings) -> None:
@@ -145,7 +145,7 @@ class TangentPid:
         Raises
         ------
         ControlInputError
-            The error is not six finite numbers, or the stamp is not later than the last. The state stays as it was.
+            The error is not six finite numbers, or the stamp is not later. The state stays as it was.
         """
         error = checked_vector("error", error)
         dt, gap = self._elapsed(stamp_ns)
@@ -157,7 +157,7 @@ class TangentPid:
         return self._output()
 
     def _elapsed(self, stamp_ns: int) -> tuple[float, bool]:
-        """Seconds since the last step, at most `longest_step`; True with it after a gap or at the first step."""
+        """Seconds since the last step, at most `longest_step`; True after a gap and at the first step."""
         if self.stamp_ns is None:
             return 0.0, True
         if stamp_ns <= self.stamp_ns:
@@ -174,7 +174,7 @@ class TangentPid:
         return smooth, (smooth - self._smooth) / dt
 
     def _integrate(self, error: Array, dt: float) -> None:
-        """Backward Euler with clipping; a channel whose output is clipped does not integrate further outwards."""
+        """Backward Euler with clipping; a channel whose output is clipped does not integrate outwards."""
         grown = _clip(self.integral + error * dt, self.settings.integral_limit)
         output = self._law()
         beyond = np.abs(output) > np.asarray(self.settings.output_limit)
@@ -208,11 +208,12 @@ class TangentPid:
 
 
 def checked_vector(name: str, value: ArrayLike) -> Array:
-    """The value as a (6,) float array of its own; `ControlInputError` names the channels that are not finite."""
+    """The value as a new (6,) float array; `ControlInputError` names the channels that are not finite."""
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (6,):
         raise ControlInputError(f"{name}: shape {vector.shape}, must be (6,)")
-    bad = [f"{channel} = {number}" for channel, number in zip(CHANNELS, vector) if not np.isfinite(number)]
+    named = zip(CHANNELS, vector, strict=True)
+    bad = [f"{channel} = {number}" for channel, number in named if not np.isfinite(number)]
     if bad:
         raise ControlInputError(f"{name} is not finite: {', '.join(bad)}")
     return vector

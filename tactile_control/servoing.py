@@ -1,6 +1,6 @@
-"""Tactile servoing: from the belief over the surface contact pose to the twist that brings the sensor to a reference.
+"""Tactile servoing: from the believed surface contact pose to the twist that takes the sensor to a reference.
 
-The paper's section "Tactile servoing controller". With the observed feature pose X_sf and the reference X_s'f,
+The paper's section "Tactile servoing controller". With the observed feature pose X_sf, the reference X_s'f,
 
     X_ss' = X_sf X_s'f^-1                        what is left to move, in the sensor frame
     u     = PID(log(X_ss')) + Ad(X_ss') v        v: reference velocity, in the reference frame {s'}
@@ -50,8 +50,8 @@ class ServoingSettings(Settings):
     )
     free_shear: bool = setting(
         False,
-        doc="take x, y, gamma of the reference from the belief, so that shear neither turns the path nor leaks "
-        "into depth through a tilt (off in the paper)",
+        doc="take x, y, gamma of the reference from the belief, so that shear neither turns the path nor "
+        "leaks into depth through a tilt (off in the paper)",
     )
 
 
@@ -99,8 +99,8 @@ class ServoingController:
     ) -> ServoingOutput:
         """Twist for a belief with mean X_sf (4, 4) exposed at `stamp_ns`.
 
-        `velocity` (6,) is the reference velocity in the reference frame {s'}. Raises `ControlInputError` for a
-        pose or velocity that is not finite and for a stamp that is not later; nothing changes then.
+        `velocity` (6,) is the reference velocity in the reference frame {s'}. Raises `ControlInputError` for
+        a pose or velocity that is not finite and for a stamp that is not later; nothing changes then.
         """
         X_fs = se3.inverse(checked_pose("X_sf", X_sf))
         velocity = checked_vector("velocity", velocity)
@@ -122,7 +122,7 @@ class ServoingController:
 
 
 def checked_pose(name: str, value: ArrayLike) -> Array:
-    """The value as a (4, 4) float array; `ControlInputError` where it is not finite or not a rigid transform."""
+    """The value as a (4, 4) float array; `ControlInputError` where it is not a finite rigid transform."""
     T = np.asarray(value, dtype=np.float64)
     if T.shape != (4, 4):
         raise ControlInputError(f"{name}: shape {T.shape}, must be (4, 4)")

@@ -1,16 +1,16 @@
 """Surface following as a state machine: go to the start, approach, settle, follow, retreat.
 
-A library without ROS and without a clock of its own: whoever owns the time calls `step(now_ns, inputs)` at the control
-rate and sends the twist of the `Command` that comes back. In between, settings can be replaced (`configure`) and the
-task can be asked to end (`stop`)::
+A library without ROS and without a clock of its own: whoever owns the time calls `step(now_ns, inputs)` at
+the control rate and sends the twist of the `Command` that comes back. In between, settings can be replaced
+(`configure`) and the task can be asked to end (`stop`)::
 
     task = SurfaceFollowing(settings, PathGoal(direction=math.pi / 2, length=0.1))
     while not (command := task.step(now_ns(), inputs())).done:
         send(command.twist)
 
-Phases: go_to_start -> approach -> settle -> follow -> retreat -> done, or failed. An input that is too old takes the
-twist to zero (`watchdog`) and, once at rest, the task to failed, where it is: an arm that cannot feel or does not
-know where it is does not move on. Every other failure retreats first.
+Phases: go_to_start -> approach -> settle -> follow -> retreat -> done, or failed. An input that is too old
+takes the twist to zero (`watchdog`) and, once at rest, the task to failed, where it is: an arm that cannot
+feel or does not know where it is does not move on. Every other failure retreats first.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ class PathGoal:
     start : ndarray (4, 4) or None
         T_base_sensor in the air from where to approach; None: approach from where the arm stands.
     target : ndarray (3,) or None
-        Position in the base, m: done when the sensor's centre comes within `target_radius` of it. Arriving nowhere
-        near within `length` is then a failure.
+        Position in the base, m: done when the sensor's centre comes within `target_radius` of it. Arriving
+        nowhere near within `length` is then a failure.
     name : str
         For people.
     """
@@ -204,14 +204,14 @@ class SurfaceFollowing:
         self._odometer.step = settings.task.pose_step
 
     def stop(self, reason: str) -> None:
-        """Ask the task to end: it decelerates to rest, retreats if it may be in contact, and fails with `reason`."""
+        """Ask the task to end: it comes to rest, retreats if it may be in contact, fails with `reason`."""
         if self.phase in (DONE, FAILED, STOPPING) or self.reason:
             return
         self.reason = reason or "stopped"
         self._enter(STOPPING if self.phase != RETREAT else RETREAT)
 
     def step(self, now_ns: int, inputs: TaskInputs) -> Command:
-        """Advance to `now_ns` with the latest inputs. Never raises on bad inputs: they fail the task in order."""
+        """Advance to `now_ns` with the latest inputs. Bad inputs do not raise: they fail the task."""
         if self._now_ns is not None and now_ns < self._now_ns:
             back = (self._now_ns - now_ns) * NANOSECOND
             self._fail_here(f"the clock went back by {back:.3f} s")
@@ -235,7 +235,7 @@ class SurfaceFollowing:
     # ---- inputs ----
 
     def _take(self, inputs: TaskInputs) -> None:
-        """Keep each input if it is later than the one before and usable; a refused one is as if it had not come."""
+        """Keep each input if it is later than the last and usable; a refused one counts as not come."""
         try:
             if _newer(inputs.sensor_pose, self._pose):
                 checked_pose("sensor pose", inputs.sensor_pose.T)  # type: ignore[union-attr]
@@ -260,7 +260,8 @@ class SurfaceFollowing:
     def _waiting(self, now_ns: int) -> bool:
         """True while inputs that this phase needs have yet to arrive for the first time; fails after a while.
 
-        After touching the surface the belief has to be of an image exposed since: one from before was of no contact.
+        After touching the surface the belief has to be of an image exposed since: one from before was of no
+        contact.
         """
         missing = [name for name, stamp in self._stamps().items() if stamp is None]
         if self.phase == SETTLE and not missing and self._belief is not None:

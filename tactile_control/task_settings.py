@@ -95,7 +95,7 @@ class TaskSettings(Settings):
         lower=0.0,
         upper=0.01,
         unit="m",
-        doc="sensor positions nearer to each other than this do not add to the path length (arms report noise)",
+        doc="sensor positions nearer to each other than this do not add to the path length (poses are noisy)",
     )
 
 
@@ -128,7 +128,7 @@ class SurfaceFollowingSettings:
         return type(self)(**groups)
 
     def replaced(self, **changes: Any) -> SurfaceFollowingSettings:
-        """A copy with single values changed, named `group__name`: `replaced(pid__kp=[...], task__speed=0.02)`."""
+        """A copy with values changed by `group__name`: `replaced(pid__kp=[...], task__speed=0.02)`."""
         nested: dict[str, dict[str, Any]] = {}
         for name, value in changes.items():
             group, _, key = name.partition("__")

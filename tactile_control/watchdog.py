@@ -1,7 +1,8 @@
 """Watchdog: ages of the inputs against their limits, and the ramp to rest when one is too old.
 
-From the moment an input goes silent to zero twist it takes its age limit plus `ramp_time`: with the defaults 180 ms,
-so that the arm is commanded to rest within 200 ms. The message says which input, how old it is, and its limit.
+From the moment an input goes silent to zero twist it takes its age limit plus `ramp_time`: with the defaults
+180 ms, so that the arm is commanded to rest within 200 ms. The message says which input, how old it is, and
+its limit.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from tactile_filter.settings import Settings, setting
 
 @dataclass(frozen=True)
 class WatchdogSettings(Settings):
-    """Age limits by input. An age is the time of the step less the input's stamp (for images: the exposure)."""
+    """Age limits by input. An age is the time of the step less the input's stamp (an image's exposure)."""
 
     belief_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest belief acted upon")
     presence_age: float = setting(
@@ -47,7 +48,7 @@ class WatchdogState:
 
 
 class Watchdog:
-    """Watches stamps. Recovers by itself when every input is fresh again; whoever asks decides what that means."""
+    """Watches stamps. Recovers when every input is fresh again; whoever asks decides what that means."""
 
     def __init__(self, settings: WatchdogSettings) -> None:
         self.settings = settings

@@ -1,4 +1,4 @@
-"""A small plant to close the loop on: exact geometry of a sphere or a plane, a first-order arm, a pipeline delay.
+"""A small plant to close the loop on: exact geometry of a sphere or a plane, a first-order arm, a delay.
 
 No images and no skin: the belief is the exact surface contact pose without shear, of `delay` seconds ago.
 """
@@ -47,7 +47,7 @@ class Plane:
 
 
 def contact_pose(surface, T_base_sensor: np.ndarray) -> np.ndarray:
-    """X_fs without shear: depth along z, the smallest rotation between the sensor's z and the inward normal."""
+    """X_fs without shear: depth along z, the smallest rotation from the sensor's z to the inward normal."""
     distance, normal = surface.query(T_base_sensor[:3, 3])
     inward = T_base_sensor[:3, :3].T @ -normal  # f's z in s
     axis = np.cross(inward, [0.0, 0.0, 1.0])
@@ -60,7 +60,7 @@ def contact_pose(surface, T_base_sensor: np.ndarray) -> np.ndarray:
 
 
 class Plant:
-    """Kinematic arm over a surface. `step` applies a twist for one period and returns what the controller sees."""
+    """Kinematic arm over a surface: `step` moves it for one period, `inputs` is what the controller sees."""
 
     def __init__(
         self, surface, T_base_sensor, delay_steps=1, time_constant=0.02, period=PERIOD, seed=0
@@ -109,7 +109,7 @@ class Plant:
 
 
 def run(task, plant, limit_s=60.0, change=None, each=None):
-    """Run the task on the plant; `change(k, inputs)` may replace inputs, `each(k, command)` looks on. All commands."""
+    """All commands of a run; `change(k, inputs)` may replace inputs, `each(k, command)` looks on."""
     commands = []
     for k in range(round(limit_s * 1e9 / plant.period_ns)):
         inputs = plant.inputs()

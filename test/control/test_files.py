@@ -1,4 +1,4 @@
-"""Controller and task files: the paper's tables arrive in SI, and a mistake is named with file, line and choices."""
+"""Controller and task files: the paper's tables arrive in SI; a mistake is named with file and line."""
 
 import numpy as np
 import pytest
@@ -94,5 +94,5 @@ def test_a_mistake_is_named_with_file_and_line(write, old, new, line, message):
 
 def test_a_scene_without_paths_is_named_with_those_that_have(write):
     path, controllers = write(TASK)
-    with pytest.raises(SettingError, match="unknown name 'rump'.*did you mean 'ramp'"):
+    with pytest.raises(SettingError, match=r"unknown name 'rump'.*did you mean 'ramp'"):
         load_task(path, "rump", controllers)

@@ -47,7 +47,7 @@ def test_it_starts_from_rest_and_accelerates_within_the_limit():
 )
 def test_no_input_gets_past_the_limits(twists, steps):
     limiter, now, last = TwistLimiter(SETTINGS), 0, np.zeros(6)
-    for twist, step in zip(twists, steps):
+    for twist, step in zip(twists, steps, strict=False):
         now += step
         out = limiter.step(now, twist).twist
         assert np.isfinite(out).all()

@@ -1,4 +1,4 @@
-"""Surface following as a user sees it: a whole run on a small plant, and what happens when something goes wrong."""
+"""Surface following as a user sees it: whole runs on a small plant, and what happens when things go wrong."""
 
 import dataclasses
 
@@ -33,7 +33,7 @@ def settings(request):
 
 
 def above(surface, height=0.024):
-    return pointing_down(surface.top() + [0.0, 0.0, height])
+    return pointing_down(surface.top() + np.array([0.0, 0.0, height]))
 
 
 def phases_of(commands):
@@ -166,7 +166,7 @@ def test_the_same_run_gives_the_same_bits(settings):
         run(SurfaceFollowing(settings, PathGoal(length=0.01)), Plant(surface, above(surface), seed=3))
         for _ in range(2)
     ]
-    for (_, a, _, _), (_, b, _, _) in zip(*runs):
+    for (_, a, _, _), (_, b, _, _) in zip(*runs, strict=True):
         np.testing.assert_array_equal(a.twist, b.twist)
 
 
@@ -388,5 +388,5 @@ def test_a_goal_that_makes_no_sense_is_refused(bad):
 def test_an_unknown_setting_names_its_group_and_the_nearest():
     with pytest.raises(SettingError, match=r"did you mean 'speed'"):
         SurfaceFollowingSettings().replaced(task__sped=0.01)
-    with pytest.raises(SettingError, match="unknown name 'pdi'.*did you mean 'pid'"):
+    with pytest.raises(SettingError, match=r"unknown name 'pdi'.*did you mean 'pid'"):
         SurfaceFollowingSettings.from_mapping({"pdi": {}})
