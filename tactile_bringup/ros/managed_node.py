@@ -38,6 +38,7 @@ from tactile_filter.settings import SettingError
 Result = TransitionCallbackReturn
 
 DIAGNOSTIC_PERIOD = 1.0  # s
+FLUSH_STEPS = 20
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
@@ -273,17 +274,24 @@ def run(node_type: Callable[[], ManagedNode], args: list[str] | None = None) -> 
         print(f"cannot start: {error}", file=sys.stderr, flush=True)
         rclpy.try_shutdown()
         return 1
+    executor = make_executor()
+    executor.add_node(node)
     try:
-        return _spin(node, stopped)
+        return _spin(node, executor, stopped)
     finally:
         node.finish()
+        _flush(executor)
         node.destroy_node()
         rclpy.try_shutdown()
 
 
-def _spin(node: ManagedNode, stopped: list[int]) -> int:
-    executor = make_executor()
-    executor.add_node(node)
+def _flush(executor: Any) -> None:
+    """Let what finishing has set going (results of actions) leave the process."""
+    for _ in range(FLUSH_STEPS):
+        executor.spin_once(timeout_sec=0.001)
+
+
+def _spin(node: ManagedNode, executor: Any, stopped: list[int]) -> int:
     if node.autostart and not node.start():
         node.publish_diagnostics()
         return 1

@@ -50,14 +50,14 @@ class EventJoin:
     ----------
     late : int
         Messages refused because their stamp was not later than what had been handed out or dropped.
-    incomplete : int
+    dropped : int
         Events dropped because a source had skipped their stamp, or by `drop_oldest`.
     """
 
     def __init__(self, sources: Sequence[str]) -> None:
         self.sources = tuple(sources)
         self.late = 0
-        self.incomplete = 0
+        self.dropped = 0
         self.clear()
 
     def clear(self) -> None:
@@ -105,5 +105,5 @@ class EventJoin:
 
     def drop_oldest(self) -> Event:
         """Give the oldest event up and count it."""
-        self.incomplete += 1
+        self.dropped += 1
         return self.pop()

@@ -1,0 +1,243 @@
+"""TF behind one interface: tf2's buffer where it is installed, else our own, both fed from real /tf messages.
+
+Lookups are at a stamp and never fall back to another one in silence. Who needs a transform that is not there yet
+waits for it with a `TransformGate`, in the order of the stamps and up to a deadline.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
+from rclpy.time import Time
+from tf2_msgs.msg import TFMessage
+
+from tactile_bringup.ros.conversions import MessageError, matrix_from_transform
+from tactile_bringup.ros.managed_node import ManagedNode
+from tactile_bringup.ros.qos import TF, TF_STATIC
+from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin, ns_from_time
+from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
+
+try:
+    import tf2_ros
+except ImportError:  # no wheels of it exist
+    tf2_ros = None
+
+Array = NDArray[np.float64]
+
+JUMP_NS = 100_000_000  # a transform that is this much older than the newest of its frame is a jump of the clock
+
+
+class Store(Protocol):
+    """Where transforms are kept."""
+
+    def put(self, message: TransformStamped, static: bool) -> None:
+        """Keep a transform; raises `MessageError` if it cannot be used."""
+
+    def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
+        """T_target_source (4, 4) at the stamp; raises `TransformUnavailable`."""
+
+    def newest(self, target: str, source: str) -> tuple[int, Array]:
+        """Stamp of the newest transform along the chain, and T_target_source there; raises `TransformUnavailable`."""
+
+    def clear(self) -> None:
+        """Forget what is not static."""
+
+
+class OwnStore:
+    """Our own buffer, `tactile_filter.transform_buffer`."""
+
+    def __init__(self) -> None:
+        self._buffer = TransformBuffer()
+
+    def put(self, message: TransformStamped, static: bool) -> None:
+        """See `Store`."""
+        self._buffer.set_transform(
+            message.header.frame_id,
+            message.child_frame_id,
+            ns_from_time(message.header.stamp),
+            matrix_from_transform(message.transform),
+            static=static,
+        )
+
+    def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
+        """See `Store`."""
+        return self._buffer.lookup(target, source, stamp_ns)
+
+    def newest(self, target: str, source: str) -> tuple[int, Array]:
+        """See `Store`."""
+        stamp_ns = self._buffer.latest_stamp(target, source)
+        return stamp_ns, self._buffer.lookup(target, source, stamp_ns)
+
+    def clear(self) -> None:
+        """See `Store`."""
+        self._buffer.clear()
+
+
+class Tf2Store:
+    """The buffer of tf2_ros."""
+
+    def __init__(self) -> None:
+        self._buffer = tf2_ros.Buffer()
+        self._static: list[TransformStamped] = []
+
+    def put(self, message: TransformStamped, static: bool) -> None:
+        """See `Store`."""
+        if static:
+            self._static.append(message)
+            self._buffer.set_transform_static(message, "tf_static")
+        else:
+            self._buffer.set_transform(message, "tf")
+
+    def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
+        """See `Store`."""
+        return matrix_from_transform(self._lookup(target, source, Time(nanoseconds=stamp_ns)).transform)
+
+    def newest(self, target: str, source: str) -> tuple[int, Array]:
+        """See `Store`; a time of zero is tf2's way to ask for the newest."""
+        message = self._lookup(target, source, Time())
+        return ns_from_time(message.header.stamp), matrix_from_transform(message.transform)
+
+    def clear(self) -> None:
+        """See `Store`; tf2 forgets static transforms as well, so they are put back."""
+        self._buffer.clear()
+        for message in self._static:
+            self._buffer.set_transform_static(message, "tf_static")
+
+    def _lookup(self, target: str, source: str, stamp: Time) -> Any:
+        try:
+            return self._buffer.lookup_transform(target, source, stamp)
+        except tf2_ros.TransformException as error:
+            raise TransformUnavailable(str(error)) from error
+
+
+class TransformListener:
+    """Listens to /tf and /tf_static while the node is configured.
+
+    Parameters
+    ----------
+    on_update : callable, optional
+        Called after each message of /tf or /tf_static.
+    on_jump : callable, optional
+        Called with the size of the jump in seconds when stamps go back, after the old transforms were forgotten.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        on_update: Callable[[], None] | None = None,
+        on_jump: Callable[[float], None] | None = None,
+    ) -> None:
+        self._node = node
+        self._on_update = on_update
+        self._on_jump = on_jump
+        self._newest_ns: dict[str, int] = {}
+        self.store: Store = OwnStore() if tf2_ros is None else Tf2Store()
+        node.subscribe(TFMessage, "/tf_static", self._receive_static, TF_STATIC, always=True)
+        node.subscribe(TFMessage, "/tf", self._receive, TF, always=True)
+
+    def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
+        """T_target_source (4, 4) at the stamp; raises `TransformUnavailable`."""
+        return self.store.lookup(target, source, stamp_ns)
+
+    def newest(self, target: str, source: str) -> tuple[int, Array]:
+        """The newest T_target_source with its stamp, for who asks where things are now and looks at the age."""
+        return self.store.newest(target, source)
+
+    def _receive_static(self, message: TFMessage) -> None:
+        self._put_all(message, static=True)
+
+    def _receive(self, message: TFMessage) -> None:
+        self._put_all(message, static=False)
+
+    def _put_all(self, message: TFMessage, static: bool) -> None:
+        for transform in message.transforms:
+            if not static:
+                self._look_for_jump(transform)
+            try:
+                self.store.put(transform, static)
+            except (MessageError, ValueError) as error:
+                self._node.count("transforms refused")
+                self._node.warn("tf", f"transform of {transform.child_frame_id} refused: {error}")
+        if self._on_update is not None:
+            self._on_update()
+
+    def _look_for_jump(self, transform: TransformStamped) -> None:
+        stamp_ns = ns_from_time(transform.header.stamp)
+        newest_ns = self._newest_ns.get(transform.child_frame_id, stamp_ns)
+        if stamp_ns < newest_ns - JUMP_NS:
+            self._newest_ns.clear()
+            self.store.clear()
+            self._node.count("backward time jumps")
+            seconds = (newest_ns - stamp_ns) / SECOND_NS
+            self._node.warn("jump", f"time jumped back by {seconds:.3f} s: transforms and state are cleared")
+            if self._on_jump is not None:
+                self._on_jump(seconds)
+        self._newest_ns[transform.child_frame_id] = max(stamp_ns, self._newest_ns.get(transform.child_frame_id, 0))
+
+
+class TransformGate:
+    """Holds joined events until T_target_source at their stamp is there; hands them out in the order of stamps.
+
+    Call `pump` whenever something arrived; a timer of the node calls it for the deadlines.
+
+    Parameters
+    ----------
+    timeout : callable
+        The longest wait in s, from the arrival of an event's first message.
+    deliver : callable
+        Called with the event and T_target_source (4, 4).
+    drop : callable
+        Called with the event and the reason when the deadline has passed.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        join: EventJoin,
+        transforms: TransformListener,
+        frames: tuple[str, str],
+        timeout: Callable[[], float],
+        deliver: Callable[[Event, Array], None],
+        drop: Callable[[Event, str], None],
+    ) -> None:
+        self._join = join
+        self._transforms = transforms
+        self._frames = frames
+        self._timeout = timeout
+        self._deliver = deliver
+        self._drop = drop
+        node.timer(0.01, self.pump)
+
+    def pump(self) -> None:
+        """Hand out what is ready and drop what has waited too long."""
+        while len(self._join):
+            event = self._join.ready()
+            reason = self._hand_out(event)
+            if not reason:
+                continue
+            oldest = event or self._join.oldest()
+            if oldest is None:
+                return
+            waited = (time.monotonic_ns() - oldest.received_ns) / SECOND_NS
+            if waited <= self._timeout():
+                return
+            self._drop(self._join.drop_oldest(), f"{reason}; waited {waited * 1e3:.0f} ms")
+
+    def _hand_out(self, event: Event | None) -> str:
+        """Deliver the oldest event if it is complete and its transform is there; else what it waits for."""
+        if event is None:
+            oldest = self._join.oldest()
+            missing = [] if oldest is None else [s for s in self._join.sources if s not in oldest.parts]
+            return f"no {' and no '.join(missing)} of the same stamp"
+        try:
+            T = self._transforms.lookup(*self._frames, event.stamp_ns)
+        except TransformUnavailable as error:
+            return str(error)
+        self._join.pop()
+        self._deliver(event, T)
+        return ""
