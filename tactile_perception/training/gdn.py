@@ -24,10 +24,10 @@ class ConvBlock(nn.Sequential):
     normalization makes a bias of the convolution redundant.
     """
 
-    def __init__(self, inputs: int, outputs: int) -> None:
+    def __init__(self, inputs: int, outputs: int, momentum: float) -> None:
         super().__init__(
             nn.Conv2d(inputs, outputs, kernel_size=3, padding=1, bias=False),
-            nn.BatchNorm2d(outputs),
+            nn.BatchNorm2d(outputs, momentum=momentum),
             nn.MaxPool2d(2),
             nn.ReLU(inplace=True),
         )
@@ -65,7 +65,7 @@ class Gdn(nn.Module):
         self.settings = settings
         self.image_size = image_size
         channels = (1, *settings.channels)
-        self.base = nn.Sequential(*(ConvBlock(a, b) for a, b in zip(channels, channels[1:])))
+        self.base = nn.Sequential(*(ConvBlock(a, b, settings.batch_norm_momentum) for a, b in zip(channels, channels[1:])))
         side = image_size // 2 ** len(settings.channels)
         if side < 1:
             raise ValueError(f"{len(settings.channels)} blocks halve an image of {image_size} pixels to nothing")

@@ -14,6 +14,9 @@ class GdnSettings(Settings):
     channels: tuple[int, ...] = setting(
         (16, 32, 64, 128, 256), lower=1, doc="features of each block: convolution, batch norm, ReLU, max-pool"
     )
+    batch_norm_momentum: float = setting(
+        0.01, lower=1e-4, upper=1.0, doc="weight of a batch in the running statistics (0.01: Keras's default)"
+    )
     dropout_mean: tuple[float, ...] = setting(
         (0.7, 0.7, 0.1, 0.0, 0.0, 0.4), lower=0.0, upper=0.99, length=6, doc="dropout of each mean output"
     )

@@ -1,0 +1,235 @@
+"""The commands `tactile train` and `tactile estimate`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from tactile_filter.settings import SettingError
+from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+
+
+def register(subparsers: Any) -> None:
+    """Add `train` and `estimate` to an argparse subparsers object; each sets `run`, a callable of the arguments."""
+    _register_train(subparsers)
+    _register_estimate(subparsers)
+
+
+def _register_train(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "train",
+        help="train a Gaussian density network on a data folder",
+        description="Train a Gaussian density network (needs PyTorch: pip install 'tactile_servoing[train]').",
+    )
+    parser.add_argument("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
+    parser.add_argument("--val", type=Path, help="validation data folder (default: DATA/val)")
+    parser.add_argument("--out", type=Path, required=True, help="new folder for the run")
+    parser.add_argument("--config", type=Path, help="YAML file with the sections network and training")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", dest="changes", help="change one setting"
+    )
+    parser.add_argument("--limit", type=int, metavar="N", help="use only N training samples")
+    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the exported model to FILE at the end")
+    parser.set_defaults(run=run_train)
+
+
+def _register_estimate(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "estimate",
+        help="run images through estimator and filter, without ROS",
+        description="Estimate a data folder, a video file or a camera (by index); write a table and a picture.",
+    )
+    parser.add_argument("source", help="data folder, video file, or index of a camera")
+    parser.add_argument("--model", type=Path, default=None, help="ONNX model (default: the shipped one)")
+    parser.add_argument("--out", type=Path, default=Path("out/estimate"), help="folder for table and picture")
+    parser.add_argument("--poses", type=Path, help="table with the sensor's pose in the base for each video frame")
+    parser.add_argument("--limit", type=int, metavar="N", help="stop after N images")
+    parser.add_argument("--no-filter", action="store_true", help="estimator only")
+    parser.add_argument(
+        "--motion-sigma", type=float, default=1.0, metavar="S",
+        help="noise of the motion between images of a folder, in mm and degrees, added and assumed (paper: 10 to 0.01)",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="order of a folder's images, and the motion's noise")
+    parser.add_argument("--threads", type=int, default=1, help="CPU threads of the estimator")
+    parser.set_defaults(run=run_estimate)
+
+
+def run_train(arguments: argparse.Namespace) -> int:
+    """`tactile train`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training import train as training
+    except ModuleNotFoundError as error:
+        if error.name not in ("torch", "onnx"):
+            raise
+        console.print(f"tactile train needs {error.name}: pip install 'tactile_servoing[train]'", markup=False)
+        return 2
+    from tactile_perception.training.console import TrainingProgress
+
+    try:
+        config = training.TrainConfig.from_mapping(_train_settings(arguments), str(arguments.config or "--set"))
+        with TrainingProgress() as progress:
+            result = training.train(
+                arguments.data, arguments.out, config, arguments.val, arguments.limit, progress, progress.loading
+            )
+    except (ValueError, OSError, FloatingPointError) as error:
+        console.print(f"tactile train: {error}", markup=False, style="red")
+        return 1
+    if arguments.install:
+        arguments.install.write_bytes(result.model_path.read_bytes())
+    _print_train_summary(Console(), result, arguments.out)
+    return 0
+
+
+def _train_settings(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """The configuration file's contents with the changes of the command line."""
+    values: dict[str, dict[str, Any]] = {}
+    if arguments.config:
+        try:
+            values = yaml.safe_load(arguments.config.read_text()) or {}
+        except yaml.YAMLError as error:
+            raise SettingError(f"{arguments.config}: {error}") from error
+    for change in arguments.changes:
+        name, equals, text = change.partition("=")
+        section, dot, key = name.partition(".")
+        if not (equals and dot):
+            raise SettingError(f"--set {change}: must have the form SECTION.NAME=VALUE, as training.batch_size=32")
+        values.setdefault(section, {})[key] = yaml.safe_load(text)
+    return values
+
+
+def _print_train_summary(console: Console, result: Any, out: Path) -> None:
+    best = result.best
+    table = Table(title=f"validation, epoch {best.number + 1} of {len(result.epochs)}: mean NLL {best.validation_loss:.3f}")
+    table.add_column("component")
+    table.add_column("MAE", justify="right")
+    for name, unit, value in zip(COMPONENTS, NETWORK_UNITS, best.mae):
+        table.add_row(name, f"{value:.4f} {unit}")
+    console.print(table)
+    console.print(f"{result.minutes:.1f} min; stopped: {result.stopped}\nmodel: {result.model_path}", highlight=False)
+    console.print(f"run: {out} (config.yaml, data.txt, epochs.csv, curves.png, best.pt)", highlight=False)
+
+
+def run_estimate(arguments: argparse.Namespace) -> int:
+    """`tactile estimate`: returns the exit status."""
+    from tactile_perception.estimator import Estimator
+
+    console = Console(stderr=True)
+    try:
+        estimator = Estimator(arguments.model or "", arguments.threads)
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        if Path(arguments.source).is_dir():
+            table = _estimate_folder(arguments, estimator, console)
+        else:
+            table = _estimate_video(arguments, estimator, console)
+    except (ValueError, OSError) as error:
+        console.print(f"tactile estimate: {error}", markup=False, style="red")
+        return 1
+    _write_estimates(arguments, table)
+    return 0
+
+
+def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+    from tactile_perception.dataset import open_folder
+    from tactile_perception.estimate_run import motion_filter, run_estimates, with_motion_noise
+    from tactile_perception.sources import folder_frames, usable_order
+
+    folder = open_folder(arguments.source)
+    order = usable_order(folder, arguments.seed, arguments.limit)
+    console.print("\n".join(folder.report.lines()), markup=False, highlight=False)
+    if folder.processed and folder.preprocessing != estimator.metadata.preprocessing:
+        console.print("note: the folder's images were pre-processed with other settings than the model's", style="yellow")
+    frames = folder_frames(folder, order)
+    contact_filter = None
+    if not arguments.no_filter:
+        frames = with_motion_noise(frames, arguments.motion_sigma, arguments.seed)
+        contact_filter = motion_filter(arguments.motion_sigma)
+    with _bar(console, "estimating", len(order)) as update:
+        return run_estimates(estimator, frames, contact_filter, update)
+
+
+def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+    from tactile_filter.bayes_filter import ContactFilter, FilterSettings
+    from tactile_perception.estimate_run import run_estimates
+    from tactile_perception.sources import SourceError, read_poses, video_frames
+
+    source: str | int = arguments.source
+    if arguments.source.isdecimal():
+        source = int(arguments.source)
+    elif not Path(arguments.source).is_file():
+        raise SourceError(f"{source}: is neither a data folder, nor a video file, nor the index of a camera")
+    poses = read_poses(arguments.poses) if arguments.poses else None
+    contact_filter = ContactFilter(FilterSettings()) if poses and not arguments.no_filter else None
+    frames = video_frames(source, poses, arguments.limit)
+    with _bar(console, "estimating", arguments.limit) as update:
+        return run_estimates(estimator, _until_interrupted(frames), contact_filter, update)
+
+
+def _until_interrupted(frames: Any) -> Any:
+    """Frames until the source ends or Ctrl-C, which is how one stops a camera."""
+    try:
+        yield from frames
+    except KeyboardInterrupt:
+        return
+
+
+def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
+    from tactile_perception.estimate_plots import draw_predicted_against_actual, draw_series
+
+    table_path = arguments.out / "estimates.csv"
+    table.write_csv(table_path)
+    title = f"{Path(arguments.source).name}, {len(table)} images"
+    if table.has_labels:
+        picture = arguments.out / "predicted_against_actual.png"
+        draw_predicted_against_actual(table, picture, title)
+    else:
+        picture = arguments.out / "estimates.png"
+        draw_series(table, picture, title)
+    _print_estimate_summary(Console(), table)
+    print(f"table: {table_path}\npicture: {picture}")
+
+
+def _print_estimate_summary(console: Console, table: Any) -> None:
+    if table.failures:
+        console.print(f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", markup=False, style="red")
+    if len(table.stage_seconds):
+        times = np.array(table.stage_seconds) * 1e3
+        stages = zip(("pre-processing", "network", "conversion", "total"), [*times.T, times.sum(axis=1)])
+        text = "; ".join(f"{name} {np.median(t):.2f} / {np.percentile(t, 99):.2f}" for name, t in stages)
+        console.print(f"ms per image, p50 / p99: {text}", highlight=False)
+    if not table.has_labels:
+        return
+    summary = Table(title=f"mean absolute error over {len(table)} images")
+    summary.add_column("component")
+    summary.add_column("network", justify="right")
+    columns = [table.mean_absolute_error(table.network)]
+    if table.has_filter:
+        summary.add_column("with filter", justify="right")
+        columns.append(table.mean_absolute_error(table.filtered))
+    for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS)):
+        summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in columns))
+    console.print(summary)
+
+
+class _bar:
+    """A progress bar as a context; gives a callable that takes the number of images done."""
+
+    def __init__(self, console: Console, what: str, total: int | None) -> None:
+        columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty())
+        self._task = self._progress.add_task(what, total=total)
+
+    def __enter__(self):
+        self._progress.start()
+        return lambda done: self._progress.update(self._task, completed=done)
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()

@@ -1,0 +1,128 @@
+"""Contact presence: has the image changed against the sensor's own no-contact image?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_filter.settings import SettingError, Settings, setting
+
+Prepared = NDArray[np.float32]
+#: Spreads of the score without contact that the thresholds stay away from, however small they are set.
+_NOISE_MARGIN = 6.0
+
+
+@dataclass(frozen=True)
+class PresenceSettings(Settings):
+    """Thresholds of the change score, which runs from 0 (no change) to 1."""
+
+    on: float = setting(0.04, lower=0.0, upper=1.0, doc="score at and above which contact begins")
+    off: float = setting(0.025, lower=0.0, upper=1.0, doc="score below which contact ends")
+    window: int = setting(17, unit="px", lower=1, upper=129, doc="side of the patch whose mean change counts")
+    reference_frames: int = setting(10, lower=2, upper=1000, doc="first frames, without contact, for the reference")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.off > self.on:
+            raise SettingError(f"off = {self.off:g}: must not be above on = {self.on:g}")
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Answer to one image; `score` is NaN and `in_contact` None while the reference is being captured."""
+
+    score: float
+    in_contact: bool | None
+
+
+class ContactPresence:
+    """Compares prepared images (the preprocessor's output) with a no-contact reference, with hysteresis.
+
+    The score is the largest mean absolute change over a patch of the image, less what noise alone makes of it:
+    a contact moves a few markers a little, noise moves all edges by nothing on average. The first
+    `reference_frames` images make the reference and the noise level, unless `set_reference` gives them::
+
+        presence = ContactPresence(PresenceSettings())
+        answer = presence.update(estimator.preprocessor(image))
+    """
+
+    def __init__(self, settings: PresenceSettings | None = None) -> None:
+        self.settings = settings or PresenceSettings()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the reference; the next frames, which must be without contact, make a new one."""
+        self._captured: list[Prepared] = []
+        self._reference: Prepared | None = None
+        self._floor = self._spread = 0.0
+        self._in_contact = False
+
+    @property
+    def ready(self) -> bool:
+        """A reference is there."""
+        return self._reference is not None
+
+    @property
+    def reference(self) -> Prepared | None:
+        """Mean no-contact image (size, size), or None."""
+        return self._reference
+
+    def configure(self, settings: PresenceSettings) -> None:
+        """Use other thresholds from the next image on; another window needs a new reference."""
+        if settings.window != self.settings.window:
+            self.settings = settings
+            self.reset()
+        self.settings = settings
+
+    def set_reference(self, images: ArrayLike) -> None:
+        """Make the reference from prepared images without contact, (N, ..., size, size) with N >= 2.
+
+        Raises
+        ------
+        ValueError
+            With fewer than two images: the noise could not be told.
+        """
+        stack = np.asarray(images, dtype=np.float32)
+        if stack.ndim < 3 or len(stack) < 2:
+            raise ValueError(f"presence reference: must be at least two images, has the shape {stack.shape}")
+        stack = stack.reshape(len(stack), *stack.shape[-2:])
+        self._reference = stack.mean(axis=0)
+        self._in_contact = False
+        # A frame that is part of the mean differs from it by less than a new one will.
+        unbiased = np.sqrt((len(stack) + 1.0) / (len(stack) - 1.0))
+        scores = np.array([self._change(image) for image in stack]) * unbiased
+        self._floor = float(np.median(scores))
+        self._spread = float(scores.std(ddof=1))
+
+    def update(self, prepared: Prepared) -> Presence:
+        """Score one prepared image (size, size) or (1, 1, size, size).
+
+        Raises
+        ------
+        ValueError
+            If its size is not the reference's.
+        """
+        image = prepared.reshape(prepared.shape[-2:])
+        if self._reference is None:
+            self._captured.append(image.copy())
+            if len(self._captured) >= self.settings.reference_frames:
+                self.set_reference(self._captured)
+                self._captured = []
+            return Presence(float("nan"), None)
+        if image.shape != self._reference.shape:
+            raise ValueError(f"presence: image is {image.shape}, the reference {self._reference.shape}")
+        score = max(0.0, self._change(image) - self._floor)
+        margin = _NOISE_MARGIN * self._spread
+        threshold = max(self.settings.off if self._in_contact else self.settings.on, margin)
+        self._in_contact = score >= threshold
+        return Presence(score, self._in_contact)
+
+    def _change(self, image: Prepared) -> float:
+        """Largest patch mean of the absolute change."""
+        assert self._reference is not None
+        change = cv2.absdiff(image, self._reference)
+        side = (self.settings.window, self.settings.window)
+        return float(cv2.blur(change, side, borderType=cv2.BORDER_REFLECT_101).max())
