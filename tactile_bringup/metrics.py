@@ -45,7 +45,7 @@ REPORT_FIELDS: dict[str, str] = {
     "normal_max_deg": "largest of these angles",
     "slip_fraction": "mean part of the contact that slides (0..1)",
     "depth_overshoot_mm": "largest true depth over the reference while settling and following",
-    "oscillation.depth_mm": f"amplitude of the strongest sinusoid above {OSCILLATION_ABOVE} Hz in depth, settled",
+    "oscillation.depth_mm": f"amplitude of the strongest sinusoid above {OSCILLATION_ABOVE} Hz in true depth",
     "oscillation.depth_hz": "its frequency",
     "oscillation.normal_deg": f"the same for the two tilt angles, above {OSCILLATION_ABOVE} Hz",
     "oscillation.normal_hz": "its frequency",
@@ -118,7 +118,7 @@ def write_report(record: RunRecord, path: str | Path) -> dict[str, Any]:
 def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first: (name, value with unit, requirement where there is one)."""
     latency = values["latency_ms"]
-    rows = [
+    return [
         ("task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""),
         ("path followed", _text(values["path_length_mm"], "mm", 1), ""),
         ("contact kept", _percent(values["contact_fraction"]), "100 %"),
@@ -130,7 +130,6 @@ def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("latency p99", _text(latency["p99"], "ms", 1), "<= 25 ms"),
         ("frames lost", str(sum(values["frames"]["lost"].values())), "0"),
     ]
-    return rows
 
 
 # ---- parts of the report ----
@@ -166,7 +165,7 @@ def depth_sigma(series: GaussianSeries) -> Array:
 
 
 def oscillation(record: RunRecord) -> dict[str, float]:
-    """Strongest sinusoid above `OSCILLATION_ABOVE` in true depth and tilt, over all paths, once settled."""
+    """Strongest sinusoid above `OSCILLATION_ABOVE` in true depth and tilt, of all paths, once settled."""
     found = {"depth_mm": 0.0, "depth_hz": np.nan, "normal_deg": 0.0, "normal_hz": np.nan}
     any_signal = False
     for stamps, X_fs in _settled_stretches(record):
@@ -182,7 +181,9 @@ def oscillation(record: RunRecord) -> dict[str, float]:
     return found if any_signal else dict.fromkeys(found, np.nan)
 
 
-def strongest_sinusoid(stamp_ns: Array, values: Array, above_hz: float = OSCILLATION_ABOVE) -> tuple[float, float]:
+def strongest_sinusoid(
+    stamp_ns: Array, values: Array, above_hz: float = OSCILLATION_ABOVE
+) -> tuple[float, float]:
     """Amplitude and frequency (Hz) of the strongest spectral line above `above_hz`; (0, nan) for a short signal.
 
     A cubic trend is removed and a Hann window applied; the amplitude is that of a sinusoid with this line.

@@ -77,7 +77,7 @@ def test_settings_of_the_task_go_over_those_of_the_controller(write):
             "did you mean 'surface_following'",
         ),
         ("length:", "lenght:", 9, "did you mean 'length'"),
-        (", length: 0.1", "", 9, "path 0 has no length"),
+        (", length: 0.1", "", 9, "path 0.length is missing"),
         ("length: 0.1", "length: -1", 9, r"length = -1.0 m: must lie in \(0, 100\) m"),
         ("name: up", "name: up, start: [0, 0, 0]", 9, "path 0"),
         ("task: surface_following\n", "task: surface_folowing\n", 1, "did you mean 'surface_following'"),

@@ -30,7 +30,9 @@ RATE = 1e9 / PERIOD_NS
 
 
 def poses(depth, alpha):
-    return np.array([se3.pose_from_euler(np.array([0, 0, d, a, 0, 0])) for d, a in zip(depth, alpha, strict=True)])
+    return np.array(
+        [se3.pose_from_euler(np.array([0, 0, d, a, 0, 0])) for d, a in zip(depth, alpha, strict=True)]
+    )
 
 
 def made_up(seconds=6.0, depth_error=0.0002, tilt=0.02, wobble=0.0, wobble_hz=3.0):
@@ -41,7 +43,9 @@ def made_up(seconds=6.0, depth_error=0.0002, tilt=0.02, wobble=0.0, wobble_hz=3.
     following = t >= 1.0
     depth = np.where(following, 0.003 + depth_error + wobble * np.sin(2 * np.pi * wobble_hz * t), -0.001)
     T_fs = poses(depth, np.where(following, tilt, 0.3))
-    record = RunRecord(scene="plane", task="surface_following", paths=["along_y"], reference=[0, 0, 0.003, 0, 0, 0])
+    record = RunRecord(
+        scene="plane", task="surface_following", paths=["along_y"], reference=[0, 0, 0.003, 0, 0, 0]
+    )
     record.reference = np.array([0, 0, 0.003, 0, 0, 0])
     record.truth = TruthSeries(stamps, T_fs, slip_fraction=np.full(n, 0.25), in_contact=depth > 0)
     T = np.tile(np.eye(4), (n, 1, 1))
@@ -56,7 +60,10 @@ def made_up(seconds=6.0, depth_error=0.0002, tilt=0.02, wobble=0.0, wobble_hz=3.
     record.estimate = GaussianSeries(stamps, X_sf, cov)
     record.belief = BeliefSeries(stamps, X_sf, cov, np.full(n, 12.0), np.full(n, 6), np.ones(n, bool))
     latency = np.linspace(0.0, 0.010, n)
-    record.latency = {"estimator": StageSeries(stamps, latency / 2), "controller": StageSeries(stamps, latency)}
+    record.latency = {
+        "estimator": StageSeries(stamps, latency / 2),
+        "controller": StageSeries(stamps, latency),
+    }
     record.lost = {"filter": 2}
     record.result = {"succeeded": True, "reason": "", "wall_s": 1.5}
     return record
