@@ -12,10 +12,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 _SEPARATOR = "=" * 80
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
-_PRIMITIVES = frozenset(
-    ("bool", "byte", "char", "float32", "float64", "int8", "uint8", "int16", "uint16", "int32", "uint32")
-    + ("int64", "uint64", "string", "wstring")
-)
+_INTEGERS = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+_PRIMITIVES = frozenset(["bool", "byte", "char", "float32", "float64", "string", "wstring", *_INTEGERS])
 
 
 class DefinitionMissing(LookupError):

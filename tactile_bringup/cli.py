@@ -1,0 +1,53 @@
+"""`tactile`: the command line. Each command loads what it needs when it runs, so that help comes at once."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+# Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
+COMMANDS = (
+    "tactile_bringup.launch_command",
+    "tactile_perception.commands",
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code of the process."""
+    parsed = _parser().parse_args(arguments)
+    try:
+        return int(parsed.run(parsed))
+    except KeyboardInterrupt:
+        print("\ninterrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of our output (a pager, head) has gone
+        sys.stderr.close()
+        return 141
+
+
+def _parser() -> argparse.ArgumentParser:
+    from tactile_bringup.version import version
+
+    parser = argparse.ArgumentParser(
+        prog="tactile", description="Servoing by touch: tactile image to pose, shear, belief, twist and arm."
+    )
+    parser.add_argument("--version", action="version", version=f"tactile_servoing {version()}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for module in COMMANDS:
+        importlib.import_module(module).register(subparsers)
+    show = subparsers.add_parser("version", help="print the version")
+    show.set_defaults(run=_print_version)
+    return parser
+
+
+def _print_version(arguments: argparse.Namespace) -> int:
+    from tactile_bringup.version import version
+
+    print(version())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""Loads a task on a scene: its files become the graph of processes and the paths to run."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from tactile_bringup.graph import ArmOutline, Graph, GraphOptions, SceneOutline, build_graph
+from tactile_control.files import load_task
+from tactile_control.task import PathGoal
+from tactile_drivers.scene import ArmScene, Scene, load_scene
+from tactile_filter.config_paths import config_path
+
+
+@dataclass(frozen=True)
+class TaskGraph:
+    """A graph, the paths to run on it, and what both were made from."""
+
+    graph: Graph
+    paths: tuple[PathGoal, ...]
+    scene: Scene
+
+
+def load_task_graph(task: str, scene: str, options: GraphOptions) -> TaskGraph:
+    """The graph of `config/tasks/<task>.yaml` on a scene, by name or by file.
+
+    Raises
+    ------
+    SettingError
+        A file holds something wrong; the message names file, line and valid choices.
+    FileNotFoundError
+        There is no such task or scene; the message lists those that there are.
+    """
+    loaded = load_scene(scene)
+    described = load_task(config_path(f"tasks/{task}.yaml"), loaded.name)
+    groups: dict[str, dict[str, Any]] = dataclasses.asdict(described.settings)
+    names = [path.name for path in described.paths]
+    return TaskGraph(build_graph(task, outline(loaded), groups, names, options), described.paths, loaded)
+
+
+def outline(scene: Scene) -> SceneOutline:
+    """What the graph has to know of a scene."""
+    return SceneOutline(scene.name, scene.path.absolute(), tuple(_arm(arm) for arm in scene.arms.values()))
+
+
+def _arm(arm: ArmScene) -> ArmOutline:
+    if arm.sensor is None:
+        return ArmOutline(arm.name, None, images=False)
+    settings = arm.sensor.settings
+    return ArmOutline(arm.name, settings.camera_rate, images=settings.fidelity == "image")
