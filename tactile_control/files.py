@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_control.task import PathGoal
 from tactile_control.task_settings import SurfaceFollowingSettings
@@ -29,6 +30,10 @@ class Task:
     settings: SurfaceFollowingSettings
     paths: tuple[PathGoal, ...]
 
+    def goals(self, T_base_start: NDArray[np.float64]) -> tuple[PathGoal, ...]:
+        """The paths to run in a row, those without a start of their own from T_base_start (4, 4)."""
+        return tuple(dataclasses.replace(g, start=T_base_start) if g.start is None else g for g in self.paths)
+
 
 def load_controller(
     path: str | Path, base: SurfaceFollowingSettings | None = None
@@ -37,11 +42,24 @@ def load_controller(
     return _merged(base or SurfaceFollowingSettings(), read_yaml(path))
 
 
-def load_task(path: str | Path, scene: str, controllers: str | Path | None = None) -> Task:
+def load_task(
+    path: str | Path, scene: str, controllers: str | Path | None = None, controller: str | None = None
+) -> Task:
     """The task of a file of config/tasks on the scene of that name.
 
-    `controllers` is the folder of the controller files, by default `../controllers` seen from the task file.
-    Raises `SettingError` with file, line and valid choices, and `OSError` where a file cannot be read.
+    Parameters
+    ----------
+    controllers
+        Folder of the controller files, by default `../controllers` seen from the task file.
+    controller
+        Name of one of them in place of the one that the task names.
+
+    Raises
+    ------
+    SettingError
+        With file, line and valid choices.
+    OSError
+        Where a file cannot be read.
     """
     root = read_yaml(path)
     root.allow("task", "controller", "settings", "scenes")
@@ -54,7 +72,10 @@ def load_task(path: str | Path, scene: str, controllers: str | Path | None = Non
     folder = (
         Path(controllers) if controllers is not None else Path(path).resolve().parent.parent / "controllers"
     )
-    controller = root.choice("controller", sorted(file.stem for file in folder.glob("*.yaml")))
+    names = sorted(file.stem for file in folder.glob("*.yaml"))
+    controller = controller or root.choice("controller", names)
+    if controller not in names:
+        raise SettingError(f"controller: {unknown_name(controller, names)}")
     settings = load_controller(folder / f"{controller}.yaml")
     for section in (root.section("settings"), on_scene.section("settings")):
         settings = _merged(settings, section)
