@@ -236,8 +236,8 @@ def _sensor(section: Section, rate: int, surfaces: list[str]) -> SensorScene:
     per_frame = rate / settings.camera_rate
     if per_frame != int(per_frame):
         section.fail(
-            f"{section.name}.camera_rate = {settings.camera_rate:g} Hz: the scene's rate, {rate} Hz, must be a "
-            f"multiple of it",
+            f"{section.name}.camera_rate = {settings.camera_rate:g} Hz: "
+            f"the scene's rate, {rate} Hz, must be a multiple of it",
             "camera_rate",
         )
     model = (

@@ -1,4 +1,4 @@
-"""Where configuration files lie: `config/` beside the packages in a source tree, else in the installed share folder."""
+"""Where configuration files lie: in `config/` of a source tree, else in the installed share folder."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ PACKAGE = "tactile_servoing"
 def config_folder() -> Path:
     """The folder that holds scenes, tasks, controllers and parameters.
 
-    It is $TACTILE_CONFIG_DIR where that is set, else `config/` of the source tree that this module lies in, else
-    share/tactile_servoing/config of the first prefix of $AMENT_PREFIX_PATH, or of Python itself, that has it.
+    It is $TACTILE_CONFIG_DIR where that is set, else `config/` of the source tree that this module lies in,
+    else share/tactile_servoing/config of the first prefix in $AMENT_PREFIX_PATH, or of Python itself, that
+    has it.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def _candidates() -> list[Path]:
     if override:
         return [Path(override)]
     root = Path(__file__).resolve().parent.parent
-    # A folder named config beside installed packages is not ours: only a source tree has package.xml there too.
+    # A `config` beside installed packages is not ours: only a source tree has package.xml there too.
     folders = [root / "config"] if (root / "package.xml").is_file() else []
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     return folders + [Path(prefix) / "share" / PACKAGE / "config" for prefix in prefixes if prefix]

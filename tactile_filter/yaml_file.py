@@ -1,6 +1,6 @@
 """YAML files whose errors name file, line and valid choices.
 
-A file is read into sections (mappings) that know where they stand, and that are asked for what they should hold::
+A file is read into sections (mappings) that know where they stand, and are asked for what they should hold::
 
     root = read_yaml("scene.yaml")
     root.allow("arms", "surfaces")

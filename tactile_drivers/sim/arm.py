@@ -1,8 +1,8 @@
-"""SimArm: an ideal robot arm that moves its sensor by velocity commands within limits of velocity, acceleration, jerk.
+"""SimArm: a robot arm that moves its sensor by velocity commands, within limits up to the jerk.
 
-It stands for an arm with a velocity interface such as libfranka's: Ruckig turns each commanded twist into the
-fastest motion that keeps the limits, the pose is the integral of the twist that results, and a watchdog brings the
-arm to rest when commands stop coming::
+It stands for an arm with a velocity interface such as libfranka's: Ruckig turns each commanded twist into
+the fastest motion that keeps the limits, the pose is the integral of the twist that results, and a watchdog
+brings the arm to rest when commands stop coming::
 
     arm = SimArm(ArmSettings(), T_base_sensor, stamp_ns=0)
     arm.command(stamp_ns, twist)             # [v (m/s), omega (rad/s)] of the sensor, in the sensor frame
@@ -38,7 +38,7 @@ class ArmMode(IntEnum):
 
 @dataclass(frozen=True)
 class ArmSettings(Settings):
-    """Limits of the arm. Velocity is limited as a norm, acceleration and jerk on each axis of the sensor frame."""
+    """Limits: of velocity as a norm, of acceleration and jerk on each axis of the sensor frame."""
 
     linear_velocity: float = setting(0.1, unit="m/s", lower=1e-4, upper=5.0, doc="largest speed")
     angular_velocity: float = setting(1.0, unit="rad/s", lower=1e-3, upper=10.0, doc="largest angular speed")
@@ -136,7 +136,7 @@ class SimArm:
 
     @property
     def target(self) -> Array:
-        """Twist (6,) that the arm moves towards, in the sensor frame: the command within limits, zero in a stop."""
+        """Twist (6,) that the arm moves towards, in the sensor frame; zero in a stop."""
         return self._target.copy()
 
     @property
@@ -188,7 +188,7 @@ class SimArm:
         return self.advance_to(self._stamp_ns + round(dt * NS))
 
     def advance_to(self, stamp_ns: int) -> Array:
-        """Move on to a stamp (ns) and return T_base_sensor; the watchdog looks at the clock where the step starts.
+        """Move on to a stamp (ns) and return T_base_sensor; the watchdog looks where the step starts.
 
         Raises ValueError if the stamp lies before the arm's own.
         """
@@ -273,7 +273,7 @@ def _ruckig_input(settings: ArmSettings) -> ruckig.InputParameter:
 
 
 def _shortened(twist: Array, settings: ArmSettings) -> tuple[Array, bool]:
-    """The twist with speed and angular speed within limits, each keeping its direction; whether it changed."""
+    """The twist with both speeds within limits, directions kept, and whether it changed."""
     out = twist.copy()
     for part, limit in ((slice(0, 3), settings.linear_velocity), (slice(3, 6), settings.angular_velocity)):
         norm = float(np.linalg.norm(out[part]))

@@ -1,6 +1,6 @@
 """Cell: the simulated arms, sensors and surfaces of a scene on one fixed time base, deterministic by seed.
 
-Nothing in it waits: whoever owns the time calls `step`, as fast as it can (a loop) or as the clock says (a node)::
+Nothing in it waits: whoever owns the time calls `step`, a loop as fast as it can, a node as the clock says::
 
     cell = Cell(load_scene("ramp"), seed=1)
     while True:
@@ -109,7 +109,7 @@ class Cell:
         return self.stamp_ns
 
     def command(self, arm: str, stamp_ns: int, twist: ArrayLike) -> bool:
-        """Command a twist (6,), emitted at `stamp_ns`; False where the arm refuses it (see `SimArm.command`)."""
+        """Command a twist (6,), emitted at `stamp_ns`; False where refused (see `SimArm.command`)."""
         return self._arm(arm).arm.command(stamp_ns, twist)
 
     def status(self, arm: str) -> ArmStatus:

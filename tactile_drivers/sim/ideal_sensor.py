@@ -1,7 +1,7 @@
 """A sensor without skin or image: the true contact pose plus Gaussian noise, for fast Monte Carlo runs.
 
-Its contact is one point that sticks to the surface until the shear reaches a limit that grows with depth, then
-drags along: enough for shear to build up, saturate and reverse as that of a soft tip does.
+Its contact is one point that sticks to the surface until the shear reaches a limit that grows with depth,
+then drags along: enough for shear to build up, saturate and reverse as that of a soft tip does.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class IdealSensor:
 
 
 def _turn_between(T0: Array, T1: Array, axis: Array) -> float:
-    """Rotation (rad) of the sensor from T0 to T1 about an axis (not normalised) fixed in the surface's frame."""
+    """Rotation (rad) of the sensor from T0 to T1 about an axis, of any length, in the surface's frame."""
     rotation = np.eye(4)
     rotation[:3, :3] = T1[:3, :3] @ T0[:3, :3].T
     return float(se3.log(rotation)[3:] @ axis / np.linalg.norm(axis))

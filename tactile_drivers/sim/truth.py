@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Truth:
-    """The contact of one sensor at one stamp; without any surface in reach of it, `surface` is empty and all NaN.
+    """The contact of one sensor at one stamp; without a surface, `surface` is empty and the rest NaN.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Truth:
     slip_fraction : float
         How much of the contact slips, 0..1.
     normal_force : float
-        Force of the surface on the sensor along the outward normal, N; NaN where the sensor does not model it.
+        Force of the surface on the sensor along the outward normal, N; NaN where it is not modelled.
     point, normal : ndarray (3,)
         Nearest point of the true surface (m) and the outward unit normal there, in the arm's base.
     """

@@ -1,0 +1,208 @@
+"""Scene files: what they mean, and what is said about one that is wrong."""
+
+import numpy as np
+import pytest
+
+from tactile_drivers.scene import SceneError, load_scene
+from tactile_filter.config_paths import config_names, config_path
+
+GOOD = """\
+description: a test
+rate: 120
+arms:
+  left:
+    base: {position: [1.0, 0.0, 0.0], rotation_deg: [0, 0, 90]}
+    start: {position: [0.0, 0.0, 0.05], rotation_deg: [0, 180, 0]}
+    limits: {linear_velocity: 0.2}
+    sensor:
+      fidelity: ideal
+      camera_rate: 60
+      touches: [hill]
+      ideal: {radius: 0.02}
+surfaces:
+  hill:
+    shape: dome
+    pose: {position: [0.0, 0.0, -0.05]}
+    parameters: {radius: 0.05}
+  table:
+    shape: plane
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    def write(text):
+        path = tmp_path / "test.yaml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def line_of(text, part):
+    return next(number for number, line in enumerate(text.splitlines(), 1) if part in line)
+
+
+def test_a_scene_file_is_read_into_arms_sensors_and_surfaces(scene_file):
+    scene = load_scene(scene_file(GOOD))
+    assert scene.name == "test"
+    assert scene.rate == 120
+    arm = scene.arms["left"]
+    assert arm.limits.linear_velocity == 0.2
+    assert arm.sensor.settings.touches == ("hill",)
+    assert list(scene.surfaces_of("left")) == ["hill"]
+    assert scene.surfaces["hill"].make().distance(np.array([[0.0, 0.0, 0.06]])) == pytest.approx(0.01)
+
+
+def test_poses_are_positions_in_m_and_extrinsic_xyz_angles_in_degrees(scene_file):
+    scene = load_scene(scene_file(GOOD))
+    T = scene.arms["left"].T_world_base
+    np.testing.assert_array_equal(T, [[0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    start = scene.arms[
+        "left"
+    ].T_base_start  # (-1, 0) in the world's axes, seen from a base turned by 90 degrees
+    np.testing.assert_allclose(start[:3, 3], [0.0, 1.0, 0.05], atol=1e-15)
+    np.testing.assert_allclose(start[:3, 2], [0, 0, -1], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["ramp", "dome", "plane"])
+def test_in_the_packaged_scenes_the_sensor_starts_over_the_top_with_y_along_the_path(name):
+    scene = load_scene(name)
+    arm, (surface,) = scene.arms["arm"], scene.surfaces.values()
+    T = np.linalg.inv(surface.T_world_surface) @ arm.T_world_start
+    gap = surface.make().distance(T[None, :3, 3])[0] - arm.sensor.model.skin.radius
+    assert 0.010 <= gap <= 0.015
+    np.testing.assert_array_equal(T[:3, 2], [0, 0, -1])  # into the surface
+    np.testing.assert_array_equal(T[:3, 1], [0, 1, 0])  # along the ramp
+    ahead = surface.make().closest(T[None, :3, 3] + [[0.0, 0.02, 0.0]])
+    assert ahead[0, 2] <= surface.make().closest(T[None, :3, 3])[0, 2]  # nothing is higher
+    np.testing.assert_allclose(arm.T_base_start, np.linalg.inv(arm.T_world_base) @ arm.T_world_start)
+
+
+def test_all_packaged_scenes_load():
+    assert {"ramp", "dome", "plane"} <= set(config_names("scenes"))
+    for name in config_names("scenes"):
+        assert load_scene(name).name == name
+
+
+@pytest.mark.parametrize(
+    "right, wrong, message",
+    [
+        (
+            "shape: dome",
+            "shape: dom",
+            "surfaces.hill.shape: unknown name 'dom' (did you mean 'dome'?); valid: dome",
+        ),
+        ("    shape: dome", "    shap: dome", "surfaces.hill: unknown name 'shap' (did you mean 'shape'?)"),
+        ("parameters: {radius", "parameters: {radios", "unknown name 'radios' (did you mean 'radius'?)"),
+        (
+            "parameters: {radius: 0.05}",
+            "parameters: {radius: -1}",
+            "radius = -1.0 m: must lie in [0.005, 10] m",
+        ),
+        (
+            "touches: [hill]",
+            "touches: [hil]",
+            "unknown name 'hil' (did you mean 'hill'?); valid: hill, table",
+        ),
+        ("touches: [hill]", "touches: hill", "must be a list of names"),
+        ("fidelity: ideal", "fidelity: real", "fidelity = 'real': must be one of image, ideal"),
+        ("camera_rate: 60", "camera_rate: 50", "50 Hz: the scene's rate, 120 Hz, must be a multiple of it"),
+        ("camera_rate: 60", "camera_rate: fast", "camera_rate = 'fast': must be of type float, is str"),
+        (
+            "ideal: {radius: 0.02}",
+            "ideal: {radius: big}",
+            "sensor.ideal: radius = 'big': must be of type float",
+        ),
+        (
+            "limits: {linear_velocity",
+            "limits: {linear_speed",
+            "arms.left.limits: unknown name 'linear_speed'",
+        ),
+        ("rotation_deg: [0, 180, 0]", "rotation_deg: [0, 180]", "must be a list of 3 finite numbers"),
+        ("rotation_deg: [0, 180, 0]", "rotation_deg: [0, .nan, 0]", "must be a list of 3 finite numbers"),
+        ("rotation_deg: [0, 180, 0]", "rotation: [0, 180, 0]", "did you mean 'rotation_deg'?"),
+        ("rate: 120", "rate: 120.5", "must be a whole number of Hz"),
+        ("  left:", "  Left Arm:", "'Left Arm' must be lower-case letters"),
+        ("arms:", "robots:", "unknown name 'robots'; valid: arms, description, rate, surfaces"),
+        ("    shape: plane", "    shape: plane\n    shape: ramp", "'shape' is given twice, first in line"),
+        ("rate: 120", "rate: [120", "not valid YAML"),
+    ],
+)
+def test_a_mistake_is_named_with_file_line_and_valid_choices(scene_file, right, wrong, message):
+    assert right in GOOD
+    text = GOOD.replace(right, wrong)
+    path = scene_file(text)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert message in str(caught.value)
+    if "YAML" not in message:  # the parser sees an open bracket only later
+        line = line_of(text, wrong.splitlines()[-1].strip())
+        assert str(caught.value).startswith(f"{path}:{line}:")
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "1: must hold names and values"),
+        ("surfaces: {}", "1: arms: a scene must have at least one"),
+        ("arms: {a: {driver: ur}}", "1: arms.a.start is missing"),
+        ("arms: {a: {start: {}, driver: ur5}}", "driver: unknown name 'ur5'; valid: sim"),
+        ("arms: [a]", "must hold names and values"),
+        ("arms:\n  a:\n    start: 3", ":3: arms.a.start = 3: must hold names and values"),
+        ("arms:\n  a:\n    start: {}\nsurfaces:\n  s: {}", ":5: surfaces.s.shape is missing"),
+    ],
+)
+def test_a_scene_that_lacks_what_it_needs_is_refused(scene_file, text, message):
+    with pytest.raises(SceneError) as caught:
+        load_scene(scene_file(text))
+    assert message in str(caught.value)
+
+
+def test_a_scene_name_with_a_typo_gives_the_packaged_names():
+    with pytest.raises(
+        SceneError, match=r"unknown name 'rampp' \(did you mean 'ramp'\?\); valid: .*dome.*plane.*ramp"
+    ):
+        load_scene("rampp")
+
+
+def test_a_missing_scene_file_is_named(tmp_path):
+    with pytest.raises(SceneError, match=r"none.yaml: no such scene file"):
+        load_scene(tmp_path / "none.yaml")
+
+
+def test_settings_of_the_image_sensor_are_groups(scene_file):
+    text = GOOD.replace("fidelity: ideal", "fidelity: image").replace(
+        "ideal: {radius: 0.02}", "image: {contact: {friction: 0.5}}"
+    )
+    model = load_scene(scene_file(text)).arms["left"].sensor.model
+    assert model.contact.friction == 0.5
+    wrong = text.replace("friction: 0.5", "friktion: 0.5")
+    with pytest.raises(
+        SceneError, match=r"sensor.image.contact: unknown name 'friktion' \(did you mean 'friction'"
+    ):
+        load_scene(scene_file(wrong))
+
+
+def test_a_scene_can_be_taken_with_ideal_sensors():
+    ideal = load_scene("ramp").with_fidelity("ideal", sigma_position=(0.0, 0.0, 0.0))
+    sensor = ideal.arms["arm"].sensor
+    assert sensor.settings.fidelity == "ideal"
+    assert sensor.model.sigma_position == (0.0, 0.0, 0.0)
+    assert load_scene("ramp").arms["arm"].sensor.settings.fidelity == "image"
+
+
+def test_configuration_is_found_where_the_environment_says(tmp_path, monkeypatch):
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "mine.yaml").write_text(GOOD)
+    monkeypatch.setenv("TACTILE_CONFIG_DIR", str(tmp_path))
+    assert config_names("scenes") == ["mine"]
+    assert load_scene("mine").path == tmp_path / "scenes" / "mine.yaml"
+    with pytest.raises(FileNotFoundError, match="did you mean 'mine.yaml'"):
+        config_path("scenes/mime.yaml")
+
+
+def test_a_missing_configuration_folder_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("TACTILE_CONFIG_DIR", str(tmp_path / "nowhere"))
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        config_path("scenes/ramp.yaml")
