@@ -45,7 +45,11 @@ class ControllerTimingSettings(Settings):
     """When the controller acts without being asked by a belief."""
 
     watchdog_period: float = setting(
-        0.01, lower=0.001, upper=0.05, unit="s", doc="a step is made at the latest this long after the last one"
+        0.01,
+        lower=0.001,
+        upper=0.05,
+        unit="s",
+        doc="a step is made at the latest this long after the last one",
     )
     idle_period: float = setting(
         0.1, lower=0.01, upper=1.0, unit="s", doc="without a task a zero twist is sent this often"
@@ -76,7 +80,9 @@ class ControllerNode(ManagedNode):
         )
         defaults = SurfaceFollowingSettings()
         self.groups = {
-            name: SettingsParameters(self, getattr(defaults, name), prefix=name, on_change=self._configure_task)
+            name: SettingsParameters(
+                self, getattr(defaults, name), prefix=name, on_change=self._configure_task
+            )
             for name in ("task", "servoing", "pid", "limiter", "watchdog")
         }
         self.run: Run | None = None

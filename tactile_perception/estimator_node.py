@@ -36,7 +36,11 @@ class ImageInputSettings(Settings):
     """How images are expected to arrive."""
 
     rate: float = setting(
-        60.0, lower=0.1, upper=1000.0, unit="Hz", doc="rate of the camera; a larger gap between stamps is lost images"
+        60.0,
+        lower=0.1,
+        upper=1000.0,
+        unit="Hz",
+        doc="rate of the camera; a larger gap between stamps is lost images",
     )
     age_limit: float = setting(
         0.25, lower=0.005, upper=60.0, unit="s", doc="longer silence of the camera is told in /diagnostics"
@@ -49,7 +53,9 @@ class EstimatorNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("estimator")
         self.model = SettingsParameters(self, EstimatorSettings(), read_only=("model", "threads"))
-        self.images = SettingsParameters(self, ImageInputSettings(), prefix="images", read_only=("age_limit",))
+        self.images = SettingsParameters(
+            self, ImageInputSettings(), prefix="images", read_only=("age_limit",)
+        )
         self.presence_settings = SettingsParameters(
             self, PresenceSettings(), prefix="presence", on_change=self._change_presence
         )
@@ -74,7 +80,7 @@ class EstimatorNode(ManagedNode):
     def activate(self) -> None:
         """Start with a new reference image."""
         self.last_stamp_ns = 0
-        self._forget_reference()
+        self._new_reference()
 
     def _receive(self, message: Image) -> None:
         received_ns = self.now_ns()
@@ -91,16 +97,17 @@ class EstimatorNode(ManagedNode):
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
         assert self.presence is not None
-        if not self.presence.has_reference:
-            self._take_reference(image)
+        prepared = self.estimator.preprocessor(image)
+        presence = self.presence.update(prepared)
+        if presence.in_contact is None:
+            self._tell_reference()
             return
-        estimate = self.estimator.estimate(image)
-        presence = self.presence.update(image)
+        estimate = self.estimator.estimate_prepared(prepared)
         self.presence_out.publish(
             PresenceMessage(
                 header=header(stamp_ns, self.sensor_frame),
                 score=presence.score,
-                threshold=presence.threshold,
+                threshold=self.presence.settings.on,
                 in_contact=presence.in_contact,
             )
         )
@@ -115,12 +122,16 @@ class EstimatorNode(ManagedNode):
             return True
         if gap <= 0:
             self.last_stamp_ns = last_ns
-            self._refuse("images out of order", f"tactile/image refused: stamp is {-gap / 1e6:.3f} ms before the last")
+            self._refuse(
+                "images out of order", f"tactile/image refused: stamp is {-gap / 1e6:.3f} ms before the last"
+            )
             return False
         missing = round(gap * 1e-9 * self.images.value.rate) - 1
         if missing > 0:
             self.count("images lost", missing)
-            self.warn("lost", f"tactile/image: {self.counters['images lost']} lost so far, {missing} just now")
+            self.warn(
+                "lost", f"tactile/image: {self.counters['images lost']} lost so far, {missing} just now"
+            )
         return True
 
     def _refuse(self, counter: str, text: str) -> None:
@@ -133,22 +144,25 @@ class EstimatorNode(ManagedNode):
             for name in ("images lost", "images refused", "images out of order", "estimates refused")
         )
 
-    def _take_reference(self, image: NDArray) -> None:
+    def _tell_reference(self) -> None:
         assert self.presence is not None
-        self.presence.capture(image)
-        if self.presence.has_reference:
-            self.get_logger().info("reference image without contact captured")
-
-    def _forget_reference(self) -> None:
-        assert self.presence is not None
-        self.presence.forget_reference()
+        if self.presence.ready:
+            self.get_logger().info(
+                "reference of the contact presence taken: nothing may have touched the sensor"
+            )
+        else:
+            self.report.complain("reference", "waiting for images without contact, for the reference")
 
     def _capture_reference(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.active:
-            self._forget_reference()
+            self._new_reference()
         response.success = self.active
         response.message = "the next images become the reference" if self.active else "the node is not active"
         return response
+
+    def _new_reference(self) -> None:
+        assert self.presence is not None
+        self.presence.reset()
 
     def _change_presence(self, settings: PresenceSettings) -> None:
         if self.presence is not None:

@@ -140,6 +140,9 @@ class ManagedNode(LifecycleNode):
     def warn(self, key: str, message: str, period: float = 1.0) -> None:
         """Log a warning, at most once a `period` (s) for each `key`, and tell it in /diagnostics each time."""
         self.report.complain(key, message)
+        self._log_warning(key, message, period)
+
+    def _log_warning(self, key: str, message: str, period: float) -> None:
         now = time.monotonic()
         if now - self._last_warning.get(key, -period) >= period:
             self._last_warning[key] = now
@@ -158,7 +161,7 @@ class ManagedNode(LifecycleNode):
         state = self._state_machine.current_state[1]
         if self.active:
             for complaint in self.report.silent_inputs():
-                self.warn(complaint.split(":")[0], complaint, period=5.0)
+                self._log_warning(complaint.split(":")[0], complaint, period=5.0)
         self._diagnostics.publish(self.report.message(self.get_clock().now().to_msg(), state, self.active))
 
     # Lifecycle transitions.
@@ -281,8 +284,10 @@ def run(node_type: Callable[[], ManagedNode], args: list[str] | None = None) -> 
     finally:
         node.finish()
         _flush(executor)
+        executor.remove_node(node)
         node.destroy_node()
         rclpy.try_shutdown()
+        gc.unfreeze()
 
 
 def _flush(executor: Any) -> None:

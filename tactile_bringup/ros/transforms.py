@@ -20,7 +20,7 @@ from tactile_bringup.ros.conversions import MessageError, matrix_from_transform
 from tactile_bringup.ros.managed_node import ManagedNode
 from tactile_bringup.ros.qos import TF, TF_STATIC
 from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin, ns_from_time
-from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
+from tactile_filter.transform_buffer import TransformBuffer, TransformInPast, TransformUnavailable
 
 try:
     import tf2_ros
@@ -71,6 +71,8 @@ class OwnStore:
     def newest(self, target: str, source: str) -> tuple[int, Array]:
         """See `Store`."""
         stamp_ns = self._buffer.latest_stamp(target, source)
+        if stamp_ns is None:
+            raise TransformUnavailable(f"nothing moves between '{target}' and '{source}': no newest transform")
         return stamp_ns, self._buffer.lookup(target, source, stamp_ns)
 
     def clear(self) -> None:
@@ -216,28 +218,27 @@ class TransformGate:
     def pump(self) -> None:
         """Hand out what is ready and drop what has waited too long."""
         while len(self._join):
-            event = self._join.ready()
-            reason = self._hand_out(event)
-            if not reason:
-                continue
-            oldest = event or self._join.oldest()
-            if oldest is None:
+            event = self._join.ready() or self._join.oldest()
+            if event is None or not self._hand_out(event):
                 return
-            waited = (time.monotonic_ns() - oldest.received_ns) / SECOND_NS
-            if waited <= self._timeout():
-                return
-            self._drop(self._join.drop_oldest(), f"{reason}; waited {waited * 1e3:.0f} ms")
 
-    def _hand_out(self, event: Event | None) -> str:
-        """Deliver the oldest event if it is complete and its transform is there; else what it waits for."""
-        if event is None:
-            oldest = self._join.oldest()
-            missing = [] if oldest is None else [s for s in self._join.sources if s not in oldest.parts]
-            return f"no {' and no '.join(missing)} of the same stamp"
+    def _hand_out(self, event: Event) -> bool:
+        """Deliver or drop the oldest event; False if it goes on waiting."""
+        missing = [source for source in self._join.sources if source not in event.parts]
+        if missing:
+            return self._give_up(event, f"no {' and no '.join(missing)} of the same stamp")
         try:
             T = self._transforms.lookup(*self._frames, event.stamp_ns)
         except TransformUnavailable as error:
-            return str(error)
+            return self._give_up(event, str(error), at_once=isinstance(error, TransformInPast))
         self._join.pop()
         self._deliver(event, T)
-        return ""
+        return True
+
+    def _give_up(self, event: Event, reason: str, at_once: bool = False) -> bool:
+        """Drop the event if its deadline has passed or waiting cannot help."""
+        waited = (time.monotonic_ns() - event.received_ns) / SECOND_NS
+        if waited <= self._timeout() and not at_once:
+            return False
+        self._drop(self._join.drop_oldest(), f"{reason}; waited {waited * 1e3:.0f} ms")
+        return True

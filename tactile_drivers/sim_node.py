@@ -1,0 +1,308 @@
+"""Sim node: the simulated cell of a scene in real time, with all its arms, sensors and surfaces.
+
+For each arm it publishes what a real arm and camera would: /tf at the arm's rate and thereby at every exposure,
+`arm/pose`, `arm/status`, `command/twist_limited`, `tactile/image`; and `sim/truth`, which no real one knows. It
+listens to `command/twist`. A sensor of fidelity "ideal" takes no images: its estimate and contact presence are
+published in place of the estimator's.
+
+Stamps are ROS time at the scene's rate. When the machine cannot hold the rate, time is caught up: up to
+`longest_lag` behind every step is made, beyond that exposures are left out, counted and told in /diagnostics.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, PoseStamped, PoseWithCovarianceStamped, TwistStamped, Vector3
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from tf2_msgs.msg import TFMessage
+
+from tactile_bringup.ros.conversions import (
+    gaussian_message,
+    header,
+    image_message,
+    pose_from_matrix,
+    pose_stamped,
+    transform_stamped,
+    twist_stamped,
+    vector_from_twist,
+)
+from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_bringup.ros.parameters import SettingsParameters
+from tactile_bringup.ros.qos import COMMAND, IMAGE, LATENCY, STATE, TF, TF_STATIC
+from tactile_bringup.ros.stamps import SECOND_NS, ns_from_time, time_from_ns
+from tactile_drivers.scene import ArmScene, Scene, load_scene
+from tactile_drivers.sim.cell import Cell, Frame
+from tactile_filter import se3
+from tactile_filter.settings import Settings, setting
+from tactile_msgs.msg import ArmStatus, ContactPresence, ContactTruth, StageLatency
+
+WORLD = "world"
+START_DELAY_NS = SECOND_NS // 10
+AHEAD_NS = 1_000_000  # a step that is due within this is waited for rather than left to the next tick
+
+
+@dataclass(frozen=True)
+class SimSettings(Settings):
+    """What is simulated, and how it keeps up with real time."""
+
+    scene: str = setting("ramp", doc="scene: the name of a packaged one, or the path of a .yaml file")
+    seed: int = setting(0, lower=0, doc="seed of all noise in the cell")
+    camera_rate: float = setting(
+        0.0, lower=0.0, upper=240.0, unit="Hz", doc="rate of all cameras; 0: as the scene says"
+    )
+    status_rate: float = setting(60.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/status and command/twist_limited")
+    longest_lag: float = setting(
+        0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
+    )
+
+
+class ArmTopics:
+    """The publishers and the subscription of one arm, and the conversions that they need."""
+
+    def __init__(self, node: SimNode, scene: ArmScene) -> None:
+        self.name = scene.name
+        self.frames = tuple(f"{scene.name}/{part}" for part in ("base", "tool", "tactile_sensor"))
+        self.base, self.tool, self.sensor = self.frames
+        self.T_world_base = scene.T_world_base
+        self.T_tool_sensor = scene.T_tool_sensor
+        self.T_sensor_tool = se3.inverse(scene.T_tool_sensor)
+        self.lost = 0
+        self._node = node
+        self._pose = node.publisher(PoseStamped, f"/{self.name}/arm/pose", STATE)
+        self._status = node.publisher(ArmStatus, f"/{self.name}/arm/status", STATE)
+        self._limited = node.publisher(TwistStamped, f"/{self.name}/command/twist_limited", STATE)
+        node.subscribe(TwistStamped, f"/{self.name}/command/twist", self._receive, COMMAND, age_limit=0.0)
+        if scene.sensor is not None:
+            self._open_sensor(images=scene.sensor.settings.fidelity == "image")
+
+    def _open_sensor(self, images: bool) -> None:
+        node = self._node
+        self._truth = node.publisher(ContactTruth, f"/{self.name}/sim/truth", STATE)
+        self._latency = node.publisher(StageLatency, f"/{self.name}/latency", LATENCY)
+        if images:
+            self._image = node.publisher(Image, f"/{self.name}/tactile/image", IMAGE)
+            return
+        self._presence = node.publisher(ContactPresence, f"/{self.name}/contact/presence", STATE)
+        self._estimate = node.publisher(PoseWithCovarianceStamped, f"/{self.name}/contact/estimate", STATE)
+
+    def _receive(self, message: TwistStamped) -> None:
+        """Hand a command to the arm; one in another frame than the sensor's would move it wrongly."""
+        cell, stamp_ns = self._node.cell, ns_from_time(message.header.stamp)
+        if message.header.frame_id != self.sensor:
+            reason = f"frame is '{message.header.frame_id}', must be '{self.sensor}'"
+        elif cell.command(self.name, stamp_ns, vector_from_twist(message.twist)):
+            return
+        else:
+            reason = cell.status(self.name).last_refusal
+        self._node.count(f"{self.name} commands refused")
+        self._node.warn(f"{self.name} command", f"{self.name}: command/twist refused: {reason}")
+
+    def static_transforms(self) -> list[Any]:
+        """What never moves: the base in the world, the sensor on the tool."""
+        return [
+            transform_stamped(0, WORLD, self.base, self.T_world_base),
+            transform_stamped(0, self.tool, self.sensor, self.T_tool_sensor),
+        ]
+
+    def transform(self, stamp_ns: int, T_base_sensor: NDArray[np.float64]) -> Any:
+        """Where the tool is."""
+        return transform_stamped(stamp_ns, self.base, self.tool, T_base_sensor @ self.T_sensor_tool)
+
+    def publish_pose(self, stamp_ns: int, T_base_sensor: NDArray[np.float64]) -> None:
+        """The sensor in the base."""
+        self._pose.publish(pose_stamped(stamp_ns, self.base, T_base_sensor))
+
+    def publish_status(self) -> None:
+        """What the arm does, and the twist that it makes of its commands."""
+        status = self._node.cell.status(self.name)
+        self._status.publish(
+            ArmStatus(
+                header=header(status.stamp_ns, self.base),
+                mode=int(status.mode),
+                reason=status.reason,
+                command_age=status.command_age,
+                limited=status.limited,
+                twist=status.twist,
+            )
+        )
+        self._limited.publish(twist_stamped(status.stamp_ns, self.sensor, status.twist))
+
+    def publish_frame(self, frame: Frame) -> None:
+        """The image first, since everything waits for it."""
+        if frame.image is not None:
+            self._image.publish(image_message(frame.stamp_ns, self.sensor, frame.image))
+        else:
+            self._publish_ideal(frame)
+        emitted_ns = self._node.now_ns()
+        self._truth.publish(truth_message(frame, self.base))
+        self._latency.publish(
+            StageLatency(
+                header=header(frame.stamp_ns, self.sensor),
+                stage="camera",
+                received=time_from_ns(frame.stamp_ns),
+                emitted=time_from_ns(emitted_ns),
+                dropped=self.lost,
+            )
+        )
+
+    def _publish_ideal(self, frame: Frame) -> None:
+        in_contact = frame.estimate is not None
+        self._presence.publish(
+            ContactPresence(
+                header=header(frame.stamp_ns, self.sensor),
+                score=float(in_contact),
+                threshold=0.5,
+                in_contact=in_contact,
+            )
+        )
+        if frame.estimate is not None:
+            mean, cov = frame.estimate.mean, frame.estimate.cov
+            self._estimate.publish(gaussian_message(frame.stamp_ns, self.sensor, mean, cov))
+
+
+class SimNode(ManagedNode):
+    """See the module's text; the simulation is `Cell`."""
+
+    cell: Cell
+
+    def __init__(self) -> None:
+        super().__init__("sim")
+        self.settings = SettingsParameters(
+            self, SimSettings(), read_only=("scene", "seed", "camera_rate", "status_rate")
+        )
+
+    def configure(self) -> None:
+        """Read the scene, build the cell once (the skin is cached) and open the topics."""
+        settings = self.settings.value
+        try:
+            self.scene = with_camera_rate(load_scene(settings.scene), settings.camera_rate)
+            self.cell = Cell(self.scene, settings.seed)
+        except (ValueError, OSError) as error:
+            raise ConfigurationError(str(error)) from error
+        self.report.values["scene"] = str(self.scene.path)
+        self.arms = [ArmTopics(self, self.scene.arms[name]) for name in self.cell.arms]
+        self.tf_out = self.publisher(TFMessage, "/tf", TF)
+        self.tf_static_out = self.publisher(TFMessage, "/tf_static", TF_STATIC)
+        self.status_every = max(1, round(self.scene.rate / settings.status_rate))
+        self.timer(1.0 / self.scene.rate, self._tick)
+
+    def activate(self) -> None:
+        """The cell starts anew, as soon as everything else has been made ready."""
+        self.cell = Cell(self.scene, self.settings.value.seed, self.now_ns() + START_DELAY_NS)
+        self.steps = 0
+        for arm in self.arms:
+            arm.lost = 0
+        self.tf_static_out.publish(TFMessage(transforms=[t for arm in self.arms for t in arm.static_transforms()]))
+
+    def _tick(self) -> None:
+        """Make the steps that are due."""
+        now_ns = self.now_ns()
+        if now_ns < self.cell.stamp_ns - START_DELAY_NS - SECOND_NS:
+            self._restart(f"time jumped back by {(self.cell.stamp_ns - now_ns) / SECOND_NS:.3f} s")
+        while (lead_ns := self._next_ns() - self.now_ns()) <= AHEAD_NS:
+            if lead_ns > 0:
+                time.sleep(lead_ns / SECOND_NS)
+            self._step(in_time=-lead_ns <= self.settings.value.longest_lag * SECOND_NS)
+
+    def _next_ns(self) -> int:
+        return self.cell.stamp_ns + SECOND_NS // self.scene.rate
+
+    def _restart(self, reason: str) -> None:
+        self.warn("jump", f"{reason}: the cell starts anew")
+        self.count("backward time jumps")
+        self.activate()
+
+    def _step(self, in_time: bool) -> None:
+        """One step of all arms: transforms first, then images, then the rest."""
+        stamp_ns = self.cell.step()
+        self.steps += 1
+        poses = [self.cell.T_base_sensor(arm.name) for arm in self.arms]
+        transforms = [arm.transform(stamp_ns, T) for arm, T in zip(self.arms, poses, strict=True)]
+        self.tf_out.publish(TFMessage(transforms=transforms))
+        for arm in self.arms:
+            if self.cell.exposure_due(arm.name):
+                self._expose(arm, in_time)
+        for arm, T in zip(self.arms, poses, strict=True):
+            arm.publish_pose(stamp_ns, T)
+            if self.steps % self.status_every == 0:
+                arm.publish_status()
+
+    def _expose(self, arm: ArmTopics, in_time: bool) -> None:
+        if in_time:
+            arm.publish_frame(self.cell.expose(arm.name))
+            self.count(f"{arm.name} exposures")
+            return
+        arm.lost += 1
+        self.count(f"{arm.name} exposures left out")
+        limit = self.settings.value.longest_lag
+        self.warn(
+            "rate",
+            f"cannot hold {self.scene.rate} steps a second: more than {limit * 1e3:.0f} ms behind real time, "
+            f"{arm.lost} exposures of {arm.name} left out so far",
+        )
+
+
+def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:
+    """The scene with this rate (Hz) for all cameras, and steps that it divides; 0 leaves it as it is.
+
+    Raises
+    ------
+    ValueError
+        If no number of steps up to 1000 a second is a multiple of the rate.
+    """
+    if camera_rate == 0.0:
+        return scene
+    steps = next((n for n in range(scene.rate, 1001) if math.isclose(n / camera_rate, round(n / camera_rate))), None)
+    if steps is None or camera_rate > steps:
+        raise ValueError(f"camera_rate = {camera_rate:g} Hz: no whole number of steps a second is a multiple of it")
+    arms = {
+        name: arm
+        if arm.sensor is None
+        else dataclasses.replace(
+            arm,
+            sensor=dataclasses.replace(arm.sensor, settings=arm.sensor.settings.replaced(camera_rate=camera_rate)),
+        )
+        for name, arm in scene.arms.items()
+    }
+    return dataclasses.replace(scene, rate=steps, arms=arms)
+
+
+def truth_message(frame: Frame, base_frame: str) -> ContactTruth:
+    """ContactTruth message of a frame."""
+    truth = frame.truth
+    valid = bool(np.isfinite(truth.T_fs).all())
+    return ContactTruth(
+        header=header(frame.stamp_ns, base_frame),
+        in_contact=truth.in_contact,
+        depth=truth.depth,
+        normal_angle=truth.normal_angle,
+        euler=se3.euler_from_pose(truth.T_fs) if valid else np.full(6, np.nan),
+        shear=truth.shear,
+        slip_fraction=truth.slip_fraction,
+        normal_force=truth.normal_force,
+        pose=pose_from_matrix(frame.T_base_sensor),
+        surface_point=Point(**_xyz(truth.point)),
+        surface_normal=Vector3(**_xyz(truth.normal)),
+    )
+
+
+def _xyz(vector: NDArray[np.float64]) -> dict[str, float]:
+    x, y, z = vector.tolist()
+    return {"x": x, "y": y, "z": z}
+
+
+def main() -> int:
+    """Run the node until a signal; returns the exit code."""
+    return run(SimNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

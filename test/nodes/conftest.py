@@ -1,0 +1,182 @@
+"""Real nodes in processes of their own over real DDS, each test in a ROS domain of its own on this host."""
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
+from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
+from rclpy.qos import QoSProfile  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from tactile_bringup.environment import ros_environment  # noqa: E402
+from tactile_bringup.processes import ProcessGroup, tail  # noqa: E402
+from tactile_bringup.ros import qos  # noqa: E402
+from tactile_bringup.ros.conversions import transform_stamped  # noqa: E402
+from tactile_bringup.ros.managed_node import make_executor  # noqa: E402
+
+ARM = "arm"
+BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
+SECOND = 1_000_000_000
+
+
+class Graph:
+    """Nodes under test, and a node of the test's own in the same domain."""
+
+    def __init__(self, folder: Path) -> None:
+        base = {name: value for name, value in os.environ.items() if name != "ROS_DOMAIN_ID"}
+        environment = ros_environment(folder, base)
+        self.variables = environment.variables
+        self.folder = folder
+        self.processes = ProcessGroup(grace_s=5.0, kill_after_s=1.0)
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=environment.domain_id)
+        self.node = rclpy.create_node("test", context=self.context, namespace=ARM)
+        from rclpy.experimental import EventsExecutor
+
+        self.executor = EventsExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.diagnostics = self.collect(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+
+    def close(self) -> None:
+        self.processes.close()
+        self.executor.remove_node(self.node)
+        self.node.destroy_node()
+        self.context.shutdown()
+
+    # ---- nodes under test ----
+
+    def start(self, module: str, parameters: dict[str, Any] | None = None, wait: bool = True, namespace: str = ARM):
+        """Start a node; unless told otherwise wait until it is active. Returns its process."""
+        arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
+        for name, value in (parameters or {}).items():
+            arguments += ["-p", f"{name}:={yaml_value(value)}"]
+        log = self.log(module)
+        child = self.processes.start(module, [sys.executable, "-m", module, *arguments], self.variables, log)
+        if wait:
+            assert self.wait(lambda: "active" in log.read_text(), 15.0), f"{module} is not active:\n{tail(log)}"
+        return child.process
+
+    def arm(self) -> "Arm":
+        """An arm of the test's own, which publishes TF."""
+        return Arm(self)
+
+    def log(self, module: str) -> Path:
+        return self.folder / f"{module}.log"
+
+    def stop(self, module: str) -> int:
+        """SIGINT; returns the exit code."""
+        return self.processes.stop([module])[0].exit_code
+
+    def report(self, node: str) -> SimpleNamespace | None:
+        """The last /diagnostics of a node: level, message, and values by key."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name.endswith(f"/{node}"):
+                    values = {item.key: item.value for item in status.values}
+                    return SimpleNamespace(level=status.level, message=status.message, values=values)
+        return None
+
+    def wait_for_count(self, node: str, counter: str, least: int = 1, timeout: float = 5.0) -> SimpleNamespace:
+        """The first report in which a counter has come this far."""
+
+        def reached() -> bool:
+            report = self.report(node)
+            return report is not None and int(report.values.get(counter, "0")) >= least
+
+        assert self.wait(reached, timeout), f"{counter} of {node} stays below {least}: {self.report(node)}"
+        return self.report(node)
+
+    # ---- time ----
+
+    def now_ns(self) -> int:
+        return self.node.get_clock().now().nanoseconds
+
+    def spin(self, seconds: float) -> None:
+        self.wait(lambda: False, seconds)
+
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Process messages until the condition holds; False if it does not within the timeout (s)."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            if condition():
+                return True
+            self.executor.spin_once(timeout_sec=0.005)
+        return condition()
+
+    def every(self, period: float, seconds: float, action: Callable[[], None]) -> None:
+        """Call `action` at this period for so long, processing messages in between."""
+        end = time.monotonic() + seconds
+        due = time.monotonic()
+        while time.monotonic() < end:
+            action()
+            due += period
+            self.wait(lambda: time.monotonic() >= due, period)
+
+    # ---- topics, services, parameters ----
+
+    def collect(self, message_type: type, topic: str, profile: QoSProfile = qos.STATE) -> list:
+        messages: list = []
+        self.node.create_subscription(message_type, topic, messages.append, profile)
+        return messages
+
+    def publisher(self, message_type: type, topic: str, profile: QoSProfile = qos.STATE, wait: bool = True):
+        """A publisher that (unless told otherwise) has a subscriber already."""
+        publisher = self.node.create_publisher(message_type, topic, profile)
+        if wait:
+            assert self.wait(lambda: publisher.get_subscription_count() > 0, 5.0), f"nobody listens to {topic}"
+        return publisher
+
+    def call(self, service_type: type, name: str, request: Any, timeout: float = 5.0) -> Any:
+        client = self.node.create_client(service_type, name)
+        assert self.wait(client.service_is_ready, timeout), f"no service {name}"
+        future = client.call_async(request)
+        assert self.wait(future.done, timeout), f"no answer from {name}"
+        return future.result()
+
+    def set_parameter(self, node: str, name: str, value: Any) -> Any:
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+
+    def get_parameter(self, node: str, name: str) -> Any:
+        answer = self.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=[name]))
+        return parameter_value_to_python(answer.values[0])
+
+
+class Arm:
+    """Publishes TF like an arm: the tool at a pose, the sensor fixed to it."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.tf = graph.publisher(TFMessage, "/tf", qos.TF)
+        static = graph.publisher(TFMessage, "/tf_static", qos.TF_STATIC)
+        static.publish(TFMessage(transforms=[transform_stamped(0, TOOL, SENSOR, np.eye(4))]))
+
+    def at(self, stamp_ns: int, T_base_tool: np.ndarray | None = None) -> None:
+        T = np.eye(4) if T_base_tool is None else T_base_tool
+        self.tf.publish(TFMessage(transforms=[transform_stamped(stamp_ns, BASE, TOOL, T)]))
+
+
+def yaml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(yaml_value, value)) + "]"
+    return str(value)
+
+
+@pytest.fixture
+def graph(tmp_path):
+    graph = Graph(tmp_path)
+    yield graph
+    graph.close()
