@@ -311,7 +311,8 @@ class SurfaceFollowing:
         settings = self.settings.task
         if self._contact_lost():
             return self._after_lost_contact()
-        output = self._serve(np.zeros(6))
+        # the way in is no steady error: an integral of it would only be an offset on the path
+        output = self._serve(np.zeros(6), hold_integral=True)
         depth, tilt = abs(output.error[2]), float(np.linalg.norm(output.error[3:5]))
         if depth > settings.settle_depth_tolerance or tilt > settings.settle_angle_tolerance:
             self._settled_ns = None
@@ -363,12 +364,14 @@ class SurfaceFollowing:
 
     # ---- parts of phases ----
 
-    def _serve(self, velocity: Array) -> ServoingOutput:
+    def _serve(self, velocity: Array, hold_integral: bool = False) -> ServoingOutput:
         """Servo on the belief if it is a new one; between beliefs the last output holds."""
         belief = self._belief
         assert belief is not None
         if self._servo is None or belief.stamp_ns > (self.servoing.pid.stamp_ns or 0):
-            self._servo = self.servoing.step(belief.stamp_ns, belief.T, velocity, self._limited)
+            self._servo = self.servoing.step(
+                belief.stamp_ns, belief.T, velocity, hold_integral or self._limited
+            )
         return self._servo
 
     def _reference_velocity(self, elapsed: float) -> Array:

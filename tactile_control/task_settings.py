@@ -32,7 +32,8 @@ class TaskSettings(Settings):
         upper=200.0,
         unit="1/m",
         doc="curvature of the sensor centre's path that is fed forward as rotation: > 0 over a bulge, 1 / "
-        "(surface radius + tip radius - depth); 0 leaves the turning to feedback, as the paper does",
+        "(surface radius + tip radius - depth); 0 leaves the turning to feedback, as the paper does. "
+        "Wants servoing.free_shear: else the turn about a sheared reference adds depth",
     )
     start_timeout: float = setting(
         2.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
