@@ -1,4 +1,4 @@
-"""The ROS 2 package `tactile_servoing`: Python packages, C extensions, executables, launch files and configuration.
+"""The ROS 2 package `tactile_servoing`: Python packages, C modules, executables, launch files, configuration.
 
 Names, versions and requirements stand in setup.cfg.
 """
@@ -51,7 +51,9 @@ def shared_files(folder: str, pattern: str) -> list[tuple[str, list[str]]]:
 setup(
     packages=find_packages(include=["tactile_*"], exclude=["tactile_msgs", "tactile_msgs.*"]),
     package_data={"": ["py.typed", "*.yaml", "*.npz", "models/*.onnx", "models/*.json"]},
-    ext_modules=[extension(name, folder) for name, folder in C_MODULES.items() if list(Path(folder).glob('*.c'))],
+    ext_modules=[
+        extension(name, folder) for name, folder in C_MODULES.items() if list(Path(folder).glob("*.c"))
+    ],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

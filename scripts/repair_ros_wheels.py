@@ -1,7 +1,8 @@
-"""Point the CMake files of the ROS 2 wheels to this Python: run it with the virtual environment's interpreter.
+"""Point the CMake files of the ROS 2 wheels to the virtual environment whose Python runs this.
 
-The wheels were built under /opt/python/cpXY-cpXY and in a folder of their own, and both names are still in what
-they installed: CMake then asks for Python and NumPy headers that are not there. Running it twice changes nothing.
+The wheels were built under /opt/python/cpXY-cpXY and in a folder of their own, and both names are still in
+what they installed: CMake then asks for Python and NumPy headers that are not there. A second run changes
+nothing.
 """
 
 import re

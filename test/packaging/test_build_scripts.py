@@ -1,0 +1,126 @@
+"""The scripts behind the Makefile say clearly what is wrong, and repair the wheels once."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def run(*command: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A command with its output; PATH and the given variables are all of its environment."""
+    return subprocess.run(
+        [str(word) for word in command],
+        cwd=cwd,
+        env={"PATH": os.environ["PATH"], "PYTHONPATH": "", **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.fixture
+def scripts(tmp_path: Path, root: Path) -> Path:
+    """A copy of the scripts in a folder where nothing has been built."""
+    shutil.copy(root / "setup.cfg", tmp_path)
+    return Path(shutil.copytree(root / "scripts", tmp_path / "scripts"))
+
+
+def test_environment_without_a_build_says_to_run_make(scripts: Path):
+    result = run("bash", "-c", ". scripts/env.sh; echo status $?", cwd=scripts.parent)
+    assert "status 1" in result.stdout
+    assert "run 'make'" in result.stderr
+
+
+def test_environment_has_one_fixed_order_of_libraries(scripts: Path):
+    site = scripts.parent / ".venv/lib/python3.99/site-packages"
+    for folder in ("ros_b.libs", "ros_a.libs"):
+        (site / folder).mkdir(parents=True)
+    python = scripts.parent / ".venv/bin/python"
+    python.parent.mkdir()
+    python.touch(mode=0o755)
+    command = '. scripts/env.sh; . scripts/env.sh; echo "$LD_LIBRARY_PATH"; echo "$PATH"'
+    libraries, path = run("bash", "-c", command, cwd=scripts.parent).stdout.splitlines()
+    below = [os.path.relpath(entry, scripts.parent) for entry in libraries.split(":")]
+    venv = ".venv/lib/python3.99/site-packages"
+    assert below == ["install/lib", ".venv/lib", f"{venv}/ros_a.libs", f"{venv}/ros_b.libs"]
+    assert path.split(":").count(str(python.parent)) == 1
+
+
+def test_setup_without_a_usable_python_names_what_it_needs(scripts: Path):
+    result = run("bash", "scripts/setup.sh", cwd=scripts.parent, PYTHON="/bin/false")
+    assert result.returncode != 0
+    assert "/bin/false" in result.stderr
+    assert "3.10 to 3.13" in result.stderr
+
+
+def test_failing_step_shows_the_end_of_its_output_and_where_the_rest_is(scripts: Path):
+    command = ". scripts/common.sh; step check 'a check' bash -c 'echo the reason; exit 3'"
+    result = run("bash", "-c", command, cwd=scripts.parent)
+    assert result.returncode != 0
+    assert "the reason" in result.stderr
+    assert str(scripts.parent / "log/make/check.log") in result.stderr
+
+
+def test_fingerprint_changes_with_content_names_and_deletions(scripts: Path):
+    def fingerprint() -> str:
+        return run("bash", "-c", ". scripts/common.sh; fingerprint tree", cwd=scripts.parent).stdout
+
+    tree = scripts.parent / "tree"
+    (tree / "__pycache__").mkdir(parents=True)
+    (tree / "a.py").write_text("1")
+    seen = [fingerprint()]
+    (tree / "__pycache__" / "a.pyc").write_text("compiled")
+    assert fingerprint() == seen[0]
+    for change in (
+        lambda: (tree / "a.py").write_text("2"),
+        lambda: (tree / "a.py").rename(tree / "b.py"),
+        lambda: (tree / "c.py").write_text(""),
+        lambda: (tree / "c.py").unlink(),
+    ):
+        change()
+        seen.append(fingerprint())
+    assert seen[-1] == seen[2]
+    assert len(set(seen)) == len(seen) - 1
+
+
+def test_unknown_extra_is_refused_with_the_valid_ones(scripts: Path):
+    result = run(sys.executable, "scripts/requirements.py", "tests", cwd=scripts.parent)
+    assert result.returncode != 0
+    assert "'tests'" in result.stderr
+    assert "train, test" in result.stderr
+
+
+def test_repair_rewrites_stale_paths_once(scripts: Path):
+    spec = importlib.util.spec_from_file_location("repair_ros_wheels", scripts / "repair_ros_wheels.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    cmake = scripts.parent / "share/std_msgs/cmake/export.cmake"
+    cmake.parent.mkdir(parents=True)
+    stale = "/opt/python/cp311-cp311"
+    cmake.write_text(
+        f'"{stale}/include/python3.11;{stale}/lib/python3.11/site-packages/numpy/_core/include" "{stale}/lib"'
+    )
+    assert module.repair(scripts.parent) == 1
+    repaired = cmake.read_text()
+    assert "/opt/python" not in repaired
+    assert all(Path(path).is_dir() for path in repaired.split('"')[1].split(";"))
+    assert module.repair(scripts.parent) == 0
+
+
+def test_c_code_that_does_not_compile_fails_the_build_with_its_name(tmp_path: Path, root: Path):
+    for name in ("setup.py", "setup.cfg", "package.xml", "LICENSE"):
+        shutil.copy(root / name, tmp_path)
+    for folder in ("resource", "scripts"):
+        shutil.copytree(root / folder, tmp_path / folder)
+    for folder in ("tactile_filter/_csrc", "tactile_drivers/sim/_csrc"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "broken.c").write_text("int broken(void) { return 1 }\n")
+    result = run(sys.executable, "setup.py", "build_ext", "--inplace", cwd=tmp_path)
+    assert result.returncode != 0
+    assert "broken.c:1" in result.stdout + result.stderr
