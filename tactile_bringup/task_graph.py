@@ -6,11 +6,15 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactile_bringup.graph import ArmOutline, Graph, GraphOptions, SceneOutline, build_graph
 from tactile_control.files import load_task
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_filter.config_paths import config_path
+from tactile_filter.settings import SettingError
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,17 @@ def load_task_graph(task: str, scene: str, options: GraphOptions) -> TaskGraph:
     loaded = load_scene(scene)
     described = load_task(config_path(f"tasks/{task}.yaml"), loaded.name)
     groups: dict[str, dict[str, Any]] = dataclasses.asdict(described.settings)
-    names = [path.name for path in described.paths]
-    return TaskGraph(build_graph(task, outline(loaded), groups, names, options), described.paths, loaded)
+    paths = described.goals(_start(loaded))
+    names = [path.name for path in paths]
+    return TaskGraph(build_graph(task, outline(loaded), groups, names, options), paths, loaded)
+
+
+def _start(scene: Scene) -> NDArray[np.float64]:
+    """Where the arms start, each in its own base: what a path goes back to before it begins."""
+    starts = [arm.T_base_start for arm in scene.arms.values()]
+    if any(not np.allclose(start, starts[0]) for start in starts):
+        raise SettingError(f"{scene.path}: the arms of one task must start at the same pose in their bases")
+    return starts[0]
 
 
 def outline(scene: Scene) -> SceneOutline:
