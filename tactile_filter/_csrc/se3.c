@@ -1,0 +1,249 @@
+#include "se3.h"
+
+#include <math.h>
+
+#define PI_SQUARED 9.869604401089358618834490999876151135
+
+// below this theta^2 the coefficients of exp come from their power series
+#define SERIES_LIMIT 1.0
+
+
+static double polynomial(const double* coef, int n, double x) {
+  double res = coef[n-1];
+  for (int i = n - 2; i >= 0; i--) {
+    res = res * x + coef[i];
+  }
+  return res;
+}
+
+
+static double dot3(const double a[3], const double b[3]) {
+  return a[0]*b[0] + a[1]*b[1] + a[2]*b[2];
+}
+
+
+static void cross3(double res[3], const double a[3], const double b[3]) {
+  res[0] = a[1]*b[2] - a[2]*b[1];
+  res[1] = a[2]*b[0] - a[0]*b[2];
+  res[2] = a[0]*b[1] - a[1]*b[0];
+}
+
+
+// sin(t)/t, (1 - cos(t))/t^2, (t - sin(t))/t^3 of t^2 = x <= pi^2
+static void exp_coefficients(double res[3], double x) {
+  static const double a[] = {
+    1, -1.0/6, 1.0/120, -1.0/5040, 1.0/362880, -1.0/39916800, 1.0/6227020800,
+    -1.0/1307674368000, 1.0/355687428096000};
+  static const double b[] = {
+    0.5, -1.0/24, 1.0/720, -1.0/40320, 1.0/3628800, -1.0/479001600, 1.0/87178291200,
+    -1.0/20922789888000, 1.0/6402373705728000};
+  static const double c[] = {
+    1.0/6, -1.0/120, 1.0/5040, -1.0/362880, 1.0/39916800, -1.0/6227020800,
+    1.0/1307674368000, -1.0/355687428096000, 1.0/121645100408832000,
+    -1.9572941063391263e-20, 3.868170170630684e-23, -6.446950284384474e-26,
+    9.183689863795546e-29, -1.1309962886447716e-31, 1.2161250415535179e-34};
+
+  if (x <= SERIES_LIMIT) {
+    res[0] = polynomial(a, 9, x);
+    res[1] = polynomial(b, 9, x);
+    res[2] = polynomial(c, 9, x);
+    return;
+  }
+
+  // beyond the limit the two quotients do not cancel, the third does less and less
+  double t = sqrt(x);
+  double half = sin(0.5*t) / t;
+  res[0] = sin(t) / t;
+  res[1] = 2*half*half;
+  res[2] = x <= PI_SQUARED ? polynomial(c, 15, x) : (1 - res[0]) / x;
+}
+
+
+// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x <= pi^2: two poles and the rest as a power series
+static void inverse_coefficients(double* e, double* de, double x) {
+  static const double coef[] = {
+    0.020007593556872226, 2.5438120688625627e-05, 5.584568390494416e-08, 1.4088241574761053e-10,
+    3.7567162002157994e-13, 1.0280125375360467e-15, 2.8500221292137926e-18,
+    7.95557541071985e-21, 2.228932664553703e-23, 6.257471150805777e-26, 1.7586730492909698e-28,
+    4.945846950057944e-31};
+  static const double derivative[] = {
+    5.0876241377251254e-05, 2.2338273561977663e-07, 8.452944944856632e-10,
+    3.0053729601726395e-12, 1.0280125375360467e-14, 3.420026555056551e-17,
+    1.113780557500779e-19, 3.5662922632859247e-22, 1.1263448071450399e-24, 3.51734609858194e-27,
+    1.0880863290127476e-29};
+  double first = 1 / (4*PI_SQUARED - x);
+  double second = 1 / (16*PI_SQUARED - x);
+  *e = 2*(first + second) + polynomial(coef, 12, x);
+  *de = 4*(first*first + second*second) + polynomial(derivative, 11, x);
+}
+
+
+// rotation vector through the quaternion that has its largest component computed without cancellation
+static void rotation_vector(double res[3], const double r[9]) {
+  double q[4], trace = r[0] + r[4] + r[8];
+  if (trace >= r[0] && trace >= r[4] && trace >= r[8]) {
+    q[0] = r[7] - r[5];
+    q[1] = r[2] - r[6];
+    q[2] = r[3] - r[1];
+    q[3] = 1 + trace;
+  } else if (r[0] >= r[4] && r[0] >= r[8]) {
+    q[0] = 1 + r[0] - r[4] - r[8];
+    q[1] = r[1] + r[3];
+    q[2] = r[2] + r[6];
+    q[3] = r[7] - r[5];
+  } else if (r[4] >= r[8]) {
+    q[0] = r[1] + r[3];
+    q[1] = 1 - r[0] + r[4] - r[8];
+    q[2] = r[5] + r[7];
+    q[3] = r[2] - r[6];
+  } else {
+    q[0] = r[2] + r[6];
+    q[1] = r[5] + r[7];
+    q[2] = 1 - r[0] - r[4] + r[8];
+    q[3] = r[3] - r[1];
+  }
+
+  // q and -q are one rotation: w >= 0, at w = 0 the first other component that is not zero is positive
+  double leading = q[3] != 0 ? q[3] : q[0] != 0 ? q[0] : q[1] != 0 ? q[1] : q[2];
+  double sign = leading < 0 ? -1 : 1;
+  double sine = sqrt(dot3(q, q));
+  double scale = sine > 0 ? 2*atan2(sine, sign*q[3])/sine : 2/(sign*q[3]);
+  for (int i = 0; i < 3; i++) {
+    res[i] = sign*scale*q[i];
+  }
+}
+
+
+void se3_log(double res[6], const Pose* pose) {
+  double e, de, turned[3], twice[3];
+  double* phi = res + 3;
+  rotation_vector(phi, pose->rot);
+  inverse_coefficients(&e, &de, dot3(phi, phi));
+
+  // rho = t - phi x t / 2 + e phi x (phi x t)
+  cross3(turned, phi, pose->pos);
+  cross3(twice, phi, turned);
+  for (int i = 0; i < 3; i++) {
+    res[i] = pose->pos[i] - 0.5*turned[i] + e*twice[i];
+  }
+}
+
+
+void se3_perturb(Pose* pose, const double xi[6]) {
+  const double *rho = xi, *phi = xi + 3;
+  double c[3], turned[3], twice[3], rot[9], pos[3];
+  exp_coefficients(c, dot3(phi, phi));
+
+  // rotation: I + c0 phi^ + c1 phi^ phi^
+  double x = phi[0], y = phi[1], z = phi[2];
+  double ax = c[0]*x, ay = c[0]*y, az = c[0]*z;
+  double bxy = c[1]*x*y, bxz = c[1]*x*z, byz = c[1]*y*z;
+  double turn[9] = {
+    1 - c[1]*(y*y + z*z), bxy - az, bxz + ay,
+    bxy + az, 1 - c[1]*(x*x + z*z), byz - ax,
+    bxz - ay, byz + ax, 1 - c[1]*(x*x + y*y)};
+
+  // translation: rho + c1 phi x rho + c2 phi x (phi x rho)
+  cross3(turned, phi, rho);
+  cross3(twice, phi, turned);
+  for (int i = 0; i < 3; i++) {
+    pos[i] = rho[i] + c[1]*turned[i] + c[2]*twice[i] + dot3(turn + 3*i, pose->pos);
+  }
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      rot[3*i+j] = turn[3*i]*pose->rot[j] + turn[3*i+1]*pose->rot[3+j] + turn[3*i+2]*pose->rot[6+j];
+    }
+  }
+  for (int i = 0; i < 9; i++) {
+    pose->rot[i] = rot[i];
+  }
+  for (int i = 0; i < 3; i++) {
+    pose->pos[i] = pos[i];
+  }
+}
+
+
+void se3_difference(Pose* res, const Pose* a, const Pose* b) {
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      res->rot[3*i+j] = dot3(a->rot + 3*i, b->rot + 3*j);
+    }
+  }
+  for (int i = 0; i < 3; i++) {
+    res->pos[i] = a->pos[i] - dot3(res->rot + 3*i, b->pos);
+  }
+}
+
+
+void se3_inverse_jacobian(InverseJacobian* res, const double xi[6], int order) {
+  const double *r = xi, *p = xi + 3;
+  double e = 1.0/12, de = 0, x = dot3(p, p), along = dot3(p, r);
+  if (order == JACOBIAN_ORDER_4) {
+    e += x/720;
+    de = 1.0/360;
+  } else if (order == JACOBIAN_EXACT) {
+    inverse_coefficients(&e, &de, x);
+  }
+
+  // diag = I - P/2 + e P P, corner = -R/2 + e (P R + R P) + de (p.r) P P,
+  // with P P = p p' - (p.p) I and P R + R P = p r' + r p' - 2 (p.r) I
+  double scale = de*along;
+  double diag = 1 - e*x, corner = -2*e*along - scale*x;
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      double pp = p[i]*p[j];
+      res->diag[3*i+j] = e*pp;
+      res->corner[3*i+j] = e*(p[i]*r[j] + r[i]*p[j]) + scale*pp;
+    }
+    res->diag[4*i] += diag;
+    res->corner[4*i] += corner;
+  }
+
+  // the skew parts
+  static const int at[3] = {7, 2, 3}, opposite[3] = {5, 6, 1};
+  for (int i = 0; i < 3; i++) {
+    res->diag[at[i]] -= 0.5*p[i];
+    res->diag[opposite[i]] += 0.5*p[i];
+    res->corner[at[i]] -= 0.5*r[i];
+    res->corner[opposite[i]] += 0.5*r[i];
+  }
+}
+
+
+// transpose(rot) * rot
+static void gram3(double res[9], const double rot[9]) {
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      res[3*i+j] = rot[i]*rot[j] + rot[3+i]*rot[3+j] + rot[6+i]*rot[6+j];
+    }
+  }
+}
+
+
+void se3_orthonormalize(Pose* pose) {
+  double gram[9], rot[9];
+  gram3(gram, pose->rot);
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      double product = pose->rot[3*i]*gram[j] + pose->rot[3*i+1]*gram[3+j]
+                       + pose->rot[3*i+2]*gram[6+j];
+      rot[3*i+j] = 1.5*pose->rot[3*i+j] - 0.5*product;
+    }
+  }
+  for (int i = 0; i < 9; i++) {
+    pose->rot[i] = rot[i];
+  }
+}
+
+
+double se3_rotation_error(const double rot[9]) {
+  double gram[9], res = 0;
+  gram3(gram, rot);
+  for (int i = 0; i < 9; i++) {
+    double error = fabs(gram[i] - (i % 4 == 0));
+
+    // not less, so that a NaN comes through
+    res = !(error <= res) ? error : res;
+  }
+  return res;
+}

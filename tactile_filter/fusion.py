@@ -1,0 +1,137 @@
+"""Fusion of two Gaussians over poses into one: the correction step of the filter, in C.
+
+The algorithm is the paper's "SE(3) data fusion" (its Algorithm, after Barfoot and Furgale);
+`tactile_filter.fusion_reference` is the same in NumPy, to be read.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_filter import _fusion
+from tactile_filter.fusion_result import FusionError, FusionResult, FusionStatus
+from tactile_filter.settings import unknown_name
+
+__all__ = ["JACOBIAN_ORDERS", "MODES", "FusionError", "FusionResult", "FusionStatus", "check_gaussian", "fuse"]
+
+# Mode -> its number of iterations and its Jacobian order.
+MODES: dict[str, tuple[int, int | str]] = {"paper": (5, 2), "fast": (3, "exact"), "exact": (100, "exact")}
+JACOBIAN_ORDERS: dict[int | str, int] = {2: 2, 4: 4, "exact": 0}
+
+_TO_CONVERGENCE = -1
+_STATUS = tuple(FusionStatus)
+_INPUTS = ("mean_1", "cov_1", "mean_2", "cov_2")
+
+
+def fuse(
+    mean_1: ArrayLike,
+    cov_1: ArrayLike,
+    mean_2: ArrayLike,
+    cov_2: ArrayLike,
+    mode: str = "paper",
+    *,
+    iterations: int | None = None,
+    jacobian_order: int | str | None = None,
+) -> FusionResult:
+    """Normalized product of two Gaussians over poses, approximated by one.
+
+    Parameters
+    ----------
+    mean_1, mean_2 : (4, 4) poses
+    cov_1, cov_2 : (6, 6) left covariances, symmetric and positive definite
+    mode : {"paper", "fast", "exact"}
+        "paper": 5 iterations with the inverse Jacobian of order 2, and the covariance as it was before the last
+        update, as published. "fast": 3 iterations with the exact Jacobian. "exact": to convergence with the
+        exact Jacobian and a line search, the covariance at the answer.
+    iterations : int, optional
+        Another number of iterations than the mode's; in mode "exact" the most it may take.
+    jacobian_order : {2, 4, "exact"}, optional
+        Another order than the mode's.
+
+    Returns
+    -------
+    FusionResult
+        With `status`: a fusion that has not converged is an answer, too.
+
+    Raises
+    ------
+    FusionError
+        If an input is no pose or no covariance, or the two cannot be fused in double precision.
+    ValueError
+        If an array has the wrong shape or an option is unknown.
+    """
+    if iterations is None and jacobian_order is None and mode in _PLANS:
+        count, order = _PLANS[mode]
+    else:
+        count, order = _plan(mode, iterations, jacobian_order)
+    answer = _fusion.fuse(mean_1, cov_1, mean_2, cov_2, count, order)
+    if answer.__class__ is int:
+        raise FusionError(_fault(answer, (mean_1, cov_1, mean_2, cov_2)))
+    mean, cov, factor, taken, status, step = answer
+    return FusionResult(mean, cov, factor, taken, _STATUS[status], step)
+
+
+def check_gaussian(mean: ArrayLike, cov: ArrayLike, name: str) -> None:
+    """Raise FusionError, naming the Gaussian, if `fuse` would not take this mean and covariance."""
+    code = _fusion.check(mean, cov)
+    if code:
+        raise FusionError(_fault(code, (mean, cov), (f"{name}, mean", f"{name}, covariance")))
+
+
+def _plan(mode: str, iterations: int | None, jacobian_order: int | str | None) -> tuple[int, int]:
+    """Number of iterations and order as `_fusion.fuse` takes them."""
+    if mode not in MODES:
+        raise ValueError(f"mode: {unknown_name(mode, tuple(MODES))}")
+    count, order = MODES[mode]
+    count = count if iterations is None else iterations
+    order = order if jacobian_order is None else jacobian_order
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise ValueError(f"iterations = {count!r}: must be an integer of at least 1")
+    if order not in JACOBIAN_ORDERS:
+        raise ValueError(f"jacobian_order = {order!r}: must be one of 2, 4, 'exact'")
+    if mode == "exact":
+        if order != "exact":
+            raise ValueError(f"jacobian_order = {order!r}: mode 'exact' needs the exact one")
+        return count, _TO_CONVERGENCE
+    return count, JACOBIAN_ORDERS[order]
+
+
+_PLANS = {mode: _plan(mode, None, None) for mode in MODES}
+
+
+def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _INPUTS) -> str:
+    """What is wrong with the argument that `_fusion.fuse` has refused."""
+    index, lack = divmod(code, 16)
+    if lack == 5:
+        return (
+            "the two covariances cannot be combined in double precision: their ratio, or the separation of the "
+            "means in standard deviations, is too large"
+        )
+    name, matrix = names[index], np.asarray(inputs[index], dtype=np.float64)
+    return f"{name}: {_covariance_fault(matrix) if lack == 4 else _pose_fault(matrix)}"
+
+
+def _pose_fault(mean: NDArray[np.float64]) -> str:
+    if not np.isfinite(mean).all():
+        return f"is not finite: {mean.tolist()}"
+    if mean[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        return f"last row must be [0, 0, 0, 1], is {mean[3].tolist()}"
+    R = mean[:3, :3]
+    error = np.abs(R.T @ R - np.eye(3)).max()
+    return f"is no pose: R^T R is off the identity by {error:.3g}, det R = {np.linalg.det(R):.3g}"
+
+
+def _covariance_fault(cov: NDArray[np.float64]) -> str:
+    if not np.isfinite(cov).all():
+        return f"is not finite: {cov.tolist()}"
+    eigenvalues = np.linalg.eigvalsh(0.5 * (cov + cov.T))
+    smallest = f"smallest eigenvalue {eigenvalues[0]:.6g}, largest {eigenvalues[-1]:.6g}"
+    row, column = np.unravel_index(np.abs(cov - cov.T).argmax(), cov.shape)
+    difference = abs(cov[row, column] - cov[column, row])
+    if difference > 1e-8 * np.sqrt(abs(cov[row, row] * cov[column, column])):
+        return (
+            f"is not symmetric: elements [{row}, {column}] and [{column}, {row}] differ by {difference:.3g}; "
+            f"of its symmetric part the {smallest}"
+        )
+    return f"is not positive definite: {smallest}"
