@@ -11,6 +11,7 @@ from collections.abc import Sequence
 COMMANDS = (
     "tactile_bringup.launch_command",
     "tactile_perception.commands",
+    "tactile_bringup.data_command",
 )
 
 

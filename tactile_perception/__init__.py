@@ -1,1 +1,4 @@
-"""Perception: from a tactile image to a Gaussian over the surface contact pose. Needs no ROS and, to run, no PyTorch."""
+"""Perception: from a tactile image to a Gaussian over the surface contact pose.
+
+Needs no ROS and, to run, no PyTorch.
+"""

@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 import yaml
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from tactile_filter.settings import SettingError
@@ -18,7 +25,7 @@ from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 
 def register(subparsers: Any) -> None:
-    """Add `train` and `estimate` to an argparse subparsers object; each sets `run`, a callable of the arguments."""
+    """Add `train` and `estimate` to argparse subparsers; each sets `run`, a callable of the arguments."""
     _register_train(subparsers)
     _register_estimate(subparsers)
 
@@ -27,17 +34,24 @@ def _register_train(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "train",
         help="train a Gaussian density network on a data folder",
-        description="Train a Gaussian density network (needs PyTorch: pip install 'tactile_servoing[train]').",
+        description="Train a Gaussian density network (needs PyTorch, the extra 'train').",
     )
     parser.add_argument("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
     parser.add_argument("--val", type=Path, help="validation data folder (default: DATA/val)")
     parser.add_argument("--out", type=Path, required=True, help="new folder for the run")
     parser.add_argument("--config", type=Path, help="YAML file with the sections network and training")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", dest="changes", help="change one setting"
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.NAME=VALUE",
+        dest="changes",
+        help="change one setting",
     )
     parser.add_argument("--limit", type=int, metavar="N", help="use only N training samples")
-    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the exported model to FILE at the end")
+    parser.add_argument(
+        "--install", type=Path, metavar="FILE", help="copy the exported model to FILE at the end"
+    )
     parser.set_defaults(run=run_train)
 
 
@@ -45,19 +59,23 @@ def _register_estimate(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "estimate",
         help="run images through estimator and filter, without ROS",
-        description="Estimate a data folder, a video file or a camera (by index); write a table and a picture.",
+        description="Estimate a data folder, a video or a camera (by index); write a table and a picture.",
     )
     parser.add_argument("source", help="data folder, video file, or index of a camera")
     parser.add_argument("--model", type=Path, default=None, help="ONNX model (default: the shipped one)")
     parser.add_argument("--out", type=Path, default=Path("out/estimate"), help="folder for table and picture")
-    parser.add_argument("--poses", type=Path, help="table with the sensor's pose in the base for each video frame")
+    parser.add_argument(
+        "--poses", type=Path, help="table with the sensor's pose in the base for each video frame"
+    )
     parser.add_argument("--limit", type=int, metavar="N", help="stop after N images")
     parser.add_argument("--no-filter", action="store_true", help="estimator only")
     parser.add_argument(
         "--motion-sigma", type=float, default=1.0, metavar="S",
-        help="noise of the motion between images of a folder, in mm and degrees, added and assumed (paper: 10 to 0.01)",
+        help="noise of the motion between a folder's images, in mm and degrees, added and assumed",
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, help="order of a folder's images, and the motion's noise")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="order of a folder's images, and the motion's noise"
+    )
     parser.add_argument("--threads", type=int, default=1, help="CPU threads of the estimator")
     parser.set_defaults(run=run_estimate)
 
@@ -70,15 +88,25 @@ def run_train(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name not in ("torch", "onnx"):
             raise
-        console.print(f"tactile train needs {error.name}: pip install 'tactile_servoing[train]'", markup=False)
+        console.print(
+            f"tactile train needs {error.name}: pip install 'tactile_servoing[train]'", markup=False
+        )
         return 2
     from tactile_perception.training.console import TrainingProgress
 
     try:
-        config = training.TrainConfig.from_mapping(_train_settings(arguments), str(arguments.config or "--set"))
+        config = training.TrainConfig.from_mapping(
+            _train_settings(arguments), str(arguments.config or "--set")
+        )
         with TrainingProgress() as progress:
             result = training.train(
-                arguments.data, arguments.out, config, arguments.val, arguments.limit, progress, progress.loading
+                arguments.data,
+                arguments.out,
+                config,
+                arguments.val,
+                arguments.limit,
+                progress,
+                progress.loading,
             )
     except (ValueError, OSError, FloatingPointError) as error:
         console.print(f"tactile train: {error}", markup=False, style="red")
@@ -101,20 +129,26 @@ def _train_settings(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
         name, equals, text = change.partition("=")
         section, dot, key = name.partition(".")
         if not (equals and dot):
-            raise SettingError(f"--set {change}: must have the form SECTION.NAME=VALUE, as training.batch_size=32")
+            raise SettingError(
+                f"--set {change}: must have the form SECTION.NAME=VALUE, as training.batch_size=32"
+            )
         values.setdefault(section, {})[key] = yaml.safe_load(text)
     return values
 
 
 def _print_train_summary(console: Console, result: Any, out: Path) -> None:
     best = result.best
-    table = Table(title=f"validation, epoch {best.number + 1} of {len(result.epochs)}: mean NLL {best.validation_loss:.3f}")
+    table = Table(
+        title=f"epoch {best.number + 1} of {len(result.epochs)}: mean NLL {best.validation_loss:.3f}"
+    )
     table.add_column("component")
     table.add_column("MAE", justify="right")
-    for name, unit, value in zip(COMPONENTS, NETWORK_UNITS, best.mae):
+    for name, unit, value in zip(COMPONENTS, NETWORK_UNITS, best.mae, strict=True):
         table.add_row(name, f"{value:.4f} {unit}")
     console.print(table)
-    console.print(f"{result.minutes:.1f} min; stopped: {result.stopped}\nmodel: {result.model_path}", highlight=False)
+    console.print(
+        f"{result.minutes:.1f} min; stopped: {result.stopped}\nmodel: {result.model_path}", highlight=False
+    )
     console.print(f"run: {out} (config.yaml, data.txt, epochs.csv, curves.png, best.pt)", highlight=False)
 
 
@@ -146,7 +180,10 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
     order = usable_order(folder, arguments.seed, arguments.limit)
     console.print("\n".join(folder.report.lines()), markup=False, highlight=False)
     if folder.processed and folder.preprocessing != estimator.metadata.preprocessing:
-        console.print("note: the folder's images were pre-processed with other settings than the model's", style="yellow")
+        console.print(
+            "note: the folder's images were pre-processed with other settings than the model's",
+            style="yellow",
+        )
     frames = folder_frames(folder, order)
     contact_filter = None
     if not arguments.no_filter:
@@ -199,10 +236,13 @@ def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
 
 def _print_estimate_summary(console: Console, table: Any) -> None:
     if table.failures:
-        console.print(f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", markup=False, style="red")
+        console.print(
+            f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", markup=False, style="red"
+        )
     if len(table.stage_seconds):
         times = np.array(table.stage_seconds) * 1e3
-        stages = zip(("pre-processing", "network", "conversion", "total"), [*times.T, times.sum(axis=1)])
+        names = ("pre-processing", "network", "conversion", "total")
+        stages = zip(names, [*times.T, times.sum(axis=1)], strict=True)
         text = "; ".join(f"{name} {np.median(t):.2f} / {np.percentile(t, 99):.2f}" for name, t in stages)
         console.print(f"ms per image, p50 / p99: {text}", highlight=False)
     if not table.has_labels:
@@ -214,7 +254,7 @@ def _print_estimate_summary(console: Console, table: Any) -> None:
     if table.has_filter:
         summary.add_column("with filter", justify="right")
         columns.append(table.mean_absolute_error(table.filtered))
-    for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS)):
+    for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
         summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in columns))
     console.print(summary)
 
@@ -223,7 +263,13 @@ class _bar:
     """A progress bar as a context; gives a callable that takes the number of images done."""
 
     def __init__(self, console: Console, what: str, total: int | None) -> None:
-        columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn(what),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
         self._progress = Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty())
         self._task = self._progress.add_task(what, total=total)
 

@@ -130,7 +130,7 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
     Parameters
     ----------
     folder : path
-        Holds `targets_images.csv` and `processed_images/` (cropped and thresholded) or `images/` (camera images).
+        Holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (camera images).
     preprocessing : PreprocessingSettings, optional
         Overrides what `processed_image_params.json` says.
 
@@ -165,6 +165,7 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
 def read_dataset(
     folder: Path | str,
     preprocessing: PreprocessingSettings | None = None,
+    size: int | None = None,
     limit: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TactileDataset:
@@ -172,12 +173,16 @@ def read_dataset(
 
     Parameters
     ----------
+    size : int, optional
+        Side of the pre-processed images, if not the folder's.
     limit : int, optional
         Take this many samples, spread evenly over the rows (published tables are sorted by depth).
     progress : callable, optional
         Called with (done, total).
     """
     source = open_folder(folder, preprocessing)
+    if size is not None:
+        source.preprocessing = source.preprocessing.replaced(size=size)
     chosen = np.arange(len(source))
     if limit is not None and limit < len(source):
         chosen = np.linspace(0, len(source) - 1, limit).round().astype(int)
@@ -225,7 +230,9 @@ def _find_parts(folder: Path) -> tuple[Path, Path]:
     if not folder.is_dir():
         raise DatasetError(f"{folder}: is not a folder")
     layout = f"a data folder holds {TARGETS_NAME} and {IMAGES_NAME}/ (or {RAW_IMAGES_NAME}/)"
-    targets = next((folder / name for name in (TARGETS_NAME, "targets.csv") if (folder / name).is_file()), None)
+    targets = next(
+        (folder / name for name in (TARGETS_NAME, "targets.csv") if (folder / name).is_file()), None
+    )
     if targets is None:
         raise DatasetError(f"{folder}: has no {TARGETS_NAME}; {layout}")
     for name in (IMAGES_NAME, RAW_IMAGES_NAME):
@@ -302,14 +309,18 @@ def _columns(columns: list[str], targets: Path, report: DatasetReport) -> tuple[
     if image_column is None:
         missing.insert(0, " or ".join(IMAGE_COLUMNS))
     if missing or image_column is None:
-        raise DatasetError(f"{targets}: has no column {', '.join(missing)}; its columns: {', '.join(columns)}")
+        raise DatasetError(
+            f"{targets}: has no column {', '.join(missing)}; its columns: {', '.join(columns)}"
+        )
     shear = [name for name in SHEAR_COLUMNS if name in columns]
     if len(shear) == len(SHEAR_COLUMNS):
         return image_column, POSE_COLUMNS + SHEAR_COLUMNS
     if shear:
         absent = [name for name in SHEAR_COLUMNS if name not in columns]
         raise DatasetError(f"{targets}: has only some shear columns; missing {', '.join(absent)}")
-    report.notes.append(f"{targets.name} has no shear_* columns: pose_* taken as the whole surface contact pose")
+    report.notes.append(
+        f"{targets.name} has no shear_* columns: pose_* taken as the whole surface contact pose"
+    )
     return image_column, POSE_COLUMNS
 
 
@@ -364,7 +375,7 @@ class DatasetWriter:
         return {int(row["sensor_image"][len("image_") : -len(".png")]) for row in self._rows()}
 
     def add(self, number: int, image: Image, euler_mm_deg: Iterable[float]) -> None:
-        """Store camera image `number` (counted from 1), with its Euler surface contact pose in mm and degrees."""
+        """Store camera image `number` (from 1) with its Euler surface contact pose in mm and degrees."""
         write_processed(self.folder, number, self._preprocessor.binary(image))
         self.add_row(number, euler_mm_deg)
 
@@ -386,7 +397,10 @@ class DatasetWriter:
         temporary = path.with_suffix(".tmp")
         with temporary.open("w", newline="") as file:
             writer = csv.DictWriter(
-                file, ["sensor_image", *POSE_COLUMNS, *SHEAR_COLUMNS], lineterminator="\n", extrasaction="ignore"
+                file,
+                ["sensor_image", *POSE_COLUMNS, *SHEAR_COLUMNS],
+                lineterminator="\n",
+                extrasaction="ignore",
             )
             writer.writeheader()
             writer.writerows(rows)

@@ -21,7 +21,7 @@ def draw_predicted_against_actual(table: EstimateTable, path: Path, title: str) 
     figure = Figure(figsize=(21.0, 3.6 * len(rows) + 0.4), layout="constrained")
     FigureCanvasAgg(figure)
     axes_grid = figure.subplots(len(rows), 6, squeeze=False)
-    for axes_row, (name, series) in zip(axes_grid, rows):
+    for axes_row, (name, series) in zip(axes_grid, rows, strict=True):
         error = table.mean_absolute_error(series)
         for component, axes in enumerate(axes_row):
             _scatter(figure, axes, table.labels[:, component], series, component)
@@ -53,7 +53,9 @@ def draw_series(table: EstimateTable, path: Path, title: str) -> None:
     FigureCanvasAgg(figure)
     seconds = np.array(table.stamps_ns) * 1e-9
     for component, axes in enumerate(figure.subplots(6, 1, sharex=True)):
-        series = [("network", table.network)] + ([("with filter", table.filtered)] if table.has_filter else [])
+        series = [("network", table.network)] + (
+            [("with filter", table.filtered)] if table.has_filter else []
+        )
         for name, values in series:
             mean, sigma = values.mean[:, component], values.sigma[:, component]
             (line,) = axes.plot(seconds, mean, linewidth=0.9, label=name)

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Series:
-    """Means and standard deviations of xi_sf over the frames, (N, 6) each, in mm and rad; NaN where there is none."""
+    """Means and standard deviations of xi_sf over the frames, (N, 6) each, in mm and rad; NaN: none."""
 
     mean: Array
     sigma: Array
@@ -86,9 +86,9 @@ class EstimateTable:
         return errors[usable].mean(axis=0) if usable.any() else np.full(6, np.nan)
 
     def write_csv(self, path: Path) -> None:
-        """All of it as a table: xi_sf with sigmas in mm and rad, and X_fs as Euler angles in mm and degrees."""
-        vector = [f"{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS)]
-        euler = [f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS)]
+        """Write all of it as a table: xi_sf and sigmas in mm and rad, X_fs as Euler pose in mm and degrees."""
+        vector = [f"{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
+        euler = [f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True)]
         header = ["name", "stamp_ns"]
         header += [f"{kind}_{column}" for kind in ("label", "network", "filtered") for column in vector]
         header += [f"{kind}_sigma_{column}" for kind in ("network", "filtered") for column in vector]
@@ -141,7 +141,7 @@ def run_estimates(
 def network_row(gaussian: PoseGaussian) -> tuple[Array, Array]:
     """Mean and standard deviations (6,) of xi_sf in mm and rad of a left-perturbation Gaussian (SI).
 
-    The reverse of the estimator's conversion: xi ~ N(mu, J^-1 Sigma J^-T) (paper, eq. glob_tangent_space_pdf).
+    The reverse of the estimator's conversion: xi ~ N(mu, J^-1 Sigma J^-T), eq. glob_tangent_space_pdf.
     """
     inverse_jacobian = se3.inverse_left_jacobian(se3.log(gaussian.mean))
     variance = np.diag(inverse_jacobian @ gaussian.cov @ inverse_jacobian.T)
@@ -153,7 +153,8 @@ _NOTHING = (np.full(6, np.nan), np.full(6, np.nan))
 
 def _series(rows: list[tuple[Array, Array]]) -> Series:
     return Series(
-        np.array([mean for mean, _ in rows]).reshape(-1, 6), np.array([sigma for _, sigma in rows]).reshape(-1, 6)
+        np.array([mean for mean, _ in rows]).reshape(-1, 6),
+        np.array([sigma for _, sigma in rows]).reshape(-1, 6),
     )
 
 

@@ -84,7 +84,7 @@ class Estimator:
             raise ModelError(f"{self.path}: {error}") from error
         side = self.metadata.preprocessing.size
         _check_tensors(self.path, "input", self._session.get_inputs(), {INPUT_NAME: (1, side, side)})
-        _check_tensors(self.path, "output", self._session.get_outputs(), {name: (6,) for name in OUTPUT_NAMES})
+        _check_tensors(self.path, "output", self._session.get_outputs(), dict.fromkeys(OUTPUT_NAMES, (6,)))
         self.preprocessor = Preprocessor(self.metadata.preprocessing)
         self.times = StageTimes()
         self.warm_up()

@@ -1,4 +1,4 @@
-"""Reads the JSON files of published data sets, some of which are malformed, and says what it had to repair."""
+"""Reads JSON files of published data sets, some of which are malformed, and says what was repaired."""
 
 from __future__ import annotations
 

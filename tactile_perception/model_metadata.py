@@ -57,7 +57,9 @@ class ModelMetadata:
         """The reverse; `MetadataError` names what is missing or different and what would be right."""
         missing = [name for name in _REQUIRED if name not in properties]
         if missing:
-            raise MetadataError(f"metadata has no {', '.join(missing)}: was the model exported by `tactile train`?")
+            raise MetadataError(
+                f"metadata has no {', '.join(missing)}: was the model exported by `tactile train`?"
+            )
         if properties["format"] != FORMAT:
             raise MetadataError(f"format is '{properties['format']}', must be '{FORMAT}'")
         try:

@@ -34,7 +34,10 @@ class PreprocessingSettings(Settings):
     median: int = setting(5, unit="px", choices=(0, 3, 5), doc="side of the median filter; 0: none")
     threshold_block: int = setting(61, unit="px", lower=3, doc="side of the threshold's neighborhood, odd")
     threshold_offset: float = setting(
-        5.0, lower=-255.0, upper=255.0, doc="gray levels below the neighborhood's mean that still count as white"
+        5.0,
+        lower=-255.0,
+        upper=255.0,
+        doc="gray levels below the neighborhood's mean that still count as white",
     )
     threshold_method: str = setting("mean", choices=("mean", "gaussian"), doc="weights of the neighborhood")
     circle_mask_radius: int = setting(
@@ -47,7 +50,7 @@ class PreprocessingSettings(Settings):
         x0, y0, x1, y1 = self.bbox
         if not (x0 < x1 <= self.raw_width and y0 < y1 <= self.raw_height):
             raise SettingError(
-                f"bbox = {self.bbox}: must satisfy x0 < x1 <= {self.raw_width} and y0 < y1 <= {self.raw_height}"
+                f"bbox = {self.bbox}: needs x0 < x1 <= {self.raw_width} and y0 < y1 <= {self.raw_height}"
             )
         if self.threshold_block % 2 == 0:
             raise SettingError(f"threshold_block = {self.threshold_block}: must be odd")
@@ -72,7 +75,7 @@ def check_image(image: object, shape: tuple[int, int], what: str) -> Image:
         image = image[:, :, 0]
     if image.ndim != 2:
         raise ImageError(
-            f"{what}: must be a gray image (mono8) of {shape[1]}x{shape[0]}, has the array shape {image.shape}"
+            f"{what}: must be a gray image (mono8) of {shape[1]}x{shape[0]}, has the shape {image.shape}"
         )
     if image.dtype != np.uint8:
         raise ImageError(f"{what}: must be 8-bit (mono8, uint8), is {image.dtype}")
@@ -98,7 +101,7 @@ class Preprocessor:
         self._mask = _circle_mask(shape, self.settings.circle_mask_radius)
 
     def __call__(self, image: Image) -> NDArray[np.float32]:
-        """Camera image, uint8 (raw_height, raw_width) -> network input, float32 (1, 1, size, size) in [0, 1]."""
+        """Camera image, uint8 of `raw_shape` -> network input, float32 (1, 1, size, size) in [0, 1]."""
         return as_input(self.resized(self.binary(image)))
 
     def from_processed(self, crop: Image) -> NDArray[np.float32]:

@@ -22,7 +22,9 @@ class PresenceSettings(Settings):
     on: float = setting(0.04, lower=0.0, upper=1.0, doc="score at and above which contact begins")
     off: float = setting(0.025, lower=0.0, upper=1.0, doc="score below which contact ends")
     window: int = setting(17, unit="px", lower=1, upper=129, doc="side of the patch whose mean change counts")
-    reference_frames: int = setting(10, lower=2, upper=1000, doc="first frames, without contact, for the reference")
+    reference_frames: int = setting(
+        10, lower=2, upper=1000, doc="first frames, without contact, for the reference"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -41,7 +43,7 @@ class Presence:
 class ContactPresence:
     """Compares prepared images (the preprocessor's output) with a no-contact reference, with hysteresis.
 
-    The score is the largest mean absolute change over a patch of the image, less what noise alone makes of it:
+    The score is the largest mean absolute change over a patch of the image, less what noise makes of it:
     a contact moves a few markers a little, noise moves all edges by nothing on average. The first
     `reference_frames` images make the reference and the noise level, unless `set_reference` gives them::
 

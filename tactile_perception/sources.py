@@ -15,7 +15,7 @@ from tactile_perception.dataset import DatasetError, TactileFolder
 from tactile_perception.labels import EULER_COMPONENTS, EULER_UNITS, surface_contact_pose
 from tactile_perception.preprocessing import Image, ImageError
 
-POSE_COLUMNS = tuple(f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS))
+POSE_COLUMNS = tuple(f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True))
 _NANOSECONDS = 1_000_000_000
 
 
@@ -60,7 +60,9 @@ def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: flo
         )
 
 
-def video_frames(source: str | int, poses: list[NDArray[np.float64]] | None, limit: int | None) -> Iterator[Frame]:
+def video_frames(
+    source: str | int, poses: list[NDArray[np.float64]] | None, limit: int | None
+) -> Iterator[Frame]:
     """Frames of a video file or of a camera (by index), as gray camera images.
 
     Parameters
@@ -78,7 +80,9 @@ def video_frames(source: str | int, poses: list[NDArray[np.float64]] | None, lim
     capture = cv2.VideoCapture(source)
     try:
         if not capture.isOpened():
-            raise SourceError(f"{source}: cannot be opened as a {'camera' if isinstance(source, int) else 'video'}")
+            raise SourceError(
+                f"{source}: cannot be opened as a {'camera' if isinstance(source, int) else 'video'}"
+            )
         rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
         count = 0
         while limit is None or count < limit:
@@ -98,7 +102,10 @@ def video_frames(source: str | int, poses: list[NDArray[np.float64]] | None, lim
 
 
 def read_poses(path: Path) -> list[NDArray[np.float64]]:
-    """Poses of the sensor in the base from a table with the columns x_mm, y_mm, z_mm, alpha_deg, beta_deg, gamma_deg."""
+    """Poses (4, 4) of the sensor in the base from a table.
+
+    Its columns: x_mm, y_mm, z_mm, alpha_deg, beta_deg, gamma_deg.
+    """
     poses = []
     try:
         with path.open(newline="") as file:

@@ -38,7 +38,7 @@ def export_onnx(network: Gdn, path: Path | str, metadata: ModelMetadata) -> Path
     sizes = graph.constant("split", np.array([OUTPUTS, OUTPUTS], dtype=np.int64))
     graph.nodes.append(helper.make_node("Split", [last, sizes], [mu, "unbounded"], axis=1))
     graph.softbound("unbounded", inverse_sigma, *network.settings.inverse_sigma_bounds)
-    model = graph.model(network.image_size)
+    model = graph.model(network.settings.image_size)
     helper.set_model_props(model, metadata.to_properties())
     onnx.checker.check_model(model)
     path = Path(path)
@@ -76,7 +76,12 @@ class _Graph:
         """Convolution, ReLU, max-pooling (in the order that runtimes fuse)."""
         parameters = [self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
         last = self.node(
-            "Conv", [source, *parameters], f"{name}.conv", kernel_shape=[3, 3], pads=[1, 1, 1, 1], strides=[1, 1]
+            "Conv",
+            [source, *parameters],
+            f"{name}.conv",
+            kernel_shape=[3, 3],
+            pads=[1, 1, 1, 1],
+            strides=[1, 1],
         )
         last = self.node("Relu", [last], f"{name}.relu")
         return self.node("MaxPool", [last], f"{name}.pool", kernel_shape=[2, 2], strides=[2, 2])
@@ -104,7 +109,9 @@ class _Graph:
     def model(self, image_size: int) -> onnx.ModelProto:
         """The whole model, with a free batch size."""
         image = helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, ["N", 1, image_size, image_size])
-        outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", OUTPUTS]) for name in OUTPUT_NAMES]
+        outputs = [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", OUTPUTS]) for name in OUTPUT_NAMES
+        ]
         graph = helper.make_graph(self.nodes, "gdn", [image], outputs, self.constants)
         return helper.make_model(
             graph,

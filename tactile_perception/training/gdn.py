@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
@@ -60,15 +62,18 @@ class Gdn(nn.Module):
     `forward` takes float (N, 1, size, size) in [0, 1] and returns two float32 tensors (N, 6).
     """
 
-    def __init__(self, settings: GdnSettings, image_size: int) -> None:
+    def __init__(self, settings: GdnSettings) -> None:
         super().__init__()
         self.settings = settings
-        self.image_size = image_size
         channels = (1, *settings.channels)
-        self.base = nn.Sequential(*(ConvBlock(a, b, settings.batch_norm_momentum) for a, b in zip(channels, channels[1:])))
-        side = image_size // 2 ** len(settings.channels)
+        self.base = nn.Sequential(
+            *(ConvBlock(a, b, settings.batch_norm_momentum) for a, b in pairwise(channels))
+        )
+        side = settings.image_size // 2 ** len(settings.channels)
         if side < 1:
-            raise ValueError(f"{len(settings.channels)} blocks halve an image of {image_size} pixels to nothing")
+            raise ValueError(
+                f"{len(settings.channels)} blocks halve an image of {settings.image_size} pixels to nothing"
+            )
         features = channels[-1] * side * side
         self.head = MultiDropoutLinear(features, settings.dropout_mean + settings.dropout_inverse_sigma)
 
@@ -76,7 +81,9 @@ class Gdn(nn.Module):
         """Let the untrained network answer with the labels' own mean and deviation; labels (N, 6)."""
         with torch.no_grad():
             self.head.bias[:OUTPUTS] = labels.mean(dim=0)
-            self.head.bias[OUTPUTS:] = 1.0 / labels.std(dim=0).clamp(min=1e-3)
+            inverse_sigma = 1.0 / labels.std(dim=0).clamp(min=1e-3)
+            # Softbound is close to softplus here: this is the argument at which it gives 1/sigma.
+            self.head.bias[OUTPUTS:] = inverse_sigma + torch.log(-torch.expm1(-inverse_sigma))
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         features = self.base(images).flatten(1)

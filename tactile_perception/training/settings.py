@@ -11,6 +11,7 @@ from tactile_filter.settings import SettingError, Settings, setting
 class GdnSettings(Settings):
     """The Gaussian density network of the paper's "Gaussian Density Networks"."""
 
+    image_size: int = setting(128, unit="px", lower=16, upper=512, doc="side of the square input image")
     channels: tuple[int, ...] = setting(
         (16, 32, 64, 128, 256), lower=1, doc="features of each block: convolution, batch norm, ReLU, max-pool"
     )
@@ -46,7 +47,9 @@ class TrainingSettings(Settings):
     channels_last: bool = setting(True, doc="memory layout that CPU kernels prefer")
     threads: int = setting(0, lower=0, doc="CPU threads; 0: PyTorch's choice")
     max_minutes: float = setting(
-        0.0, lower=0.0, doc="stop in good order after this time; 0: no limit. For machines on loan, not for results"
+        0.0,
+        lower=0.0,
+        doc="stop in good order after this time; 0: no limit. For machines on loan, not for results",
     )
 
     def __post_init__(self) -> None:

@@ -126,15 +126,25 @@ def train(
     config = config or TrainConfig()
     train_dir, validation_dir = _data_folders(Path(data_dir), validation_dir)
     out_dir = _new_run_folder(Path(out_dir))
-    training = read_dataset(train_dir, limit=limit, progress=loading)
-    validation = read_dataset(validation_dir, preprocessing=training.preprocessing, progress=loading)
+    size = config.network.image_size
+    training = read_dataset(train_dir, size=size, limit=limit, progress=loading)
+    validation = read_dataset(validation_dir, size=size, progress=loading)
+    if training.preprocessing != validation.preprocessing:
+        raise DatasetError(
+            f"{train_dir} and {validation_dir} were pre-processed differently: "
+            f"{training.preprocessing} and {validation.preprocessing}"
+        )
     (out_dir / "config.yaml").write_text(yaml.safe_dump(_plain(config), sort_keys=False))
     (out_dir / "data.txt").write_text("\n".join(training.report.lines() + validation.report.lines()) + "\n")
     return train_network(training, validation, out_dir, config, progress or Progress())
 
 
 def train_network(
-    training: TactileDataset, validation: TactileDataset, out_dir: Path, config: TrainConfig, progress: Progress
+    training: TactileDataset,
+    validation: TactileDataset,
+    out_dir: Path,
+    config: TrainConfig,
+    progress: Progress,
 ) -> TrainResult:
     """Train on data in memory; the part of `train` after loading."""
     run = _Run(training, validation, out_dir, config)
@@ -170,7 +180,9 @@ def train_network(
 class _Run:
     """Network, optimizer and data of one run."""
 
-    def __init__(self, training: TactileDataset, validation: TactileDataset, out_dir: Path, config: TrainConfig):
+    def __init__(
+        self, training: TactileDataset, validation: TactileDataset, out_dir: Path, config: TrainConfig
+    ):
         settings = config.training
         torch.manual_seed(settings.seed)
         if settings.threads:
@@ -180,12 +192,14 @@ class _Run:
         self.training, self.validation = training, validation
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.layout = torch.channels_last if settings.channels_last else torch.contiguous_format
-        self.network = Gdn(config.network, training.preprocessing.size)
+        self.network = Gdn(config.network)
         self.images, self.labels = self._tensors(training)
         self.validation_images, self.validation_labels = self._tensors(validation)
         self.network.start_from(self.labels.cpu())
         self.network.to(self.device, memory_format=self.layout)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate_start, fused=True)
+        self.optimizer = torch.optim.Adam(
+            self.network.parameters(), lr=settings.learning_rate_start, fused=True
+        )
         self.shuffle = torch.Generator().manual_seed(settings.seed)
         # A last batch of one sample would leave batch normalization without a variance.
         self.steps_per_epoch = max(1, len(training) // settings.batch_size)
@@ -230,7 +244,9 @@ class _Run:
         losses, errors = [], []
         for start in range(0, len(self.validation), _EVALUATION_BATCH):
             labels = self.validation_labels[start : start + _EVALUATION_BATCH]
-            mean, inverse_sigma = self.network(self._input(self.validation_images[start : start + _EVALUATION_BATCH]))
+            mean, inverse_sigma = self.network(
+                self._input(self.validation_images[start : start + _EVALUATION_BATCH])
+            )
             losses.append(mean_nll(labels, mean, inverse_sigma).item() * len(labels))
             errors.append((mean - labels).abs().double().cpu().numpy())
         return sum(losses) / len(self.validation), np.concatenate(errors).mean(axis=0)
@@ -250,7 +266,7 @@ class _Run:
             },
             validation={
                 "mean_nll": best.validation_loss,
-                "mae": dict(zip(COMPONENTS, best.mae.tolist())),
+                "mae": dict(zip(COMPONENTS, best.mae.tolist(), strict=True)),
                 "epoch": best.number + 1,
             },
             training=_plain(self.config),
@@ -306,7 +322,7 @@ def _plain(config: TrainConfig) -> dict[str, Any]:
 
 
 def _write_epochs(out_dir: Path, epochs: list[Epoch]) -> None:
-    units = [f"mae_{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS)]
+    units = [f"mae_{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
     lines = [",".join(["epoch", "learning_rate", "train_nll", "validation_nll", *units, "seconds"])]
     for epoch in epochs:
         values = [epoch.learning_rate, epoch.train_loss, epoch.validation_loss, *epoch.mae, epoch.seconds]

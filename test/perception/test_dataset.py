@@ -11,8 +11,13 @@ import pytest
 from tactile_perception.dataset import DatasetError, DatasetWriter, open_folder, read_dataset
 from tactile_perception.preprocessing import PreprocessingSettings
 
-COLUMNS = ["sensor_image", *(f"{kind}_{axis}" for kind in ("pose", "shear") for axis in ("x", "y", "z", "Rx", "Ry", "Rz"))]
-EULER = np.array([[1.0, -2.0, 3.0, 10.0, -12.0, 4.0], [0.5, 0.0, 1.0, 0.0, 5.0, -1.0], [2.0, 2.0, 5.5, 1.0, 2.0, 3.0]])
+COLUMNS = [
+    "sensor_image",
+    *(f"{kind}_{axis}" for kind in ("pose", "shear") for axis in ("x", "y", "z", "Rx", "Ry", "Rz")),
+]
+EULER = np.array(
+    [[1.0, -2.0, 3.0, 10.0, -12.0, 4.0], [0.5, 0.0, 1.0, 0.0, 5.0, -1.0], [2.0, 2.0, 5.5, 1.0, 2.0, 3.0]]
+)
 
 
 def camera_image(seed: int) -> np.ndarray:
@@ -58,7 +63,9 @@ def test_table_has_the_public_columns_normal_contact_and_shear_apart(folder):
 
 
 def test_settings_of_the_images_travel_with_the_folder(tmp_path):
-    settings = PreprocessingSettings(bbox=(100, 20, 500, 420), threshold_block=31, threshold_offset=-4.0, median=3)
+    settings = PreprocessingSettings(
+        bbox=(100, 20, 500, 420), threshold_block=31, threshold_offset=-4.0, median=3
+    )
     writer = DatasetWriter(tmp_path, settings)
     writer.add(1, camera_image(0), EULER[0])
     writer.finish()
@@ -81,13 +88,21 @@ def test_missing_counterparts_are_named_and_counted(folder):
     cv2.imwrite(str(folder / "processed_images" / "stray.png"), np.zeros((440, 445), np.uint8))
     data = read_dataset(folder)
     assert data.names == ["image_1.png", "image_3.png"]
-    assert data.report.problems == {"row without its image": ["image_2.png"], "image without its row": ["stray.png"]}
+    assert data.report.problems == {
+        "row without its image": ["image_2.png"],
+        "image without its row": ["stray.png"],
+    }
     assert "2 usable samples of 3 rows" in data.report.lines()[0]
 
 
 @pytest.mark.parametrize(
     "value, problem",
-    [("nan", "non-finite"), ("inf", "non-finite"), ("", "missing or not a number"), ("x", "missing or not a number")],
+    [
+        ("nan", "non-finite"),
+        ("inf", "non-finite"),
+        ("", "missing or not a number"),
+        ("x", "missing or not a number"),
+    ],
 )
 def test_unusable_labels_are_named(folder, value, problem):
     rows = table(folder)
@@ -136,7 +151,9 @@ def test_malformed_json_is_repaired_with_a_note(folder):
     (folder / "env_params.json").write_text('{"tcp_pose": [0, 0, 72]]}')
     source = open_folder(folder)
     assert source.parameters["env_params.json"] == {"tcp_pose": [0, 0, 72]}
-    assert any("env_params.json: malformed JSON; dropped a surplus ']'" in note for note in source.report.notes)
+    assert any(
+        "env_params.json: malformed JSON; dropped a surplus ']'" in note for note in source.report.notes
+    )
 
 
 def test_hopeless_json_is_named_and_ignored(folder):
@@ -184,7 +201,9 @@ def test_a_folder_of_camera_images_gives_the_same_inputs(folder, tmp_path):
     np.testing.assert_array_equal(read_dataset(raw).images, read_dataset(folder).images)
 
 
-@pytest.mark.parametrize("missing, message", [("targets_images.csv", "has no targets"), ("processed_images", "has neither")])
+@pytest.mark.parametrize(
+    "missing, message", [("targets_images.csv", "has no targets"), ("processed_images", "has neither")]
+)
 def test_a_folder_of_another_layout_is_an_error_that_says_what_is_expected(folder, missing, message):
     (folder / missing).rename(folder.parent / "elsewhere")
     with pytest.raises(DatasetError, match=f"{message}.*a data folder holds"):

@@ -51,7 +51,9 @@ def test_network_vector_survives_the_way_through_the_pose(euler):
 
 def test_pure_depth_is_a_surface_nearer_along_minus_z():
     """Pressing 3 mm in moves the surface 3 mm towards the sensor: rho_z = -3 mm."""
-    np.testing.assert_allclose(labels.label_from_euler([0, 0, 3.0, 0, 0, 0]), [0, 0, -3.0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        labels.label_from_euler([0, 0, 3.0, 0, 0, 0]), [0, 0, -3.0, 0, 0, 0], atol=1e-12
+    )
 
 
 def test_euler_angles_are_extrinsic_xyz():
@@ -62,7 +64,9 @@ def test_euler_angles_are_extrinsic_xyz():
 
 def test_rows_are_converted_one_by_one():
     rows = np.random.default_rng(0).uniform(-5, 5, (4, 6))
-    np.testing.assert_allclose(labels.labels_from_euler(rows), [reference_label(row) for row in rows], atol=1e-9)
+    np.testing.assert_allclose(
+        labels.labels_from_euler(rows), [reference_label(row) for row in rows], atol=1e-9
+    )
     assert labels.labels_from_euler(np.empty((0, 6))).shape == (0, 6)
 
 

@@ -15,7 +15,9 @@ def marker_image(shift: float = 0.0, noise: float = 3.0, seed: int = 0) -> np.nd
     for x in np.arange(150.0, 510.0, 22.0):
         for y in np.arange(60.0, 420.0, 22.0):
             if np.hypot(x - 327, y - 240) < 200:
-                cv2.circle(image, (int(16 * (x + shift)), int(16 * y)), 16 * 6, 200.0, -1, cv2.LINE_AA, shift=4)
+                cv2.circle(
+                    image, (int(16 * (x + shift)), int(16 * y)), 16 * 6, 200.0, -1, cv2.LINE_AA, shift=4
+                )
     return np.clip(image + rng.normal(0.0, noise, image.shape), 0, 230).astype(np.uint8)
 
 
@@ -62,7 +64,9 @@ def test_brightness_of_the_camera_does_not_matter():
 def test_processed_crop_and_camera_image_give_the_same_input():
     preprocessor = Preprocessor()
     image = marker_image()
-    np.testing.assert_array_equal(preprocessor.from_processed(preprocessor.binary(image)), preprocessor(image))
+    np.testing.assert_array_equal(
+        preprocessor.from_processed(preprocessor.binary(image)), preprocessor(image)
+    )
 
 
 def test_results_of_earlier_images_stay_as_they_were():

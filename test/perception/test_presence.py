@@ -56,7 +56,9 @@ def test_noise_is_no_contact(presence, sensor, preprocessor):
 
 @pytest.mark.parametrize("depth_mm", [0.3, 0.5, 3.0])
 @pytest.mark.parametrize("tilt_deg", [0.0, 12.0, 24.0])
-def test_shallow_and_deep_contacts_are_seen_wherever_they_are(presence, sensor, preprocessor, depth_mm, tilt_deg):
+def test_shallow_and_deep_contacts_are_seen_wherever_they_are(
+    presence, sensor, preprocessor, depth_mm, tilt_deg
+):
     pressed(sensor, depth_mm, tilt_deg)
     assert presence.update(preprocessor(sensor.image())).in_contact
 

@@ -1,0 +1,181 @@
+"""The estimator: faulty models and answers, and the covariance of the left perturbation."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, logm
+
+from tactile_perception.estimator import EstimateError, Estimator, ModelError, pose_gaussian, shipped_model
+from tactile_perception.labels import NETWORK_SCALE
+from tactile_perception.preprocessing import ImageError
+
+MEAN = np.array([1.2, -2.0, -3.5, 0.3, -0.4, 0.08])
+INVERSE_SIGMA = np.array([2.0, 3.0, 10.0, 80.0, 120.0, 40.0])
+IMAGE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
+
+
+def hat(xi: np.ndarray) -> np.ndarray:
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = [[0, -xi[5], xi[4]], [xi[5], 0, -xi[3]], [-xi[4], xi[3], 0]]
+    matrix[:3, 3] = xi[:3]
+    return matrix
+
+
+def left_perturbation(xi: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Eps with exp(eps^) exp(mean^) = exp(xi^)."""
+    tangent = logm(expm(hat(xi)) @ np.linalg.inv(expm(hat(mean)))).real
+    return np.array([*tangent[:3, 3], tangent[2, 1], tangent[0, 2], tangent[1, 0]])
+
+
+def test_covariance_is_that_of_the_left_perturbation():
+    """Each of the network's independent deviations, carried to the left of the mean by finite differences."""
+    mean = MEAN * NETWORK_SCALE
+    sigma = NETWORK_SCALE / INVERSE_SIGMA
+    step = 1e-4
+    columns = []
+    for deviation in np.diag(sigma):
+        forward = left_perturbation(mean + step * deviation, mean)
+        columns.append((forward - left_perturbation(mean - step * deviation, mean)) / (2.0 * step))
+    expected = np.array(columns).T @ np.array(columns)
+    gaussian = pose_gaussian(MEAN, INVERSE_SIGMA)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(gaussian.cov / scale, expected / scale, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(gaussian.mean, expm(hat(mean)), atol=1e-12)
+
+
+def test_answer_is_in_si_units():
+    gaussian = pose_gaussian(np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]), np.full(6, 2.0))
+    assert gaussian.mean[2, 3] == pytest.approx(-0.003)
+    assert gaussian.cov[2, 2] == pytest.approx(0.0005**2)
+    assert gaussian.cov[5, 5] == pytest.approx(0.5**2)
+
+
+@pytest.mark.parametrize("inverse_sigma", [np.full(6, 1e-6), np.full(6, 1e6)])
+def test_covariance_is_symmetric_and_positive_at_the_bounds_of_sigma(inverse_sigma):
+    cov = pose_gaussian(MEAN, inverse_sigma).cov
+    np.testing.assert_array_equal(cov, cov.T)
+    assert np.all(np.linalg.eigvalsh(cov) > 0.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["mean", "inverse_sigma"])
+def test_nan_and_infinity_are_no_estimate(bad, where):
+    values = {"mean": MEAN.copy(), "inverse_sigma": INVERSE_SIGMA.copy()}
+    values[where][3] = bad
+    with pytest.raises(EstimateError, match="NaN or infinity"):
+        pose_gaussian(**values)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0])
+def test_a_sigma_without_an_inverse_is_no_estimate(bad):
+    with pytest.raises(EstimateError, match="not positive"):
+        pose_gaussian(MEAN, np.array([1.0, 1.0, bad, 1.0, 1.0, 1.0]))
+
+
+def test_model_answers_reach_the_pose(constant_model):
+    gaussian = Estimator(constant_model(MEAN, INVERSE_SIGMA)).estimate(IMAGE)
+    expected = pose_gaussian(MEAN, INVERSE_SIGMA)
+    np.testing.assert_allclose(gaussian.mean, expected.mean, atol=1e-7)
+    np.testing.assert_allclose(gaussian.cov, expected.cov, rtol=1e-5, atol=1e-12)
+
+
+def test_nan_from_the_network_is_an_error_and_the_next_image_is_served(constant_model):
+    estimator = Estimator(constant_model((np.nan,) * 6))
+    for _ in range(2):
+        with pytest.raises(EstimateError):
+            estimator.estimate(IMAGE)
+
+
+def test_missing_model_file_is_named(tmp_path):
+    with pytest.raises(ModelError, match="nowhere.onnx: there is no such model file"):
+        Estimator(tmp_path / "nowhere.onnx")
+
+
+def test_a_file_that_is_no_model_is_named(tmp_path):
+    path = tmp_path / "text.onnx"
+    path.write_text("hello")
+    with pytest.raises(ModelError, match="text.onnx: is not a usable ONNX model"):
+        Estimator(path)
+
+
+def test_an_input_of_another_size_than_the_preprocessing_is_refused(constant_model):
+    with pytest.raises(ModelError, match=r"input.*64.*must have image float32 \(N, 1, 128, 128\)"):
+        Estimator(constant_model(side=64))
+
+
+def test_an_input_of_another_name_is_refused(constant_model):
+    with pytest.raises(ModelError, match="must have image float32"):
+        Estimator(constant_model(input_name="x"))
+
+
+def test_outputs_of_the_wrong_shape_are_refused(constant_model):
+    with pytest.raises(ModelError, match=r"outputs mu .*5.*must have mu float32 \(N, 6\)"):
+        Estimator(constant_model(mu=(0.0,) * 5))
+
+
+def test_a_model_without_metadata_is_refused_with_what_is_missing(constant_model):
+    with pytest.raises(ModelError, match="metadata has no format, preprocessing"):
+        Estimator(constant_model(properties={}))
+
+
+@pytest.mark.parametrize(
+    "name, value, message",
+    [
+        ("units", json.dumps(["m"] * 6), "units are .*must be"),
+        ("format", "other/2", "format is 'other/2', must be"),
+        ("preprocessing", json.dumps({"bbox": [0, 0, 1, 9999]}), "bbox"),
+        ("preprocessing", "{", "unreadable metadata"),
+    ],
+)
+def test_metadata_of_another_convention_is_refused(constant_model, model_metadata, name, value, message):
+    properties = model_metadata().to_properties() | {name: value}
+    with pytest.raises(ModelError, match=message):
+        Estimator(constant_model(properties=properties))
+
+
+def test_metadata_survives_the_way_through_a_model_file(constant_model, model_metadata):
+    expected = model_metadata(median=3, bbox=(100, 10, 540, 450))
+    assert Estimator(constant_model(properties=expected.to_properties())).metadata == expected
+
+
+def test_images_of_the_wrong_size_are_refused_before_the_network(constant_model):
+    estimator = Estimator(constant_model())
+    with pytest.raises(ImageError, match="must be 640x480"):
+        estimator.estimate(IMAGE[:240])
+    with pytest.raises(ImageError, match="must be 445x440"):
+        estimator.estimate_processed(IMAGE)
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Estimator:
+    return Estimator(shipped_model())
+
+
+def test_shipped_model_says_what_it_was_made_from(shipped):
+    metadata = shipped.metadata
+    assert len(metadata.training_data["sha256"]) == 64 and metadata.training_data["samples"] >= 1000
+    assert len(metadata.validation["mae"]) == 6
+    assert metadata.training["training"]["learning_rate_peak"] > 0.0
+    assert "{s}" in metadata.frames
+
+
+def test_camera_image_and_processed_crop_give_the_same_estimate(shipped):
+    whole = shipped.estimate(IMAGE)
+    crop = shipped.estimate_processed(shipped.preprocessor.binary(IMAGE))
+    np.testing.assert_array_equal(whole.mean, crop.mean)
+    np.testing.assert_array_equal(whole.cov, crop.cov)
+
+
+def test_stage_times_add_up_to_what_a_caller_waits(shipped):
+    started = time.perf_counter()
+    shipped.estimate(IMAGE)
+    waited = time.perf_counter() - started
+    assert 0.0 < shipped.times.infer < shipped.times.total <= waited
+
+
+def test_estimates_are_the_same_bits_each_time(shipped):
+    first, second = shipped.estimate(IMAGE), shipped.estimate(IMAGE)
+    np.testing.assert_array_equal(first.mean, second.mean)
+    np.testing.assert_array_equal(first.cov, second.cov)
