@@ -198,7 +198,7 @@ def test_configuration_is_found_where_the_environment_says(tmp_path, monkeypatch
     monkeypatch.setenv("TACTILE_CONFIG_DIR", str(tmp_path))
     assert config_names("scenes") == ["mine"]
     assert load_scene("mine").path == tmp_path / "scenes" / "mine.yaml"
-    with pytest.raises(FileNotFoundError, match="did you mean 'mine.yaml'"):
+    with pytest.raises(FileNotFoundError, match=r"did you mean 'mine\.yaml'"):
         config_path("scenes/mime.yaml")
 
 
