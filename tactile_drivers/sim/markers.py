@@ -24,8 +24,8 @@ class MarkerSettings(Settings):
     """Layout of the markers: rings of 1, 6, 12, ... about the tip's axis."""
 
     rings: int = setting(10, lower=1, upper=13, doc="rings about the central marker; 10 make 331 markers")
-    pitch_deg: float = setting(4.7, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings, seen from {s}")
-    azimuth_deg: float = setting(0.0, unit="deg", doc="azimuth of each ring's first marker about {s}'s z axis")
+    pitch_deg: float = setting(6.32, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings, seen from {s}")
+    azimuth_deg: float = setting(51.8, unit="deg", doc="azimuth of each ring's first marker about {s}'s z axis")
     pin_length: float = setting(0.002, unit="m", lower=0.0, upper=0.01, doc="from the skin's inside to the marker")
 
 

@@ -33,7 +33,7 @@ class SkinSettings(Settings):
     skin_thickness: float = setting(0.001, unit="m", lower=1e-4, upper=5e-3, doc="thickness of the stiff skin")
     gel_modulus: float = setting(8.0e3, unit="Pa", lower=1.0, upper=1e9, doc="Young's modulus of the gel")
     stiffness_ratio: float = setting(8.0, lower=0.1, upper=1e3, doc="Young's modulus of the skin over the gel's")
-    poisson_ratio: float = setting(0.45, lower=0.0, upper=0.49, doc="Poisson's ratio of gel and skin")
+    poisson_ratio: float = setting(0.3, lower=0.0, upper=0.49, doc="Poisson's ratio of gel and skin")
     rings: int = setting(14, lower=4, upper=24, doc="rings of skin nodes from pole to rim; the last is clamped")
     shells: tuple[float, ...] = setting(
         (0.875, 0.75, 0.6, 0.425, 0.225), lower=0.05, upper=0.95,

@@ -1,0 +1,172 @@
+"""Labelled samples of surface contact poses: the paper's sampling rules and its two-step motion, simulated.
+
+The sensor turns to its contact angles above a plane, presses along the normal to a depth, then shears in the
+plane ("Data Collection" in the paper). Friction and errors of the arm's pose differ from sample to sample, so that
+what is trained on them does not rely on one friction or on a perfect arm. A sample depends only on the settings, the
+seed and its index: a run that was interrupted goes on with the indices that are missing::
+
+    for sample in generate(CollectionSettings(), seed=1, indices=range(6000), processes=2):
+        ...
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_drivers.sim.tactip import ContactTruth, TacTip, TacTipSettings
+from tactile_filter import se3
+from tactile_filter.settings import Settings, setting
+
+Array = NDArray[np.float64]
+R = TypeVar("R")
+_SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
+
+
+@dataclass(frozen=True)
+class CollectionSettings(Settings):
+    """Ranges of the samples; the defaults of the first four are the paper's."""
+
+    disk_radius: float = setting(5e-3, unit="m", lower=0.0, doc="shear displacements fill a disk of this radius")
+    depth: tuple[float, ...] = setting((0.5e-3, 6e-3), unit="m", lower=0.0, length=2, doc="least and largest depth")
+    cap_angle: float = setting(math.radians(25.0), unit="rad", lower=0.0, upper=1.2, doc="contacts fill a cap this wide")
+    gamma: float = setting(math.radians(5.0), unit="rad", lower=0.0, upper=1.0, doc="largest shear rotation")
+    friction: tuple[float, ...] = setting((0.6, 1.2), lower=0.0, length=2, doc="least and largest friction")
+    position_noise: float = setting(5e-5, unit="m", lower=0.0, doc="standard deviation of the arm's position, per axis")
+    angle_noise: float = setting(2e-3, unit="rad", lower=0.0, doc="standard deviation of the arm's angles, per axis")
+    clearance: float = setting(1e-3, unit="m", lower=0.0, doc="gap above the surface from which the sensor starts")
+    max_step: float = setting(2.5e-4, unit="m", lower=1e-6, doc="longest step of the motion")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("depth", "friction"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} = ({low:g}, {high:g}): the least must not exceed the largest")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One labelled image.
+
+    Attributes
+    ----------
+    index : int
+    image : (height, width) uint8
+    euler_mm_deg : (6,)
+        The label: commanded surface contact pose (x, y, z, alpha, beta, gamma) of X_fs, mm and degrees.
+    truth : ContactTruth
+        What the simulation knows, slip and equivalent shear included.
+    friction : float
+    """
+
+    index: int
+    image: NDArray[np.uint8]
+    euler_mm_deg: Array
+    truth: ContactTruth
+    friction: float
+
+
+class _Plane:
+    """The plane z = 0."""
+
+    def query(self, points: Array) -> tuple[Array, Array]:
+        return points[:, 2].copy(), np.tile([0.0, 0.0, 1.0], (len(points), 1))
+
+
+def sample_pose(settings: CollectionSettings, rng: np.random.Generator) -> Array:
+    """One surface contact pose (x, y, z, alpha, beta, gamma), m and rad, by the paper's sampling equations."""
+    r = settings.disk_radius * np.sqrt(rng.uniform())
+    theta = rng.uniform(0, 2 * np.pi)
+    z = rng.uniform(*settings.depth)
+    phi = np.arccos(1 - (1 - np.cos(settings.cap_angle)) * rng.uniform())
+    azimuth = rng.uniform(0, 2 * np.pi)
+    alpha = -np.arcsin(np.sin(phi) * np.sin(azimuth))
+    beta = -np.arctan2(np.sin(phi) * np.cos(azimuth), np.cos(phi))
+    gamma = rng.uniform(-settings.gamma, settings.gamma)
+    return np.array([r * np.cos(theta), r * np.sin(theta), z, alpha, beta, gamma])
+
+
+def collect(sensor: TacTip, settings: CollectionSettings, seed: int, index: int) -> Sample:
+    """Collect sample `index` with a sensor, whose contact history is forgotten first."""
+    rng = np.random.default_rng([seed, index])
+    pose = sample_pose(settings, rng)
+    noise = rng.normal(size=6) * np.repeat([settings.position_noise, settings.angle_noise], 3)
+    friction = rng.uniform(*settings.friction)
+    sensor.reset(seed=int(rng.integers(2**63)))
+    sensor.friction = friction
+    press_then_shear(sensor, pose + noise, settings.clearance)
+    return Sample(index, sensor.image(), pose / _SCALE, sensor.truth(), friction)
+
+
+def press_then_shear(sensor: TacTip, pose: Array, clearance: float = 1e-3) -> None:
+    """Bring a sensor to a surface contact pose (6,), m and rad, on a plane: turned, pressed, then sheared."""
+    plane = _Plane()
+    x, y, z, alpha, beta, gamma = pose
+    # {f} has z into the plane, and its origin at the dome's centre at first touch
+    T_surface_f = se3.pose_from_euler([0.0, 0.0, sensor.settings.skin.radius, np.pi, 0.0, 0.0])
+    for stop in ((0, 0, -clearance, alpha, beta, 0), (0, 0, z, alpha, beta, 0), (x, y, z, alpha, beta, gamma)):
+        sensor.advance(plane, T_surface_f @ se3.pose_from_euler(stop))
+
+
+def generate(
+    settings: CollectionSettings, seed: int, indices: Iterable[int], sensor: TacTipSettings | None = None,
+    processes: int = 1, each: Callable[[Sample], R] | None = None,
+) -> Iterator[R]:  # fmt: skip
+    """Samples at `indices`, in that order, on any number of processes with the same result.
+
+    Parameters
+    ----------
+    settings, seed
+        What, with an index, determines a sample.
+    sensor
+        The sensor; its step is replaced by that of `settings`.
+    each
+        Called on every sample where it was made (so it must be picklable for more than one process), to store the
+        image there or make it smaller; its results are yielded. Without it the samples themselves are.
+    """
+    task = _Task(settings, seed, _with_step(sensor or TacTipSettings(), settings.max_step), each or _itself)
+    if processes <= 1:
+        _start(task)
+        yield from map(_run, indices)
+        return
+    with multiprocessing.get_context("spawn").Pool(processes, _start, (task,)) as pool:
+        yield from pool.imap(_run, indices, chunksize=4)
+
+
+@dataclass(frozen=True)
+class _Task:
+    settings: CollectionSettings
+    seed: int
+    sensor: TacTipSettings
+    each: Callable[[Sample], object]
+
+
+def _itself(sample: Sample) -> Sample:
+    return sample
+
+
+def _with_step(sensor: TacTipSettings, step: float) -> TacTipSettings:
+    contact = sensor.contact.replaced(max_step=step)
+    return TacTipSettings(sensor.skin, contact, sensor.markers, sensor.camera)
+
+
+_worker: tuple[_Task, TacTip] | None = None  # what this process collects with
+
+
+def _start(task: _Task) -> None:
+    global _worker
+    _worker = (task, TacTip(task.sensor))
+
+
+def _run(index: int):  # type: ignore[no-untyped-def]
+    if _worker is None:
+        raise RuntimeError("a worker was asked for a sample before it was started")
+    task, sensor = _worker
+    return task.each(collect(sensor, task.settings, task.seed, index))
