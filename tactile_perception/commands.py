@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +174,8 @@ def run_estimate(arguments: argparse.Namespace) -> int:
 
 def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
     from tactile_perception.dataset import open_folder
-    from tactile_perception.estimate_run import motion_filter, run_estimates, with_motion_noise
+    from tactile_perception.estimate_run import run_estimates
+    from tactile_perception.motion_noise import motion_filter, with_motion_noise
     from tactile_perception.sources import folder_frames, usable_order
 
     folder = open_folder(arguments.source)
@@ -259,23 +261,16 @@ def _print_estimate_summary(console: Console, table: Any) -> None:
     console.print(summary)
 
 
-class _bar:
-    """A progress bar as a context; gives a callable that takes the number of images done."""
-
-    def __init__(self, console: Console, what: str, total: int | None) -> None:
-        columns = (
-            TextColumn(what),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-        )
-        self._progress = Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty())
-        self._task = self._progress.add_task(what, total=total)
-
-    def __enter__(self):
-        self._progress.start()
-        return lambda done: self._progress.update(self._task, completed=done)
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+@contextmanager
+def _bar(console: Console, what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """A progress bar; gives a callable that takes the number of images done."""
+    columns = (
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_filter import se3
+from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_perception.sources import Frame
 
 Array = NDArray[np.float64]
@@ -20,6 +21,16 @@ def motion_covariance(sigma: float) -> Array:
     Paper, eq. se3_filter_exp_state_trans_cov.
     """
     return np.diag(np.repeat([sigma * 1e-3, np.radians(sigma)], 3) ** 2)
+
+
+def motion_filter(sigma: float) -> ContactFilter:
+    """The paper's filter for motions known up to `sigma` mm and degrees: it fuses every measurement."""
+    settings = FilterSettings(
+        process_noise_translation=sigma * 1e-3,
+        process_noise_rotation=float(np.radians(sigma)),
+        gate_probability=1.0,
+    )
+    return ContactFilter(settings)
 
 
 def with_motion_noise(frames: Iterable[Frame], sigma: float, seed: int) -> Iterator[Frame]:

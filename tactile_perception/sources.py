@@ -42,7 +42,7 @@ class Frame:
     T_base_sensor: NDArray[np.float64] | None = None
 
 
-def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: float = 1.0) -> Iterator[Frame]:
+def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: float = 0.1) -> Iterator[Frame]:
     """Images of a data folder in the given order, with their labels.
 
     A flat, fixed surface is the base here, so that a label is the sensor's pose too (the paper's filter
