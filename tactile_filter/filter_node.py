@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
+from std_msgs.msg import Header
 
 from tactile_bringup.ros.conversions import MessageError, gaussian_from_message, gaussian_message, header
 from tactile_bringup.ros.latency import LatencyPublisher
@@ -25,10 +26,14 @@ from tactile_bringup.ros.qos import STATE
 from tactile_bringup.ros.stamps import Event, EventJoin, duration_from_ns, ns_from_time
 from tactile_bringup.ros.transforms import TransformGate, TransformListener
 from tactile_filter import se3
-from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
+from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
+from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import Settings, setting
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
+
+NOT_A_NUMBER = np.full(6, np.nan)
+UNUSABLE = PoseGaussian(np.full((4, 4), np.nan), np.full((6, 6), np.nan))
 
 
 @dataclass(frozen=True)
@@ -50,13 +55,14 @@ class FilterNode(ManagedNode):
         super().__init__("filter")
         self.settings = SettingsParameters(self, FilterSettings(), on_change=self._change_settings)
         self.inputs = SettingsParameters(self, FilterInputSettings(), prefix="inputs", read_only=("age_limit",))
-        self.filter: ContactFilter | None = None
-        self.join = EventJoin(("presence", "estimate"))
-        self.rejected = 0
+        self.filter = ContactFilter(self.settings.value)
+        # without contact there is nothing to believe, and no estimate is needed to say so
+        self.join = EventJoin(
+            ("presence", "estimate"), complete=lambda parts: not parts.get("presence", (True, 0))[0]
+        )
 
     def configure(self) -> None:
-        """Create the filter, publishers and subscriptions."""
-        self.filter = ContactFilter(self.settings.value)
+        """Create publishers and subscriptions."""
         self.belief_out = self.publisher(PoseWithCovarianceStamped, "contact/belief", STATE)
         self.state_out = self.publisher(ContactState, "contact/state", STATE)
         self.latency = LatencyPublisher(self, "filter", self.sensor_frame)
@@ -77,60 +83,132 @@ class FilterNode(ManagedNode):
 
     def activate(self) -> None:
         """Start without a belief and without pending inputs."""
-        self._reset("activated")
-        self.join.clear()
-
-    def cleanup(self) -> None:
-        """Forget the filter."""
-        self.filter = None
+        self._clear("activated")
 
     # ---- inputs ----
 
     def _take_presence(self, message: ContactPresence) -> None:
-        self._take("presence", ns_from_time(message.header.stamp), message.in_contact)
+        self._take("presence", message.header, message.in_contact)
 
     def _take_estimate(self, message: PoseWithCovarianceStamped) -> None:
-        received_ns = self.now_ns()
+        if message.header.frame_id != self.sensor_frame:
+            self._refuse(f"frame is '{message.header.frame_id}', must be '{self.sensor_frame}'")
+            return
         try:
             estimate = gaussian_from_message(message.pose)
         except MessageError as error:
-            self.count("estimates refused")
-            self.warn("estimate", f"contact/estimate refused: {error}")
-            return
-        self._take("estimate", ns_from_time(message.header.stamp), (estimate, received_ns))
+            self._refuse(str(error))
+            estimate = UNUSABLE  # the filter predicts in its place
+        self._take("estimate", message.header, estimate)
 
-    def _take(self, source: str, stamp_ns: int, content: Any) -> None:
-        if not self.join.add(source, stamp_ns, content, time.monotonic_ns()):
+    def _take(self, source: str, head: Header, content: Any) -> None:
+        """Keep one part of an event and process what has become complete."""
+        stamp_ns, received_ns = ns_from_time(head.stamp), self.now_ns()
+        useless = source == "estimate" and stamp_ns <= self.no_contact_ns
+        if not useless and not self.join.add(source, stamp_ns, (content, received_ns), time.monotonic_ns()):
             self.warn("late", f"contact/{source} refused: its stamp is not later than the last one's")
         self._pump()
+
+    def _refuse(self, reason: str) -> None:
+        self.count("estimates refused")
+        self.warn("estimate", f"contact/estimate refused: {reason}")
 
     def _pump(self) -> None:
         if self.active:
             self.gate.pump()
 
     def _drop(self, event: Event, reason: str) -> None:
-        self.warn("drop", f"estimate dropped ({self.join.dropped} so far): {reason}")
+        self.count("estimates dropped")
+        self.warn("drop", f"estimate dropped ({self.counters['estimates dropped']} so far): {reason}")
+
+    def _jumped(self, seconds: float) -> None:
+        self._clear("time jumped back")
 
     # ---- steps ----
 
     def _process(self, event: Event, T_base_sensor: NDArray[np.float64]) -> None:
-        assert self.filter is not None
-        estimate, received_ns = event.parts["estimate"]
-        if event.parts["presence"]:
+        in_contact, received_ns = event.parts["presence"]
+        if in_contact:
+            estimate, estimated_ns = event.parts["estimate"]
             belief = self.filter.step(event.stamp_ns, estimate, T_base_sensor)
-            self._publish_belief(belief)
+            received_ns = max(received_ns, estimated_ns)
         else:
             if self.filter.has_belief:
                 self._reset("no contact")
-            self.state_out.publish(self._state_without_belief(event.stamp_ns))
-        self.count("estimates processed")
-        dropped = self.join.dropped + self.join.late + self.counters["estimates refused"]
-        self.latency.publish(event.stamp_ns, received_ns, self.now_ns(), dropped)
+            self.no_contact_ns = event.stamp_ns
+            belief = nothing(event.stamp_ns, self.filter.rejected)
+        emitted_ns = self._publish(belief)
+        self.latency.publish(event.stamp_ns, received_ns, emitted_ns, self.join.dropped + self.join.late)
 
-    def _publish_belief(self, belief: Belief) -> None:
-        message = self._state(belief)
-        self.state_out.publish(message)
-        if not message.flags & ContactState.INVALID:
+    def _publish(self, belief: Belief) -> int:
+        """Publish the belief and return when; the state first, since the controller waits for it."""
+        emitted_ns = self.now_ns()
+        self.state_out.publish(state_message(belief, self.sensor_frame, emitted_ns))
+        if belief.valid:
             self.belief_out.publish(
                 gaussian_message(belief.stamp_ns, self.sensor_frame, belief.mean, belief.cov)
             )
+        if belief.reason:
+            self.warn("belief", f"belief at {belief.stamp_ns} ns: {belief.reason}")
+        self._tell_counts()
+        return emitted_ns
+
+    def _tell_counts(self) -> None:
+        self.report.values["refused since the last reset"] = str(self.filter.rejected)
+        for reason, number in self.filter.rejections.items():
+            self.report.values[f"refused: {reason}"] = str(number)
+
+    # ---- reset and parameters ----
+
+    def _clear(self, reason: str) -> None:
+        """Start anew, inputs included."""
+        self._reset(reason)
+        self.join.clear()
+        self.no_contact_ns = -1
+
+    def _reset(self, reason: str) -> None:
+        self.filter.reset(reason)
+        self.count(f"resets: {reason}")
+
+    def _serve_reset(self, request: ResetFilter.Request, response: ResetFilter.Response) -> ResetFilter.Response:
+        response.success = self.active
+        response.message = "the next measurement starts a new belief" if self.active else "the node is not active"
+        if self.active:
+            self.get_logger().info(f"reset: {request.reason or 'no reason given'}")
+            self._reset("service")
+        return response
+
+    def _change_settings(self, settings: FilterSettings) -> None:
+        self.filter.configure(settings)
+
+
+def nothing(stamp_ns: int, rejected: int) -> Belief:
+    """The belief without contact: none."""
+    flags = BeliefFlag.NO_CONTACT | BeliefFlag.INVALID
+    return Belief(stamp_ns, UNUSABLE.mean, UNUSABLE.cov, flags=flags, rejected=rejected)
+
+
+def state_message(belief: Belief, frame_id: str, emitted_ns: int) -> ContactState:
+    """ContactState message of a belief; NaN where it holds nothing."""
+    xi = se3.log(belief.mean) if belief.valid else NOT_A_NUMBER
+    euler = se3.euler_from_pose(se3.inverse(belief.mean)) if belief.valid else NOT_A_NUMBER
+    return ContactState(
+        header=header(belief.stamp_ns, frame_id),
+        xi=xi,
+        covariance=np.ascontiguousarray(belief.cov).reshape(36),
+        euler=euler,
+        nis=belief.nis,
+        nis_dof=belief.nis_dof,
+        flags=int(belief.flags),
+        rejected=belief.rejected,
+        latency=duration_from_ns(emitted_ns - belief.stamp_ns),
+    )
+
+
+def main() -> int:
+    """Run the node until a signal; returns the exit code."""
+    return run(FilterNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

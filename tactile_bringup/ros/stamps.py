@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,6 +46,11 @@ class EventJoin:
     What is handed out therefore depends on the messages and not on the order in which the sources' messages
     arrived, as long as no deadline passes.
 
+    Parameters
+    ----------
+    complete : callable, optional
+        Whether these parts will do; by default all sources are needed.
+
     Attributes
     ----------
     late : int
@@ -54,8 +59,11 @@ class EventJoin:
         Events dropped because a source had skipped their stamp, or by `drop_oldest`.
     """
 
-    def __init__(self, sources: Sequence[str]) -> None:
+    def __init__(
+        self, sources: Sequence[str], complete: Callable[[Mapping[str, Any]], bool] | None = None
+    ) -> None:
         self.sources = tuple(sources)
+        self._complete = complete
         self.late = 0
         self.dropped = 0
         self.clear()
@@ -85,11 +93,17 @@ class EventJoin:
         """The oldest pending event, complete or not."""
         return self._events[0] if self._events else None
 
+    def missing(self, event: Event) -> list[str]:
+        """The sources that the event still waits for."""
+        if self._complete is not None and self._complete(event.parts):
+            return []
+        return [source for source in self.sources if source not in event.parts]
+
     def ready(self) -> Event | None:
         """The oldest event if it is complete; those before it that can no longer become complete are dropped."""
         while self._events:
             event = self._events[0]
-            missing = [source for source in self.sources if source not in event.parts]
+            missing = self.missing(event)
             if not missing:
                 return event
             if all(self._newest[source] < event.stamp_ns for source in missing):

@@ -224,7 +224,7 @@ class TransformGate:
 
     def _hand_out(self, event: Event) -> bool:
         """Deliver or drop the oldest event; False if it goes on waiting."""
-        missing = [source for source in self._join.sources if source not in event.parts]
+        missing = self._join.missing(event)
         if missing:
             return self._give_up(event, f"no {' and no '.join(missing)} of the same stamp")
         try:

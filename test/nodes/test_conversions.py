@@ -1,0 +1,98 @@
+"""Messages and arrays: exact there and back, and clear errors for what cannot be used."""
+
+import array
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
+
+from geometry_msgs.msg import PoseWithCovariance, Quaternion  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
+
+from tactile_bringup.ros.conversions import (  # noqa: E402
+    MessageError,
+    array_from_image,
+    gaussian_from_message,
+    gaussian_message,
+    image_message,
+    matrix_from_pose,
+    matrix_from_quaternion,
+    pose_from_matrix,
+    quaternion_from_matrix,
+    twist_stamped,
+    vector_from_twist,
+)
+from tactile_filter import se3  # noqa: E402
+
+RNG = np.random.default_rng(7)
+ANGLES = [0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-9, np.pi]
+
+
+def pose(angle: float, axis: np.ndarray) -> np.ndarray:
+    return se3.exp(np.concatenate([RNG.normal(size=3), angle * axis / np.linalg.norm(axis)]))
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_poses_survive_the_way_through_a_message_at_every_angle(angle):
+    for axis in [*np.eye(3), *-np.eye(3), *RNG.normal(size=(20, 3))]:
+        T = pose(angle, axis)
+        np.testing.assert_allclose(matrix_from_pose(pose_from_matrix(T)), T, atol=4e-15)
+
+
+def test_quaternions_have_norm_one_and_a_real_part_that_is_not_negative():
+    for axis in RNG.normal(size=(50, 3)):
+        q = np.array(quaternion_from_matrix(pose(RNG.uniform(0, np.pi), axis)[:3, :3]))
+        assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-15) and q[3] >= 0.0
+
+
+@pytest.mark.parametrize("q", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1), (np.nan, 0.0, 0.0, 1.0), (np.inf, 0.0, 0.0, 1.0)])
+def test_a_quaternion_that_is_no_rotation_is_refused(q):
+    with pytest.raises(MessageError, match="norm 1"):
+        matrix_from_quaternion(*q)
+
+
+def test_a_gaussian_survives_the_way_through_a_message():
+    mean = pose(0.7, RNG.normal(size=3))
+    root = RNG.normal(size=(6, 6))
+    message = gaussian_message(5, "s", mean, root @ root.T)
+    got = gaussian_from_message(message.pose)
+    np.testing.assert_allclose(got.mean, mean, atol=1e-15)
+    np.testing.assert_allclose(got.cov, root @ root.T, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("bad", ["nan pose", "nan covariance", "negative variance"])
+def test_a_gaussian_that_is_none_is_refused(bad):
+    message = PoseWithCovariance()
+    message.covariance = np.eye(6).reshape(36)
+    if bad == "nan pose":
+        message.pose.position.x = float("nan")
+    else:
+        message.covariance[0] = np.nan if bad == "nan covariance" else -1.0
+    with pytest.raises(MessageError, match="finite|negative"):
+        gaussian_from_message(message)
+
+
+def test_an_image_is_read_without_a_copy_and_rows_may_be_padded():
+    data = array.array("B", bytes(range(12)))
+    message = Image(height=3, width=2, step=4, encoding="mono8", data=data)
+    image = array_from_image(message)
+    assert image.tolist() == [[0, 1], [4, 5], [8, 9]]
+    assert np.shares_memory(image, np.frombuffer(message.data, np.uint8))
+
+
+def test_an_image_survives_the_way_through_a_message():
+    image = RNG.integers(0, 256, (480, 640), dtype=np.uint8)
+    assert np.array_equal(array_from_image(image_message(3, "s", image)), image)
+    part = image[10:20, 5:25]  # not contiguous
+    assert np.array_equal(array_from_image(image_message(3, "s", part)), part)
+
+
+def test_a_twist_survives_the_way_through_a_message():
+    twist = RNG.normal(size=6)
+    assert np.array_equal(vector_from_twist(twist_stamped(1, "s", twist).twist), twist)
+
+
+def test_the_identity_quaternion_is_the_default_of_messages():
+    q = Quaternion()
+    assert np.array_equal(matrix_from_quaternion(q.x, q.y, q.z, q.w), np.eye(3))
