@@ -67,7 +67,7 @@ def share(scene: Scene, seconds: float) -> tuple[float, np.ndarray, float]:
     return (time.process_time() - cpu) / seconds, np.array(durations), setup
 
 
-def solver_share(repeat: int = 2000) -> dict[str, float]:
+def step_cost(repeat: int = 2000) -> dict[str, float]:
     """Microseconds of the parts of a step that do not depend on the sensor."""
     cell = Cell(load_scene("ramp").with_fidelity("ideal"))
     parts = {}
@@ -96,7 +96,7 @@ def main() -> None:
             cpu, durations, setup = share(two_of(load_scene(name)).with_fidelity(fidelity), args.seconds)
             p50, p99 = np.quantile(durations, [0.5, 0.99]) * 1e3
             print(f"{name:8}{fidelity:10}{cpu:10.3f}{p50:9.2f} ms{p99:5.2f} ms{setup:7.2f} s")
-    for part, microseconds in solver_share().items():
+    for part, microseconds in step_cost().items():
         print(f"{part}: {microseconds:.1f} us")
 
 

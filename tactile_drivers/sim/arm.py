@@ -135,6 +135,11 @@ class SimArm:
         return self._twist.copy()
 
     @property
+    def mode(self) -> ArmMode:
+        """What the arm does."""
+        return self._mode
+
+    @property
     def target(self) -> Array:
         """Twist (6,) that the arm moves towards, in the sensor frame; zero in a stop."""
         return self._target.copy()

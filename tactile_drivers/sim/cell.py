@@ -178,13 +178,22 @@ class _CellArm:
         placed = {name: item.T_base_surface(arm) for name, item in scene.surfaces_of(arm.name).items()}
         self._targets = [_Target(name, surfaces[name], T) for name, T in placed.items()]
         self._touched: _Target | None = None
+        self._slack = 0.0
 
     def step(self, stamp_ns: int) -> None:
+        before = self.arm.T_base_sensor
         T_base_sensor = self.arm.advance_to(stamp_ns)
-        if self.sensor is None or self.arm.status.mode is ArmMode.FAULT:
-            return
+        # no distance changes by more than the sensor moves, so most steps need no look at the surfaces
+        self._slack -= float(np.linalg.norm(T_base_sensor[:3, 3] - before[:3, 3]))
+        if self._slack <= 0.0 and self.sensor is not None and self.arm.mode is not ArmMode.FAULT:
+            self._protect(self.sensor.radius, T_base_sensor)
+
+    def _protect(self, radius: float, T_base_sensor: Array) -> None:
+        """Fault the arm if it presses too deep; note how far it may move before the next look."""
+        self._slack = np.inf
         for target in self._targets:
-            depth = self.sensor.radius - target.distance(T_base_sensor)
+            depth = radius - target.distance(T_base_sensor)
+            self._slack = min(self._slack, self._protective_depth - depth)
             if depth > self._protective_depth and self._goes_deeper(target, T_base_sensor):
                 limit = 1e3 * self._protective_depth
                 self.arm.fault(
@@ -211,8 +220,8 @@ class _CellArm:
 
     def _nearest(self, T_base_sensor: Array) -> _Target | None:
         """The surface that the sensor touches, as long as it does, else the nearest to its centre."""
-        if self._touched is not None:
-            return self._touched
+        if self._touched is not None or len(self._targets) == 1:
+            return self._touched or self._targets[0]
         return min(self._targets, key=lambda target: target.distance(T_base_sensor), default=None)
 
     def _goes_deeper(self, target: _Target, T_base_sensor: Array) -> bool:

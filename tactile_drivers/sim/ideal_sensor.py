@@ -23,8 +23,9 @@ Array = NDArray[np.float64]
 class IdealSensorSettings(Settings):
     """Noise and shear of the ideal sensor.
 
-    The noise has the mean absolute errors of the paper's GDN on its test data: a Gaussian's standard deviation is
-    1.2533 times its mean absolute error. Where shear slips is what the simulated TacTip does at friction 0.9.
+    The noise has the mean absolute errors of the paper's GDN on its test data (for a Gaussian, the standard
+    deviation over 1.2533). Shear slips where that of the simulated TacTip does at friction
+    0.9.
     """
 
     radius: float = setting(0.020, unit="m", lower=1e-3, upper=0.1, doc="radius of the hemispherical tip")

@@ -326,11 +326,12 @@ def contact_pose(surface: Surface, T_surface_sensor: Array, radius: float) -> Co
     rotation, center = T_surface_sensor[:3, :3], T_surface_sensor[:3, 3]
     distance, normals = surface.query(center[None])
     normal, depth = normals[0], radius - float(distance[0])
+    inward = rotation.T @ -normal  # {f}'s z axis in {s}
     T_fs = np.eye(4)
-    T_fs[:3, :3] = _rotation_without_turn(rotation.T @ -normal)
+    T_fs[:3, :3] = _rotation_without_turn(inward)
     T_fs[2, 3] = depth
-    angle = np.arctan2(np.linalg.norm(np.cross(rotation[:, 2], -normal)), -rotation[:, 2] @ normal)
-    return ContactGeometry(depth, T_fs, float(angle), center - float(distance[0]) * normal, normal)
+    angle = float(np.arctan2(np.hypot(inward[0], inward[1]), inward[2]))
+    return ContactGeometry(depth, T_fs, angle, center - float(distance[0]) * normal, normal)
 
 
 def _rotation_without_turn(axis: Array) -> Array:

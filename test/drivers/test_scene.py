@@ -1,9 +1,20 @@
 """Scene files: what they mean, and what is said about one that is wrong."""
 
+import dataclasses
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from tactile_drivers.scene import SceneError, load_scene
+import tactile_filter
+from tactile_drivers.scene import SceneError, SensorSettings, load_scene
+from tactile_drivers.sim.arm import ArmSettings
+from tactile_drivers.sim.surfaces import SURFACES
 from tactile_filter.config_paths import config_names, config_path
 
 GOOD = """\
@@ -206,3 +217,54 @@ def test_a_missing_configuration_folder_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("TACTILE_CONFIG_DIR", str(tmp_path / "nowhere"))
     with pytest.raises(FileNotFoundError, match="nowhere"):
         config_path("scenes/ramp.yaml")
+
+
+def documented(language):
+    text = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
+    return re.search(rf"```{language}\n(.*?)```", text, re.DOTALL).group(1)
+
+
+def test_the_documented_scene_is_the_packaged_one(scene_file):
+    shown, packaged = load_scene(scene_file(documented("yaml"))), load_scene("ramp")
+    assert shown.surfaces["ramp"].parameters == packaged.surfaces["ramp"].parameters
+    assert shown.arms["arm"].limits == packaged.arms["arm"].limits
+    assert shown.arms["arm"].sensor.settings == packaged.arms["arm"].sensor.settings
+    np.testing.assert_array_equal(shown.arms["arm"].T_base_start, packaged.arms["arm"].T_base_start)
+
+
+def test_the_documented_python_runs():
+    names = {}
+    exec(documented("python"), names)
+    assert names["frame"].truth.depth > -0.012 + 0.005 * 1.8
+
+
+def test_the_documented_names_are_those_that_are_read():
+    text = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
+    for cls in (SensorSettings, ArmSettings, *(shape.settings_class for shape in SURFACES.values())):
+        for item in dataclasses.fields(cls):
+            assert f"`{item.name}`" in text, f"{cls.__name__}.{item.name}"
+
+
+def test_installed_configuration_is_found_through_the_prefixes_of_ros(tmp_path, monkeypatch):
+    """A copy of the package without a source tree around it, as colcon installs it."""
+    site = tmp_path / "lib" / "site-packages"
+    shutil.copytree(Path(tactile_filter.__file__).parent, site / "tactile_filter")
+    (site / "config").mkdir()  # somebody else's
+    scenes = tmp_path / "prefix" / "share" / "tactile_servoing" / "config" / "scenes"
+    scenes.mkdir(parents=True)
+    (scenes / "ramp.yaml").write_text(GOOD)
+    code = "from tactile_filter.config_paths import config_path; print(config_path('scenes/ramp.yaml'))"
+    environment = os.environ | {
+        "PYTHONPATH": str(site),
+        "AMENT_PREFIX_PATH": f"{tmp_path}/none:{tmp_path}/prefix",
+    }
+    environment.pop("TACTILE_CONFIG_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert Path(done.stdout.strip()) == scenes / "ramp.yaml"
