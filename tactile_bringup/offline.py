@@ -36,7 +36,7 @@ from tactile_control.files import Task, load_task
 from tactile_control.task import Command, StampedPose, StampedPresence, SurfaceFollowing, TaskInputs
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
-from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
+from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.config_paths import config_path
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import SettingError
@@ -250,11 +250,13 @@ class _OfflineLoop:
         self.log.frame(frame, percept)
         if percept.in_contact is None:
             return
-        belief = None
+        belief: Belief | None = None
         if percept.in_contact and percept.estimate is not None:
             belief = self.filter.step(frame.stamp_ns, percept.estimate, frame.T_base_sensor)
+            belief = belief if belief.valid else None
+        if belief is not None:
             self.log.belief(belief)
-        elif self.filter.has_belief:
+        elif not percept.in_contact and self.filter.has_belief:
             self.filter.reset("no contact")
         self.queue.append(self._event(frame.stamp_ns, percept.in_contact, belief))
 
@@ -298,7 +300,8 @@ class _Log:
             self.rows["estimate"].append((stamp, percept.estimate.mean, percept.estimate.cov))
 
     def belief(self, belief: Belief) -> None:
-        row = (belief.stamp_ns, belief.mean, belief.cov, belief.nis, belief.nis_dof, belief.accepted)
+        fused = bool(belief.flags & BeliefFlag.MEASUREMENT_FUSED)
+        row = (belief.stamp_ns, belief.mean, belief.cov, belief.nis, belief.nis_dof, fused)
         self.rows["belief"].append(row)
 
     def command(self, now_ns: int, path: int, command: Command) -> None:
