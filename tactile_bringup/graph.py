@@ -80,6 +80,7 @@ class NodeProcess:
     def parameter_text(self) -> str:
         """A ROS parameter file for this node alone."""
         values = {name: _plain(value) for name, value in self.parameters.items() if not _is_empty(value)}
+        values["autostart"] = True
         return yaml.safe_dump({self.full_name: {"ros__parameters": values}}, sort_keys=False)
 
     def command(self, parameter_file: Path, python: str = sys.executable) -> list[str]:

@@ -103,6 +103,7 @@ class Launcher:
     def run(self) -> Outcome:
         """Start, run the paths, stop. Never raises for what happens to nodes or task."""
         outcome = Outcome(EXIT_OK, "", self.logs)
+        shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
         started_ns = time.time_ns()
         with _signals_into(self._signals), ProcessGroup() as self._group:
             try:

@@ -53,10 +53,14 @@ def _owner(path: Path) -> int | None:
 
 
 def _made_since(paths: list[Path], since_ns: int) -> bool:
+    return any(_modified_ns(path) >= since_ns for path in paths)
+
+
+def _modified_ns(path: Path) -> int:
     try:
-        return max(path.lstat().st_mtime_ns for path in paths) >= since_ns
+        return path.lstat().st_mtime_ns
     except FileNotFoundError:
-        return False
+        return 0
 
 
 def _is_owned(paths: list[Path], mapped: set[str]) -> bool:

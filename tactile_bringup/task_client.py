@@ -105,7 +105,9 @@ class TaskClient:
         self._executor.spin_once(timeout_sec=timeout_s)
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph; no shared memory of this process is in use afterwards."""
+        for arm in self._arms.values():
+            arm.close()
         self._executor.remove_node(self._node)
         self._node.destroy_node()
         self._executor.shutdown()
@@ -146,6 +148,10 @@ class ArmTask:
         self._goal: _Goal | None = None
         node.create_subscription(ArmStatus, f"/{arm}/arm/status", self._on_arm, STATE)
         node.create_subscription(StageLatency, f"/{arm}/latency", self._on_latency, LATENCY)
+
+    def close(self) -> None:
+        """Let go of the action, which would otherwise keep the whole node alive."""
+        self._client.destroy()
 
     @property
     def ready(self) -> bool:

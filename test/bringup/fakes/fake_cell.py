@@ -1,0 +1,88 @@
+"""A node that stands in for a whole cell: an arm that moves while a goal runs, and whatever misbehavior is asked for.
+
+The parameter `fault` is one of: "", "configure", "die", "fail", "deaf", "never_active".
+"""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.task import Future
+
+from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_bringup.ros.parameters import declare_read_only
+from tactile_bringup.ros.qos import STATE
+from tactile_msgs.action import RunTask
+from tactile_msgs.msg import ArmStatus
+
+
+class FakeCell(ManagedNode):
+    def __init__(self):
+        super().__init__("fake_cell")
+        self.fault = declare_read_only(self, "fault", "", "how to misbehave")
+        self.seconds = declare_read_only(self, "seconds", 0.5, "duration of a path")
+        self.goal = None
+
+    def configure(self):
+        if self.fault == "configure":
+            raise ConfigurationError("the model file is missing: /no/such/model.onnx")
+        self.status_out = self.publisher(ArmStatus, "arm/status", STATE)
+        self.timer(0.02, self.tick)
+        server = ActionServer(
+            self, RunTask, "run_task", self.execute, cancel_callback=self.cancel,
+            handle_accepted_callback=self.accept,
+        )  # fmt: skip
+        self.release_later(ActionServer.destroy, server)
+
+    def accept(self, handle):
+        self.goal, self.done, self.started = handle, Future(), time.monotonic()
+        handle.execute()
+
+    async def execute(self, handle):
+        return await self.done
+
+    def cancel(self, handle):
+        self.get_logger().info("cancel requested")
+        self.finish_at = time.monotonic() + 0.2  # an arm takes a while to come to rest
+        self.started = self.finish_at - self.seconds
+        return CancelResponse.ACCEPT
+
+    def tick(self):
+        self.status_out.publish(ArmStatus(mode=ArmStatus.MOVING if self.goal else ArmStatus.RESTING))
+        if self.goal is None:
+            return
+        elapsed = time.monotonic() - self.started
+        if self.fault == "die" and elapsed > 0.2:
+            print("FATAL: the gel is torn", flush=True)
+            os._exit(7)
+        feedback = RunTask.Feedback(phase_name="follow", progress=elapsed / self.seconds, depth=0.003)
+        self.goal.publish_feedback(feedback)
+        if elapsed >= self.seconds:
+            self.end()
+
+    def end(self):
+        handle, self.goal = self.goal, None
+        cancelled = handle.is_cancel_requested
+        success = not cancelled and self.fault != "fail"
+        if cancelled:
+            handle.canceled()
+        else:
+            (handle.succeed if success else handle.abort)()
+        reason = "" if success else "cancelled" if cancelled else "lost the contact at 12 mm"
+        self.done.set_result(RunTask.Result(success=success, reason=reason, path_length=0.05))
+
+
+def main():
+    given = Path(sys.argv[-1]).read_text()
+    if "fault: deaf" in given:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    if "fault: never_active" in given:
+        time.sleep(60)
+    return run(FakeCell)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
