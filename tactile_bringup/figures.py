@@ -202,8 +202,7 @@ def _draw_tips(axes: Any, record: RunRecord, track: _Track, origin: Array, along
         depth = track.depth[k] * 1e3
         touched = center + (radius - depth) * normal
         ends = np.stack([touched, touched - (radius + 12.0) * normal])
-        axes.plot(*ends.T, color=TRUTH, lw=1.3, zorder=5, label=None if number else "true normal of the
-        surface") _arrow(axes, center - 0.45 * radius * axis, center + (radius - depth) * axis, AXES[0])
+        axes.plot(*ends.T, color=TRUTH, lw=1.3, zorder=5, label=None if number else "true surface normal") _arrow(axes, center - 0.45 * radius * axis, center + (radius - depth) * axis, AXES[0])
         axes.plot(*center, "o", color=BELIEF, ms=4, zorder=6)
     axes.plot([], [], color=AXES[0], lw=2.2, label="sensor's axis")
 
