@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from rich.console import Console
+from rich.progress import track
 
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
+from tactile_drivers.sim.tactip import TacTipSettings
 from tactile_filter.settings import SettingError
 from tactile_perception.dataset import DatasetError, DatasetWriter, write_processed
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
@@ -27,14 +30,14 @@ def register(subparsers: Any) -> None:
     parser = commands.add_parser(
         "generate",
         help="labelled images of the simulated TacTip",
-        description="Press and shear the simulated TacTip by the paper's sampling rules; write OUT/train and OUT/val. "
+        description="Press and shear the simulated TacTip as the paper does; write OUT/train and OUT/val. "
         "The same command goes on after an interruption; a sample depends on seed and number only.",
     )
     parser.add_argument("out", type=Path, help="folder for train/ and val/")
-    parser.add_argument("--train", type=int, default=6000, metavar="N", help="training samples (default 6000)")
-    parser.add_argument("--val", type=int, default=2000, metavar="N", help="validation samples (default 2000)")
+    parser.add_argument("--train", type=int, default=6000, metavar="N", help="training samples (6000)")
+    parser.add_argument("--val", type=int, default=2000, metavar="N", help="validation samples (2000)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=2, help="processes to spread over (default 2)")
+    parser.add_argument("--processes", type=int, default=2, help="processes to spread over (2)")
     parser.add_argument("--config", type=Path, help="YAML file with collection settings (SI)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="change one of them"
@@ -44,8 +47,6 @@ def register(subparsers: Any) -> None:
 
 def run_generate(arguments: argparse.Namespace) -> int:
     """`tactile data generate`: returns the exit status."""
-    from rich.console import Console
-
     console = Console(stderr=True)
     try:
         settings = _settings(arguments)
@@ -78,14 +79,20 @@ def _settings(arguments: argparse.Namespace) -> CollectionSettings:
 
 
 def _generate_split(
-    arguments: argparse.Namespace, settings: CollectionSettings, name: str, count: int, start: int, console: Any
+    arguments: argparse.Namespace,
+    settings: CollectionSettings,
+    name: str,
+    count: int,
+    start: int,
+    console: Console,
 ) -> None:
     """Generate what is missing of one split."""
-    from rich.progress import track
-
     folder = arguments.out / name
     preprocessing = PreprocessingSettings()
-    _check_same_run(folder, {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings)})
+    sensor = dataclasses.asdict(TacTipSettings())
+    _check_same_run(
+        folder, {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings), "sensor": sensor}
+    )
     writer = DatasetWriter(folder, preprocessing)
     missing = sorted(set(range(1, count + 1)) - writer.done)
     store = StoreSample(folder, preprocessing, start)
@@ -93,8 +100,8 @@ def _generate_split(
         settings, arguments.seed, [start + number - 1 for number in missing],
         processes=arguments.processes, each=store,
     )  # fmt: skip
-    description = f"{name}: {len(missing)} of {count} samples"
-    for number, euler in track(samples, description, len(missing), console=console, disable=not console.is_terminal):
+    text = f"{name}: {len(missing)} of {count} samples"
+    for number, euler in track(samples, text, len(missing), console=console, disable=not console.is_terminal):
         writer.add_row(number, euler)
     path = writer.finish()
     console.print(f"{path}: {len(writer.done)} samples, {len(missing)} of them new", highlight=False)
@@ -107,8 +114,9 @@ def _check_same_run(folder: Path, parameters: dict[str, Any]) -> None:
     if path.exists():
         found = json.loads(path.read_text())
         if found != parameters:
-            names = sorted(name for name in parameters.keys() | found.keys() if parameters.get(name) != found.get(name))
-            raise DatasetError(f"{folder}: was made with another {', '.join(names)}; remove it or choose another folder")
+            names = parameters.keys() | found.keys()
+            other = ", ".join(sorted(name for name in names if parameters.get(name) != found.get(name)))
+            raise DatasetError(f"{folder}: was made with another {other}; remove it or choose another folder")
         return
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(parameters, indent=2) + "\n")

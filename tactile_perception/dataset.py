@@ -92,7 +92,7 @@ class TactileFolder:
         if image.shape != expected:
             found, right = f"{image.shape[1]}x{image.shape[0]}", f"{expected[1]}x{expected[0]}"
             raise ImageError(f"{path}: is {found}, must be {right}")
-        return image
+        return np.asarray(image, np.uint8)
 
     def resized(self, index: int, preprocessor: Preprocessor) -> Image:
         """Image `index` pre-processed to uint8 (size, size)."""
@@ -130,7 +130,7 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
     Parameters
     ----------
     folder : path
-        Holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (camera images).
+        Holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw).
     preprocessing : PreprocessingSettings, optional
         Overrides what `processed_image_params.json` says.
 
@@ -192,7 +192,7 @@ def read_dataset(
     images: list[Image] = []
     content = Counter[str]()
     digest = hashlib.sha256()
-    for count, index in enumerate(chosen):
+    for count, index in enumerate(chosen.tolist()):
         try:
             images.append(source.resized(index, preprocessor))
         except ImageError as error:

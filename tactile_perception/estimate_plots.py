@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -31,7 +32,7 @@ def draw_predicted_against_actual(table: EstimateTable, path: Path, title: str) 
     figure.savefig(path, dpi=90)
 
 
-def _scatter(figure: Figure, axes, actual: Array, series: Series, component: int) -> None:
+def _scatter(figure: Figure, axes: Any, actual: Array, series: Series, component: int) -> None:
     predicted, sigma = series.mean[:, component], series.sigma[:, component]
     usable = np.isfinite(predicted) & np.isfinite(actual)
     # Precise points on top, as they are the ones to trust.

@@ -86,7 +86,7 @@ class EstimateTable:
         return errors[usable].mean(axis=0) if usable.any() else np.full(6, np.nan)
 
     def write_csv(self, path: Path) -> None:
-        """Write all of it as a table: xi_sf and sigmas in mm and rad, X_fs as Euler pose in mm and degrees."""
+        """Write it as a table: xi_sf and sigmas in mm and rad, X_fs as Euler pose in mm and degrees."""
         vector = [f"{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
         euler = [f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True)]
         header = ["name", "stamp_ns"]

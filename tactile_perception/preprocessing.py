@@ -121,14 +121,14 @@ class Preprocessor:
         x0, y0, x1, y1 = settings.bbox
         crop = image[y0:y1, x0:x1]
         if settings.median:
-            crop = cv2.medianBlur(crop, settings.median, dst=self._smooth)
+            crop = np.asarray(cv2.medianBlur(crop, settings.median, dst=self._smooth), np.uint8)
         method = _THRESHOLD_METHODS[settings.threshold_method]
         binary = cv2.adaptiveThreshold(
             crop, 255, method, cv2.THRESH_BINARY, settings.threshold_block, settings.threshold_offset
         )
         if self._mask is not None:
             cv2.bitwise_and(binary, self._mask, dst=binary)
-        return binary
+        return np.asarray(binary, np.uint8)
 
     def resized(self, crop: Image) -> Image:
         """Processed crop -> uint8 (size, size); what training keeps in memory.
@@ -140,7 +140,7 @@ class Preprocessor:
         """
         crop = check_image(crop, self.settings.crop_shape, "processed image")
         side = self.settings.size
-        return cv2.resize(crop, (side, side), interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.resize(crop, (side, side), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def as_input(resized: Image) -> NDArray[np.float32]:
@@ -153,4 +153,5 @@ def _circle_mask(shape: tuple[int, int], radius: int) -> Image | None:
     if radius == 0:
         return None
     mask = np.zeros(shape, np.uint8)
-    return cv2.circle(mask, (shape[1] // 2, shape[0] // 2), radius, 255, thickness=-1)
+    center = (shape[1] // 2, shape[0] // 2)
+    return np.asarray(cv2.circle(mask, center, radius, 255, thickness=-1), np.uint8)

@@ -91,7 +91,7 @@ def video_frames(
                 break
             if poses is not None and count >= len(poses):
                 raise SourceError(f"{source}: has more frames than there are poses ({len(poses)})")
-            gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+            gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
             pose = None if poses is None else poses[count]
             yield Frame(f"frame {count}", round(count / rate * _NANOSECONDS), gray, False, None, pose)
             count += 1

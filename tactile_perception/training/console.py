@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
 from tactile_perception.training.train import Epoch, Progress
@@ -29,7 +29,7 @@ class TrainingProgress(Progress):
         )
         self._loading = self._bars.add_task("loading", total=None, text="")
         self._steps = 0
-        self._run = None
+        self._run: TaskID | None = None
 
     def __enter__(self) -> TrainingProgress:
         self._bars.start()

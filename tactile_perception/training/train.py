@@ -196,7 +196,7 @@ class _Run:
         self.images, self.labels = self._tensors(training)
         self.validation_images, self.validation_labels = self._tensors(validation)
         self.network.start_from(self.labels.cpu())
-        self.network.to(self.device, memory_format=self.layout)
+        self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.optimizer = torch.optim.Adam(
             self.network.parameters(), lr=settings.learning_rate_start, fused=True
         )

@@ -169,7 +169,7 @@ def test_without_image_settings_the_defaults_are_assumed_and_said(folder):
 
 def test_impossible_image_settings_are_an_error(folder):
     (folder / "processed_image_params.json").write_text(json.dumps({"bbox": [0, 0, 900, 100]}))
-    with pytest.raises(DatasetError, match="processed_image_params.json: bbox"):
+    with pytest.raises(DatasetError, match=r"processed_image_params\.json: bbox"):
         open_folder(folder)
 
 
@@ -188,7 +188,7 @@ def test_a_table_with_some_shear_columns_is_an_error(folder):
 
 def test_a_table_without_labels_is_an_error_that_lists_its_columns(folder):
     write_table(folder, table(folder), ["sensor_image"])
-    with pytest.raises(DatasetError, match="has no column pose_x.*its columns: sensor_image"):
+    with pytest.raises(DatasetError, match=r"has no column pose_x.*its columns: sensor_image"):
         read_dataset(folder)
 
 

@@ -89,14 +89,14 @@ def test_nan_from_the_network_is_an_error_and_the_next_image_is_served(constant_
 
 
 def test_missing_model_file_is_named(tmp_path):
-    with pytest.raises(ModelError, match="nowhere.onnx: there is no such model file"):
+    with pytest.raises(ModelError, match=r"nowhere\.onnx: there is no such model file"):
         Estimator(tmp_path / "nowhere.onnx")
 
 
 def test_a_file_that_is_no_model_is_named(tmp_path):
     path = tmp_path / "text.onnx"
     path.write_text("hello")
-    with pytest.raises(ModelError, match="text.onnx: is not a usable ONNX model"):
+    with pytest.raises(ModelError, match=r"text\.onnx: is not a usable ONNX model"):
         Estimator(path)
 
 

@@ -32,5 +32,5 @@ def test_infinity_is_read_as_python_writes_it():
 
 
 def test_what_cannot_be_repaired_is_an_error_with_its_place():
-    with pytest.raises(lenient_json.JsonError, match="x.json: malformed JSON at line 2, column 3"):
+    with pytest.raises(lenient_json.JsonError, match=r"x\.json: malformed JSON at line 2, column 3"):
         lenient_json.loads('{"a": 1,\n  b}', "x.json")

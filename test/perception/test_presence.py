@@ -95,7 +95,7 @@ def test_thresholds_stay_clear_of_a_noisy_sensor():
 
 
 def test_off_above_on_is_refused():
-    with pytest.raises(SettingError, match="off = 0.5: must not be above on = 0.4"):
+    with pytest.raises(SettingError, match=r"off = 0\.5: must not be above on = 0\.4"):
         PresenceSettings(on=0.4, off=0.5)
 
 

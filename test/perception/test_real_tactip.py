@@ -1,7 +1,7 @@
 """Real TacTip images go through pre-processing, a short training and the estimator with no special case.
 
-The published data are not part of the project: they are looked for in the folder named by TACTILE_REAL_DATA, else in
-../shared/data beside the repository.
+The published data are not part of the project: they are looked for in the folder named by TACTILE_REAL_DATA, else
+in ../shared/data beside the repository.
 """
 
 import os
@@ -48,7 +48,7 @@ def test_images_are_the_networks_input_size_and_use_its_range(sample):
 
 
 def test_deep_contacts_stand_out_from_shallow_ones_for_contact_presence(sample):
-    """There is no image without contact in the data; the shallowest contacts, which differ in place, stand in."""
+    """The data hold no image without contact; the shallowest contacts, which differ in place, stand in."""
     depth = sample.euler_mm_deg[:, 2]
     images = sample.images.astype(np.float32) / 255.0
     presence = ContactPresence()

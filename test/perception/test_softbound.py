@@ -13,7 +13,7 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def exact(x: float, lower: float, upper: float) -> float:
-    """The value of lower + softplus(x - lower) - softplus(x - upper) with a thousand digits more than it needs."""
+    """The value of lower + softplus(x - lower) - softplus(x - upper), to a thousand digits."""
     with mpmath.workdps(1000):
         x, lower, upper = mpmath.mpf(x), mpmath.mpf(lower), mpmath.mpf(upper)
         return float(lower + mpmath.log1p(mpmath.exp(x - lower)) - mpmath.log1p(mpmath.exp(x - upper)))
