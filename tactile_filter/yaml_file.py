@@ -11,6 +11,7 @@ A file is read into sections (mappings) that know where they stand, and are aske
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -21,6 +22,8 @@ from tactile_filter.settings import SettingError, Settings, unknown_name
 
 S = TypeVar("S", bound=Settings)
 _MISSING: Any = object()
+# what everybody takes for a number, and YAML 1.1 for a text: 1e-3, 2E5
+_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 
 
 class Section:
@@ -179,6 +182,7 @@ def _loader(path: Path) -> type[yaml.SafeLoader]:
             lines[key] = key_node.start_mark.line + 1
         return Section(path, node.start_mark.line + 1, values, lines)
 
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("+-0123456789."))
     Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, construct)
     return Loader
 

@@ -38,7 +38,10 @@ class ArmMode(IntEnum):
 
 @dataclass(frozen=True)
 class ArmSettings(Settings):
-    """Limits: of velocity as a norm, of acceleration and jerk on each axis of the sensor frame."""
+    """Limits of commands by their norms, and of velocity, acceleration and jerk on each axis of {s}.
+
+    While one command gives way to another the speed can pass its limit as a norm, but not on any axis.
+    """
 
     linear_velocity: float = setting(0.1, unit="m/s", lower=1e-4, upper=5.0, doc="largest speed")
     angular_velocity: float = setting(1.0, unit="rad/s", lower=1e-3, upper=10.0, doc="largest angular speed")

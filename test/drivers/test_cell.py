@@ -142,6 +142,25 @@ def test_two_sensors_share_the_time_and_have_their_own_bases_and_surfaces(tmp_pa
     assert right.truth.depth == pytest.approx(0.003, abs=1e-4)
 
 
+def test_two_sensors_on_one_surface_do_not_disturb_each_other():
+    scene = ideal("ramp")
+    both = dataclasses.replace(
+        scene, arms={name: dataclasses.replace(scene.arms["arm"], name=name) for name in ("left", "right")}
+    )
+    cell, alone = Cell(both), Cell(scene)
+    for k, twist in enumerate(down_and_along(0.003, along=0.003)):
+        cell.command("left", cell.stamp_ns, twist)
+        cell.command("right", cell.stamp_ns, [0, 0, 0.02, 0, 0, 0] if k < 60 else [0] * 6)
+        alone.command("arm", alone.stamp_ns, twist)
+        cell.step()
+        alone.step()
+        if alone.exposure_due("arm"):
+            left, right, single = cell.expose("left"), cell.expose("right"), alone.expose("arm")
+    np.testing.assert_array_equal(left.truth.T_fs, single.truth.T_fs)
+    assert left.truth.in_contact
+    assert not right.truth.in_contact
+
+
 def test_noise_differs_between_the_sensors_of_a_cell(tmp_path):
     cell = Cell(two_arms(tmp_path), seed=5)
     for twist in down_and_along(0.003):

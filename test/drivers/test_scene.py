@@ -170,6 +170,12 @@ def test_a_scene_that_lacks_what_it_needs_is_refused(scene_file, text, message):
     assert message in str(caught.value)
 
 
+def test_a_number_with_an_exponent_is_a_number(scene_file):
+    for text in ("5e-2", "5E-2", "+.5e-1", "5.e-2"):
+        scene = load_scene(scene_file(GOOD.replace("{radius: 0.05}", f"{{radius: {text}}}")))
+        assert scene.surfaces["hill"].parameters.radius == 0.05
+
+
 def test_a_scene_name_with_a_typo_gives_the_packaged_names():
     with pytest.raises(
         SceneError, match=r"unknown name 'rampp' \(did you mean 'ramp'\?\); valid: .*dome.*plane.*ramp"
