@@ -114,11 +114,12 @@ class BagWriter:
     ) -> None:
         self.close()
 
-    def write(self, topic: str, data: bytes, received_ns: int, published_ns: int) -> None:
-        """Add one message."""
+    def write(self, topic: str, data: bytes, received_ns: int, published_ns: int | None = None) -> None:
+        """Add one message; without a time of publication that of reception stands in."""
         channel = self._channels[topic]
         channel.count += 1
         self._span.add(received_ns)
+        published_ns = received_ns if published_ns is None else published_ns
         self._writer.add_message(channel.id, received_ns, data, published_ns, sequence=channel.count)
 
     def flush(self) -> None:

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2
-    if options.record is not None:
+    if options.record is not None and options.record.exists():
         console.print(f"bag: {options.record}", highlight=False, soft_wrap=True)
     return outcome.exit_code
 

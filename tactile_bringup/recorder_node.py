@@ -68,9 +68,9 @@ class RecorderNode(ManagedNode):
             self.bag = None
 
     def _record(self, topic: Topic) -> None:
-        def write(data: Any, information: Any) -> None:
-            received_ns = information["received_timestamp"] or self.now_ns()
-            self._write(topic.name, data, received_ns, information["source_timestamp"] or received_ns)
+        # Without MessageInfo, whose time of publication would be welcome: the events executor cannot pass it.
+        def write(data: Any) -> None:
+            self._write(topic.name, data)
 
         message_type = _message_type(topic.type)
         subscription: Any = self.create_subscription(
@@ -87,16 +87,15 @@ class RecorderNode(ManagedNode):
                 self.warn("image", f"{name} refused: {error}")
                 return
             compressed = CompressedImage(header=message.header, format=f"{message.encoding}; png", data=data)
-            now_ns = self.now_ns()
-            self._write(f"{name}/compressed", serialize_message(compressed), now_ns, now_ns)
+            self._write(f"{name}/compressed", serialize_message(compressed))
 
         subscription = self.create_subscription(Image, name, write, IMAGE)
         self.release_later(self.destroy_subscription, subscription)
 
-    def _write(self, topic: str, data: bytes, received_ns: int, published_ns: int) -> None:
+    def _write(self, topic: str, data: bytes) -> None:
         if self.bag is not None:
             self.count("messages")
-            self.bag.write(topic, data, received_ns, published_ns)
+            self.bag.write(topic, data, self.now_ns())
 
     def _flush(self) -> None:
         if self.bag is not None:

@@ -1,4 +1,4 @@
-"""Launches the fake cell as `tactile launch` would launch a graph: launch_fake.py FOLDER FAULT SECONDS PATHS."""
+"""Launches the fake cell as `tactile launch` launches a graph: launch_fake.py FOLDER FAULT SECONDS PATHS."""
 
 import sys
 from pathlib import Path
