@@ -205,7 +205,7 @@ def test_a_query_of_all_nodes_of_the_skin_is_cheap(kind, limit):
     points = tip + 0.02 * direction / np.linalg.norm(direction, axis=1)[:, None]
     times = []
     for _ in range(200):
-        start = time.perf_counter()
+        start = time.thread_time()
         surface.query(points)
-        times.append(time.perf_counter() - start)
+        times.append(time.thread_time() - start)
     assert np.quantile(times, 0.2) < limit  # other load on the machine must not fail this
