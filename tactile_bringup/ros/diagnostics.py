@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+FIRST_MESSAGE_GRACE = 3.0  # s; nodes find each other and other nodes start within this
+
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -41,7 +43,8 @@ class InputWatch:
     def complaint(self) -> str:
         """'' or which input is silent, for how long, and the limit."""
         age = self.age
-        if self.limit <= 0.0 or age <= self.limit:
+        limit = self.limit if self.count else max(self.limit, FIRST_MESSAGE_GRACE)
+        if self.limit <= 0.0 or age <= limit:
             return ""
         what = "no message for" if self.count else "no message yet in"
         return f"{self.name}: {what} {age:.2f} s (limit {self.limit:.2f} s)"
@@ -82,7 +85,11 @@ class Diagnostics:
         level = ERROR if self.fault else WARN if complaints else OK
         text = self.fault or "; ".join(complaints) or state
         status = DiagnosticStatus(
-            level=level, name=self._name, hardware_id=self._hardware_id, message=text, values=self._values(state)
+            level=level,
+            name=self._name,
+            hardware_id=self._hardware_id,
+            message=text,
+            values=self._values(state),
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = stamp

@@ -33,10 +33,11 @@ from rclpy.timer import Timer
 from tactile_bringup.ros.diagnostics import Diagnostics, InputWatch
 from tactile_bringup.ros.parameters import declare_read_only
 from tactile_bringup.ros.qos import DIAGNOSTICS
-from tactile_filter.settings import SettingError
+from tactile_filter.settings import SettingError, unknown_name
 
 Result = TransitionCallbackReturn
 
+COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 DIAGNOSTIC_PERIOD = 1.0  # s
 FLUSH_STEPS = 20
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
@@ -54,7 +55,10 @@ class ManagedNode(LifecycleNode):
         self.autostart = declare_read_only(self, "autostart", True, "configure and activate when started")
         namespace = self.get_namespace().strip("/")
         self.arm = declare_read_only(
-            self, "arm", namespace.rsplit("/", 1)[-1] or "arm", "name of the arm, first part of its frames' names"
+            self,
+            "arm",
+            namespace.rsplit("/", 1)[-1] or "arm",
+            "name of the arm, first part of its frames' names",
         )
         self.base_frame = f"{self.arm}/base"
         self.sensor_frame = f"{self.arm}/tactile_sensor"
@@ -147,6 +151,13 @@ class ManagedNode(LifecycleNode):
         if now - self._last_warning.get(key, -period) >= period:
             self._last_warning[key] = now
             self.get_logger().warning(message)
+
+    def warn_of_unknown_parameters(self) -> None:
+        """Tell values that were given at start for parameters that this node does not have: typos, mostly."""
+        known = list(self._parameters)
+        for name in self._parameter_overrides:
+            if name not in known and name not in COMMON_PARAMETERS and not name.startswith("qos_overrides."):
+                self.get_logger().warning(f"parameter ignored: {unknown_name(name, known)}")
 
     def count(self, what: str, number: int = 1) -> None:
         """Count something that /diagnostics shows."""
@@ -297,6 +308,7 @@ def _flush(executor: Any) -> None:
 
 
 def _spin(node: ManagedNode, executor: Any, stopped: list[int]) -> int:
+    node.warn_of_unknown_parameters()
     if node.autostart and not node.start():
         node.publish_diagnostics()
         return 1

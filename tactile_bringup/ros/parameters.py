@@ -74,7 +74,9 @@ class SettingsParameters(Generic[S]):
         self._check = check
         self._names = {self._prefix + field.name: field.name for field in dataclasses.fields(defaults)}
         initial = {
-            field.name: _declare(node, self._prefix + field.name, field, getattr(defaults, field.name), read_only)
+            field.name: _declare(
+                node, self._prefix + field.name, field, getattr(defaults, field.name), read_only
+            )
             for field in dataclasses.fields(defaults)
         }
         try:

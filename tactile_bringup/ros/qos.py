@@ -23,8 +23,8 @@ STATE = _profile(10)
 COMMAND = _profile(1)
 """Twists: only the newest matters, and it has to arrive."""
 
-LATENCY = _profile(50, reliable=False)
-"""Measurements about the graph itself, which must never hold it up."""
+LATENCY = _profile(50)
+"""Measurements about the graph itself; a writer that keeps the last 50 never waits for its readers."""
 
 TF = _profile(100)
 TF_STATIC = _profile(100, latched=True)

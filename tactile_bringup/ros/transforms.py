@@ -29,7 +29,9 @@ except ImportError:  # no wheels of it exist
 
 Array = NDArray[np.float64]
 
-JUMP_NS = 100_000_000  # a transform that is this much older than the newest of its frame is a jump of the clock
+JUMP_NS = (
+    100_000_000  # a transform that is this much older than the newest of its frame is a jump of the clock
+)
 
 
 class Store(Protocol):
@@ -72,7 +74,9 @@ class OwnStore:
         """See `Store`."""
         stamp_ns = self._buffer.latest_stamp(target, source)
         if stamp_ns is None:
-            raise TransformUnavailable(f"nothing moves between '{target}' and '{source}': no newest transform")
+            raise TransformUnavailable(
+                f"nothing moves between '{target}' and '{source}': no newest transform"
+            )
         return stamp_ns, self._buffer.lookup(target, source, stamp_ns)
 
     def clear(self) -> None:
@@ -179,7 +183,9 @@ class TransformListener:
             self._node.warn("jump", f"time jumped back by {seconds:.3f} s: transforms and state are cleared")
             if self._on_jump is not None:
                 self._on_jump(seconds)
-        self._newest_ns[transform.child_frame_id] = max(stamp_ns, self._newest_ns.get(transform.child_frame_id, 0))
+        self._newest_ns[transform.child_frame_id] = max(
+            stamp_ns, self._newest_ns.get(transform.child_frame_id, 0)
+        )
 
 
 class TransformGate:
