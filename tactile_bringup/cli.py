@@ -12,6 +12,7 @@ COMMANDS = (
     "tactile_bringup.launch_command",
     "tactile_perception.commands",
     "tactile_bringup.data_command",
+    "tactile_bringup.simulate_command",
 )
 
 

@@ -51,7 +51,9 @@ STYLE = {
     "grid.color": "#e4e4e4",
     "grid.linewidth": 0.6,
     "axes.axisbelow": True,
-    "legend.frameon": False,
+    "legend.frameon": True,
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
     "legend.fontsize": 9,
 }
 DEPTH_REQUIREMENT, NORMAL_REQUIREMENT = 0.3, 2.0  # mm, deg: what the runs are held to
@@ -202,7 +204,8 @@ def _draw_tips(axes: Any, record: RunRecord, track: _Track, origin: Array, along
         depth = track.depth[k] * 1e3
         touched = center + (radius - depth) * normal
         ends = np.stack([touched, touched - (radius + 12.0) * normal])
-        axes.plot(*ends.T, color=TRUTH, lw=1.3, zorder=5, label=None if number else "true surface normal") _arrow(axes, center - 0.45 * radius * axis, center + (radius - depth) * axis, AXES[0])
+        axes.plot(*ends.T, color="#8a8a8a", lw=3.2, zorder=4, label=None if number else "true surface normal")
+        _arrow(axes, center - 0.45 * radius * axis, center + (radius - depth) * axis, AXES[0])
         axes.plot(*center, "o", color=BELIEF, ms=4, zorder=6)
     axes.plot([], [], color=AXES[0], lw=2.2, label="sensor's axis")
 
@@ -213,8 +216,8 @@ def _in_plane(v: Array, along: Array) -> Array:
 
 
 def _arrow(axes: Any, start: Array, end: Array, color: str) -> None:
-    arrow = {"arrowstyle": "-|>", "color": color, "lw": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
-    axes.annotate("", xy=end, xytext=start, zorder=4, arrowprops=arrow)
+    arrow = {"arrowstyle": "-|>", "color": color, "lw": 1.6, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 9}
+    axes.annotate("", xy=end, xytext=start, zorder=5, arrowprops=arrow)
 
 
 def _draw_depth(axes: Any, record: RunRecord, at: Array, depth: Array, color: Any, **line: Any) -> None:
@@ -406,7 +409,8 @@ def euler_poses(T: Array) -> Array:
     """Euler contact poses (N, 6) of (N, 4, 4), m and rad; NaN where the pose is."""
     good = np.isfinite(T).all(axis=(1, 2))
     result = np.full((len(T), 6), np.nan)
-    result[good] = [se3.euler_from_pose(pose) for pose in T[good]]
+    for k in np.flatnonzero(good):
+        result[k] = se3.euler_from_pose(T[k])
     return result
 
 
@@ -502,7 +506,8 @@ def latency(record: RunRecord) -> Figure:
         spread.plot([p50, p99], [0.5, 0.99], "o", color=color, ms=4)
     for name, limit in LATENCY_REQUIREMENT.items():
         spread.axvline(limit, color=REFERENCE, ls="--", lw=1.2)
-        spread.text(limit, 0.03, f" {name} limit of {COMMAND_STAGE}", color=REFERENCE, fontsize=9)
+        text = f"{name} of {COMMAND_STAGE} \u2264 {limit:g} ms "
+        spread.text(limit, 0.03, text, color=REFERENCE, fontsize=9, ha="right")
     spread.set(
         ylabel="part of the frames", ylim=(0.0, 1.02), title="time from exposure to each stage's output"
     )
