@@ -54,7 +54,7 @@ def run_generate(arguments: argparse.Namespace) -> int:
             if count > 0:
                 _generate_split(arguments, settings, name, count, start, console)
     except (ValueError, OSError) as error:
-        console.print(f"tactile data generate: {error}", markup=False, style="red")
+        console.print(f"tactile data generate: {error}", markup=False, style="red", soft_wrap=True)
         return 1
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
@@ -104,7 +104,7 @@ def _generate_split(
     for number, euler in track(samples, text, len(missing), console=console, disable=not console.is_terminal):
         writer.add_row(number, euler)
     path = writer.finish()
-    console.print(f"{path}: {len(writer.done)} samples, {len(missing)} of them new", highlight=False)
+    console.print(f"{path}: {len(writer.done)} samples, {len(missing)} new", highlight=False, soft_wrap=True)
 
 
 def _check_same_run(folder: Path, parameters: dict[str, Any]) -> None:

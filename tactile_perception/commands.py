@@ -110,7 +110,7 @@ def run_train(arguments: argparse.Namespace) -> int:
                 progress.loading,
             )
     except (ValueError, OSError, FloatingPointError) as error:
-        console.print(f"tactile train: {error}", markup=False, style="red")
+        console.print(f"tactile train: {error}", markup=False, style="red", soft_wrap=True)
         return 1
     if arguments.install:
         arguments.install.write_bytes(result.model_path.read_bytes())
@@ -166,7 +166,7 @@ def run_estimate(arguments: argparse.Namespace) -> int:
         else:
             table = _estimate_video(arguments, estimator, console)
     except (ValueError, OSError) as error:
-        console.print(f"tactile estimate: {error}", markup=False, style="red")
+        console.print(f"tactile estimate: {error}", markup=False, style="red", soft_wrap=True)
         return 1
     _write_estimates(arguments, table)
     return 0
@@ -180,7 +180,7 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
 
     folder = open_folder(arguments.source)
     order = usable_order(folder, arguments.seed, arguments.limit)
-    console.print("\n".join(folder.report.lines()), markup=False, highlight=False)
+    console.print("\n".join(folder.report.lines()), markup=False, highlight=False, soft_wrap=True)
     if folder.processed and folder.preprocessing != estimator.metadata.preprocessing:
         console.print(
             "note: the folder's images were pre-processed with other settings than the model's",

@@ -13,14 +13,16 @@ from tactile_filter.settings import SettingError, Settings, setting
 Prepared = NDArray[np.float32]
 #: Spreads of the score without contact that the thresholds stay away from, however small they are set.
 _NOISE_MARGIN = 6.0
+#: Standard deviations of a pixel without contact that do not count as change.
+_PIXEL_NOISE_MARGIN = np.float32(2.0)
 
 
 @dataclass(frozen=True)
 class PresenceSettings(Settings):
     """Thresholds of the change score, which runs from 0 (no change) to 1."""
 
-    on: float = setting(0.04, lower=0.0, upper=1.0, doc="score at and above which contact begins")
-    off: float = setting(0.025, lower=0.0, upper=1.0, doc="score below which contact ends")
+    on: float = setting(0.02, lower=0.0, upper=1.0, doc="score at and above which contact begins")
+    off: float = setting(0.012, lower=0.0, upper=1.0, doc="score below which contact ends")
     window: int = setting(17, unit="px", lower=1, upper=129, doc="side of the patch whose mean change counts")
     reference_frames: int = setting(
         10, lower=2, upper=1000, doc="first frames, without contact, for the reference"
@@ -43,9 +45,10 @@ class Presence:
 class ContactPresence:
     """Compares prepared images (the preprocessor's output) with a no-contact reference, with hysteresis.
 
-    The score is the largest mean absolute change over a patch of the image, less what noise makes of it:
-    a contact moves a few markers a little, noise moves all edges by nothing on average. The first
-    `reference_frames` images make the reference and the noise level, unless `set_reference` gives them::
+    The score is the largest mean absolute change over a patch of the image, less what noise makes of it.
+    Each pixel's change counts only as far as it exceeds the pixel's own noise: where a threshold meets an
+    even ground, whole areas flicker without any contact. The first `reference_frames` images make the
+    reference and the noise level, unless `set_reference` gives them::
 
         presence = ContactPresence(PresenceSettings())
         answer = presence.update(estimator.preprocessor(image))
@@ -59,6 +62,7 @@ class ContactPresence:
         """Forget the reference; the next frames, which must be without contact, make a new one."""
         self._captured: list[Prepared] = []
         self._reference: Prepared | None = None
+        self._noise: Prepared | None = None
         self._floor = self._spread = 0.0
         self._in_contact = False
 
@@ -91,13 +95,17 @@ class ContactPresence:
         if stack.ndim < 3 or len(stack) < 2:
             raise ValueError(f"presence reference: must be at least two images, has the shape {stack.shape}")
         stack = stack.reshape(len(stack), *stack.shape[-2:])
-        self._reference = stack.mean(axis=0)
         self._in_contact = False
-        # A frame that is part of the mean differs from it by less than a new one will.
-        unbiased = np.sqrt((len(stack) + 1.0) / (len(stack) - 1.0))
-        scores = np.array([self._change(image) for image in stack]) * unbiased
+        # Frames judged by a reference that they are part of would look calmer than new ones: each half is
+        # judged by the other.
+        halves = (stack[::2], stack[1::2])
+        scores = []
+        for own, other in (halves, halves[::-1]):
+            self._reference, self._noise = _mean_and_noise(other)
+            scores += [self._change(image) for image in own]
         self._floor = float(np.median(scores))
-        self._spread = float(scores.std(ddof=1))
+        self._spread = float(np.std(scores, ddof=1))
+        self._reference, self._noise = _mean_and_noise(stack)
 
     def update(self, prepared: Prepared) -> Presence:
         """Score one prepared image (size, size) or (1, 1, size, size).
@@ -123,8 +131,14 @@ class ContactPresence:
         return Presence(score, self._in_contact)
 
     def _change(self, image: Prepared) -> float:
-        """Largest patch mean of the absolute change."""
-        assert self._reference is not None
-        change = cv2.absdiff(image, self._reference)
+        """Largest patch mean of the absolute change beyond each pixel's noise."""
+        assert self._reference is not None and self._noise is not None
+        change = cv2.subtract(cv2.absdiff(image, self._reference), self._noise)
+        change = cv2.threshold(change, 0.0, 0.0, cv2.THRESH_TOZERO)[1]
         side = (self.settings.window, self.settings.window)
         return float(cv2.blur(change, side, borderType=cv2.BORDER_REFLECT_101).max())
+
+
+def _mean_and_noise(stack: Prepared) -> tuple[Prepared, Prepared]:
+    """Mean image of a stack, and what each pixel strays from it by noise."""
+    return stack.mean(axis=0), _PIXEL_NOISE_MARGIN * stack.std(axis=0)

@@ -1,7 +1,7 @@
 """Real TacTip images go through pre-processing, a short training and the estimator with no special case.
 
-The published data are not part of the project: they are looked for in the folder named by TACTILE_REAL_DATA, else
-in ../shared/data beside the repository.
+The published data are not part of the project: they are looked for in the folder named by TACTILE_REAL_DATA,
+else in ../shared/data beside the repository.
 """
 
 import os
