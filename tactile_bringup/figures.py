@@ -39,7 +39,7 @@ PHASES = {
     "retreat": "#ececec",
 }
 STAGES = ("#8fbbd9", "#5b95c4", "#1f6fb4", "#0b3c68", "#7a5195", "#bc5090")
-STYLE = {
+STYLE: dict[Any, Any] = {
     "figure.dpi": 110,
     "savefig.dpi": 150,
     "font.size": 10,

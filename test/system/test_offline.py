@@ -9,8 +9,10 @@ from tactile_bringup import metrics
 from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.files import load_task
+from tactile_drivers.sim.cell import Cell
 from tactile_filter.config_paths import config_path
 from tactile_filter.settings import SettingError
+from tactile_perception.estimator import shipped_model
 
 IDEAL = OfflineOptions(fidelity="ideal", seed=1)
 DOME_PATHS = [f"theta_{k}" for k in range(8)]
@@ -129,3 +131,25 @@ def test_tactile_simulate_leaves_report_pictures_and_record(tmp_path, capsys):
 def test_tactile_simulate_says_what_was_wrong(tmp_path, capsys):
     assert main(["simulate", "--scene", "rampp", "--out", str(tmp_path)]) == 2
     assert "did you mean 'ramp'" in capsys.readouterr().err
+
+
+def test_images_that_stop_bring_the_arm_to_rest_within_200_ms_and_it_says_why(monkeypatch):
+    stop_ns = 8 * 10**9
+    due = Cell.exposure_due
+    monkeypatch.setattr(Cell, "exposure_due", lambda cell, arm: cell.stamp_ns < stop_ns and due(cell, arm))
+    record = run_offline("ramp", options=IDEAL)
+    last_exposure = record.truth.stamp_ns[-1]
+    speed = np.linalg.norm(record.arm_twist.twist[:, :3], axis=1)
+    moving = record.arm_twist.stamp_ns[speed > 1e-6]
+    assert speed[record.arm_twist.stamp_ns < last_exposure][-1] > 0.009
+    assert moving[-1] - last_exposure <= 200_000_000
+    assert not record.result["succeeded"]
+    assert "belief is" in record.result["reason"] and "limit 100 ms" in record.result["reason"]
+
+
+@pytest.mark.skipif(
+    not shipped_model().is_file(), reason="the shipped model is not there: `make model` trains it"
+)
+@pytest.mark.parametrize("scene, paths", [("ramp", ()), ("dome", ("theta_1",))])
+def test_with_simulated_images_and_the_shipped_model(scene, paths):
+    requirements(metrics.report(run_offline(scene, options=OfflineOptions(seed=1, paths=paths))))
