@@ -1,0 +1,137 @@
+"""Transforms over time: interpolation, chains, and errors that name the stamps."""
+
+import numpy as np
+import pytest
+
+from tactile_filter import se3
+from tactile_filter.transform_buffer import (
+    TransformBuffer,
+    TransformDisconnected,
+    TransformInFuture,
+    TransformInPast,
+    TransformUnavailable,
+)
+
+MS = 1_000_000
+SECOND = 1000 * MS
+MOUNT = se3.exp([0.0, 0.0, 0.07, 0.0, 0.0, 0.4])
+
+
+def arm_buffer():
+    """World -> base (static) -> tool (moving with a constant twist) -> sensor (static)."""
+    buffer = TransformBuffer()
+    buffer.set_transform("world", "base", 0, se3.exp([1.0, 0.0, 0.0, 0.0, 0.0, 1.5]), static=True)
+    buffer.set_transform("tool", "sensor", 0, MOUNT, static=True)
+    for k in range(11):
+        buffer.set_transform("base", "tool", k * 10 * MS, tool_at(k * 10 * MS))
+    return buffer
+
+
+def tool_at(stamp_ns):
+    return se3.exp(np.array([0.1, 0.2, 0.0, 0.0, 0.3, 0.5]) * stamp_ns / SECOND)
+
+
+def test_lookup_interpolates_exactly_along_a_constant_twist():
+    T = arm_buffer().lookup("base", "sensor", 33 * MS)
+    np.testing.assert_allclose(T, tool_at(33 * MS) @ MOUNT, atol=1e-15)
+
+
+def test_lookup_at_a_stamp_that_is_there_gives_that_transform():
+    T = arm_buffer().lookup("base", "tool", 40 * MS)
+    np.testing.assert_allclose(T, tool_at(40 * MS), atol=1e-16)
+
+
+def test_lookup_the_other_way_is_the_inverse():
+    buffer = arm_buffer()
+    T = buffer.lookup("sensor", "world", 12 * MS)
+    np.testing.assert_allclose(T @ buffer.lookup("world", "sensor", 12 * MS), np.eye(4), atol=1e-15)
+
+
+def test_lookup_between_siblings_goes_through_their_common_ancestor_only():
+    buffer = arm_buffer()
+    buffer.set_transform("base", "surface", 0, se3.exp([0.5, 0, 0, 0, 0, 0]), static=True)
+    buffer.set_transform("map", "world", 0, np.eye(4))  # moving, of stamp 0 alone: not on the way
+    T = buffer.lookup("surface", "tool", 50 * MS)
+    np.testing.assert_allclose(T, se3.exp([-0.5, 0, 0, 0, 0, 0]) @ tool_at(50 * MS), atol=1e-15)
+    np.testing.assert_allclose(buffer.lookup("tool", "tool", 7), np.eye(4))
+
+
+def test_a_stamp_later_than_the_newest_is_in_the_future_and_the_message_says_by_how_much():
+    with pytest.raises(TransformInFuture) as caught:
+        arm_buffer().lookup("base", "sensor", 125 * MS)
+    assert "'base' -> 'tool' at 125000000 ns" in str(caught.value)
+    assert "newest is of 100000000 ns, the stamp is 0.025000 s later" in str(caught.value)
+
+
+def test_a_stamp_earlier_than_the_oldest_is_in_the_past():
+    with pytest.raises(TransformInPast, match="oldest is of 0 ns, the stamp is 0.000001 s earlier"):
+        arm_buffer().lookup("base", "sensor", -1000)
+
+
+def test_static_transforms_hold_at_any_stamp():
+    buffer = arm_buffer()
+    np.testing.assert_allclose(buffer.lookup("tool", "sensor", 10**18), MOUNT, atol=1e-16)
+    assert buffer.latest_stamp("tool", "sensor") is None
+    assert buffer.latest_stamp("world", "sensor") == 100 * MS
+
+
+def test_unknown_and_unconnected_frames_are_told_apart():
+    buffer = arm_buffer()
+    buffer.set_transform("island", "tree", 0, np.eye(4), static=True)
+    with pytest.raises(TransformDisconnected, match="frame 'sensr' is unknown; known: base, island, sensor"):
+        buffer.lookup("base", "sensr", 0)
+    with pytest.raises(TransformDisconnected, match="'tree' to 'base'.*hangs below 'island'.*below 'world'"):
+        buffer.lookup("base", "tree", 0)
+    assert not buffer.can_lookup("base", "tree", 0)
+    assert issubclass(TransformDisconnected, TransformUnavailable)
+
+
+def test_history_is_bounded():
+    buffer = TransformBuffer(history_ns=SECOND)
+    for k in range(400):
+        buffer.set_transform("a", "b", k * 10 * MS, np.eye(4))
+    assert buffer.can_lookup("a", "b", 2990 * MS)
+    assert not buffer.can_lookup("a", "b", 2989 * MS)
+
+
+def test_a_transform_overtaken_on_the_way_is_put_in_its_place():
+    buffer = TransformBuffer()
+    for stamp in (0, 20, 10):
+        assert not buffer.set_transform("a", "b", stamp * MS, tool_at(stamp * stamp * MS))
+    np.testing.assert_allclose(buffer.lookup("a", "b", 10 * MS), tool_at(100 * MS), atol=1e-15)
+
+
+def test_a_jump_back_in_time_clears_all_but_static_transforms_and_is_told():
+    buffer = arm_buffer()
+    buffer.set_transform("base", "other", 100 * SECOND, np.eye(4))
+    assert not buffer.set_transform("base", "tool", 100 * SECOND, np.eye(4))
+    assert buffer.set_transform("base", "tool", 0, tool_at(50 * MS))
+    assert buffer.jumps == 1
+    np.testing.assert_allclose(buffer.lookup("base", "sensor", 0), tool_at(50 * MS) @ MOUNT, atol=1e-15)
+    with pytest.raises(TransformDisconnected, match="'other' is unknown"):
+        buffer.lookup("base", "other", 0)
+
+
+def test_a_child_that_changes_its_parent_forgets_the_old_one():
+    buffer = arm_buffer()
+    buffer.set_transform("world", "tool", 200 * MS, np.eye(4))
+    np.testing.assert_allclose(buffer.lookup("world", "tool", 200 * MS), np.eye(4))
+    with pytest.raises(TransformInPast):
+        buffer.lookup("world", "tool", 100 * MS)
+
+
+@pytest.mark.parametrize(
+    ("parent", "child", "matrix", "message"),
+    [
+        ("a", "a", np.eye(4), "'a' -> 'a': would close a loop"),
+        ("sensor", "world", np.eye(4), "would close a loop"),
+        ("", "b", np.eye(4), "name must not be empty"),
+        ("a", "b", np.full((4, 4), np.nan), "'a' -> 'b': T: must be finite"),
+        ("a", "b", 2 * np.eye(4), "'a' -> 'b': T: last row"),
+        ("a", "b", np.diag([1.1, 1.0, 1.0, 1.0]), "'a' -> 'b': T: its rotation is not orthonormal"),
+    ],
+)
+def test_what_is_no_transform_is_refused(parent, child, matrix, message):
+    buffer = arm_buffer()
+    with pytest.raises(ValueError, match=message):
+        buffer.set_transform(parent, child, 0, matrix)
