@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_bringup.bag import Bag, read_bag
+from tactile_bringup.offline import surface_mesh
 from tactile_bringup.run_record import (
     ArmSeries,
     BeliefSeries,
@@ -82,8 +83,8 @@ def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
     record.arm_twist = rows.series(ArmSeries, "arm/status", _arm_row)
     record.latency, record.lost = _latency(rows)
     record.reference = _reference(bag, arm)
-    record.surface = _surface(bag, arm)
-    record.result = _result(bag, record)
+    record.surface, problem = _surface(bag, arm)
+    record.result = _result(bag, record) | ({"surface_problem": problem} if problem else {})
     return record
 
 
@@ -204,23 +205,12 @@ def _reference(bag: Bag, arm: str) -> Array:
     return np.array(parameters.get("servoing.reference", np.zeros(6)), dtype=float)
 
 
-def _surface(bag: Bag, arm: str) -> SurfaceMesh:
-    """The surfaces that the arm can touch; empty where the scene file is no longer there."""
-    file = Path(bag.note.get("scene_file", ""))
-    if not file.is_file():
-        return SurfaceMesh()
+def _surface(bag: Bag, arm: str) -> tuple[SurfaceMesh, str]:
+    """The surfaces that the arm can touch; or none, and why: the scene file may have gone or changed."""
     try:
-        scene = load_scene(file)
-    except SceneError:  # written by another version: the run itself can be read all the same
-        return SurfaceMesh()
-    vertices, faces, count = [], [], 0
-    for surface in scene.surfaces_of(arm).values():
-        points, triangles = surface.make().mesh()
-        T = surface.T_base_surface(scene.arms[arm])
-        vertices.append(points @ T[:3, :3].T + T[:3, 3])
-        faces.append(triangles + count)
-        count += len(points)
-    return SurfaceMesh(np.concatenate(vertices), np.concatenate(faces)) if vertices else SurfaceMesh()
+        return surface_mesh(load_scene(bag.note.get("scene_file", "scene_file.yaml")), arm), ""
+    except (SceneError, KeyError) as error:
+        return SurfaceMesh(), f"the true surface is not drawn: {error}"
 
 
 def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:

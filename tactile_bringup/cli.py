@@ -10,9 +10,11 @@ from collections.abc import Sequence
 # Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
 COMMANDS = (
     "tactile_bringup.launch_command",
+    "tactile_bringup.demo",
+    "tactile_bringup.simulate_command",
     "tactile_perception.commands",
     "tactile_bringup.data_command",
-    "tactile_bringup.simulate_command",
+    "tactile_bringup.doctor",
 )
 
 

@@ -20,18 +20,20 @@ _MUTEX = re.compile(r"^sem\.(fastdds|fastrtps)_(?P<name>port\d+)_mutex$")
 
 
 def remove_orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[str]:
-    """Remove dead processes' segments made at or after `since_ns` (epoch, ns); returns the files removed."""
+    """Remove what dead processes left, made at or after `since_ns` (epoch, ns); returns the files removed."""
+    return [path.name for path in orphans(since_ns, folder) if _unlink(path)]
+
+
+def orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[Path]:
+    """The files of dead processes of this user, made at or after `since_ns` (epoch, ns)."""
     groups: dict[str, list[Path]] = {}
     for path in _ours(folder):
         match = _SEGMENT.match(path.name) or _MUTEX.match(path.name)
         if match:
             groups.setdefault(match["name"], []).append(path)
     mapped = _mapped_files()
-    removed = []
-    for paths in groups.values():
-        if _made_since(paths, since_ns) and not _is_owned(paths, mapped):
-            removed += [path.name for path in paths if _unlink(path)]
-    return sorted(removed)
+    dead = [g for g in groups.values() if _made_since(g, since_ns) and not _is_owned(g, mapped)]
+    return sorted(path for group in dead for path in group)
 
 
 def segments(folder: Path = SHARED_MEMORY) -> set[str]:

@@ -1,4 +1,4 @@
-"""A node that stands in for a whole cell: an arm that moves while a goal runs, and the faults that tests want.
+"""A node that stands in for a whole cell: an arm that moves while a goal runs, and faults that tests want.
 
 The parameter `fault` is one of: "", "configure", "die", "fail", "deaf", "never_active".
 """
