@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_bringup.ros.conversions import pose_from_matrix
+from tactile_bringup.ros.discovery import quicken_discovery
 from tactile_bringup.ros.managed_node import make_executor
 from tactile_bringup.ros.qos import LATENCY, STATE
 from tactile_control.task import PathGoal
@@ -93,6 +94,7 @@ class TaskClient:
     """
 
     def __init__(self, domain_id: int) -> None:
+        quicken_discovery()
         rclpy.init(domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("tactile_launch", enable_rosout=False)
         self._executor = make_executor()

@@ -141,9 +141,17 @@ class ControllerNode(ManagedNode):
         stamp_ns = ns_from_time(message.header.stamp)
         self._update_presence(stamp_ns, not message.flags & ContactState.NO_CONTACT)
         if not message.flags & ContactState.INVALID:
-            self.belief = StampedPose(stamp_ns, se3.exp(np.asarray(message.xi)))
+            self._take_belief(stamp_ns, np.asarray(message.xi))
         self._step()
         self.latency.publish(stamp_ns, received_ns, self.last_step_ns, 0)
+
+    def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
+        """Keep the belief; one that is not finite is as if it had not come, and the watchdog acts on that."""
+        if not np.isfinite(xi).all():
+            self.count("beliefs refused")
+            self.warn("belief", f"contact/state refused: xi is not finite: {xi.tolist()}")
+            return
+        self.belief = StampedPose(stamp_ns, se3.exp(xi))
 
     def _update_presence(self, stamp_ns: int, in_contact: bool) -> None:
         if self.presence is None or stamp_ns > self.presence.stamp_ns:

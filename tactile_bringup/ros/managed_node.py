@@ -31,6 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from tactile_bringup.ros.diagnostics import Diagnostics, InputWatch
+from tactile_bringup.ros.discovery import quicken_discovery
 from tactile_bringup.ros.parameters import declare_read_only
 from tactile_bringup.ros.qos import DIAGNOSTICS
 from tactile_filter.settings import SettingError, unknown_name
@@ -274,6 +275,7 @@ def make_executor() -> Any:
 
 def run(node_type: Callable[[], ManagedNode], args: list[str] | None = None) -> int:
     """Run one node until a signal or an error; returns the exit code of the process."""
+    quicken_discovery()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     stopped: list[int] = []
 
