@@ -11,9 +11,12 @@ seed and its index: a run that was interrupted goes on with the indices that are
 
 from __future__ import annotations
 
+import itertools
 import math
 import multiprocessing
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -22,7 +25,7 @@ from numpy.typing import NDArray
 
 from tactile_drivers.sim.tactip import ContactTruth, TacTip, TacTipSettings
 from tactile_filter import se3
-from tactile_filter.settings import Settings, setting
+from tactile_filter.settings import SettingError, Settings, setting
 
 Array = NDArray[np.float64]
 R = TypeVar("R")
@@ -48,7 +51,7 @@ class CollectionSettings(Settings):
         for name in ("depth", "friction"):
             low, high = getattr(self, name)
             if low > high:
-                raise ValueError(f"{name} = ({low:g}, {high:g}): the least must not exceed the largest")
+                raise SettingError(f"{name} = ({low:g}, {high:g}): the least must not exceed the largest")
 
 
 @dataclass(frozen=True)
@@ -136,8 +139,17 @@ def generate(
         _start(task)
         yield from map(_run, indices)
         return
-    with multiprocessing.get_context("spawn").Pool(processes, _start, (task,)) as pool:
-        yield from pool.imap(_run, indices, chunksize=4)
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, spawn, _start, (task,)) as pool:  # unlike Pool, it fails if a worker does
+        yield from _in_order(pool, iter(indices), ahead=4 * processes)
+
+
+def _in_order(pool: ProcessPoolExecutor, indices: Iterator[int], ahead: int) -> Iterator[R]:
+    """Results in the order of the indices, with a bounded number of them under way."""
+    pending = deque(pool.submit(_run, index) for index in itertools.islice(indices, ahead))
+    while pending:
+        yield pending.popleft().result()
+        pending.extend(pool.submit(_run, index) for index in itertools.islice(indices, 1))
 
 
 @dataclass(frozen=True)
