@@ -50,10 +50,8 @@ def shared_files(folder: str, pattern: str) -> list[tuple[str, list[str]]]:
 
 setup(
     packages=find_packages(include=["tactile_*"], exclude=["tactile_msgs", "tactile_msgs.*"]),
-    package_data={"": ["py.typed", "*.yaml", "*.npz", "models/*.onnx", "models/*.json"]},
-    ext_modules=[
-        extension(name, folder) for name, folder in C_MODULES.items() if list(Path(folder).glob("*.c"))
-    ],
+    package_data={"": ["py.typed", "*.yaml", "data/*", "models/*"]},
+    ext_modules=[extension(name, folder) for name, folder in C_MODULES.items()],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

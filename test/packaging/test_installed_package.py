@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+PACKAGES = ("tactile_filter", "tactile_perception", "tactile_control", "tactile_drivers", "tactile_bringup")
+
 
 @pytest.fixture(scope="module")
 def prefix() -> Path:
@@ -43,14 +45,21 @@ def test_every_file_under_config_and_launch_is_installed(prefix: Path, root: Pat
         assert installed.read_bytes() == path.read_bytes(), f"{installed} is not the one in the source tree"
 
 
-def test_every_model_of_the_source_tree_is_installed(root: Path):
-    import tactile_perception
+def test_the_data_of_the_packages_is_installed(root: Path):
+    """Models and other files that are neither code nor built from code."""
+    import tactile_filter
 
-    installed = Path(tactile_perception.__file__).parent / "models"
-    models = list((root / "tactile_perception" / "models").glob("*.onnx"))
-    assert models
-    for path in models:
-        assert (installed / path.name).read_bytes() == path.read_bytes()
+    site_packages = Path(tactile_filter.__file__).parents[1]
+    sources = {".py", ".pyc", ".c", ".h", ".so"}
+    data = [
+        path
+        for package in PACKAGES
+        for path in (root / package).rglob("*")
+        if path.is_file() and path.suffix not in sources
+    ]
+    assert root / "tactile_perception" / "models" / "tactip_sim.onnx" in data
+    for path in data:
+        assert (site_packages / path.relative_to(root)).read_bytes() == path.read_bytes()
 
 
 @pytest.mark.parametrize("module", ["tactile_filter._fusion", "tactile_drivers.sim._contact"])
