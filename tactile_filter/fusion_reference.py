@@ -22,6 +22,8 @@ EXACT = "exact"
 EXACT_TOLERANCE = 1e-13  # step, relative to 1 + the whitened residual: where rounding takes over
 FLOOR_TOLERANCE = 1e-9  # below this, a step that no longer shrinks is rounding, too
 ARMIJO = 1e-4  # fraction of the predicted decrease that a step has to bring
+SEARCH_FROM = 1e-3  # shorter steps are taken whole: they change the cost by less than its rounding
+SLACK = 1e-12  # differences of costs below this fraction are rounding
 SHORTEST_STEP = 2.0**-30
 
 
@@ -105,12 +107,13 @@ def _line_search(
     X: Array, mu: Array, step: float, cost: float, factors: list[tuple[Array, Array]]
 ) -> Array | None:
     """The pose after the longest of the steps mu, mu/2, mu/4, ... that lowers the cost enough; None if none does."""
+    if step <= SEARCH_FROM:
+        return se3.exp(mu) @ X
     fraction = 1.0
-    slack = 1e-14 * cost  # differences of costs below this are rounding
     while fraction >= SHORTEST_STEP:
         moved = se3.exp(fraction * mu) @ X
         _, residual = _whitened(moved, factors, EXACT)
-        if float(residual @ residual) <= cost - 2.0 * ARMIJO * fraction * step * step + slack:
+        if float(residual @ residual) <= cost - 2.0 * ARMIJO * fraction * step * step + SLACK * cost:
             return moved
         fraction *= 0.5
     return None

@@ -9,19 +9,32 @@
 #define EXACT_TOLERANCE 1e-13
 #define FLOOR_TOLERANCE 1e-9
 #define ARMIJO 1e-4
+#define SEARCH_FROM 1e-3
+#define SLACK 1e-12
 #define SHORTEST_STEP (1.0/1073741824)
 #define ROTATION_TOLERANCE 1e-6
 
 // largest difference of a covariance and its transpose, relative to the standard deviations
 #define SYMMETRY_TOLERANCE 1e-8
 
-// Gauss-Newton model at a pose: information = normal' * normal
+// in loops over three elements the compiler's vectors cost more than they bring: a fifth of the time
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("no-tree-vectorize", "no-tree-slp-vectorize")
+#endif
+
+// Gauss-Newton model at a pose
 typedef struct {
-  double normal[36];  // lower
+  Factor6 information;
   double step[6];
-  double length;      // |normal * step|: the step in posterior standard deviations
-  double cost;        // squared whitened residual
+  double length;  // of the step in posterior standard deviations
+  double cost;    // squared whitened residual
 } Model;
+
+// whitened Jacobian [[ul, ur], [0, lr]] and residual of one input
+typedef struct {
+  double ul[9], ur[9], lr[9];
+  double residual[6];
+} Whitened;
 
 
 int fusion_set_mean(FusionInput* input, const double mat[16]) {
@@ -60,106 +73,153 @@ int fusion_set_covariance(FusionInput* input, const double cov[36]) {
       sym[6*i+j] = 0.5*cov[6*i+j] + 0.5*cov[6*j+i];
     }
   }
-  return chol6(input->factor, sym) ? 0 : FUSION_NO_COVARIANCE;
+  Factor6 factor;
+  double lower[36];
+  if (!factorize6(&factor, sym)) {
+    return FUSION_NO_COVARIANCE;
+  }
+
+  // the transpose of the inverse's lower factor, by blocks
+  inverse_factor6(lower, &factor);
+  for (int i = 0, n = 0; i < 3; i++) {
+    for (int j = i; j < 3; j++, n++) {
+      input->ul[n] = lower[6*j+i];
+      input->lr[n] = lower[6*(3+j)+3+i];
+    }
+    for (int j = 0; j < 3; j++) {
+      input->ur[3*i+j] = lower[6*(3+j)+i];
+    }
+  }
+  return 0;
 }
 
 
-// whitened residual factor^-1 log(pose * mean^-1), also the logarithm itself; returns the squared norm
-static double whiten_residual(double res[6], double xi[6], const Pose* pose, const FusionInput* input) {
+// res = upper * mat, upper triangular as in FusionInput
+static void multiply_upper(double res[9], const double upper[6], const double mat[9]) {
+  for (int j = 0; j < 3; j++) {
+    res[j] = upper[0]*mat[j] + upper[1]*mat[3+j] + upper[2]*mat[6+j];
+    res[3+j] = upper[3]*mat[3+j] + upper[4]*mat[6+j];
+    res[6+j] = upper[5]*mat[6+j];
+  }
+}
+
+
+// res += a * b
+static void add_product(double res[9], const double a[9], const double b[9]) {
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      res[3*i+j] += a[3*i]*b[j] + a[3*i+1]*b[3+j] + a[3*i+2]*b[6+j];
+    }
+  }
+}
+
+
+// res += a' * b
+static void add_transposed_product(double res[9], const double a[9], const double b[9]) {
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      res[3*i+j] += a[i]*b[j] + a[3+i]*b[3+j] + a[6+i]*b[6+j];
+    }
+  }
+}
+
+
+// xi = log(pose * mean^-1) and the same whitened; returns its squared norm
+static double residual_at(double res[6], double xi[6], const Pose* pose, const FusionInput* input) {
   Pose difference;
   se3_difference(&difference, pose, &input->mean);
   se3_log(xi, &difference);
-  solve_lower6(res, input->factor, xi);
-  double norm = 0;
-  for (int i = 0; i < 6; i++) {
-    norm += res[i]*res[i];
-  }
-  return norm;
+
+  const double *ul = input->ul, *ur = input->ur, *lr = input->lr;
+  res[0] = ul[0]*xi[0] + ul[1]*xi[1] + ul[2]*xi[2] + ur[0]*xi[3] + ur[1]*xi[4] + ur[2]*xi[5];
+  res[1] = ul[3]*xi[1] + ul[4]*xi[2] + ur[3]*xi[3] + ur[4]*xi[4] + ur[5]*xi[5];
+  res[2] = ul[5]*xi[2] + ur[6]*xi[3] + ur[7]*xi[4] + ur[8]*xi[5];
+  res[3] = lr[0]*xi[3] + lr[1]*xi[4] + lr[2]*xi[5];
+  res[4] = lr[3]*xi[4] + lr[4]*xi[5];
+  res[5] = lr[5]*xi[5];
+  return res[0]*res[0] + res[1]*res[1] + res[2]*res[2] + res[3]*res[3] + res[4]*res[4] + res[5]*res[5];
 }
 
 
 static double cost_at(const Pose* pose, const FusionInput input[2]) {
   double residual[6], xi[6];
-  double first = whiten_residual(residual, xi, pose, input);
-  return first + whiten_residual(residual, xi, pose, input + 1);
+  double first = residual_at(residual, xi, pose, input);
+  return first + residual_at(residual, xi, pose, input + 1);
 }
 
 
-// res = factor^-1 * inverse Jacobian
-static void whiten_jacobian(double res[36], const double factor[36], const InverseJacobian* jac) {
-  for (int i = 0; i < 6; i++) {
-    // row i of the Jacobian
-    double row[6] = {0};
-    for (int j = 0; j < 3; j++) {
-      if (i < 3) {
-        row[j] = jac->diag[3*i+j];
-        row[3+j] = jac->corner[3*i+j];
-      } else {
-        row[3+j] = jac->diag[3*(i-3)+j];
-      }
-    }
-
-    // forward substitution, all columns at once
-    for (int k = 0; k < i; k++) {
-      for (int j = 0; j < 6; j++) {
-        row[j] -= factor[6*i+k] * res[6*k+j];
-      }
-    }
-    double inv = 1 / factor[7*i];
-    for (int j = 0; j < 6; j++) {
-      res[6*i+j] = row[j] * inv;
-    }
-  }
-}
-
-
-// add the normal equations of one input; returns the squared whitened residual
-static double add_normal(double information[36], double gradient[6], const Pose* pose,
-                         const FusionInput* input, int order) {
-  double xi[6], residual[6], whitened[36];
+// whitened Jacobian and residual of one input; returns the squared residual
+static double whiten(Whitened* res, const Pose* pose, const FusionInput* input, int order) {
+  double xi[6];
   InverseJacobian jac;
-  double cost = whiten_residual(residual, xi, pose, input);
+  double cost = residual_at(res->residual, xi, pose, input);
   se3_inverse_jacobian(&jac, xi, order);
-  whiten_jacobian(whitened, input->factor, &jac);
+  multiply_upper(res->ul, input->ul, jac.diag);
+  multiply_upper(res->ur, input->ul, jac.corner);
+  add_product(res->ur, input->ur, jac.diag);
+  multiply_upper(res->lr, input->lr, jac.diag);
+  return cost;
+}
 
-  for (int k = 0; k < 6; k++) {
-    const double* row = whitened + 6*k;
-    for (int i = 0; i < 6; i++) {
-      for (int j = 0; j < 6; j++) {
-        information[6*i+j] += row[i] * row[j];
-      }
-      gradient[i] += row[i] * residual[k];
+
+// lower half of the information matrix and the gradient from both inputs
+static void normal_equations(double information[36], double gradient[6], const Whitened part[2]) {
+  double ul[9] = {0}, ll[9] = {0}, lr[9] = {0};
+  for (int k = 0; k < 2; k++) {
+    add_transposed_product(ul, part[k].ul, part[k].ul);
+    add_transposed_product(ll, part[k].ur, part[k].ul);
+    add_transposed_product(lr, part[k].ur, part[k].ur);
+    add_transposed_product(lr, part[k].lr, part[k].lr);
+  }
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      information[6*i+j] = ul[3*i+j];
+      information[6*(3+i)+j] = ll[3*i+j];
+      information[6*(3+i)+3+j] = lr[3*i+j];
     }
   }
-  return cost;
+
+  for (int i = 0; i < 3; i++) {
+    double upper = 0, lower = 0;
+    for (int k = 0; k < 2; k++) {
+      const Whitened* p = part + k;
+      for (int j = 0; j < 3; j++) {
+        upper += p->ul[3*j+i]*p->residual[j];
+        lower += p->ur[3*j+i]*p->residual[j] + p->lr[3*j+i]*p->residual[3+j];
+      }
+    }
+    gradient[i] = upper;
+    gradient[3+i] = lower;
+  }
 }
 
 
 // Gauss-Newton model at a pose; returns 0 if its normal equations are out of range
 static int build_model(Model* model, const Pose* pose, const FusionInput input[2], int order) {
-  double information[36] = {0}, gradient[6] = {0};
-  model->cost = add_normal(information, gradient, pose, input, order);
-  model->cost += add_normal(information, gradient, pose, input + 1, order);
-  if (!reverse_chol6(model->normal, information)) {
+  double information[36], gradient[6];
+  Whitened part[2];
+  model->cost = whiten(part, pose, input, order) + whiten(part + 1, pose, input + 1, order);
+  normal_equations(information, gradient, part);
+  if (!factorize6(&model->information, information)) {
     return 0;
   }
 
-  // normal' * normal * step = -gradient
-  solve_lower_transposed6(gradient, model->normal, gradient);
+  // unit' * diag(pivot) * unit * step = -gradient
   double square = 0;
+  solve_transposed6(gradient, &model->information);
   for (int i = 0; i < 6; i++) {
-    gradient[i] = -gradient[i];
-    square += gradient[i]*gradient[i];
+    model->step[i] = -gradient[i] * model->information.inverse[i];
+    square -= gradient[i] * model->step[i];
   }
+  solve6(model->step, &model->information);
   model->length = sqrt(square);
-  solve_lower6(model->step, model->normal, gradient);
-  return isfinite(model->length);
+  return isfinite(square);
 }
 
 
 // fill in the output from the last model; returns the status
 static int finish(FusionOutput* res, const Model* model, int iterations, int status) {
-  invert_lower6(res->factor, model->normal);
+  inverse_factor6(res->factor, &model->information);
   square_lower6(res->cov, res->factor);
   se3_orthonormalize(&res->mean);
   res->step = model->length;
@@ -185,7 +245,12 @@ int fusion_fixed(FusionOutput* res, const FusionInput input[2], int iterations, 
 
 // move by the longest of step, step/2, step/4, ... that lowers the cost enough; returns 0 if none does
 static int line_search(Pose* pose, const Model* model, const FusionInput input[2]) {
-  double slack = 1e-14 * model->cost;
+  // shorter steps change the cost by less than its rounding
+  if (model->length <= SEARCH_FROM) {
+    se3_perturb(pose, model->step);
+    return 1;
+  }
+
   for (double fraction = 1; fraction >= SHORTEST_STEP; fraction *= 0.5) {
     double step[6];
     Pose moved = *pose;
@@ -194,7 +259,7 @@ static int line_search(Pose* pose, const Model* model, const FusionInput input[2
     }
     se3_perturb(&moved, step);
     double predicted = 2*ARMIJO * fraction * model->length*model->length;
-    if (cost_at(&moved, input) <= model->cost - predicted + slack) {
+    if (cost_at(&moved, input) <= model->cost*(1 + SLACK) - predicted) {
       *pose = moved;
       return 1;
     }

@@ -15,10 +15,11 @@ enum {
   FUSION_NO_INFORMATION = 5  // normal equations not positive definite or not finite: out of range
 };
 
-// one of the two: its mean and the lower Cholesky factor of its covariance
+// one of the two: its mean and what whitens its errors, the upper triangular [[ul, ur], [0, lr]] with
+// covariance^-1 = upper' * upper; ul and lr are upper triangular and hold 00, 01, 02, 11, 12, 22
 typedef struct {
   Pose mean;
-  double factor[36];
+  double ul[6], ur[9], lr[6];
 } FusionInput;
 
 typedef struct {
@@ -33,7 +34,7 @@ typedef struct {
 // mean from a homogeneous matrix; returns 0 or FUSION_NO_POSE
 int fusion_set_mean(FusionInput* input, const double mat[16]);
 
-// factor from a covariance; returns 0 or FUSION_NO_COVARIANCE
+// whitening from a covariance; returns 0 or FUSION_NO_COVARIANCE
 int fusion_set_covariance(FusionInput* input, const double cov[36]);
 
 // fixed number of iterations, covariance as evaluated before the last update; returns the status

@@ -1,22 +1,27 @@
-// Small dense linear algebra of size 6, row-major, no heap.
+// Dense linear algebra of size 6, row-major, no heap: triangular factors from the last row up.
+//
+// mat = unit' * diag(pivot) * unit with unit lower triangular. Counted from the last row, so that the inverse has
+// the lower factor unit^-1 * diag(pivot)^-1/2.
 #ifndef TACTILE_LINALG_H_
 #define TACTILE_LINALG_H_
 
-// lower factor of symmetric positive definite mat = res * res', the upper half of res is zero;
-// returns 0 if a pivot is not above rounding, that is, mat is not positive definite
-int chol6(double res[36], const double mat[36]);
+typedef struct {
+  double unit[36];    // strictly lower half; the rest is not set
+  double inverse[6];  // of the pivots
+} Factor6;
 
-// lower factor of symmetric positive definite mat = res' * res; returns 0 as chol6
-int reverse_chol6(double res[36], const double mat[36]);
+// factorize a symmetric matrix of which the lower half is read; returns 0 if a pivot is not above rounding or not
+// finite, that is, if mat is not positive definite
+int factorize6(Factor6* res, const double mat[36]);
 
-// res = inverse of lower triangular mat
-void invert_lower6(double res[36], const double mat[36]);
+// vec = unit^-T vec
+void solve_transposed6(double vec[6], const Factor6* factor);
 
-// solve mat * res = vec, mat lower triangular; res may be vec
-void solve_lower6(double res[6], const double mat[36], const double vec[6]);
+// vec = unit^-1 vec
+void solve6(double vec[6], const Factor6* factor);
 
-// solve mat' * res = vec, mat lower triangular; res may be vec
-void solve_lower_transposed6(double res[6], const double mat[36], const double vec[6]);
+// lower factor of the inverse: mat^-1 = res * res'
+void inverse_factor6(double res[36], const Factor6* factor);
 
 // res = mat * mat', mat lower triangular; exactly symmetric
 void square_lower6(double res[36], const double mat[36]);
