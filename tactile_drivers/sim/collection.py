@@ -1,9 +1,9 @@
 """Labelled samples of surface contact poses: the paper's sampling rules and its two-step motion, simulated.
 
 The sensor turns to its contact angles above a plane, presses along the normal to a depth, then shears in the
-plane ("Data Collection" in the paper). Friction and errors of the arm's pose differ from sample to sample, so that
-what is trained on them does not rely on one friction or on a perfect arm. A sample depends only on the settings, the
-seed and its index: a run that was interrupted goes on with the indices that are missing::
+plane ("Data Collection" in the paper). Friction and errors of the arm's pose differ from sample to sample, so
+that what is trained on them does not rely on one friction or on a perfect arm. A sample depends only on the
+settings, the seed and its index: a run that was interrupted goes on with the indices that are missing::
 
     for sample in generate(CollectionSettings(), seed=1, indices=range(6000), processes=2):
         ...
@@ -36,14 +36,16 @@ _SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
 class CollectionSettings(Settings):
     """Ranges of the samples; the defaults of the first four are the paper's."""
 
-    disk_radius: float = setting(5e-3, unit="m", lower=0.0, doc="shear displacements fill a disk of this radius")
-    depth: tuple[float, ...] = setting((0.5e-3, 6e-3), unit="m", lower=0.0, length=2, doc="least and largest depth")
-    cap_angle: float = setting(math.radians(25.0), unit="rad", lower=0.0, upper=1.2, doc="contacts fill a cap this wide")
+    disk_radius: float = setting(5e-3, unit="m", lower=0.0, doc="of the disk that shear displacements fill")
+    depth: tuple[float, ...] = setting((0.5e-3, 6e-3), unit="m", lower=0.0, length=2, doc="least and largest")
+    cap_angle: float = setting(
+        math.radians(25.0), unit="rad", lower=0.0, upper=1.2, doc="of the cap of contacts"
+    )
     gamma: float = setting(math.radians(5.0), unit="rad", lower=0.0, upper=1.0, doc="largest shear rotation")
     friction: tuple[float, ...] = setting((0.6, 1.2), lower=0.0, length=2, doc="least and largest friction")
-    position_noise: float = setting(5e-5, unit="m", lower=0.0, doc="standard deviation of the arm's position, per axis")
-    angle_noise: float = setting(2e-3, unit="rad", lower=0.0, doc="standard deviation of the arm's angles, per axis")
-    clearance: float = setting(1e-3, unit="m", lower=0.0, doc="gap above the surface from which the sensor starts")
+    position_noise: float = setting(5e-5, unit="m", lower=0.0, doc="of the arm, per axis (1 sigma)")
+    angle_noise: float = setting(2e-3, unit="rad", lower=0.0, doc="of the arm, per axis (1 sigma)")
+    clearance: float = setting(1e-3, unit="m", lower=0.0, doc="gap from which the sensor starts")
     max_step: float = setting(2.5e-4, unit="m", lower=1e-6, doc="longest step of the motion")
 
     def __post_init__(self) -> None:
@@ -84,10 +86,10 @@ class _Plane:
 
 
 def sample_pose(settings: CollectionSettings, rng: np.random.Generator) -> Array:
-    """One surface contact pose (x, y, z, alpha, beta, gamma), m and rad, by the paper's sampling equations."""
+    """One surface contact pose (6,), m and rad, by the paper's sampling equations."""
     r = settings.disk_radius * np.sqrt(rng.uniform())
     theta = rng.uniform(0, 2 * np.pi)
-    z = rng.uniform(*settings.depth)
+    z = rng.uniform(settings.depth[0], settings.depth[1])
     phi = np.arccos(1 - (1 - np.cos(settings.cap_angle)) * rng.uniform())
     azimuth = rng.uniform(0, 2 * np.pi)
     alpha = -np.arcsin(np.sin(phi) * np.sin(azimuth))
@@ -101,7 +103,7 @@ def collect(sensor: TacTip, settings: CollectionSettings, seed: int, index: int)
     rng = np.random.default_rng([seed, index])
     pose = sample_pose(settings, rng)
     noise = rng.normal(size=6) * np.repeat([settings.position_noise, settings.angle_noise], 3)
-    friction = rng.uniform(*settings.friction)
+    friction = rng.uniform(settings.friction[0], settings.friction[1])
     sensor.reset(seed=int(rng.integers(2**63)))
     sensor.friction = friction
     press_then_shear(sensor, pose + noise, settings.clearance)
@@ -111,11 +113,12 @@ def collect(sensor: TacTip, settings: CollectionSettings, seed: int, index: int)
 def press_then_shear(sensor: TacTip, pose: Array, clearance: float = 1e-3) -> None:
     """Bring a sensor to a surface contact pose (6,), m and rad, on a plane: turned, pressed, then sheared."""
     plane = _Plane()
-    x, y, z, alpha, beta, gamma = pose
+    _, _, z, alpha, beta, _ = pose
     # {f} has z into the plane, and its origin at the dome's centre at first touch
     T_surface_f = se3.pose_from_euler([0.0, 0.0, sensor.settings.skin.radius, np.pi, 0.0, 0.0])
-    for stop in ((0, 0, -clearance, alpha, beta, 0), (0, 0, z, alpha, beta, 0), (x, y, z, alpha, beta, gamma)):
-        sensor.advance(plane, T_surface_f @ se3.pose_from_euler(stop))
+    for depth in (-clearance, z):
+        sensor.advance(plane, T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
+    sensor.advance(plane, T_surface_f @ se3.pose_from_euler(pose))
 
 
 def generate(
@@ -131,8 +134,8 @@ def generate(
     sensor
         The sensor; its step is replaced by that of `settings`.
     each
-        Called on every sample where it was made (so it must be picklable for more than one process), to store the
-        image there or make it smaller; its results are yielded. Without it the samples themselves are.
+        Called on every sample in the process that made it (so it must be picklable for more than one), to
+        store the image there or make it smaller; its results are yielded. Without it the samples are.
     """
     task = _Task(settings, seed, _with_step(sensor or TacTipSettings(), settings.max_step), each or _itself)
     if processes <= 1:
@@ -140,7 +143,8 @@ def generate(
         yield from map(_run, indices)
         return
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, spawn, _start, (task,)) as pool:  # unlike Pool, it fails if a worker does
+    # unlike Pool, the executor fails if a worker does
+    with ProcessPoolExecutor(processes, spawn, _start, (task,)) as pool:
         yield from _in_order(pool, iter(indices), ahead=4 * processes)
 
 

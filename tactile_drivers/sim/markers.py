@@ -1,8 +1,8 @@
 """Markers on pins inside the skin: where their tips are when the skin is displaced.
 
-A pin stands on the inside of the skin along its normal, so that its tip shows both the displacement of the skin
-and the turn of its normal. Both are interpolated from the skin nodes by moving least squares with quadratic
-terms (weights fixed at the start), which is smooth where a piecewise linear mesh would show its edges.
+A pin stands on the inside of the skin along its normal, so that its tip shows both the displacement of the
+skin and the turn of its normal. Both are interpolated from the skin nodes by moving least squares with
+quadratic terms (weights fixed at the start), which is smooth where a linear mesh would show its edges.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class MarkerSettings(Settings):
     """Layout of the markers: rings of 1, 6, 12, ... about the tip's axis."""
 
     rings: int = setting(10, lower=1, upper=13, doc="rings about the central marker; 10 make 331 markers")
-    pitch_deg: float = setting(6.32, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings, seen from {s}")
-    azimuth_deg: float = setting(51.8, unit="deg", doc="azimuth of each ring's first marker about {s}'s z axis")
-    pin_length: float = setting(0.002, unit="m", lower=0.0, upper=0.01, doc="from the skin's inside to the marker")
+    pitch_deg: float = setting(6.32, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings")
+    azimuth_deg: float = setting(51.8, unit="deg", doc="of each ring's first marker about z of {s}")
+    pin_length: float = setting(0.002, unit="m", lower=0.0, upper=0.01, doc="from the skin to the marker")
 
 
 class Markers:
@@ -69,7 +69,9 @@ def _tangents(normals: Array) -> Array:
     return np.stack([first, np.cross(normals, first)])
 
 
-def _least_squares_weights(base: Array, tangents: Array, skin: Skin, radius: float) -> tuple[NDArray[np.intp], Array]:
+def _least_squares_weights(
+    base: Array, tangents: Array, skin: Skin, radius: float
+) -> tuple[NDArray[np.intp], Array]:
     """Nodes (n, k) near each marker, and weights (n, 3, k) of the value and its two tangential derivatives.
 
     The derivatives are with respect to arc length on the sphere at the marker.

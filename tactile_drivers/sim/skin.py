@@ -1,11 +1,11 @@
-"""Elastic model of the sensor's tip: a gel dome under a stiffer skin, condensed to a compliance of its skin nodes.
+"""Elastic model of the tip: a gel dome under a stiffer skin, condensed to a compliance of its skin nodes.
 
-The tip is half a ball, clamped on its flat back. Linear tetrahedra fill it: the skin's surface mesh (rings of 6k
-nodes) is extruded inwards through shells. Condensing the stiffness matrix to the outer surface gives
+The tip is half a ball, clamped on its flat back. Linear tetrahedra fill it: the skin's surface mesh (rings of
+6k nodes) is extruded inwards through shells. Condensing the stiffness matrix to the outer surface gives
 ``u = C f``: displacements of the skin nodes under forces on the skin nodes, which is all that contact needs.
 
-The default tip is condensed offline, because the factorization takes seconds. The mesh maps onto itself when it
-turns by 60 degrees, so a sixth of the columns is stored. To make the file again::
+The default tip is condensed offline, because the factorization takes seconds. The mesh maps onto itself when
+it turns by 60 degrees, so a sixth of the columns is stored. To make the file again::
 
     python -m tactile_drivers.sim.skin --write
 """
@@ -29,12 +29,12 @@ DATA_FILE = Path(__file__).parent / "data" / "skin_compliance.npz"
 class SkinSettings(Settings):
     """Geometry and materials of the tip; the defaults are those of the file that is shipped."""
 
-    radius: float = setting(0.020, unit="m", lower=1e-3, upper=0.1, doc="outer radius of the hemispherical tip")
-    skin_thickness: float = setting(0.001, unit="m", lower=1e-4, upper=5e-3, doc="thickness of the stiff skin")
+    radius: float = setting(0.020, unit="m", lower=1e-3, upper=0.1, doc="outer radius of the tip")
+    skin_thickness: float = setting(0.001, unit="m", lower=1e-4, upper=5e-3, doc="of the stiff skin")
     gel_modulus: float = setting(8.0e3, unit="Pa", lower=1.0, upper=1e9, doc="Young's modulus of the gel")
-    stiffness_ratio: float = setting(8.0, lower=0.1, upper=1e3, doc="Young's modulus of the skin over the gel's")
+    stiffness_ratio: float = setting(8.0, lower=0.1, upper=1e3, doc="modulus of the skin over the gel's")
     poisson_ratio: float = setting(0.3, lower=0.0, upper=0.49, doc="Poisson's ratio of gel and skin")
-    rings: int = setting(14, lower=4, upper=24, doc="rings of skin nodes from pole to rim; the last is clamped")
+    rings: int = setting(14, lower=4, upper=24, doc="rings of skin nodes; the last is clamped")
     shells: tuple[float, ...] = setting(
         (0.875, 0.75, 0.6, 0.425, 0.225), lower=0.05, upper=0.95,
         doc="radii of the gel's shells below the skin, relative to the outer radius, falling",
@@ -55,19 +55,16 @@ class Skin:
         The clamped ring.
     compliance : (3n, 3n) float32, m/N
         Displacement of the nodes under forces on them; rows and columns run node by node, xyz within.
-    area : (n,) m^2
-        Surface area that belongs to each node.
     """
 
     nodes: Array
     triangles: NDArray[np.intp]
     rim: Array
     compliance: NDArray[np.float32]
-    area: Array
 
 
 def ring_directions(polar_angles: Array) -> Array:
-    """Unit vectors in rings about +z: one at the pole, then 6k at `polar_angles[k]` (rad), the first at azimuth 0."""
+    """Unit vectors in rings about +z: one at the pole, then 6k at `polar_angles[k]` (rad) from azimuth 0."""
     out = [np.array([[0.0, 0.0, 1.0]])]
     for k, polar in enumerate(polar_angles[1:], start=1):
         azimuth = 2 * np.pi * np.arange(6 * k) / (6 * k)
@@ -104,7 +101,7 @@ def build_skin(settings: SkinSettings) -> Skin:
     """
     radii = settings.radius * np.array([1.0, 1 - settings.skin_thickness / settings.radius, *settings.shells])
     if np.any(np.diff(radii) >= 0):
-        raise ValueError(f"shells = {settings.shells}: must fall, and start below the skin ({radii[1]:.4g} m)")
+        raise ValueError(f"shells = {settings.shells}: must fall from below the skin ({radii[1]:.4g} m)")
     directions = ring_directions(np.linspace(0, np.pi / 2, settings.rings + 1))
     directions[_ring_index(settings.rings, 0) :, 2] = 0.0
     triangles = ring_triangles(settings.rings)
@@ -117,12 +114,12 @@ def build_skin(settings: SkinSettings) -> Skin:
 
 
 def load_skin(settings: SkinSettings | None = None) -> Skin:
-    """The skin for these settings: read from the shipped file if it is the default one, else built (seconds)."""
+    """The skin for these settings: from the shipped file if they are the defaults, else built (seconds)."""
     settings = settings or SkinSettings()
     if settings != SkinSettings():
         return build_skin(settings)
     if not DATA_FILE.exists():
-        raise FileNotFoundError(f"{DATA_FILE} is missing: make it with python -m tactile_drivers.sim.skin --write")
+        raise FileNotFoundError(f"{DATA_FILE} is missing: run python -m tactile_drivers.sim.skin --write")
     with np.load(DATA_FILE) as data:
         return _assemble_skin(settings, data["columns"])
 
@@ -132,10 +129,7 @@ def _assemble_skin(settings: SkinSettings, columns: NDArray[np.float32]) -> Skin
     triangles = ring_triangles(settings.rings)
     positions = settings.radius * directions
     outer = _ring_index(settings.rings, 0)
-    edges = positions[triangles[:, 1:]] - positions[triangles[:, :1]]
-    per_triangle = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 6
-    area = np.bincount(triangles.ravel(), np.repeat(per_triangle, 3))[:outer]
-    return Skin(positions[:outer], triangles, positions[outer:], _unfold(columns, settings.rings), area)
+    return Skin(positions[:outer], triangles, positions[outer:], _unfold(columns, settings.rings))
 
 
 def _sextant(rings: int) -> NDArray[np.intp]:
@@ -166,17 +160,20 @@ def _turned(rings: int, turn: int) -> NDArray[np.intp]:
     return np.array(out, dtype=np.intp)
 
 
-def _extrude(directions: Array, triangles: NDArray[np.intp], radii: Array) -> tuple[Array, NDArray[np.intp], Array]:
+def _extrude(
+    directions: Array, triangles: NDArray[np.intp], radii: Array
+) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
     """Tetrahedra between consecutive shells, and from the innermost one to the centre."""
     count = len(directions)
     positions = np.concatenate([directions * r for r in radii] + [np.zeros((1, 3))])
-    ordered = np.sort(triangles, axis=1)  # splitting prisms by node order makes neighbours agree on the diagonals
+    # splitting prisms by node order makes neighbours agree on the diagonals
+    ordered = np.sort(triangles, axis=1)
     layers = []
     for layer in range(len(radii) - 1):
         a, b, c = (ordered[:, i] + layer * count for i in range(3))
         d, e, f = a + count, b + count, c + count
         layers.append(np.concatenate([np.stack(t, 1) for t in ((a, b, c, f), (a, b, e, f), (a, d, e, f))]))
-    in_skin = np.zeros(sum(map(len, layers)) + len(triangles), dtype=bool)
+    in_skin: NDArray[np.bool_] = np.zeros(sum(map(len, layers)) + len(triangles), dtype=bool)
     in_skin[: len(layers[0])] = True
     core = ordered + (len(radii) - 1) * count
     layers.append(np.column_stack([core, np.full(len(core), len(positions) - 1)]))
@@ -184,9 +181,14 @@ def _extrude(directions: Array, triangles: NDArray[np.intp], radii: Array) -> tu
 
 
 def _condense(
-    positions: Array, tetrahedra: NDArray[np.intp], modulus: Array, poisson: float, outer: int, loaded: NDArray[np.intp]
+    positions: Array,
+    tetrahedra: NDArray[np.intp],
+    modulus: Array,
+    poisson: float,
+    outer: int,
+    loaded: NDArray[np.intp],
 ) -> Array:
-    """Displacements (3 outer, 3 len(loaded)) of the first `outer` nodes under unit forces on the loaded ones."""
+    """Displacements (3 outer, 3 len(loaded)) of the first `outer` nodes under unit forces on those loaded."""
     from scipy.sparse.linalg import splu
 
     stiffness = _assemble(positions, tetrahedra, modulus, poisson)
@@ -207,7 +209,8 @@ def _assemble(positions: Array, tetrahedra: NDArray[np.intp], modulus: Array, po
     corners = positions[tetrahedra]
     edges = corners[:, 1:] - corners[:, :1]
     volume = np.abs(np.linalg.det(edges)) / 6
-    gradient = np.linalg.inv(edges).transpose(0, 2, 1)  # rows: gradients of the shape functions of corners 1..3
+    # rows: gradients of the shape functions of corners 1..3
+    gradient = np.linalg.inv(edges).transpose(0, 2, 1)
     gradient = np.concatenate([-gradient.sum(1, keepdims=True), gradient], axis=1)
     shear = modulus / (2 * (1 + poisson))
     lame = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))

@@ -1,8 +1,8 @@
 """A simulated TacTip: skin in frictional contact with a surface, and what its camera sees.
 
-The motion is quasi-static with history. Each skin node in contact holds on to the point of the surface that it
-touched (its anchor, kept in the surface's frame) until the tangential force exceeds friction times the normal
-force; then it slips and drags the anchor along::
+The motion is quasi-static with history. Each skin node in contact holds on to the point of the surface that
+it touched (its anchor, kept in the surface's frame) until the tangential force exceeds friction times the
+normal force; then it slips and drags the anchor along::
 
     sensor = TacTip(TacTipSettings(), seed=1)
     sensor.advance(surface, T_surface_sensor)
@@ -17,7 +17,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_drivers.sim.camera import Camera, CameraSettings, _contact
+from tactile_drivers.sim import _contact
+from tactile_drivers.sim.camera import Camera, CameraSettings
 from tactile_drivers.sim.markers import Markers, MarkerSettings
 from tactile_drivers.sim.skin import Skin, SkinSettings, load_skin
 from tactile_filter import se3
@@ -41,8 +42,8 @@ class ContactSettings(Settings):
     friction: float = setting(0.9, lower=0.0, upper=5.0, doc="Coulomb friction between skin and surface")
     max_step: float = setting(2e-4, unit="m", lower=1e-6, upper=2e-3, doc="longest motion solved in one step")
     max_sweeps: int = setting(30, lower=1, upper=10000, doc="Gauss-Seidel sweeps a step, at most")
-    tolerance: float = setting(1e-6, unit="m", lower=1e-12, upper=1e-3, doc="node motion that ends the sweeps")
-    margin: float = setting(5e-4, unit="m", lower=0.0, upper=5e-3, doc="gap below which a node enters the solve")
+    tolerance: float = setting(1e-6, unit="m", lower=1e-12, upper=1e-3, doc="motion that ends the sweeps")
+    margin: float = setting(5e-4, unit="m", lower=0.0, upper=5e-3, doc="gap at which a node enters")
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,9 @@ class PoseError(ValueError):
 class TacTip:
     """One sensor with its contact history; deterministic by seed (the seed selects image noise only)."""
 
-    def __init__(self, settings: TacTipSettings | None = None, seed: int = 0, skin: Skin | None = None) -> None:
+    def __init__(
+        self, settings: TacTipSettings | None = None, seed: int = 0, skin: Skin | None = None
+    ) -> None:
         self.settings = settings or TacTipSettings()
         self._skin = skin or load_skin(self.settings.skin)
         tip = self.settings.skin
@@ -105,7 +108,7 @@ class TacTip:
         self.reset(seed)
 
     def reset(self, seed: int | None = None) -> None:
-        """Forget contact and pose: the skin at rest, the image noise from its start (with a new seed if given)."""
+        """Forget contact and pose, and start the image noise again (from a new seed if given)."""
         count = len(self._skin.nodes)
         if seed is not None:
             self._seed = seed
@@ -167,10 +170,10 @@ class TacTip:
     def truth(self) -> ContactTruth:
         """Where the sensor is, as a surface contact pose that a picture could know.
 
-        Depth and contact angles follow from the geometry at the surface point nearest to the dome's centre. Shear
-        (x, y, gamma) is the rigid motion in the tangent plane that best carries (least squares, weighted by normal
-        force) the anchors to the places where their nodes were, in the sensor, when they touched. It is the
-        commanded shear as long as nothing slips, and saturates when the contact slips.
+        Depth and contact angles follow from the geometry at the surface point nearest to the dome's centre.
+        Shear (x, y, gamma) is the rigid motion in the tangent plane that best carries (least squares,
+        weighted by normal force) the anchors to the places where their nodes were, in the sensor, when they
+        touched. It is the commanded shear as long as nothing slips, and saturates when the contact slips.
 
         Raises
         ------
@@ -183,7 +186,9 @@ class TacTip:
 
     def _contact_state(self) -> _ContactState:
         on = np.flatnonzero(self._state)
-        return _ContactState(self._force[on], self._state[on], self._normal[on], self._anchor[on], self._touch[on])
+        return _ContactState(
+            self._force[on], self._state[on], self._normal[on], self._anchor[on], self._touch[on]
+        )
 
     def _release(self) -> None:
         self._force[:] = 0.0
@@ -191,7 +196,7 @@ class TacTip:
         self._displacement[:] = 0.0
 
     def _steps_between(self, start: Array, target: Array, surface: SurfaceShape) -> int:
-        """Steps for a motion: one when out of reach at both ends, else by how far any point of the tip moves."""
+        """Steps for a motion: one when out of reach at both ends, else by how far the tip moves."""
         reach = self.settings.skin.radius
         far = all(_query(surface, T[None, :3, 3])[0][0] > 1.5 * reach for T in (start, target))
         if far:
@@ -201,7 +206,7 @@ class TacTip:
         return max(1, int(np.ceil(length / self.settings.contact.max_step - 1e-9)))
 
     def _step(self, surface: SurfaceShape, T: Array) -> None:
-        """One quasi-static step: linearize the surface at the guessed skin, solve, drag the anchors that slipped."""
+        """One quasi-static step: linearize the surface at the guessed skin, solve, drag what slipped."""
         rotation, origin = T[:3, :3], T[:3, 3]
         settings = self.settings.contact
         skin = self._skin.nodes + self._displacement
@@ -266,7 +271,8 @@ def _truth(T: Array, surface: SurfaceShape, radius: float, contact: _ContactStat
     along = float(-total @ into_surface)
     return ContactTruth(
         depth=depth, T_fs=T_fs, T_surface_contact=T @ se3.inverse(T_fs), force=total, normal_force=along,
-        tangential_force=float(np.linalg.norm(total + along * into_surface)), contact_nodes=int((press > 0).sum()),
+        tangential_force=float(np.linalg.norm(total + along * into_surface)),
+        contact_nodes=int((press > 0).sum()),
         slip_fraction=float(press[contact.state == _SLIP].sum() / press.sum()) if press.sum() > 0 else 0.0,
     )  # fmt: skip
 
@@ -287,7 +293,9 @@ def _rigid_shear(now: Array, anchor: Array, weight: Array) -> tuple[Array, float
     weight = weight / weight.sum()
     mean_now, mean_anchor = weight @ now, weight @ anchor
     a, b = anchor - mean_anchor, now - mean_now
-    gamma = float(np.arctan2(weight @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), weight @ np.sum(a * b, axis=1)))
+    gamma = float(
+        np.arctan2(weight @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), weight @ np.sum(a * b, axis=1))
+    )
     if len(now) < 3:
         gamma = 0.0
     c, s = np.cos(gamma), np.sin(gamma)
@@ -314,5 +322,7 @@ def _checked_pose(T: Array) -> Array:
         raise PoseError(f"pose of the sensor is not finite:\n{pose}")
     error = float(np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max())
     if error > 1e-6 or np.linalg.det(pose[:3, :3]) < 0 or np.any(pose[3] != [0, 0, 0, 1]):
-        raise PoseError(f"pose of the sensor is not a rigid transform (orthogonality error {error:.2g}):\n{pose}")
+        raise PoseError(
+            f"pose of the sensor is not a rigid transform (orthogonality error {error:.2g}):\n{pose}"
+        )
     return pose

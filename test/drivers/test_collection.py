@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tactile_drivers.sim.collection import CollectionSettings, Sample, collect, generate, sample_pose
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3

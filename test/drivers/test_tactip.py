@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.skin import Skin, SkinSettings, build_skin, load_skin
 from tactile_drivers.sim.surfaces import make_surface
@@ -14,7 +15,9 @@ RADIUS = SkinSettings().radius
 FACING_DOWN = se3.pose_from_euler([0.0, 0.0, RADIUS, np.pi, 0.0, 0.0])  # {f} over the plane z = 0
 
 
-def pose(x: float = 0, y: float = 0, z: float = 0, alpha: float = 0, beta: float = 0, gamma: float = 0) -> np.ndarray:
+def pose(
+    x: float = 0, y: float = 0, z: float = 0, alpha: float = 0, beta: float = 0, gamma: float = 0
+) -> np.ndarray:
     """Sensor in the plane's frame for a surface contact pose in mm and degrees."""
     return FACING_DOWN @ se3.pose_from_euler([*np.array([x, y, z]) * 1e-3, *np.radians([alpha, beta, gamma])])
 
@@ -195,7 +198,7 @@ def test_contact_on_a_dome_is_narrower_than_on_a_plane(sensor, plane):
     dome = make_surface("dome", {})
     apex = dome.closest(np.array([[0.0, 0.0, 1.0]]))[0]
     for depth in (-1e-3, 3e-3):
-        sensor.advance(dome, se3.pose_from_euler([*apex + [0, 0, RADIUS - depth], np.pi, 0, 0]))
+        sensor.advance(dome, se3.pose_from_euler([apex[0], apex[1], apex[2] + RADIUS - depth, np.pi, 0, 0]))
     on_dome = sensor.truth()
     flat = pressed(sensor, plane, 3.0).truth()
     assert on_dome.depth == pytest.approx(flat.depth, abs=1e-9)
