@@ -8,13 +8,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 from rich.progress import track
 
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
 from tactile_drivers.sim.tactip import TacTipSettings
-from tactile_filter.settings import SettingError
+from tactile_filter.yaml_file import read_yaml
+from tactile_perception.command_settings import name_and_value
 from tactile_perception.dataset import DatasetError, DatasetWriter, write_processed
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 
@@ -64,18 +64,12 @@ def run_generate(arguments: argparse.Namespace) -> int:
 
 def _settings(arguments: argparse.Namespace) -> CollectionSettings:
     """Collection settings from the file and the command line."""
-    values: dict[str, Any] = {}
+    settings = CollectionSettings()
     if arguments.config:
-        try:
-            values = yaml.safe_load(arguments.config.read_text()) or {}
-        except yaml.YAMLError as error:
-            raise SettingError(f"{arguments.config}: {error}") from error
-    for change in arguments.changes:
-        name, equals, text = change.partition("=")
-        if not equals:
-            raise SettingError(f"--set {change}: must have the form NAME=VALUE, as cap_angle=0.3")
-        values[name] = yaml.safe_load(text)
-    return CollectionSettings.from_mapping(values, where=str(arguments.config or "--set"))
+        root = read_yaml(arguments.config)
+        settings = root.checked(CollectionSettings, root.values)
+    changes = dict(name_and_value(change, "cap_angle=0.3") for change in arguments.changes)
+    return settings.replaced(**changes)
 
 
 def _generate_split(

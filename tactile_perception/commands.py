@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -21,7 +20,6 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from tactile_filter.settings import SettingError
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 
@@ -96,9 +94,10 @@ def run_train(arguments: argparse.Namespace) -> int:
     from tactile_perception.training.console import TrainingProgress
 
     try:
-        config = training.TrainConfig.from_mapping(
-            _train_settings(arguments), str(arguments.config or "--set")
+        config = (
+            training.TrainConfig.from_file(arguments.config) if arguments.config else training.TrainConfig()
         )
+        config = config.changed(arguments.changes)
         with TrainingProgress() as progress:
             result = training.train(
                 arguments.data,
@@ -116,25 +115,6 @@ def run_train(arguments: argparse.Namespace) -> int:
         arguments.install.write_bytes(result.model_path.read_bytes())
     _print_train_summary(Console(), result, arguments.out)
     return 0
-
-
-def _train_settings(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """The configuration file's contents with the changes of the command line."""
-    values: dict[str, dict[str, Any]] = {}
-    if arguments.config:
-        try:
-            values = yaml.safe_load(arguments.config.read_text()) or {}
-        except yaml.YAMLError as error:
-            raise SettingError(f"{arguments.config}: {error}") from error
-    for change in arguments.changes:
-        name, equals, text = change.partition("=")
-        section, dot, key = name.partition(".")
-        if not (equals and dot):
-            raise SettingError(
-                f"--set {change}: must have the form SECTION.NAME=VALUE, as training.batch_size=32"
-            )
-        values.setdefault(section, {})[key] = yaml.safe_load(text)
-    return values
 
 
 def _print_train_summary(console: Console, result: Any, out: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tactile_filter.settings import SettingError, unknown_name
+from tactile_filter.yaml_file import read_yaml
+from tactile_perception.command_settings import name_and_value
 from tactile_perception.dataset import DatasetError, TactileDataset, read_dataset
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.model_metadata import ModelMetadata
@@ -24,6 +26,7 @@ from tactile_perception.training.export import export_onnx
 from tactile_perception.training.gdn import Gdn, mean_nll
 from tactile_perception.training.settings import GdnSettings, TrainingSettings, learning_rate
 
+SECTIONS = ("network", "training")
 _EVALUATION_BATCH = 100
 
 
@@ -35,25 +38,23 @@ class TrainConfig:
     training: TrainingSettings = dataclasses.field(default_factory=TrainingSettings)
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any], where: str = "") -> TrainConfig:
-        """From the sections `network` and `training`; `SettingError` names what is wrong and where."""
-        for name in values:
-            if name not in ("network", "training"):
-                raise SettingError(f"{where}: {unknown_name(name, ('network', 'training'))}")
-        return cls(
-            GdnSettings.from_mapping(values.get("network") or {}, where),
-            TrainingSettings.from_mapping(values.get("training") or {}, where),
-        )
-
-    @classmethod
     def from_file(cls, path: Path | str) -> TrainConfig:
-        try:
-            values = yaml.safe_load(Path(path).read_text())
-        except (OSError, yaml.YAMLError) as error:
-            raise SettingError(f"{path}: cannot be read: {error}") from error
-        if not isinstance(values, dict):
-            raise SettingError(f"{path}: must hold the sections 'network' and 'training'")
-        return cls.from_mapping(values, str(path))
+        """From a YAML file's sections; `SettingError` names file, line and what would be right."""
+        root = read_yaml(path)
+        root.allow(*SECTIONS)
+        return cls(root.settings("network", GdnSettings), root.settings("training", TrainingSettings))
+
+    def changed(self, changes: Iterable[str]) -> TrainConfig:
+        """A copy with settings changed by texts of the form section.name=value, as training.batch_size=32."""
+        config = self
+        for change in changes:
+            name, value = name_and_value(change, "training.batch_size=32")
+            section, _, key = name.partition(".")
+            if section not in SECTIONS:
+                raise SettingError(f"--set {change}: {unknown_name(section, SECTIONS)}")
+            settings = getattr(config, section).replaced(**{key: value})
+            config = dataclasses.replace(config, **{section: settings})
+        return config
 
 
 @dataclass(frozen=True)
