@@ -10,6 +10,7 @@ from collections.abc import Sequence
 # Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
 COMMANDS = (
     "tactile_bringup.launch_command",
+    "tactile_bringup.run_command",
     "tactile_bringup.demo",
     "tactile_bringup.simulate_command",
     "tactile_perception.commands",

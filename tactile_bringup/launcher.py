@@ -9,13 +9,10 @@ signal does not wait for the arm (its driver stops it when commands end), a thir
 from __future__ import annotations
 
 import os
-import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from tactile_bringup import shared_memory
@@ -23,29 +20,14 @@ from tactile_bringup.environment import RosEnvironment, ros_environment
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
 from tactile_bringup.processes import ProcessDied, ProcessGroup
 from tactile_bringup.progress import Display
+from tactile_bringup.task_runner import Interrupted, NotReady, PathFailed, TaskRunner, signals_into
 from tactile_control.task import PathGoal
 
 if TYPE_CHECKING:
-    from tactile_bringup.task_client import PathResult, TaskClient
+    from tactile_bringup.task_client import PathResult
 
 EXIT_OK, EXIT_TASK_FAILED, EXIT_USAGE, EXIT_NODE_DIED, EXIT_NOT_READY = 0, 1, 2, 3, 4
 EXIT_SIGNAL = 128  # plus the signal's number
-
-READY_TIMEOUT = 45.0  # s from start until all nodes are active
-REST_TIMEOUT = 6.0  # s for a cancelled task to bring the arm to rest
-SPIN = 0.05  # s between looks at signals and processes while nothing arrives
-
-
-class NotReady(RuntimeError):
-    """Nodes that did not become active in time."""
-
-
-class Interrupted(RuntimeError):
-    """SIGINT or SIGTERM was sent to the launcher."""
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-        super().__init__(f"stopped by {signal.Signals(number).name}")
 
 
 @dataclass
@@ -97,32 +79,31 @@ class Launcher:
         self._parameters = folder / "parameters"
         self._environment = ros_environment(self.logs / "ros")
         self._signals: list[int] = []
-        self._client: TaskClient | None = None
-        self._group: ProcessGroup | None = None
+        self._runner: TaskRunner | None = None
 
     def run(self) -> Outcome:
         """Start, run the paths, stop. Never raises for what happens to nodes or task."""
         outcome = Outcome(EXIT_OK, "", self.logs)
         shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
         started_ns = time.time_ns()
-        with _signals_into(self._signals), ProcessGroup() as self._group:
+        with signals_into(self._signals), ProcessGroup() as group:
             try:
-                self._start()
-                self._wait_until_active()
-                self._run_paths(outcome)
+                self._run_task(group)
             except ProcessDied as death:
                 outcome.exit_code, outcome.reason = EXIT_NODE_DIED, f"node {death}"
             except NotReady as late:
-                outcome.exit_code, outcome.reason = EXIT_NOT_READY, str(late)
+                outcome.exit_code, outcome.reason = EXIT_NOT_READY, f"{late}; logs: {self.logs}"
+            except PathFailed as failure:
+                outcome.exit_code, outcome.reason = EXIT_TASK_FAILED, str(failure)
             except Interrupted as interrupt:
                 outcome.exit_code, outcome.reason = EXIT_SIGNAL + interrupt.number, str(interrupt)
                 self.display.say(f"{interrupt}: bringing the arm to rest (again to hurry)", "yellow")
             finally:
-                self._stop(outcome)
+                self._stop(group, outcome)
         shared_memory.remove_orphans(started_ns)
         return outcome
 
-    def _start(self) -> None:
+    def _run_task(self, group: ProcessGroup) -> None:
         environment = self._environment
         _adopt(environment)
         chosen = "chosen" if environment.domain_chosen else "as set"
@@ -132,126 +113,39 @@ class Launcher:
             f"logs in {self.logs}"
         )
         for node in self.graph.nodes:
-            self._start_node(node)
+            self._start_node(group, node)
         from tactile_bringup.task_client import TaskClient  # ROS reads the environment when it is loaded
 
-        self._client = TaskClient(environment.domain_id)
+        names = [node.full_name for node in self.graph.nodes]
+        client = TaskClient(environment.domain_id)
+        self._runner = TaskRunner(
+            client, self.graph.task, names, self.graph.arms, self.display, self._signals, group.check
+        )
+        self._runner.wait_until_active()
+        self._runner.run(self.paths)
 
-    def _start_node(self, node: NodeProcess) -> None:
-        assert self._group is not None
+    def _start_node(self, group: ProcessGroup, node: NodeProcess) -> None:
         self._parameters.mkdir(parents=True, exist_ok=True)
         file = self._parameters / f"{node.file_stem}.yaml"
         file.write_text(node.parameter_text())
         log = self.logs / f"{node.file_stem}.log"
-        self._group.start(node.full_name, node.command(file), self._environment.variables, log)
+        group.start(node.full_name, node.command(file), self._environment.variables, log)
 
-    def _wait_until_active(self) -> None:
-        assert self._client is not None
-        client, names = self._client, [node.full_name for node in self.graph.nodes]
-        started = time.monotonic()
-        while True:
-            now = time.monotonic()
-            waiting = client.inactive(names, now)
-            waiting |= {f"/{a}/run_task": "no server yet" for a in self.graph.arms if not client.arm(a).ready}
-            if not waiting:
-                break
-            if now - started > READY_TIMEOUT:
-                states = ", ".join(f"{name} ({state})" for name, state in waiting.items())
-                raise NotReady(
-                    f"not active {READY_TIMEOUT:.0f} s after the start: {states}; logs: {self.logs}"
-                )
-            self._turn()
-        self.display.say(f"all nodes active after {time.monotonic() - started:.1f} s")
-
-    def _run_paths(self, outcome: Outcome) -> None:
-        for number, path in enumerate(self.paths, 1):
-            label = f"[{number}/{len(self.paths)}] {path.name}"
-            results = self._run_path(path, label)
-            outcome.paths += results
-            failed = [result for result in results if not result.success]
-            for result in results:
-                verdict = "done" if result.success else f"failed: {result.reason}"
-                self.display.say(
-                    f"{label}: {verdict} ({1e3 * result.length:.0f} mm in {result.duration_s:.1f} s)",
-                    "red" if failed else "green",
-                )
-            if failed:
-                outcome.exit_code = EXIT_TASK_FAILED
-                outcome.reason = f"path {path.name}: {failed[0].reason}"
-                return
-
-    def _run_path(self, path: PathGoal, label: str) -> list[PathResult]:
-        assert self._client is not None
-        tasks = {arm: self._client.arm(arm) for arm in self.graph.arms}
-        for task in tasks.values():
-            task.send(path, self.graph.task)
-        results: dict[str, PathResult] = {}
-        while len(results) < len(tasks):
-            self._turn()
-            self.display.update(label, {arm: task.progress for arm, task in tasks.items()})
-            for arm, task in tasks.items():
-                result = task.result()
-                if result is not None:
-                    results[arm] = result
-        return list(results.values())
-
-    def _turn(self) -> None:
-        """Handle messages, then look at signals and processes."""
-        assert self._client is not None and self._group is not None
-        self._client.spin(SPIN)
-        if self._signals:
-            raise Interrupted(self._signals[0])
-        self._group.check()
-
-    def _stop(self, outcome: Outcome) -> None:
+    def _stop(self, group: ProcessGroup, outcome: Outcome) -> None:
         """Task, arm, nodes, recorder: in this order."""
-        assert self._group is not None
-        if self._client is not None:
-            outcome.at_rest = self._bring_to_rest()
-            self._client.close()
-        nodes = [name for name in self._group.children if name != f"/{RECORDER}"]
+        if self._runner is not None:
+            outcome.at_rest = self._runner.bring_to_rest()
+            outcome.paths = self._runner.results
+            self._runner.client.close()
+        nodes = [name for name in group.children if name != f"/{RECORDER}"]
         urgent = len(self._signals) > 2
-        reports = self._group.stop(nodes, urgent) + self._group.stop(urgent=urgent)
+        reports = group.stop(nodes, urgent) + group.stop(urgent=urgent)
         outcome.escalated = [f"{r.name} took {r.escalated_to}" for r in reports if r.escalated_to]
         for line in outcome.escalated:
             self.display.say(f"{line} to end", "yellow")
-
-    def _bring_to_rest(self) -> bool | None:
-        """Cancel what runs and wait until every arm that still speaks rests."""
-        assert self._client is not None
-        tasks = [self._client.arm(arm) for arm in self.graph.arms]
-        patience = len(self._signals) + 1
-        for task in tasks:
-            task.cancel()
-        if all(task.progress.arm_mode is None for task in tasks):
-            return None
-        deadline = time.monotonic() + REST_TIMEOUT
-        rest = False
-        while not rest and time.monotonic() < deadline and len(self._signals) < patience:
-            self._client.spin(SPIN)
-            ended = [task.result() is not None or not task.running for task in tasks]
-            rest = all(ended) and all(task.at_rest for task in tasks)
-        return all(task.at_rest for task in tasks)
 
 
 def _adopt(environment: RosEnvironment) -> None:
     """Take over what ROS in this process reads from the environment."""
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "ROS_DOMAIN_ID"):
         os.environ[name] = environment.variables[name]
-
-
-@contextmanager
-def _signals_into(received: list[int]) -> Iterator[None]:
-    """Collect SIGINT and SIGTERM instead of dying by them."""
-
-    def collect(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {
-        number: signal.signal(number, collect) for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,7 @@ from tactile_msgs.msg import ArmStatus, StageLatency
 
 CONTROLLER_STAGE = "controller"
 ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
+SILENCE = 0.5  # s without a word from an arm after which its driver counts as ended
 
 
 @dataclass
@@ -148,6 +150,7 @@ class ArmTask:
         self.progress = Progress()
         self._client: Any = ActionClient(node, RunTask, f"/{arm}/run_task")
         self._goal: _Goal | None = None
+        self._heard_s = self._moved_s = -math.inf
         node.create_subscription(ArmStatus, f"/{arm}/arm/status", self._on_arm, STATE)
         node.create_subscription(StageLatency, f"/{arm}/latency", self._on_latency, LATENCY)
 
@@ -165,10 +168,16 @@ class ArmTask:
         """Whether a goal is under way."""
         return self._goal is not None
 
+    def rests_for(self) -> float:
+        """Seconds for which the arm has said, and still says, that it rests; 0 otherwise."""
+        if self.progress.arm_mode != ArmStatus.RESTING or self.silent:
+            return 0.0
+        return self._heard_s - self._moved_s
+
     @property
-    def at_rest(self) -> bool:
-        """Whether the arm has said that it rests."""
-        return self.progress.arm_mode == ArmStatus.RESTING
+    def silent(self) -> bool:
+        """Whether nothing has been heard of the arm for `SILENCE`."""
+        return time.monotonic() - self._heard_s > SILENCE
 
     def send(self, goal: PathGoal, task: str) -> None:
         """Send one path."""
@@ -206,6 +215,9 @@ class ArmTask:
         progress.depth, progress.normal_error = feedback.depth, feedback.normal_error
 
     def _on_arm(self, status: ArmStatus) -> None:
+        self._heard_s = time.monotonic()
+        if status.mode != ArmStatus.RESTING:
+            self._moved_s = self._heard_s
         self.progress.arm_mode, self.progress.arm_reason = status.mode, status.reason
 
     def _on_latency(self, message: StageLatency) -> None:

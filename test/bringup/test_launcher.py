@@ -142,7 +142,7 @@ def test_a_node_that_dies_in_mid_run_ends_the_run_with_its_name_and_last_words(s
 def test_nodes_that_do_not_become_active_are_named(start):
     launch = start(fault="never_active")
     assert launch.end() == 4
-    assert "not active 3 s after the start: /arm/cell (not there yet)" in launch.output
+    assert "not active after 3 s: /arm/cell (not there yet)" in launch.output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tactile_bringup import launcher
+from tactile_bringup import launcher, task_runner
 from tactile_bringup.graph import Graph, NodeProcess
 from tactile_bringup.progress import Display
 from tactile_control.task import PathGoal
@@ -15,7 +15,7 @@ parameters = {"fault": fault, "seconds": seconds}
 node = NodeProcess("cell", "/arm", "fake_cell", "fake_cell", parameters)
 graph = Graph("surface_following", "fake", ("arm",), (node,), ())
 if fault == "never_active":
-    launcher.READY_TIMEOUT = 3.0
+    task_runner.READY_TIMEOUT = 3.0
 with Display(Console(), live=False) as display:
     goals = [PathGoal(name=f"path_{index}") for index in range(paths)]
     outcome = launcher.Launcher(graph, goals, folder, display).run()
