@@ -163,3 +163,9 @@ def test_a_run_without_truth_gives_null_not_a_number_of_nothing(tmp_path):
 def test_an_empty_record_can_be_reported(tmp_path):
     values = write_report(RunRecord(), tmp_path / "report.json")
     assert values["contact_fraction"] is None and values["succeeded"] is False
+
+
+def test_the_manual_lists_every_number_of_the_report(request):
+    text = (request.config.rootpath / "docs" / "control.md").read_text()
+    for name, meaning in REPORT_FIELDS.items():
+        assert f"| `{name}` | {meaning} |" in text
