@@ -1,9 +1,10 @@
-"""Latency by stage and CPU by node of the real graph: simulator, estimator, filter, controller in separate processes.
+"""Latency by stage and CPU by node of the real graph, each node in a process of its own.
 
     . scripts/env.sh && python bench/ros_latency.py --seconds 20
 
-Latencies are from the exposure's stamp to the stage's output, cumulative. Without a goal the controller answers
-each belief with a zero twist; what it costs to compute one is shown with `--follow`, which runs the task.
+Latencies are from the exposure's stamp to the stage's output, cumulative. Without a goal the controller
+answers each belief with a zero twist; what it costs to compute one is shown with `--follow`, which runs the
+task.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ def parameters(options: argparse.Namespace) -> dict[str, dict[str, str]]:
     return given
 
 
-def start(group: ProcessGroup, options: argparse.Namespace, folder: Path, variables: dict[str, str]) -> dict[str, int]:
+def start(
+    group: ProcessGroup, options: argparse.Namespace, folder: Path, variables: dict[str, str]
+) -> dict[str, int]:
     """Start all nodes and wait until they are active; returns their process ids."""
     pids = {}
     for name, (module, namespace) in NODES.items():
@@ -82,7 +85,10 @@ def measure(options: argparse.Namespace) -> None:
 
     def take(message: StageLatency) -> None:
         stamp = ns_from_time(message.header.stamp)
-        age, work = ns_from_time(message.emitted) - stamp, ns_from_time(message.emitted) - ns_from_time(message.received)
+        age, work = (
+            ns_from_time(message.emitted) - stamp,
+            ns_from_time(message.emitted) - ns_from_time(message.received),
+        )
         seconds[message.stage][stamp] = (age * 1e-6, work * 1e-6)
         dropped[message.stage] = message.dropped
 
@@ -105,7 +111,9 @@ def measure(options: argparse.Namespace) -> None:
             client = ActionClient(node, RunTask, f"/{ARM}/run_task")
             client.wait_for_server(5.0)
             client.send_goal_async(
-                RunTask.Goal(task="surface_following", path_name="bench", direction=[0.0, 1.0], path_length=1.0)
+                RunTask.Goal(
+                    task="surface_following", path_name="bench", direction=[0.0, 1.0], path_length=1.0
+                )
             )
             spin(4.0)
         for stage in STAGES:
@@ -123,7 +131,10 @@ def measure(options: argparse.Namespace) -> None:
 
 
 def report(
-    seconds: dict[str, dict[int, tuple[float, float]]], dropped: dict[str, int], cpu: dict[str, float], expected: float
+    seconds: dict[str, dict[int, tuple[float, float]]],
+    dropped: dict[str, int],
+    cpu: dict[str, float],
+    expected: float,
 ) -> None:
     """Print the table."""
     print(f"{'stage':12} {'frames':>7} {'of':>6} {'dropped':>8}   p50 ms   p90 ms   p99 ms   max ms  own p50")
@@ -134,14 +145,15 @@ def report(
             continue
         p50, p90, p99, worst = np.percentile(rows[:, 0], [50, 90, 99, 100])
         own = np.median(rows[:, 1])
-        print(
-            f"{stage:12} {len(rows):7d} {expected:6.0f} {dropped[stage]:8d} {p50:8.2f} {p90:8.2f} {p99:8.2f} {worst:8.2f} {own:8.2f}"
-        )
+        counts = f"{len(rows):7d} {expected:6.0f} {dropped[stage]:8d}"
+        print(f"{stage:12} {counts} {p50:8.2f} {p90:8.2f} {p99:8.2f} {worst:8.2f} {own:8.2f}")
     print("CPU of one core: " + ", ".join(f"{name} {percent:.0f} %" for name, percent in cpu.items()))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=60.0, help="of the camera, Hz")
     parser.add_argument("--scene", default="ramp")

@@ -1,9 +1,9 @@
 """Controller node: beliefs -> twists, as long as a goal of the action `run_task` asks for it.
 
-A step of the task runs at each `contact/state`, so that a command leaves as soon as its belief is there, and on a
-timer in between, so that the watchdog works when nothing arrives any more. Every twist comes out of the task's
-limiter; without a goal it is zero, and so is the last one when the node is deactivated or shut down. One goal
-runs at a time: a second one is refused, a cancelled one decelerates and retreats.
+A step of the task runs at each `contact/state`, so that a command leaves as soon as its belief is there, and
+on a timer in between, so that the watchdog works when nothing arrives any more. Every twist comes out of the
+task's limiter; without a goal it is zero, and so is the last one when the node is deactivated or shut down.
+One goal runs at a time: a second one is refused, a cancelled one decelerates and retreats.
 """
 
 from __future__ import annotations
@@ -323,7 +323,7 @@ class ControllerNode(ManagedNode):
 
 
 def _nothing_to_execute(handle: Any) -> RunTask.Result:
-    """Stands in for the callback of the action server: goals are executed by steps and concluded by `_finish`.
+    """Stands in for the action server's callback: steps execute goals and `_finish` concludes them.
 
     A coroutine that waited for the end would be polled without pause by the executors and burn a core.
     """

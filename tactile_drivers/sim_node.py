@@ -1,9 +1,9 @@
 """Sim node: the simulated cell of a scene in real time, with all its arms, sensors and surfaces.
 
-For each arm it publishes what a real arm and camera would: /tf at the arm's rate and thereby at every exposure,
-`arm/pose`, `arm/status`, `command/twist_limited`, `tactile/image`; and `sim/truth`, which no real one knows. It
-listens to `command/twist`. A sensor of fidelity "ideal" takes no images: its estimate and contact presence are
-published in place of the estimator's.
+For each arm it publishes what a real arm and camera would: /tf at the arm's rate and thereby at every
+exposure, `arm/pose`, `arm/status`, `command/twist_limited`, `tactile/image`; and `sim/truth`, which no real
+one knows. It listens to `command/twist`. A sensor of fidelity "ideal" takes no images: its estimate and
+contact presence are published in place of the estimator's.
 
 Stamps are ROS time at the scene's rate. When the machine cannot hold the rate, time is caught up: up to
 `longest_lag` behind every step is made, beyond that exposures are left out, counted and told in /diagnostics.
@@ -58,7 +58,9 @@ class SimSettings(Settings):
     camera_rate: float = setting(
         0.0, lower=0.0, upper=240.0, unit="Hz", doc="rate of all cameras; 0: as the scene says"
     )
-    status_rate: float = setting(60.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/status and command/twist_limited")
+    status_rate: float = setting(
+        60.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/status and command/twist_limited"
+    )
     longest_lag: float = setting(
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
     )
@@ -200,7 +202,9 @@ class SimNode(ManagedNode):
         self.steps = 0
         for arm in self.arms:
             arm.lost = 0
-        self.tf_static_out.publish(TFMessage(transforms=[t for arm in self.arms for t in arm.static_transforms()]))
+        self.tf_static_out.publish(
+            TFMessage(transforms=[t for arm in self.arms for t in arm.static_transforms()])
+        )
 
     def _tick(self) -> None:
         """Make the steps that are due."""
@@ -260,15 +264,21 @@ def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:
     """
     if camera_rate == 0.0:
         return scene
-    steps = next((n for n in range(scene.rate, 1001) if math.isclose(n / camera_rate, round(n / camera_rate))), None)
+    steps = next(
+        (n for n in range(scene.rate, 1001) if math.isclose(n / camera_rate, round(n / camera_rate))), None
+    )
     if steps is None or camera_rate > steps:
-        raise ValueError(f"camera_rate = {camera_rate:g} Hz: no whole number of steps a second is a multiple of it")
+        raise ValueError(
+            f"camera_rate = {camera_rate:g} Hz: no whole number of steps a second is a multiple of it"
+        )
     arms = {
         name: arm
         if arm.sensor is None
         else dataclasses.replace(
             arm,
-            sensor=dataclasses.replace(arm.sensor, settings=arm.sensor.settings.replaced(camera_rate=camera_rate)),
+            sensor=dataclasses.replace(
+                arm.sensor, settings=arm.sensor.settings.replaced(camera_rate=camera_rate)
+            ),
         )
         for name, arm in scene.arms.items()
     }

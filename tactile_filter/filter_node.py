@@ -1,8 +1,8 @@
 """Filter node: estimates + the arm's motion from TF -> belief over the surface contact pose.
 
-Estimate and contact presence of one exposure are joined by their stamp and taken in the order of stamps. Each waits
-for the sensor's pose at its stamp up to `tf_timeout`; then it is dropped and counted. A backward jump of the
-clock, the loss of contact and `~/reset` (tactile_msgs/ResetFilter) clear the belief. Without contact
+Estimate and contact presence of one exposure are joined by their stamp and taken in the order of stamps. Each
+waits for the sensor's pose at its stamp up to `tf_timeout`; then it is dropped and counted. A backward jump
+of the clock, the loss of contact and `~/reset` (tactile_msgs/ResetFilter) clear the belief. Without contact
 `contact/state` says so and holds no belief.
 """
 
@@ -41,7 +41,11 @@ class FilterInputSettings(Settings):
     """How long the filter waits for what it needs."""
 
     tf_timeout: float = setting(
-        0.05, lower=0.0, upper=5.0, unit="s", doc="an estimate waits this long for the sensor's pose at its stamp"
+        0.05,
+        lower=0.0,
+        upper=5.0,
+        unit="s",
+        doc="an estimate waits this long for the sensor's pose at its stamp",
     )
     age_limit: float = setting(
         0.25, lower=0.005, upper=60.0, unit="s", doc="longer silence of the estimator is told in /diagnostics"
@@ -54,7 +58,9 @@ class FilterNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("filter")
         self.settings = SettingsParameters(self, FilterSettings(), on_change=self._change_settings)
-        self.inputs = SettingsParameters(self, FilterInputSettings(), prefix="inputs", read_only=("age_limit",))
+        self.inputs = SettingsParameters(
+            self, FilterInputSettings(), prefix="inputs", read_only=("age_limit",)
+        )
         self.filter = ContactFilter(self.settings.value)
         # without contact there is nothing to believe, and no estimate is needed to say so
         self.join = EventJoin(
@@ -170,9 +176,13 @@ class FilterNode(ManagedNode):
         self.filter.reset(reason)
         self.count(f"resets: {reason}")
 
-    def _serve_reset(self, request: ResetFilter.Request, response: ResetFilter.Response) -> ResetFilter.Response:
+    def _serve_reset(
+        self, request: ResetFilter.Request, response: ResetFilter.Response
+    ) -> ResetFilter.Response:
         response.success = self.active
-        response.message = "the next measurement starts a new belief" if self.active else "the node is not active"
+        response.message = (
+            "the next measurement starts a new belief" if self.active else "the node is not active"
+        )
         if self.active:
             self.get_logger().info(f"reset: {request.reason or 'no reason given'}")
             self._reset("service")

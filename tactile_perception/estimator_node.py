@@ -1,8 +1,9 @@
-"""Estimator node: camera images -> Gaussian over the surface contact pose, and whether there is contact at all.
+"""Estimator node: camera images -> Gaussian over the surface contact pose, and contact presence.
 
-For each image it publishes `contact/presence` and `contact/estimate`, both with the image's exposure stamp. The
-newest image wins: what it replaces is told by the stamps and counted. Images that cannot be used (wrong encoding,
-wrong size) and answers of the network that are not a Gaussian are refused, counted and told in /diagnostics.
+For each image it publishes `contact/presence` and `contact/estimate`, both with the image's exposure stamp.
+The newest image wins: what it replaces is told by the stamps and counted. Images that cannot be used (wrong
+encoding, wrong size) and answers of the network that are not a Gaussian are refused, counted and told in
+/diagnostics.
 
 After activation the first images, taken without contact, become the reference of the contact presence; until
 then nothing is published. `~/capture_reference` (std_srvs/Trigger) takes a new one.

@@ -1,7 +1,7 @@
 """Messages <-> NumPy: poses, transforms, twists, Gaussians with left covariance, images.
 
-Poses are `T_parent_child` (4, 4) in meters, twists [v, omega] (6,) in m/s and rad/s, covariances left ones over
-[rho, phi]. Whatever comes in is checked; `MessageError` says what was wrong and what would be right.
+Poses are `T_parent_child` (4, 4) in meters, twists [v, omega] (6,) in m/s and rad/s, covariances left ones
+over [rho, phi]. Whatever comes in is checked; `MessageError` says what was wrong and what would be right.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def matrix_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
 
 
 def quaternion_from_matrix(R: ArrayLike) -> tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w), w >= 0, of a rotation (3, 3): Shepperd's method, exact near every angle."""
+    """Unit quaternion (x, y, z, w), w >= 0, of a rotation (3, 3); exact near every angle (Shepperd)."""
     (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = np.asarray(R, dtype=np.float64).tolist()
     trace = r00 + r11 + r22
     largest = max(trace, r00, r11, r22)

@@ -1,4 +1,4 @@
-"""What a node says about itself: counters, ages of its inputs, complaints; published as /diagnostics at 1 Hz."""
+"""What a node says about itself in /diagnostics: counters, ages of its inputs, complaints."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 class InputWatch:
     """Age of one input against its limit; the clock starts when the node becomes active.
 
-    Ages are measured on the steady clock from arrival, so that a jump of the system's time cannot hide silence.
+    Ages are measured on the steady clock from arrival, so that a jump of the system's time cannot hide
+    silence.
     """
 
     name: str

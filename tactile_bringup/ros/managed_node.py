@@ -1,13 +1,13 @@
 """ManagedNode: a lifecycle node that starts by itself, reports on itself and ends cleanly.
 
-A node of the graph derives from it, fills in `configure`, `activate`, `deactivate` and `cleanup`, and ends with::
+A node derives from it, fills in `configure`, `activate`, `deactivate` and `cleanup`, and ends with::
 
     def main() -> int:
         return run(EstimatorNode)
 
-With the parameter `autostart` (the default) it configures and activates itself; if that fails, the process ends
-with exit code 1 and says why. Without, it waits unconfigured for a lifecycle manager and survives a failure.
-SIGINT and SIGTERM deactivate and clean up first; the process then ends with exit code 0.
+With the parameter `autostart` (the default) it configures and activates itself; if that fails, the process
+ends with exit code 1 and says why. Without, it waits unconfigured for a lifecycle manager and survives a
+failure. SIGINT and SIGTERM deactivate and clean up first; the process then ends with exit code 0.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class ManagedNode(LifecycleNode):
         """Bring to rest what is moving; messages are ignored from now on."""
 
     def cleanup(self) -> None:
-        """Release what `configure` has loaded; publishers, subscriptions and timers are released without it."""
+        """Release what `configure` has loaded; publishers, subscriptions and timers go without it."""
 
     # What a node uses.
 
@@ -98,7 +98,7 @@ class ManagedNode(LifecycleNode):
 
     def publisher(self, message_type: type, topic: str, qos: QoSProfile) -> Any:
         """A publisher that exists while the node is configured and publishes while it is active."""
-        publisher = self.create_lifecycle_publisher(message_type, topic, qos)
+        publisher: Any = self.create_lifecycle_publisher(message_type, topic, qos)
         self._while_configured.append((self.destroy_lifecycle_publisher, publisher))
         return publisher
 
@@ -113,7 +113,7 @@ class ManagedNode(LifecycleNode):
     ) -> InputWatch | None:
         """Call `callback` with each message while the node is active (or whenever configured, with `always`).
 
-        With an `age_limit` (s) the input is watched and its silence told in /diagnostics; 0 watches without limit.
+        With an `age_limit` (s) the input's silence is told in /diagnostics; 0 watches without limit.
         """
         watch = None if age_limit is None else self.report.watch(topic, age_limit)
 
@@ -143,7 +143,7 @@ class ManagedNode(LifecycleNode):
         self._while_configured.append((destroy, thing))
 
     def warn(self, key: str, message: str, period: float = 1.0) -> None:
-        """Log a warning, at most once a `period` (s) for each `key`, and tell it in /diagnostics each time."""
+        """Tell a warning in /diagnostics, and log it at most once a `period` (s) for each `key`."""
         self.report.complain(key, message)
         self._log_warning(key, message, period)
 
@@ -229,7 +229,7 @@ class ManagedNode(LifecycleNode):
         return Result.SUCCESS
 
     def start(self) -> bool:
-        """Configure and activate; False if either was refused (the reason is in the log and in `report.fault`)."""
+        """Configure and activate; False if either was refused, with the reason in `report.fault`."""
         return self.trigger_configure() == Result.SUCCESS and self.trigger_activate() == Result.SUCCESS
 
     def finish(self) -> None:
@@ -257,7 +257,7 @@ class ManagedNode(LifecycleNode):
 
 
 def _settle_garbage() -> None:
-    """Take everything loaded so far out of the collector's sight: a full collection would cost 10 ms a time."""
+    """Take everything loaded so far out of the collector's sight: a full collection costs 10 ms."""
     gc.collect()
     gc.freeze()
 

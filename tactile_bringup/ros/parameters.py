@@ -1,8 +1,8 @@
 """ROS parameters from a Settings class: one declaration of default, range, unit and meaning serves both.
 
 The settings in force are always a whole, valid object. A refused value leaves the old one in force and the
-reason names the parameter, the value and its range. Nodes run one callback at a time, so a change takes effect
-between two steps and never within one.
+reason names the parameter, the value and its range. Nodes run one callback at a time, so a change takes
+effect between two steps and never within one.
 """
 
 from __future__ import annotations

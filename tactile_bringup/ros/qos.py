@@ -15,7 +15,7 @@ def _profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSPro
 
 
 IMAGE = _profile(1, reliable=False)
-"""Camera images: SensorData with a depth of one, the newest wins and what it replaces is counted by stamps."""
+"""Camera images: SensorData with a depth of one; the newest wins."""
 
 STATE = _profile(10)
 """Estimates, beliefs, presence, status: small, each one counts."""

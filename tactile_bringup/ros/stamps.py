@@ -1,4 +1,4 @@
-"""Stamps as int nanoseconds, and events in the order of (stamp, source, sequence) whatever order they arrived in."""
+"""Stamps as int nanoseconds, and events in the order of (stamp, source, sequence), never of arrival."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def duration_from_ns(duration_ns: int) -> Duration:
 
 @dataclass
 class Event:
-    """All messages of one stamp, by source; `received_ns` (steady clock) is when the first of them arrived."""
+    """All messages of one stamp, by source; `received_ns` (steady clock) is the first one's arrival."""
 
     stamp_ns: int
     received_ns: int
@@ -39,7 +39,7 @@ class Event:
 
 
 class EventJoin:
-    """Joins the messages of one stamp from several sources and hands the events out in the order of their stamps.
+    """Joins the messages of one stamp from several sources; hands the events out in the order of stamps.
 
     Every source delivers its own messages in order. So an event that misses a source is lost as soon as that
     source has delivered a later stamp; until then it may still come and the caller decides how long to wait.
@@ -100,7 +100,7 @@ class EventJoin:
         return [source for source in self.sources if source not in event.parts]
 
     def ready(self) -> Event | None:
-        """The oldest event if it is complete; those before it that can no longer become complete are dropped."""
+        """The oldest event if it is complete; older ones that cannot become complete any more are dropped."""
         while self._events:
             event = self._events[0]
             missing = self.missing(event)

@@ -1,7 +1,7 @@
 """TF behind one interface: tf2's buffer where it is installed, else our own, both fed from real /tf messages.
 
-Lookups are at a stamp and never fall back to another one in silence. Who needs a transform that is not there yet
-waits for it with a `TransformGate`, in the order of the stamps and up to a deadline.
+Lookups are at a stamp and never fall back to another one in silence. Who needs a transform that is not there
+yet waits for it with a `TransformGate`, in the order of the stamps and up to a deadline.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Store(Protocol):
         """T_target_source (4, 4) at the stamp; raises `TransformUnavailable`."""
 
     def newest(self, target: str, source: str) -> tuple[int, Array]:
-        """Stamp of the newest transform along the chain, and T_target_source there; raises `TransformUnavailable`."""
+        """Newest stamp along the chain, and T_target_source there; raises `TransformUnavailable`."""
 
     def clear(self) -> None:
         """Forget what is not static."""
@@ -129,7 +129,8 @@ class TransformListener:
     on_update : callable, optional
         Called after each message of /tf or /tf_static.
     on_jump : callable, optional
-        Called with the size of the jump in seconds when stamps go back, after the old transforms were forgotten.
+        Called with the size of the jump in seconds when stamps go back, after the old transforms were
+        forgotten.
     """
 
     def __init__(
@@ -151,7 +152,7 @@ class TransformListener:
         return self.store.lookup(target, source, stamp_ns)
 
     def newest(self, target: str, source: str) -> tuple[int, Array]:
-        """The newest T_target_source with its stamp, for who asks where things are now and looks at the age."""
+        """The newest T_target_source with its stamp, for who asks where things are and heeds the age."""
         return self.store.newest(target, source)
 
     def _receive_static(self, message: TFMessage) -> None:
@@ -189,7 +190,7 @@ class TransformListener:
 
 
 class TransformGate:
-    """Holds joined events until T_target_source at their stamp is there; hands them out in the order of stamps.
+    """Holds joined events until T_target_source at their stamp is there; hands them out by stamp.
 
     Call `pump` whenever something arrived; a timer of the node calls it for the deadlines.
 

@@ -24,7 +24,6 @@ from tactile_bringup.processes import ProcessGroup, tail  # noqa: E402
 from tactile_bringup.ros import qos  # noqa: E402
 from tactile_bringup.ros.conversions import transform_stamped  # noqa: E402
 from tactile_bringup.ros.discovery import quicken_discovery  # noqa: E402
-from tactile_bringup.ros.managed_node import make_executor  # noqa: E402
 
 ARM = "arm"
 BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
@@ -58,7 +57,9 @@ class Graph:
 
     # ---- nodes under test ----
 
-    def start(self, module: str, parameters: dict[str, Any] | None = None, wait: bool = True, namespace: str = ARM):
+    def start(
+        self, module: str, parameters: dict[str, Any] | None = None, wait: bool = True, namespace: str = ARM
+    ):
         """Start a node; unless told otherwise wait until it is active. Returns its process."""
         arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
         for name, value in (parameters or {}).items():
@@ -66,7 +67,9 @@ class Graph:
         log = self.log(module)
         child = self.processes.start(module, [sys.executable, "-m", module, *arguments], self.variables, log)
         if wait:
-            assert self.wait(lambda: "active" in log.read_text(), 15.0), f"{module} is not active:\n{tail(log)}"
+            assert self.wait(lambda: "active" in log.read_text(), 15.0), (
+                f"{module} is not active:\n{tail(log)}"
+            )
         return child.process
 
     def arm(self) -> "Arm":
@@ -89,7 +92,9 @@ class Graph:
                     return SimpleNamespace(level=status.level, message=status.message, values=values)
         return None
 
-    def wait_for_count(self, node: str, counter: str, least: int = 1, timeout: float = 5.0) -> SimpleNamespace:
+    def wait_for_count(
+        self, node: str, counter: str, least: int = 1, timeout: float = 5.0
+    ) -> SimpleNamespace:
         """The first report in which a counter has come this far."""
 
         def reached() -> bool:
@@ -123,7 +128,7 @@ class Graph:
         while time.monotonic() < end:
             action()
             due += period
-            self.wait(lambda: time.monotonic() >= due, period)
+            self.wait(lambda due=due: time.monotonic() >= due, period)
 
     # ---- topics, services, parameters ----
 
@@ -136,7 +141,9 @@ class Graph:
         """A publisher that (unless told otherwise) has a subscriber already."""
         publisher = self.node.create_publisher(message_type, topic, profile)
         if wait:
-            assert self.wait(lambda: publisher.get_subscription_count() > 0, 5.0), f"nobody listens to {topic}"
+            assert self.wait(lambda: publisher.get_subscription_count() > 0, 5.0), (
+                f"nobody listens to {topic}"
+            )
         return publisher
 
     def call(self, service_type: type, name: str, request: Any, timeout: float = 5.0) -> Any:

@@ -22,7 +22,7 @@ FAST = {"task.settle_time": 0.05, "task.retreat_distance": 0.001, "task.ramp_tim
 
 
 class World:
-    """Stands for arm, camera, estimator and filter: what the controller sees, at 60 Hz, as long as it is told to."""
+    """Stands for arm, camera, estimator and filter: what the controller sees, at 60 Hz."""
 
     def __init__(self, graph) -> None:
         self.graph = graph
@@ -54,7 +54,11 @@ class World:
 
     def state(self, stamp_ns: int) -> ContactState:
         xi = np.array([0.0, 0.0, -self.depth, 0.0, 0.0, 0.0])
-        flags = ContactState.MEASUREMENT_FUSED if self.in_contact else ContactState.NO_CONTACT | ContactState.INVALID
+        flags = (
+            ContactState.MEASUREMENT_FUSED
+            if self.in_contact
+            else ContactState.NO_CONTACT | ContactState.INVALID
+        )
         return ContactState(header=header(stamp_ns, SENSOR), xi=xi, flags=flags)
 
     def run(self, seconds: float) -> None:
@@ -75,7 +79,7 @@ class World:
 
     def send(self, **changes):
         """Send a goal; returns its handle."""
-        goal = dict(task="surface_following", path_name="line", direction=[0.0, 1.0], path_length=0.5)
+        goal = {"task": "surface_following", "path_name": "line", "direction": [0.0, 1.0], "path_length": 0.5}
         future = self.client.send_goal_async(RunTask.Goal(**{**goal, **changes}))
         assert self.run_until(future.done)
         return future.result()

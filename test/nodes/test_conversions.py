@@ -7,10 +7,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
-from geometry_msgs.msg import PoseWithCovariance, Quaternion  # noqa: E402
-from sensor_msgs.msg import Image  # noqa: E402
+from geometry_msgs.msg import PoseWithCovariance, Quaternion
+from sensor_msgs.msg import Image
 
-from tactile_bringup.ros.conversions import (  # noqa: E402
+from tactile_bringup.ros.conversions import (
     MessageError,
     array_from_image,
     gaussian_from_message,
@@ -23,7 +23,7 @@ from tactile_bringup.ros.conversions import (  # noqa: E402
     twist_stamped,
     vector_from_twist,
 )
-from tactile_filter import se3  # noqa: E402
+from tactile_filter import se3
 
 RNG = np.random.default_rng(7)
 ANGLES = [0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-9, np.pi]
@@ -46,7 +46,9 @@ def test_quaternions_have_norm_one_and_a_real_part_that_is_not_negative():
         assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-15) and q[3] >= 0.0
 
 
-@pytest.mark.parametrize("q", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1), (np.nan, 0.0, 0.0, 1.0), (np.inf, 0.0, 0.0, 1.0)])
+@pytest.mark.parametrize(
+    "q", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.1), (np.nan, 0.0, 0.0, 1.0), (np.inf, 0.0, 0.0, 1.0)]
+)
 def test_a_quaternion_that_is_no_rotation_is_refused(q):
     with pytest.raises(MessageError, match="norm 1"):
         matrix_from_quaternion(*q)
@@ -69,7 +71,7 @@ def test_a_gaussian_that_is_none_is_refused(bad):
         message.pose.position.x = float("nan")
     else:
         message.covariance[0] = np.nan if bad == "nan covariance" else -1.0
-    with pytest.raises(MessageError, match="finite|negative"):
+    with pytest.raises(MessageError, match=r"finite|negative"):
         gaussian_from_message(message)
 
 

@@ -1,4 +1,4 @@
-"""The estimator node: model files that cannot be used, images that cannot be used, answers that are not numbers."""
+"""The estimator node: models, images and answers of the network that cannot be used."""
 
 import time
 
@@ -23,7 +23,7 @@ REFERENCE_FRAMES = 3
 
 
 def write_model(path, outputs: int = 6) -> str:
-    """A model that answers with the mean brightness in all components, and with NaN for one that is nearly white."""
+    """A model that answers with the mean brightness, and with NaN for a nearly white image."""
     onnx = pytest.importorskip("onnx", reason="onnx writes the model of this test; `make test` installs it")
     side = PreprocessingSettings().size
     graph = onnx.parser.parse_graph(f"""
@@ -98,7 +98,9 @@ def camera(graph, tmp_path):
     return camera
 
 
-def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_the_sensors_frame(camera, tmp_path):
+def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_the_sensors_frame(
+    camera, tmp_path
+):
     stamp_ns = camera.send(dots(1))
     assert camera.answered(stamp_ns)
     message = camera.estimates[-1]
@@ -170,7 +172,11 @@ def test_an_image_older_than_the_last_is_refused_but_a_clock_set_back_is_followe
 def test_a_camera_that_falls_silent_is_told_with_age_and_limit(camera):
     def told() -> bool:
         report = camera.graph.report("estimator")
-        return report is not None and "tactile/image: no message for" in report.message and "limit 0.25" in report.message
+        return (
+            report is not None
+            and "tactile/image: no message for" in report.message
+            and "limit 0.25" in report.message
+        )
 
     assert camera.graph.wait(told, 3.0)
 

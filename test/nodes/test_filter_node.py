@@ -1,4 +1,4 @@
-"""The filter node: joins by stamp, waits for TF, predicts with the arm's motion, resets, and counts what it drops."""
+"""The filter node: joins by stamp, waits for TF, predicts, resets, and counts what it drops."""
 
 import itertools
 import time
@@ -42,7 +42,9 @@ class Feed:
     def estimate(self, k: int) -> PoseGaussian:
         return PoseGaussian(se3.exp(np.array([0.001, 0.0, -0.003, 0.05, 0.01 * k, 0.0])), COV)
 
-    def step(self, k: int, tf: bool = True, in_contact: bool = True, estimate: PoseGaussian | None = None) -> int:
+    def step(
+        self, k: int, tf: bool = True, in_contact: bool = True, estimate: PoseGaussian | None = None
+    ) -> int:
         stamp_ns = self.stamp_ns + k * PERIOD_NS
         if tf:
             self.arm.at(stamp_ns, self.pose(k))

@@ -1,4 +1,4 @@
-"""The sim node: real time, stamps that fit together, commands with limits and a watchdog, scenes that name what is there."""
+"""The sim node: real time, stamps that fit together, commands with limits and a watchdog, scenes."""
 
 import numpy as np
 import pytest
@@ -100,7 +100,9 @@ def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the
     [("arm/base", FORWARD, "must be 'arm/tactile_sensor'"), (SENSOR, np.full(6, np.nan), "not finite")],
     ids=["frame", "nan"],
 )
-def test_a_twist_that_cannot_be_followed_is_refused_counted_and_told(graph, ideal_scene, frame, twist, complaint):
+def test_a_twist_that_cannot_be_followed_is_refused_counted_and_told(
+    graph, ideal_scene, frame, twist, complaint
+):
     graph.start(SIM, {"scene": ideal_scene}, namespace="")
     twists = graph.publisher(TwistStamped, "command/twist", qos.COMMAND)
     twists.publish(twist_stamped(graph.now_ns(), frame, twist))
