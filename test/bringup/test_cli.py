@@ -1,0 +1,85 @@
+"""The command line: what it offers, and what it says when something is wrong."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tactile_bringup import cli
+from tactile_bringup.version import version
+
+
+def test_help_names_every_command(capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["--help"])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    for command in ("launch", "run", "demo", "simulate", "estimate", "train", "data", "doctor", "version"):
+        assert f"\n    {command} " in shown
+
+
+def test_every_command_has_help(capsys):
+    for command in ("launch", "run", "demo", "simulate", "estimate", "train", "data", "doctor"):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([command, "--help"])
+        assert ended.value.code == 0 and "usage: tactile" in capsys.readouterr().out
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert cli.main(["version"]) == 0
+    assert capsys.readouterr().out.strip() == version()
+    assert version()[0].isdigit()
+
+
+def test_an_unknown_command_ends_with_2_and_lists_the_commands(capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["lunch"])
+    assert ended.value.code == 2
+    assert "'launch'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--scene", "ram"], "did you mean 'ramp'"),
+        (["--scene", "/no/such/scene.yaml"], "/no/such/scene.yaml: no such scene file"),
+        (["--model", "/no/such.onnx"], "--model /no/such.onnx: no such file"),
+        (["--rate", "0.5"], "--rate 0.5: must lie in [1, 240] Hz"),
+        (["--record-images"], "--record-images needs --record BAG"),
+    ],
+)
+def test_a_wrong_option_of_launch_ends_with_2_and_a_message(capsys, options, message):
+    assert cli.main(["launch", "surface_following", *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_bag_that_exists_is_not_overwritten(tmp_path, capsys):
+    assert cli.main(["launch", "surface_following", "--record", str(tmp_path)]) == 2
+    assert f"--record {tmp_path}: exists already" in capsys.readouterr().err
+
+
+def test_the_demo_removes_nothing_that_is_no_bag(tmp_path, capsys):
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "thesis.tex").touch()
+    assert cli.main(["demo", "--out", str(tmp_path)]) == 2
+    assert "exists and is no bag" in capsys.readouterr().err
+    assert (tmp_path / "bag" / "thesis.tex").exists()
+
+
+def test_help_comes_without_ros_and_without_heavy_libraries():
+    code = "import sys\nfrom tactile_bringup import cli\ncli._parser()\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not loaded & {"rclpy", "torch", "onnxruntime", "matplotlib"}
+
+
+def test_doctor_names_what_is_missing(capsys, monkeypatch):
+    from tactile_bringup import doctor
+
+    def absent() -> str:
+        raise doctor.Missing("no such thing; build it")
+
+    monkeypatch.setattr(doctor, "CHECKS", {"Python": doctor.CHECKS["Python"], "thing": absent})
+    assert cli.main(["doctor"]) == 1
+    shown = capsys.readouterr().out
+    assert "MISSING  thing: no such thing; build it" in shown and "1 of 2 checks failed" in shown
