@@ -140,7 +140,9 @@ class Command:
     done, succeeded : bool
         The task is over and the twist is zero; whether it did what it was asked to.
     reason : str
-        Why it failed or is about to; what was limited; '' where all is well.
+        Why it failed or is about to, '' where all is well.
+    limited : str
+        What the limiter held back in this step, '' for nothing: speeding up and braking are no trouble.
     """
 
     twist: Array
@@ -154,6 +156,7 @@ class Command:
     done: bool
     succeeded: bool
     reason: str
+    limited: str = ""
 
 
 class SurfaceFollowing:
@@ -456,7 +459,8 @@ class SurfaceFollowing:
             exposure_ns=self._belief.stamp_ns if servo and self._belief else 0,
             done=self.phase in (DONE, FAILED) and resting,
             succeeded=self.phase == DONE,
-            reason="; ".join(text for text in (self.reason, reason, limited.reason) if text),
+            reason="; ".join(text for text in (self.reason, reason) if text),
+            limited=limited.reason,
         )
 
     def _advance_progress(self) -> float:

@@ -390,3 +390,10 @@ def test_an_unknown_setting_names_its_group_and_the_nearest():
         SurfaceFollowingSettings().replaced(task__sped=0.01)
     with pytest.raises(SettingError, match=r"unknown name 'pdi'.*did you mean 'pid'"):
         SurfaceFollowingSettings.from_mapping({"pdi": {}})
+
+
+def test_a_run_that_goes_well_gives_no_reasons_but_says_what_was_limited(settings):
+    surface = Plane()
+    commands = run(SurfaceFollowing(settings, PathGoal(length=0.02)), Plant(surface, above(surface)))
+    assert {c.reason for _, c, _, _ in commands} == {""}
+    assert any("linear acceleration" in c.limited for c, _, _ in following(commands, RETREAT))
