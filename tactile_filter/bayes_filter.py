@@ -1,10 +1,10 @@
 """The paper's SE(3) discriminative Bayesian filter over the pose of the contact in the sensor.
 
 Predict: the surface stands still in the base while the sensor moves, so the contact moves in the sensor by
-T_k = (X_k^sens)^-1 X_{k-1}^sens, and process noise is added. Correct: the prediction is fused with the estimate
-that was made from the image. What the paper's algorithm does not say is what happens when something is wrong, and
-that is most of this file: estimates that are outliers, not finite, late or repeated, time that jumps, gaps.
-Everything refused is counted by its reason.
+T_k = (X_k^sens)^-1 X_{k-1}^sens, and process noise is added. Correct: the prediction is fused with the
+estimate that was made from the image. What the paper's algorithm does not say is what happens when something
+is wrong, and that is most of this file: estimates that are outliers, not finite, late or repeated, time that
+jumps, gaps. Everything refused is counted by its reason.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ class FilterSettings(Settings):
         0, lower=0, upper=1000, doc="iterations of the fusion (mode exact: at most); 0 takes the mode's own"
     )
     jacobian_order: str = setting(
-        "mode", choices=("mode", "2", "4", "exact"), doc="order of the inverse Jacobian; 'mode' takes the mode's"
+        "mode",
+        choices=("mode", "2", "4", "exact"),
+        doc="order of the inverse Jacobian; 'mode' takes the mode's",
     )
     process_noise_translation: float = setting(
         5e-4, lower=0.0, upper=1.0, unit="m", doc="standard deviation that a step adds to each translation"
@@ -58,11 +60,14 @@ class FilterSettings(Settings):
     )  # fmt: skip
     gate_probability: float = setting(
         0.999999, lower=0.5, upper=1.0,
-        doc="a measurement is refused if its NIS exceeds this quantile of chi-square with 6 degrees of freedom; "
-        "1 refuses none (as in the paper)",
+        doc="a measurement is refused if its NIS exceeds this quantile of chi-square with 6 degrees of "
+        "freedom; 1 refuses none (as in the paper)",
     )  # fmt: skip
     reinitialize_after: int = setting(
-        5, lower=1, upper=10000, doc="after this many measurements refused in a row the next starts a new belief"
+        5,
+        lower=1,
+        upper=10000,
+        doc="after this many measurements refused in a row the next starts a new belief",
     )
     max_prediction_age: float = setting(
         0.5, lower=0.001, upper=3600.0, unit="s",
@@ -70,9 +75,9 @@ class FilterSettings(Settings):
     )  # fmt: skip
     backward_jump: float = setting(
         1.0, lower=0.0, upper=3600.0, unit="s",
-        doc="a measurement older than the last by more than this resets the filter; one older by less is refused",
+        doc="a measurement older than the last by more than this resets the filter; one older by "
+        "less is refused",
     )  # fmt: skip
-
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -193,8 +198,8 @@ class ContactFilter:
         stamp_ns : int
             Exposure of the image that the measurement was made from.
         measurement : PoseGaussian
-            Estimate of X_sf. One that is not finite or has no positive definite covariance is refused; the step
-            then only predicts.
+            Estimate of X_sf. One that is not finite or has no positive definite covariance is refused; the
+            step then only predicts.
         T_base_sensor : (4, 4)
             The sensor's pose in a frame in which the surface stands still, at that stamp.
 
@@ -220,7 +225,7 @@ class ContactFilter:
         return self._step_forward(stamp_ns, measurement, sensor, restarted)
 
     def predict_to(self, stamp_ns: int, T_base_sensor: ArrayLike) -> Belief:
-        """The belief moved on to a stamp without a measurement, as to make up for latency; changes nothing."""
+        """The belief moved on to a stamp without a measurement, to make up for latency; changes nothing."""
         stamp_ns = int(stamp_ns)
         sensor = _pose_or_none(T_base_sensor)
         if sensor is None:
@@ -281,14 +286,14 @@ class ContactFilter:
         flags = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
         return self._belief(self._state, flags, reason, nis)
 
-    def _refuse_outlier(
-        self, stamp_ns: int, measurement: PoseGaussian, sensor: Array, nis: float
-    ) -> Belief:
+    def _refuse_outlier(self, stamp_ns: int, measurement: PoseGaussian, sensor: Array, nis: float) -> Belief:
         refused = self._refused_in_a_row
         text = f"NIS {nis:.4g} is above the gate {self.gate:.4g}"
         if refused >= self.settings.reinitialize_after:
             self.resets["outliers in a row"] += 1
-            return self._initialize(stamp_ns, measurement, sensor, f"{text} after {refused} refused in a row", nis)
+            return self._initialize(
+                stamp_ns, measurement, sensor, f"{text} after {refused} refused in a row", nis
+            )
         return self._refuse_moved("outlier", text, stamp_ns, sensor, nis, BeliefFlag.GATED)
 
     def _refuse_moved(
@@ -334,9 +339,7 @@ class ContactFilter:
         age = (stamp_ns - self._state.corrected_ns) / SECOND_NS
         return f"no measurement fused for {age:.3f} s, more than {self.settings.max_prediction_age:g} s"
 
-    def _belief(
-        self, state: _State, flags: int, reason: str = "", nis: float = math.nan
-    ) -> Belief:
+    def _belief(self, state: _State, flags: int, reason: str = "", nis: float = math.nan) -> Belief:
         dof = 0 if math.isnan(nis) else DOF
         return Belief(
             state.stamp_ns, state.mean, state.cov, nis, dof, BeliefFlag(flags), reason, self.rejected

@@ -13,7 +13,15 @@ from tactile_filter import _fusion
 from tactile_filter.fusion_result import FusionError, FusionResult, FusionStatus
 from tactile_filter.settings import unknown_name
 
-__all__ = ["JACOBIAN_ORDERS", "MODES", "FusionError", "FusionResult", "FusionStatus", "check_gaussian", "fuse"]
+__all__ = [
+    "JACOBIAN_ORDERS",
+    "MODES",
+    "FusionError",
+    "FusionResult",
+    "FusionStatus",
+    "check_gaussian",
+    "fuse",
+]
 
 # Mode -> its number of iterations and its Jacobian order.
 MODES: dict[str, tuple[int, int | str]] = {"paper": (5, 2), "fast": (3, "exact"), "exact": (100, "exact")}
@@ -41,9 +49,9 @@ def fuse(
     mean_1, mean_2 : (4, 4) poses
     cov_1, cov_2 : (6, 6) left covariances, symmetric and positive definite
     mode : {"paper", "fast", "exact"}
-        "paper": 5 iterations with the inverse Jacobian of order 2, and the covariance as it was before the last
-        update, as published. "fast": 3 iterations with the exact Jacobian. "exact": to convergence with the
-        exact Jacobian and a line search, the covariance at the answer.
+        "paper": 5 iterations with the inverse Jacobian of order 2, and the covariance as it was before the
+        last update, as published. "fast": 3 iterations with the exact Jacobian. "exact": to convergence with
+        the exact Jacobian and a line search, the covariance at the answer.
     iterations : int, optional
         Another number of iterations than the mode's; in mode "exact" the most it may take.
     jacobian_order : {2, 4, "exact"}, optional
@@ -105,8 +113,8 @@ def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _I
     index, lack = divmod(code, 16)
     if lack == 5:
         return (
-            "the two covariances cannot be combined in double precision: their ratio, or the separation of the "
-            "means in standard deviations, is too large"
+            "the two covariances cannot be combined in double precision: their ratio, or the separation of "
+            "the means in standard deviations, is too large"
         )
     name, matrix = names[index], np.asarray(inputs[index], dtype=np.float64)
     return f"{name}: {_covariance_fault(matrix) if lack == 4 else _pose_fault(matrix)}"

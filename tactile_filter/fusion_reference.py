@@ -4,8 +4,9 @@
 
     |L1^-1 log(X X1^-1)|^2 + |L2^-1 log(X X2^-1)|^2,      Sigma_k = L_k L_k^T,
 
-by Gauss-Newton steps X <- exp(mu^) X from X = X1. The paper writes its normal equations with the inverses of the
-covariances; here their Cholesky factors whiten the Jacobians, which says the same without inverting anything.
+by Gauss-Newton steps X <- exp(mu^) X from X = X1. The paper writes its normal equations with the inverses of
+the covariances; here their Cholesky factors whiten the Jacobians, which says the same without inverting
+anything.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def fuse_fixed(
     iterations: int = 5,
     jacobian_order: int | str = 2,
 ) -> FusionResult:
-    """The published algorithm: a fixed number of steps, and the covariance as evaluated before the last of them.
+    """The published algorithm: a fixed number of steps, the covariance as evaluated before the last of them.
 
     `jacobian_order` is 2 (the paper's), 4, or "exact". The arguments have to be valid: nothing is checked.
     """
@@ -78,9 +79,7 @@ def _factors(
     return [(se3.inverse(mean), np.linalg.cholesky(np.asarray(cov))) for mean, cov in pairs]
 
 
-def _whitened(
-    X: Array, factors: list[tuple[Array, Array]], jacobian_order: int | str
-) -> tuple[Array, Array]:
+def _whitened(X: Array, factors: list[tuple[Array, Array]], jacobian_order: int | str) -> tuple[Array, Array]:
     """L_k^-1 J(xi_k)^-1 stacked (12, 6), and L_k^-1 xi_k stacked (12,), where xi_k = log(X X_k^-1)."""
     rows, residuals = [], []
     for inverse_mean, L in factors:
@@ -98,7 +97,7 @@ def _inverse_jacobian(xi: Array, order: int | str) -> Array:
 
 def _gauss_newton(A: Array, residual: Array) -> tuple[Array, Array, float]:
     """N lower triangular with A^T A = N^T N, the step mu = -(A^T A)^-1 A^T residual, and |N mu|."""
-    N = np.linalg.cholesky((A.T @ A)[::-1, ::-1])[::-1, ::-1].T
+    N: Array = np.linalg.cholesky((A.T @ A)[::-1, ::-1])[::-1, ::-1].T
     y = -np.linalg.solve(N.T, A.T @ residual)
     return N, np.linalg.solve(N, y), float(np.sqrt(y @ y))
 
@@ -106,7 +105,7 @@ def _gauss_newton(A: Array, residual: Array) -> tuple[Array, Array, float]:
 def _line_search(
     X: Array, mu: Array, step: float, cost: float, factors: list[tuple[Array, Array]]
 ) -> Array | None:
-    """The pose after the longest of the steps mu, mu/2, mu/4, ... that lowers the cost enough; None if none does."""
+    """The pose after the longest of the steps mu, mu/2, mu/4, ... that lowers the cost enough, or None."""
     if step <= SEARCH_FROM:
         return se3.exp(mu) @ X
     fraction = 1.0
@@ -120,6 +119,6 @@ def _line_search(
 
 
 def _result(X: Array, N: Array, iterations: int, status: FusionStatus, step: float) -> FusionResult:
-    """Covariance (N^T N)^-1 from its own factor N^-1, and the mean with rounding taken out of its rotation."""
+    """Covariance (N^T N)^-1 from its factor N^-1, and the mean with rounding taken out of its rotation."""
     factor = np.tril(np.linalg.inv(N))
     return FusionResult(se3.orthonormalized(X), factor @ factor.T, factor, iterations, status, step)

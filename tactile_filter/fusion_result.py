@@ -28,8 +28,8 @@ class FusionStatus(IntEnum):
     NOT_CONVERGED
         The iterations ended before.
     STALLED
-        Mode "exact" only: no step along the descent direction lowers the cost, as at separations near pi where
-        the logarithm jumps. The mean is the best one found.
+        Mode "exact" only: no step along the descent direction lowers the cost, as at separations near pi
+        where the logarithm jumps. The mean is the best one found.
     """
 
     CONVERGED = 0

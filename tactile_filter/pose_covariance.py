@@ -1,7 +1,7 @@
 """Left covariance <-> the covariance of a ROS pose.
 
-A left perturbation X = exp(eps^) mean, eps = [rho, phi], moves the position p of the mean by rho + phi x p and
-turns it by phi about the axes of the reference frame, to first order. ROS means exactly these two errors:
+A left perturbation X = exp(eps^) mean, eps = [rho, phi], moves the position p of the mean by rho + phi x p
+and turns it by phi about the axes of the reference frame, to first order. ROS means exactly these two errors:
 of the position, and of the rotation about fixed axes, both in the header's frame. So
 
     Sigma_ros = A Sigma A^T,    A = [[I, -[p]x], [0, I]],
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def ros_from_left(cov: ArrayLike, position: ArrayLike) -> Array:
-    """Covariance (6, 6) of position and fixed-axis rotation, from the left covariance and the mean's position (3,)."""
+    """Covariance (6, 6) of position and fixed-axis rotation, from the left one at a position (3,)."""
     return _transformed(cov, position, -1.0)
 
 

@@ -1,18 +1,18 @@
 """SE(3): exponential and logarithm, adjoint, left Jacobian and its inverse, interpolation, conversions.
 
-A pose is a homogeneous matrix ``T`` (4, 4), a tangent vector ``xi = [rho, phi]`` (6,) with the translation first
-and the rotation in radians (the paper's "Notation and mathematical preliminaries", after Barfoot). Nothing here
-knows units of length.
+A pose is a homogeneous matrix ``T`` (4, 4), a tangent vector ``xi = [rho, phi]`` (6,) with the translation
+first and the rotation in radians (the paper's "Notation and mathematical preliminaries", after Barfoot).
+Nothing here knows units of length.
 
-Every coefficient is evaluated by a form in which nothing cancels, so that all functions hold their accuracy from
-angle 0 to pi (the Jacobians to 2 pi):
+Every coefficient is evaluated by a form in which nothing cancels, so that all functions hold their accuracy
+from angle 0 to pi (the Jacobians to 2 pi):
 
-- the curly hat of [rho, phi] acts like the hat of the dual number phi + eps rho, so the upper right block of a
-  function of it is the derivative of the 3x3 function at phi along rho;
+- the curly hat of [rho, phi] acts like the hat of the dual number phi + eps rho, so the upper right block of
+  a function of it is the derivative of the 3x3 function at phi along rho;
 - ``(theta - sin theta) / theta^3`` and derivatives are power series below pi and closed forms above it, where
   their terms no longer cancel;
-- ``e = (1 - (theta/2) cot(theta/2)) / theta^2 = sum over n of 2 / ((2 pi n)^2 - theta^2)``, of which the poles
-  n = 1, 2 are added as they stand and the rest as a power series: all terms are positive.
+- ``e = (1 - (theta/2) cot(theta/2)) / theta^2 = sum over n of 2 / ((2 pi n)^2 - theta^2)``, of which the
+  poles n = 1, 2 are added as they stand and the rest as a power series: all terms are positive.
 
 Raises
 ------
@@ -45,7 +45,7 @@ _DB_SERIES = tuple((-1) ** n * 2 * n / math.factorial(2 * n + 2) for n in range(
 
 
 def _zeta_tail(power: int) -> float:
-    """Sum of n**-power over n >= 3: the first terms as they are, the rest by the formula of Euler and Maclaurin."""
+    """Sum of n**-power over n >= 3, from n = 40 on by the formula of Euler and Maclaurin."""
     last = 40.0
     rest = last ** (1 - power) / (power - 1) + 0.5 * last**-power
     for k, bernoulli in ((1, 1.0 / 6.0), (2, -1.0 / 30.0), (3, 1.0 / 42.0), (4, -1.0 / 30.0)):
@@ -153,7 +153,7 @@ def left_jacobian(xi: ArrayLike) -> Array:
 
 
 def inverse_left_jacobian(xi: ArrayLike) -> Array:
-    """Inverse (6, 6) of the left Jacobian, in closed form; it exists where |phi| is no multiple of 2 pi but 0.
+    """Inverse (6, 6) of the left Jacobian, in closed form; not at |phi| = 2 pi n, n > 0.
 
     With ad the curly hat of xi it equals I - ad/2 + (e + theta^2 d) ad^2 + d ad^4, where
     e = (1 - (theta/2) cot(theta/2)) / theta^2 and d = -(de/dtheta) / (2 theta).
@@ -199,7 +199,7 @@ def orthonormalized(T: ArrayLike) -> Array:
     Raises
     ------
     ValueError
-        If the upper left block is further than `ROTATION_TOLERANCE` from a rotation: that is no rounding error.
+        If the upper left block is further than `ROTATION_TOLERANCE` from a rotation.
     """
     pose = _checked_pose(T).copy()
     R = pose[:3, :3]
@@ -220,7 +220,7 @@ def check_rotation(R: Array, name: str) -> None:
 
 
 def pose_from_euler(pose6: ArrayLike) -> Array:
-    """Pose (4, 4) of (x, y, z, alpha, beta, gamma): turns about the fixed x, y, z axes in that order, radians.
+    """Pose (4, 4) of (x, y, z, alpha, beta, gamma): turns (rad) about the fixed axes x, y, z in turn.
 
     This is 'sxyz' of transforms3d and 'xyz' of SciPy: R = Rz(gamma) Ry(beta) Rx(alpha).
     """
@@ -313,7 +313,7 @@ def _jacobian_derivatives(theta: float) -> tuple[float, float]:
 
 
 def _inverse_coefficients(theta: float) -> tuple[float, float]:
-    """e = (1 - (theta/2) cot(theta/2)) / theta^2 and (de/dtheta) / theta."""
+    """The pair e = (1 - (theta/2) cot(theta/2)) / theta^2 and (de/dtheta) / theta."""
     x = theta * theta
     if theta >= _TWO_PI:
         half_sine = math.sin(0.5 * theta)
@@ -336,7 +336,7 @@ def _polynomial(coefficients: tuple[float, ...], x: float) -> float:
 def _dual_polynomial(
     phi: Vector, rho: Vector, coefficients: tuple[float, float], derivatives: tuple[float, float]
 ) -> Array:
-    """I + b ad + c ad^2 in dual numbers: b and c depend on theta, `derivatives` are db/dtheta/theta and dc/...."""
+    """I + b ad + c ad^2 in dual numbers; `derivatives` are (db/dtheta) / theta and (dc/dtheta) / theta."""
     (b, c), (db, dc) = coefficients, derivatives
     P, R = _skew(phi), _skew(rho)
     squared = P @ P

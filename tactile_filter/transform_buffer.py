@@ -1,7 +1,8 @@
-"""Transforms between named frames over time, as a plain library: bounded history, interpolation, lookups by stamp.
+"""Transforms between named frames over time, as a plain library: bounded history, interpolation, lookups by
+stamp.
 
-What a lookup cannot answer exactly is an error that names the stamps it has; the latest transform never stands in
-for the one that was asked for.
+What a lookup cannot answer exactly is an error that names the stamps it has; the latest transform never
+stands in for the one that was asked for.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class TransformInPast(TransformUnavailable):
 
 @dataclass
 class _Link:
-    """A child's transforms to its parent by stamp; a static one has a single transform that holds at any stamp."""
+    """A child's transforms to its parent by stamp; a static link has one, which holds at any stamp."""
 
     parent: str
     static: bool
@@ -53,9 +54,9 @@ class TransformBuffer:
     history_ns : int
         How far back from its newest transform a link's history reaches (ns).
     jump_ns : int
-        A transform older than the newest of its link by more than this means that time jumped back (a bag that
-        starts again, a simulation that was reset): everything but the static transforms is forgotten. One that
-        is older by less has been overtaken on the way and is put in its place.
+        A transform older than the newest of its link by more than this means that time jumped back (a bag
+        that starts again, a simulation that was reset): everything but the static transforms is forgotten.
+        One that is older by less has been overtaken on the way and is put in its place.
 
     Attributes
     ----------
@@ -102,7 +103,8 @@ class TransformBuffer:
         return jumped
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
-        """T_target_source (4, 4) at a stamp, interpolated along screw motions between the stamps of each link.
+        """T_target_source (4, 4) at a stamp, interpolated along screw motions between the stamps of each
+        link.
 
         Raises
         ------
@@ -181,14 +183,16 @@ class TransformBuffer:
         common = next((frame for frame in up if frame in down), None)
         if common is None:
             raise TransformDisconnected(
-                f"no transform from '{source}' to '{target}': the one hangs below '{down[-1]}', the other below "
-                f"'{up[-1]}', and nothing connects these"
+                f"no transform from '{source}' to '{target}': the one hangs below '{down[-1]}', the other "
+                f"below '{up[-1]}', and nothing connects these"
             )
         return up[: up.index(common)], down[: down.index(common)]
 
     def _check_known(self, frame: str) -> None:
         if frame not in self._links and all(link.parent != frame for link in self._links.values()):
-            raise TransformDisconnected(f"frame '{frame}' is unknown; known: {', '.join(self.frames()) or 'none'}")
+            raise TransformDisconnected(
+                f"frame '{frame}' is unknown; known: {', '.join(self.frames()) or 'none'}"
+            )
 
     def _compose(self, chain: list[str], stamp_ns: int) -> Array:
         """T_common_first of the chain's first frame."""

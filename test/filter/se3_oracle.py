@@ -63,9 +63,7 @@ def inverse_left_jacobian(xi):
 
 def worst(m, array):
     """Largest difference of elements between an mpmath matrix and a double array, rounded only at the end."""
-    return max(
-        float(abs(m[i, j] - mp.mpf(float(array[i, j])))) for i in range(m.rows) for j in range(m.cols)
-    )
+    return max(float(abs(m[i, j] - mp.mpf(float(array[i, j])))) for i in range(m.rows) for j in range(m.cols))
 
 
 def largest(m):

@@ -162,7 +162,9 @@ def test_exact_mode_finds_a_stationary_point_from_far_apart():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         mean_2 = se3.exp(np.concatenate((rng.normal(size=3), 0.8 * rng.normal(size=3))))
-        fused = fuse(np.eye(4), np.diag(rng.uniform(0.5, 1, 6)), mean_2, np.diag(rng.uniform(0.5, 1, 6)), "exact")
+        fused = fuse(
+            np.eye(4), np.diag(rng.uniform(0.5, 1, 6)), mean_2, np.diag(rng.uniform(0.5, 1, 6)), "exact"
+        )
         assert fused.status == FusionStatus.CONVERGED
         assert fused.step <= 1e-8
 
@@ -179,12 +181,24 @@ def spoiled(array, index, value):
         (0, lambda m: spoiled(m, (0, 3), np.nan), "mean_1: is not finite"),
         (2, lambda m: spoiled(m, (1, 1), np.inf), "mean_2: is not finite"),
         (0, lambda m: spoiled(m, (3, 0), 1.0), r"mean_1: last row must be \[0, 0, 0, 1\]"),
-        (2, lambda m: m @ np.diag([1.01, 1, 1, 1]), r"mean_2: is no pose: R\^T R is off the identity by 0.0201"),
+        (
+            2,
+            lambda m: m @ np.diag([1.01, 1, 1, 1]),
+            r"mean_2: is no pose: R\^T R is off the identity by 0.0201",
+        ),
         (2, lambda m: m @ np.diag([-1.0, 1, 1, 1]), "mean_2: is no pose: .* det R = -1"),
         (1, lambda m: spoiled(m, (2, 2), np.nan), "cov_1: is not finite"),
         (3, lambda m: np.full((6, 6), np.inf), "cov_2: is not finite"),
-        (1, lambda m: spoiled(m, (0, 1), m[0, 1] + m[0, 0]), r"cov_1: is not symmetric: elements \[0, 1\] and \[1, 0\]"),
-        (3, lambda m: np.diag([1.0, 1, 1, 1, 1, -2]), "cov_2: is not positive definite: smallest eigenvalue -2,"),
+        (
+            1,
+            lambda m: spoiled(m, (0, 1), m[0, 1] + m[0, 0]),
+            r"cov_1: is not symmetric: elements \[0, 1\] and \[1, 0\]",
+        ),
+        (
+            3,
+            lambda m: np.diag([1.0, 1, 1, 1, 1, -2]),
+            "cov_2: is not positive definite: smallest eigenvalue -2,",
+        ),
         (1, lambda m: np.zeros((6, 6)), "cov_1: is not positive definite: smallest eigenvalue 0,"),
         (3, lambda m: np.ones((6, 6)), "cov_2: is not positive definite: smallest eigenvalue"),
     ],
@@ -198,7 +212,9 @@ def test_inputs_that_are_no_gaussian_are_named_with_their_fault(which, spoil, me
 
 def test_a_gaussian_is_checked_under_the_callers_name():
     check_gaussian(np.eye(4), np.eye(6), "estimate")
-    with pytest.raises(FusionError, match="estimate, covariance: is not positive definite: smallest eigenvalue -1,"):
+    with pytest.raises(
+        FusionError, match="estimate, covariance: is not positive definite: smallest eigenvalue -1,"
+    ):
         check_gaussian(np.eye(4), -np.eye(6), "estimate")
 
 
@@ -206,7 +222,7 @@ def test_wrong_shapes_and_options_are_named():
     pair = random_pair(12)
     with pytest.raises(ValueError, match=r"cov_1: must have shape \(6, 6\)"):
         fuse(pair[0], np.eye(5), pair[2], pair[3])
-    with pytest.raises(ValueError, match="unknown name 'papper' .did you mean 'paper'"):
+    with pytest.raises(ValueError, match=r"unknown name 'papper' .did you mean 'paper'"):
         fuse(*pair, "papper")
     with pytest.raises(ValueError, match="iterations = 0: must be"):
         fuse(*pair, iterations=0)

@@ -64,7 +64,9 @@ def test_log_of_a_tiny_rotation_keeps_its_relative_accuracy():
     np.testing.assert_allclose(se3.log(se3.exp(xi)), xi, rtol=1e-15)
 
 
-@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (0, -1, 1), (-1, 2, 3), (0, 0, -1)])
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (0, -1, 1), (-1, 2, 3), (0, 0, -1)]
+)
 def test_at_a_half_turn_the_first_component_of_the_axis_is_positive(axis):
     unit = np.array(axis) / np.linalg.norm(axis)
     R = 2.0 * np.outer(unit, unit) - np.eye(3)
@@ -87,7 +89,9 @@ def test_inverse_left_jacobian_is_the_inverse_to_rounding(angle):
         reference = oracle.inverse_left_jacobian(xi)
         # towards a full turn it grows without bound, and with it what the last digit of the angle means
         growth = max(1.0, 1.0 / (2.0 * math.pi - angle))
-        assert oracle.worst(reference, se3.inverse_left_jacobian(xi)) <= 6 * EPS * growth * oracle.largest(reference)
+        assert oracle.worst(reference, se3.inverse_left_jacobian(xi)) <= 6 * EPS * growth * oracle.largest(
+            reference
+        )
 
 
 def test_inverse_left_jacobian_is_the_polynomial_that_its_text_says():
@@ -198,7 +202,9 @@ def test_euler_angles_are_sxyz_of_transforms3d_and_xyz_of_scipy(angles):
     np.testing.assert_allclose(T[:3, :3], Rotation.from_euler("xyz", angles).as_matrix(), atol=1e-15)
     np.testing.assert_array_equal(T[:3, 3], pose[:3])
     np.testing.assert_allclose(se3.pose_from_euler(se3.euler_from_pose(T)), T, atol=1e-15)
-    np.testing.assert_allclose(se3.euler_from_pose(T)[3:], transforms3d.euler.mat2euler(T[:3, :3]), atol=1e-15)
+    np.testing.assert_allclose(
+        se3.euler_from_pose(T)[3:], transforms3d.euler.mat2euler(T[:3, :3]), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("beta", [math.pi / 2, -math.pi / 2])
@@ -217,7 +223,7 @@ def test_orthonormalization_takes_rounding_out_and_refuses_more():
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(R, T[:3, :3], atol=1e-7)
     noisy[:3, :3] *= 1.001
-    with pytest.raises(ValueError, match="not orthonormal, R\\^T R is off the identity by 0.002"):
+    with pytest.raises(ValueError, match=r"not orthonormal, R\^T R is off the identity by 0.002"):
         se3.orthonormalized(noisy)
     with pytest.raises(ValueError, match="reflection"):
         se3.orthonormalized(np.diag([1.0, 1.0, -1.0, 1.0]))

@@ -44,7 +44,9 @@ def test_a_bad_value_is_refused_with_name_value_and_range(values, message):
 
 
 def test_an_unknown_name_lists_the_valid_ones_and_the_nearest():
-    with pytest.raises(SettingError, match=r"params.yaml:7: unknown name 'gain' \(did you mean 'gains'\?\); valid: .*mode"):
+    with pytest.raises(
+        SettingError, match=r"params.yaml:7: unknown name 'gain' \(did you mean 'gains'\?\); valid: .*mode"
+    ):
         ExampleSettings.from_mapping({"gain": [1.0, 2.0]}, where="params.yaml:7")
 
 

@@ -64,7 +64,7 @@ def test_a_stamp_later_than_the_newest_is_in_the_future_and_the_message_says_by_
 
 
 def test_a_stamp_earlier_than_the_oldest_is_in_the_past():
-    with pytest.raises(TransformInPast, match="oldest is of 0 ns, the stamp is 0.000001 s earlier"):
+    with pytest.raises(TransformInPast, match=r"oldest is of 0 ns, the stamp is 0\.000001 s earlier"):
         arm_buffer().lookup("base", "sensor", -1000)
 
 
@@ -80,7 +80,7 @@ def test_unknown_and_unconnected_frames_are_told_apart():
     buffer.set_transform("island", "tree", 0, np.eye(4), static=True)
     with pytest.raises(TransformDisconnected, match="frame 'sensr' is unknown; known: base, island, sensor"):
         buffer.lookup("base", "sensr", 0)
-    with pytest.raises(TransformDisconnected, match="'tree' to 'base'.*hangs below 'island'.*below 'world'"):
+    with pytest.raises(TransformDisconnected, match=r"'tree' to 'base'.*hangs below 'island'.*below 'world'"):
         buffer.lookup("base", "tree", 0)
     assert not buffer.can_lookup("base", "tree", 0)
     assert issubclass(TransformDisconnected, TransformUnavailable)
