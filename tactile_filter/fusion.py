@@ -74,7 +74,7 @@ def fuse(
     else:
         count, order = _plan(mode, iterations, jacobian_order)
     answer = _fusion.fuse(mean_1, cov_1, mean_2, cov_2, count, order)
-    if answer.__class__ is int:
+    if isinstance(answer, int):
         raise FusionError(_fault(answer, (mean_1, cov_1, mean_2, cov_2)))
     mean, cov, factor, taken, status, step = answer
     return FusionResult(mean, cov, factor, taken, _STATUS[status], step)

@@ -97,9 +97,9 @@ def _inverse_jacobian(xi: Array, order: int | str) -> Array:
 
 def _gauss_newton(A: Array, residual: Array) -> tuple[Array, Array, float]:
     """N lower triangular with A^T A = N^T N, the step mu = -(A^T A)^-1 A^T residual, and |N mu|."""
-    N: Array = np.linalg.cholesky((A.T @ A)[::-1, ::-1])[::-1, ::-1].T
+    N = np.linalg.cholesky((A.T @ A)[::-1, ::-1])[::-1, ::-1].T
     y = -np.linalg.solve(N.T, A.T @ residual)
-    return N, np.linalg.solve(N, y), float(np.sqrt(y @ y))
+    return np.asarray(N, dtype=np.float64), np.linalg.solve(N, y), float(np.sqrt(y @ y))
 
 
 def _line_search(
