@@ -2,17 +2,18 @@
 # make demo    follow a curved ramp by touch in simulation; results in out/demo
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
 # make lint    ruff and mypy
+# make model   make the shipped model again: generate simulated images, train, export (work in out/model)
 # make clean   remove what was built    (make distclean: .venv and out as well)
 #
-# PYTHON=python3.12 chooses the interpreter for .venv. TORCH is what the tests of the training install; for a smaller
-# one without CUDA: make test TORCH="--extra-index-url https://download.pytorch.org/whl/cpu torch==2.13.0+cpu"
+# PYTHON=python3.12 chooses the interpreter for .venv. TORCH is what the tests of the training install; a smaller
+# one without CUDA: make test TORCH=torch==2.13.0+cpu PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
 
 SHELL := bash
 TORCH ?= torch==2.13.0
 ARGS ?=
 export PYTHON TORCH
 
-.PHONY: build demo test lint clean distclean
+.PHONY: build demo test lint model clean distclean
 
 build:
 	@scripts/setup.sh
@@ -28,8 +29,15 @@ test:
 	@scripts/test.sh $(ARGS)
 
 lint:
-	@scripts/setup.sh lint
+	@scripts/setup.sh lint train
 	@. scripts/env.sh && ruff check . && ruff format --check . && mypy
+
+model:
+	@scripts/setup.sh train
+	@scripts/build.sh
+	@. scripts/env.sh && tactile data generate out/model/data && rm -rf out/model/run && \
+	    tactile train out/model/data --out out/model/run --config config/perception/tactip_sim.yaml \
+	        --install tactile_perception/models/tactip_sim.onnx
 
 clean:
 	rm -rf build install log

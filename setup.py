@@ -50,7 +50,7 @@ def shared_files(folder: str, pattern: str) -> list[tuple[str, list[str]]]:
 
 setup(
     packages=find_packages(include=["tactile_*"], exclude=["tactile_msgs", "tactile_msgs.*"]),
-    package_data={"": ["py.typed", "*.yaml", "data/*", "models/*"]},
+    package_data={"": ["py.typed", "*.pyi", "*.yaml", "data/*", "models/*"]},
     ext_modules=[extension(name, folder) for name, folder in C_MODULES.items()],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

