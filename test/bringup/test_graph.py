@@ -133,7 +133,7 @@ def test_the_dome_has_eight_paths():
 
 
 def test_an_unknown_scene_lists_the_scenes():
-    with pytest.raises(SettingError, match="'ram' .did you mean 'ramp'.*dome, .*ramp"):
+    with pytest.raises(SettingError, match=r"'ram' .did you mean 'ramp'.*dome, .*ramp"):
         load_task_graph("surface_following", "ram", GraphOptions())
     assert {"dome", "ramp"} <= set(config_names("scenes"))
 

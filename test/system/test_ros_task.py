@@ -1,0 +1,261 @@
+"""A whole task over real DDS: nodes in processes of their own, started, run and stopped by `tactile launch`.
+
+The path on the ramp is a short one, in a copy of the configuration; everything else is as shipped.
+"""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_bringup.bag_reader import read_run
+from tactile_bringup.metrics import report
+from tactile_bringup.offline import OfflineOptions, run_offline
+from tactile_control.files import load_task
+from tactile_drivers.scene import load_scene
+from tactile_filter.config_paths import config_folder
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+PATH_LENGTH = 0.04  # m
+
+
+@pytest.fixture(scope="session")
+def configuration(tmp_path_factory) -> Path:
+    """The shipped configuration with a short path."""
+    folder = tmp_path_factory.mktemp("configuration") / "config"
+    shutil.copytree(config_folder(), folder)
+    task = folder / "tasks" / "surface_following.yaml"
+    text, changed = re.subn(r"(name: ramp, .*length: )[\d.]+", rf"\g<1>{PATH_LENGTH}", task.read_text())
+    assert changed == 1, "the task file has one path named ramp"
+    task.write_text(text)
+    return folder
+
+
+class Launch:
+    """`tactile launch surface_following` in a process of its own."""
+
+    def __init__(self, folder: Path, configuration: Path, *options: str) -> None:
+        self.folder, self.output_file = folder, folder / "output"
+        command = [sys.executable, "-m", "tactile_bringup.cli", "launch", "surface_following", "--headless"]
+        self.segments: set[tuple[str, int]] = set()
+        self.pids: set[int] = set()
+        self.process = subprocess.Popen(
+            [*command, "--out", str(folder), *options],
+            env={**os.environ, "TACTILE_CONFIG_DIR": str(configuration)},
+            stdout=self.output_file.open("w"),
+            stderr=subprocess.STDOUT,
+        )
+
+    @property
+    def output(self) -> str:
+        return self.output_file.read_text()
+
+    def wait_for(self, text: str, timeout_s: float = 60.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        while text not in self.output:
+            assert time.monotonic() < deadline, f"no '{text}' in:\n{self.output}"
+            assert self.process.poll() is None, f"ended without '{text}':\n{self.output}"
+            time.sleep(0.1)
+
+    def end(self, timeout_s: float = 90.0) -> int:
+        return self.process.wait(timeout_s)
+
+    def nodes(self) -> dict[str, int]:
+        """Module -> process of the nodes that run now."""
+        found = {}
+        for pid in filter(str.isdigit, os.listdir("/proc")):
+            try:
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
+            except OSError:
+                continue
+            if str(self.folder) in " ".join(words) and "--ros-args" in words:
+                found[words[words.index("-m") + 1]] = int(pid)
+        return found
+
+    def note_resources(self) -> None:
+        """Remember processes and shared memory (with inodes) of nodes and launcher."""
+        self.pids = {*self.nodes().values(), self.process.pid}
+        for pid in self.pids:
+            for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
+                if "/dev/shm/fastdds" in line:
+                    fields = line.split(None, 5)
+                    self.segments.add((fields[5], int(fields[4])))
+        assert len(self.pids) >= 5 and self.segments
+
+    def left(self) -> list[str]:
+        """What of it is still there."""
+        nodes = [f"{module} ({pid})" for module, pid in self.nodes().items()]
+        return nodes + [name for name, inode in self.segments if _inode(name) == inode]
+
+    def log(self, node: str) -> str:
+        return next(self.folder.glob(f"*/logs/{node}.log")).read_text()
+
+
+def _inode(name: str) -> int | None:
+    try:
+        return os.stat(name).st_ino
+    except FileNotFoundError:
+        return None
+
+
+@pytest.fixture
+def launch(tmp_path, configuration):
+    launches = []
+
+    def start(*options: str) -> Launch:
+        launches.append(Launch(tmp_path, configuration, *options))
+        return launches[-1]
+
+    yield start
+    for launch in launches:
+        if launch.process.poll() is None:
+            launch.process.kill()
+            launch.process.wait()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, configuration):
+    """One run to its end: the launch, its record and its report."""
+    folder = tmp_path_factory.mktemp("finished")
+    launch = Launch(folder, configuration, "--record", str(folder / "bag"))
+    try:
+        launch.wait_for("arm  follow")
+        launch.note_resources()
+        launch.end()
+    finally:
+        if launch.process.poll() is None:
+            launch.process.kill()
+    record = read_run(folder / "bag")
+    return launch, record, report(record)
+
+
+def test_the_task_is_done_and_nothing_is_left(finished):
+    launch, record, values = finished
+    assert launch.process.returncode == 0, launch.output
+    assert "[1/1] ramp: done (40 mm" in launch.output
+    assert launch.left() == []
+    assert record.result["bag_complete"] and values["succeeded"]
+
+
+def test_contact_is_kept_at_depth_and_along_the_normal(finished):
+    _, _, values = finished
+    assert values["contact_fraction"] == 1.0
+    assert values["depth_rms_mm"] <= 0.3
+    assert values["normal_rms_deg"] <= 2.0
+    assert values["path_length_mm"] == pytest.approx(40.0, abs=1.0)
+    assert values["speed_mm_s"] == pytest.approx(10.0, rel=0.05)
+
+
+def test_every_frame_is_estimated_or_counted_as_lost(finished):
+    _, record, _ = finished
+    start, end = record.estimate.stamp_ns[0], record.estimate.stamp_ns[-1]
+    exposed = [stamp for stamp in record.truth.stamp_ns if start <= stamp <= end]
+    estimated = set(record.estimate.stamp_ns)
+    missing = [stamp for stamp in exposed if stamp not in estimated]
+    assert len(exposed) > 300
+    assert len(missing) == record.lost.get("estimator", 0)
+
+
+def test_every_estimate_becomes_a_belief_and_a_command_or_is_counted(finished):
+    _, record, _ = finished
+    following = record.phase_at(record.estimate.stamp_ns) == "follow"
+    believed, acted = set(record.belief.stamp_ns), set(record.latency["controller"].stamp_ns)
+    no_belief = sum(stamp not in believed for stamp in record.estimate.stamp_ns[following])
+    no_command = sum(stamp not in acted for stamp in record.estimate.stamp_ns[following])
+    assert no_belief <= record.lost["filter"]
+    assert no_command <= record.lost["filter"] + record.lost["controller"]
+
+
+def test_latency_is_recorded_stage_by_stage(finished):
+    _, record, values = finished
+    stages = list(record.latency)
+    assert stages == [s for s in ("camera", "estimator", "filter", "controller") if s in stages]
+    assert stages[-2:] == ["filter", "controller"]
+    medians = [values["latency_ms"]["stages"][stage]["p50"] for stage in stages]
+    assert medians == sorted(medians) and medians[0] > 0.0
+    assert 0.0 < values["latency_ms"]["p50"] <= values["latency_ms"]["p99"] < 1000.0
+
+
+def test_the_loop_without_ros_agrees(finished, configuration):
+    """Same scene, seed and settings: the sensor goes the same way over the surface, at the same depth."""
+    _, record, values = finished
+    scene = load_scene(configuration / "scenes" / "ramp.yaml")
+    task = load_task(configuration / "tasks" / "surface_following.yaml", "ramp")
+    offline = run_offline(scene, task, OfflineOptions(seed=record.seed, latency=0.006))
+    others = report(offline)
+    assert others["succeeded"]
+    assert values["depth_rms_mm"] == pytest.approx(others["depth_rms_mm"], abs=0.1)
+    assert values["normal_rms_deg"] == pytest.approx(others["normal_rms_deg"], abs=0.7)
+    along = np.linspace(0.005, 0.035, 31)
+    difference = _height_along_path(record, along) - _height_along_path(offline, along)
+    assert np.abs(difference).max() < 0.3e-3
+
+
+def _height_along_path(record, along):
+    """Height of the sensor's centre (m) over the distance along y since following began."""
+    following = record.phase_at(record.pose.stamp_ns) == "follow"
+    position = record.pose.T_base_sensor[following][:, :3, 3]
+    return np.interp(along, position[:, 1] - position[0, 1], position[:, 2])
+
+
+def test_the_bag_is_opened_by_other_readers(finished):
+    launch, _, _ = finished
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([launch.folder / "bag"]) as reader:
+        topics = {connection.topic for connection in reader.connections}
+        states = [c for c in reader.connections if c.topic == "/arm/contact/state"]
+        _, _, raw = next(reader.messages(states))
+        assert len(reader.deserialize(raw, states[0].msgtype).covariance) == 36
+    assert {"/tf", "/tf_static", "/arm/command/twist", "/diagnostics"} <= topics
+    note = json.loads((read_note(launch.folder / "bag"))["parameters"])
+    assert note["/arm/controller"]["task.speed"] == 0.01
+
+
+def read_note(bag: Path) -> dict[str, str]:
+    from tactile_bringup.bag import read_bag
+
+    return read_bag(bag).note
+
+
+def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
+    run = launch()
+    run.wait_for("arm  follow")
+    run.note_resources()
+    run.process.send_signal(signal.SIGINT)
+    assert run.end() == 130, run.output
+    assert "stopped by SIGINT: bringing the arm to rest" in run.output
+    assert "stopped: the arm rests" in run.output
+    assert run.left() == []
+
+
+def test_a_node_killed_in_mid_run_ends_the_task_with_its_name_and_log(launch, tmp_path):
+    run = launch("--record", str(tmp_path / "bag"))
+    run.wait_for("arm  follow")
+    run.note_resources()
+    os.kill(run.nodes()["tactile_filter.filter_node"], signal.SIGKILL)
+    assert run.end() == 3, run.output
+    assert "node /arm/filter was killed by SIGKILL; log: " in run.output
+    assert "arm.filter.log" in run.output
+    assert "stopped: the arm rests" in run.output
+    assert run.left() == []
+    record = read_run(tmp_path / "bag")
+    assert record.result["bag_complete"] and not record.result["succeeded"]
+    last = record.arm_twist.twist[-1]
+    assert np.abs(last).max() < 1e-4  # the bag sees the arm come to rest
+
+
+def test_a_model_that_is_missing_is_said_at_once(launch):
+    run = launch("--model", "/no/such/model.onnx")
+    assert run.end() == 2
+    assert "--model /no/such/model.onnx: no such file" in run.output
