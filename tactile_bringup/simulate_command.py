@@ -17,7 +17,7 @@ def register(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "simulate",
         help="run a task on a simulated scene in one process, without ROS, as fast as it goes",
-        description="Runs a task on a simulated scene in one process; writes report.json, pictures, the record.",
+        description="Runs a task in a simulated scene in one process; writes report.json, pictures, record.",
     )
     parser.add_argument("task", nargs="?", default="surface_following", help="a task of config/tasks")
     parser.add_argument("--scene", default="ramp", help="a scene of config/scenes, or a path (default: ramp)")
