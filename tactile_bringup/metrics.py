@@ -312,7 +312,7 @@ def _latency(record: RunRecord) -> dict[str, Any]:
 
 
 def _loop_latency(record: RunRecord) -> Array:
-    """Seconds from exposure to the first command based on it, for each exposure acted upon while following."""
+    """Seconds from exposure to the first command based on it, of those acted upon while following."""
     stage = record.latency.get(COMMAND_STAGE)
     if stage is not None and len(stage):
         return stage.seconds[record.phase_at(stage.stamp_ns) == FOLLOW]
