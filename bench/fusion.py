@@ -78,9 +78,7 @@ def microseconds(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, 
 def measure_times(rounds: int) -> dict[str, float]:
     """Microseconds a call, by name."""
     pair = contact_pair()
-    calls: dict[str, Callable[[], Any]] = {
-        f"C, {mode}": lambda mode=mode: fuse(*pair, mode) for mode in MODES
-    }
+    calls: dict[str, Callable[[], Any]] = {f"C, {mode}": partial(fuse, *pair, mode) for mode in MODES}
     calls["C, paper, extension alone"] = lambda: _fusion.fuse(*pair, 5, 2)
     calls["C, one iteration, extension alone"] = lambda: _fusion.fuse(*pair, 1, 2)
     calls["NumPy, paper"] = lambda: fuse_fixed(*pair)
@@ -152,9 +150,8 @@ def main() -> int:
         options.json.write_text(json.dumps(report, indent=1) + "\n")
     ratio = times["NumPy, paper"] / times["C, paper"]
     missed = times["C, paper"] > TARGET_US or ratio < TARGET_RATIO
-    print(
-        f"\ntargets: at most {TARGET_US:g} us and {TARGET_RATIO:g} times NumPy: {'MISSED' if missed else 'met'}"
-    )
+    verdict = "MISSED" if missed else "met"
+    print(f"\ntargets: at most {TARGET_US:g} us and {TARGET_RATIO:g} times NumPy: {verdict}")
     return int(missed)
 
 
