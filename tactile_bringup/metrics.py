@@ -184,7 +184,7 @@ def oscillation(record: RunRecord) -> dict[str, float]:
 def strongest_sinusoid(
     stamp_ns: Array, values: Array, above_hz: float = OSCILLATION_ABOVE
 ) -> tuple[float, float]:
-    """Amplitude and frequency (Hz) of the strongest spectral line above `above_hz`; (0, nan) for a short signal.
+    """Amplitude and frequency (Hz) of the strongest spectral line above `above_hz`; (0, nan) where too short.
 
     A cubic trend is removed and a Hann window applied; the amplitude is that of a sinusoid with this line.
     """

@@ -190,6 +190,7 @@ class SurfaceFollowing:
         self._wanted = np.zeros(6)
         self._contact_ns: int | None = None
         self._touch_ns = 0
+        self._touch_position: Array | None = None
         self._settled_ns: int | None = None
         self._reapproaches = 0
         self._progress = 0.0
@@ -297,9 +298,7 @@ class SurfaceFollowing:
 
     def _approach(self, now_ns: int) -> Array:
         settings = self.settings.task
-        if self._touching():
-            assert self._presence is not None
-            self._touch_ns = self._contact_ns = self._presence.stamp_ns
+        if self._pressed() >= settings.press_distance:
             self.servoing.reset()
             self._servo = None
             self._enter(SETTLE)
@@ -309,6 +308,18 @@ class SurfaceFollowing:
         if self._in_phase(now_ns) > settings.approach_timeout:
             return self._fail(f"no contact within {settings.approach_timeout:g} s of approach")
         return _along_z(settings.approach_speed)
+
+    def _pressed(self) -> float:
+        """Way since the first touch of this approach, m; negative before it."""
+        if not self._touching():
+            self._touch_position = None
+            return -1.0
+        assert self._presence is not None
+        position = self._sensor_pose()[:3, 3]
+        if self._touch_position is None:
+            self._touch_position = position.copy()
+            self._touch_ns = self._contact_ns = self._presence.stamp_ns
+        return float(np.linalg.norm(position - self._touch_position))
 
     def _settle(self, now_ns: int) -> Array:
         settings = self.settings.task
@@ -424,6 +435,7 @@ class SurfaceFollowing:
         self.phase = phase
         self._phase_since_ns = self._now_ns
         self._phase_pose = None
+        self._touch_position = None
         self._settled_ns = None
         self.watchdog.reset()
 

@@ -64,6 +64,13 @@ class TaskSettings(Settings):
     approach_speed: float = setting(
         0.004, lower=1e-4, upper=0.1, unit="m/s", doc="speed along the sensor's z until contact"
     )
+    press_distance: float = setting(
+        0.0007,
+        lower=0.0,
+        upper=0.02,
+        unit="m",
+        doc="the approach goes on for this much after the first touch, where images say little yet",
+    )
     approach_distance: float = setting(
         0.05, lower=1e-3, upper=1.0, unit="m", doc="without contact within this the task fails"
     )

@@ -363,8 +363,28 @@ def test_presence_from_before_the_approach_is_not_contact(settings):
     assert command.phase == APPROACH
 
 
+def test_the_approach_goes_on_for_the_press_distance(settings):
+    surface = Plane()
+    for press in (0.0, 0.001):
+        task = SurfaceFollowing(settings.replaced(task__press_distance=press), PathGoal(length=0.01))
+        commands = run(task, Plant(surface, above(surface), delay_steps=0))
+        begin = next(depth for _, c, depth, _ in commands if c.phase == SETTLE)
+        assert begin == pytest.approx(0.0004 + press, abs=0.0002)
+
+
+def test_a_touch_that_goes_away_while_pressing_was_none(settings):
+    task = SurfaceFollowing(settings, PathGoal())
+    plant = Plant(Plane(), above(Plane(), 0.1))
+
+    def change(k, inputs):
+        return dataclasses.replace(inputs, presence=StampedPresence(inputs.presence.stamp_ns, 20 <= k < 24))
+
+    commands = run(task, plant, limit_s=2.0, change=change)
+    assert phases_of(commands) == [APPROACH]
+
+
 def test_the_belief_from_before_the_contact_is_not_acted_upon(settings):
-    task, now = SurfaceFollowing(settings, PathGoal()), 10**9
+    task, now = SurfaceFollowing(settings.replaced(task__press_distance=0.0), PathGoal()), 10**9
     old = StampedPose(now - 5 * MS, np.eye(4))
     for k in range(3):
         stamp = now + k * 16 * MS
