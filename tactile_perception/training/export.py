@@ -32,7 +32,7 @@ def export_onnx(network: Gdn, path: Path | str, metadata: ModelMetadata) -> Path
         last = graph.block(f"block{index + 1}", last, *_folded(block))
     last = graph.node("Flatten", [last], "features", axis=1)
     head = network.head
-    weight = graph.constant("head.weight", head.weight.detach().numpy())
+    weight = graph.constant("head.weight", (head.gain * head.weight.detach()).numpy())
     bias = graph.constant("head.bias", head.bias.detach().numpy())
     last = graph.node("Gemm", [last, weight, bias], "head", transB=1)
     mu, inverse_sigma = OUTPUT_NAMES

@@ -36,19 +36,25 @@ class ConvBlock(nn.Sequential):
 
 
 class MultiDropoutLinear(nn.Module):
-    """One dropout layer and one single-output linear layer per output (the paper's multi-dropout)."""
+    """One dropout layer and one single-output linear layer per output (the paper's multi-dropout).
 
-    def __init__(self, features: int, dropouts: tuple[float, ...]) -> None:
+    The layer computes gain * weight x + bias. One step of Adam moves every weight by the learning rate, and with
+    thousands of positive features the outputs by several millimeters; the gain takes that back, and the weights
+    start from zero, so that training starts from the bias and does not have to recover from its first steps.
+    """
+
+    def __init__(self, features: int, dropouts: tuple[float, ...], gain: float = 1.0) -> None:
         super().__init__()
-        reference = nn.Linear(features, len(dropouts))
-        self.weight = nn.Parameter(reference.weight.detach().clone())
-        self.bias = nn.Parameter(reference.bias.detach().clone())
+        self.weight = nn.Parameter(torch.zeros(len(dropouts), features))
+        self.bias = nn.Parameter(torch.zeros(len(dropouts)))
         self.dropouts = dropouts
+        self.gain = gain
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, features) -> (N, outputs)."""
         if not self.training:
-            return nn.functional.linear(features, self.weight, self.bias)
+            return nn.functional.linear(features, self.gain * self.weight, self.bias)
+        features = self.gain * features
         outputs = [
             nn.functional.dropout(features, p) @ self.weight[j] if p > 0.0 else features @ self.weight[j]
             for j, p in enumerate(self.dropouts)
@@ -75,7 +81,8 @@ class Gdn(nn.Module):
                 f"{len(settings.channels)} blocks halve an image of {settings.image_size} pixels to nothing"
             )
         features = channels[-1] * side * side
-        self.head = MultiDropoutLinear(features, settings.dropout_mean + settings.dropout_inverse_sigma)
+        dropouts = settings.dropout_mean + settings.dropout_inverse_sigma
+        self.head = MultiDropoutLinear(features, dropouts, settings.head_gain)
 
     def start_from(self, labels: Tensor) -> None:
         """Let the untrained network answer with the labels' own mean and deviation; labels (N, 6)."""

@@ -20,7 +20,7 @@ from tactile_perception.training.settings import GdnSettings, TrainingSettings, 
 from tactile_perception.training.train import TrainConfig, train  # noqa: E402
 
 QUICK = TrainConfig(
-    GdnSettings(image_size=64, channels=(8, 16, 32, 32), batch_norm_momentum=0.2),
+    GdnSettings(image_size=64, channels=(8, 16, 32, 32), batch_norm_momentum=0.2, head_gain=1.0),
     TrainingSettings(batch_size=8, rise_epochs=1, hold_epochs=5, decay_epochs=8, seed=3, threads=1),
 )
 
@@ -190,7 +190,7 @@ def test_the_same_seed_gives_the_same_model(data, tmp_path):
 def test_training_stops_when_validation_stops_improving(data, tmp_path, monkeypatch):
     losses = iter([5.0, 3.0, 4.0, float("nan"), 2.0, 2.5])
     monkeypatch.setattr(
-        "tactile_perception.training.train._Run._evaluate", lambda run: (next(losses), np.zeros(6))
+        "tactile_perception.training.train._Run._evaluate", lambda run: (next(losses), np.ones(6))
     )
     config = TrainConfig(QUICK.network, QUICK.training.replaced(patience=2))
     result = train(data, tmp_path / "run", config, limit=16)
