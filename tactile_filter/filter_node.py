@@ -17,12 +17,19 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 
-from tactile_bringup.ros.conversions import MessageError, gaussian_from_message, gaussian_message, header
+from tactile_bringup.ros.conversions import (
+    MessageError,
+    gaussian_from_message,
+    gaussian_message,
+    header,
+    transform_stamped,
+)
 from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ManagedNode, run
 from tactile_bringup.ros.parameters import SettingsParameters
-from tactile_bringup.ros.qos import STATE
+from tactile_bringup.ros.qos import STATE, TF
 from tactile_bringup.ros.stamps import Event, EventJoin, duration_from_ns, ns_from_time
 from tactile_bringup.ros.transforms import TransformGate, TransformListener
 from tactile_filter import se3
@@ -50,6 +57,7 @@ class FilterInputSettings(Settings):
     age_limit: float = setting(
         0.25, lower=0.005, upper=60.0, unit="s", doc="longer silence of the estimator is told in /diagnostics"
     )
+    publish_tf: bool = setting(True, doc="publish the belief as frame <arm>/contact on /tf as well")
 
 
 class FilterNode(ManagedNode):
@@ -71,6 +79,7 @@ class FilterNode(ManagedNode):
         """Create publishers and subscriptions."""
         self.belief_out = self.publisher(PoseWithCovarianceStamped, "contact/belief", STATE)
         self.state_out = self.publisher(ContactState, "contact/state", STATE)
+        self.tf_out = self.publisher(TFMessage, "/tf", TF)
         self.latency = LatencyPublisher(self, "filter", self.sensor_frame)
         self.transforms = TransformListener(self, on_update=self._pump, on_jump=self._jumped)
         self.gate = TransformGate(
@@ -151,13 +160,19 @@ class FilterNode(ManagedNode):
         emitted_ns = self.now_ns()
         self.state_out.publish(state_message(belief, self.sensor_frame, emitted_ns))
         if belief.valid:
-            self.belief_out.publish(
-                gaussian_message(belief.stamp_ns, self.sensor_frame, belief.mean, belief.cov)
-            )
+            self._publish_for_others(belief)
         if belief.reason:
             self.warn("belief", f"belief at {belief.stamp_ns} ns: {belief.reason}")
         self._tell_counts()
         return emitted_ns
+
+    def _publish_for_others(self, belief: Belief) -> None:
+        """What people and their tools look at; the controller does not wait for it."""
+        stamp_ns, mean = belief.stamp_ns, belief.mean
+        self.belief_out.publish(gaussian_message(stamp_ns, self.sensor_frame, mean, belief.cov))
+        if self.inputs.value.publish_tf:
+            contact = transform_stamped(stamp_ns, self.sensor_frame, f"{self.arm}/contact", mean)
+            self.tf_out.publish(TFMessage(transforms=[contact]))
 
     def _tell_counts(self) -> None:
         self.report.values["refused since the last reset"] = str(self.filter.rejected)

@@ -61,15 +61,23 @@ class Graph:
         self, module: str, parameters: dict[str, Any] | None = None, wait: bool = True, namespace: str = ARM
     ):
         """Start a node; unless told otherwise wait until it is active. Returns its process."""
+        return self._start(module, [sys.executable, "-m", module], parameters, wait, namespace)
+
+    def start_code(self, name: str, code: str, parameters: dict[str, Any] | None = None, wait: bool = True):
+        """Start a node whose program is given as text."""
+        return self._start(name, [sys.executable, "-c", code], parameters, wait, ARM)
+
+    def _start(
+        self, name: str, command: list[str], parameters: dict[str, Any] | None, wait: bool, namespace: str
+    ):
         arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
-        for name, value in (parameters or {}).items():
-            arguments += ["-p", f"{name}:={yaml_value(value)}"]
-        log = self.log(module)
-        child = self.processes.start(module, [sys.executable, "-m", module, *arguments], self.variables, log)
+        for key, value in (parameters or {}).items():
+            arguments += ["-p", f"{key}:={yaml_value(value)}"]
+        log = self.log(name)
+        child = self.processes.start(name, [*command, *arguments], self.variables, log)
         if wait:
-            assert self.wait(lambda: "active" in log.read_text(), 15.0), (
-                f"{module} is not active:\n{tail(log)}"
-            )
+            ready = self.wait(lambda: "active" in log.read_text(), 15.0)
+            assert ready, f"{name} is not active:\n{tail(log)}"
         return child.process
 
     def arm(self) -> "Arm":

@@ -6,8 +6,15 @@ import time
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from tf2_msgs.msg import TFMessage
 
-from tactile_bringup.ros.conversions import gaussian_from_message, gaussian_message, header
+from tactile_bringup.ros import qos
+from tactile_bringup.ros.conversions import (
+    gaussian_from_message,
+    gaussian_message,
+    header,
+    matrix_from_transform,
+)
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
@@ -101,6 +108,21 @@ def test_belief_and_state_say_the_same(feed):
     belief = gaussian_from_message(feed.beliefs[-1].pose)
     np.testing.assert_allclose(belief.mean, se3.exp(state.xi), atol=1e-12)
     np.testing.assert_allclose(belief.cov, state.covariance.reshape(6, 6), rtol=1e-6, atol=1e-15)
+
+
+def test_the_belief_is_a_frame_of_tf_too(feed):
+    transforms = feed.graph.collect(TFMessage, "/tf", qos.TF)
+    feed.graph.spin(0.3)  # discovery
+    stamp_ns = feed.step(0)
+    state = feed.state(stamp_ns)
+
+    def contact():
+        return [t for m in transforms for t in m.transforms if t.child_frame_id == "arm/contact"]
+
+    assert feed.graph.wait(lambda: bool(contact()), 2.0)
+    assert contact()[0].header.frame_id == SENSOR and ns_from_time(contact()[0].header.stamp) == stamp_ns
+    T_sensor_contact = matrix_from_transform(contact()[0].transform)
+    np.testing.assert_allclose(T_sensor_contact, se3.exp(state.xi), atol=1e-12)
 
 
 def test_the_order_of_arrival_does_not_matter(feed):
