@@ -44,9 +44,11 @@ static void exp_coefficients(double res[3], double x) {
     9.183689863795546e-29, -1.1309962886447716e-31, 1.2161250415535179e-34};
 
   if (x <= SERIES_LIMIT) {
-    res[0] = polynomial(a, 9, x);
-    res[1] = polynomial(b, 9, x);
-    res[2] = polynomial(c, 9, x);
+    // so many terms reach the last digit
+    int n = x <= 0.02 ? 5 : 9;
+    res[0] = polynomial(a, n, x);
+    res[1] = polynomial(b, n, x);
+    res[2] = polynomial(c, n, x);
     return;
   }
 
@@ -59,7 +61,8 @@ static void exp_coefficients(double res[3], double x) {
 }
 
 
-// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x <= pi^2: two poles and the rest as a power series
+// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x <= pi^2: two poles and the
+// rest as a power series; de may be null
 static void inverse_coefficients(double* e, double* de, double x) {
   static const double coef[] = {
     0.020007593556872226, 2.5438120688625627e-05, 5.584568390494416e-08, 1.4088241574761053e-10,
@@ -71,10 +74,14 @@ static void inverse_coefficients(double* e, double* de, double x) {
     3.0053729601726395e-12, 1.0280125375360467e-14, 3.420026555056551e-17,
     1.113780557500779e-19, 3.5662922632859247e-22, 1.1263448071450399e-24, 3.51734609858194e-27,
     1.0880863290127476e-29};
-  double first = 1 / (4*PI_SQUARED - x);
-  double second = 1 / (16*PI_SQUARED - x);
-  *e = 2*(first + second) + polynomial(coef, 12, x);
-  *de = 4*(first*first + second*second) + polynomial(derivative, 11, x);
+  double first = 4*PI_SQUARED - x, second = 16*PI_SQUARED - x;
+  double scale = 1 / (first*second);
+  double to_first = second*scale, to_second = first*scale;
+  int n = x <= 1 ? 7 : 12;
+  *e = 2*(to_first + to_second) + polynomial(coef, n, x);
+  if (de) {
+    *de = 4*(to_first*to_first + to_second*to_second) + polynomial(derivative, n - 1, x);
+  }
 }
 
 
@@ -115,10 +122,10 @@ static void rotation_vector(double res[3], const double r[9]) {
 
 
 void se3_log(double res[6], const Pose* pose) {
-  double e, de, turned[3], twice[3];
+  double e, turned[3], twice[3];
   double* phi = res + 3;
   rotation_vector(phi, pose->rot);
-  inverse_coefficients(&e, &de, dot3(phi, phi));
+  inverse_coefficients(&e, 0, dot3(phi, phi));
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
   cross3(turned, phi, pose->pos);
