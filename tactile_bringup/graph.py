@@ -41,6 +41,7 @@ _SHARED_TOPICS = (
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
     Topic("/tf", "tf2_msgs/msg/TFMessage"),
     Topic("/tf_static", "tf2_msgs/msg/TFMessage", "latched"),
+    Topic("/sim/markers", "visualization_msgs/msg/MarkerArray", "latched"),
 )
 IMAGE = Topic("tactile/image", "sensor_msgs/msg/Image", "sensor")
 

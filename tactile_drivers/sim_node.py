@@ -23,6 +23,7 @@ from geometry_msgs.msg import Point, PoseStamped, PoseWithCovarianceStamped, Twi
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
 from tactile_bringup.ros.conversions import (
     gaussian_message,
@@ -35,8 +36,9 @@ from tactile_bringup.ros.conversions import (
     vector_from_twist,
 )
 from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_bringup.ros.markers import mesh_marker
 from tactile_bringup.ros.parameters import SettingsParameters
-from tactile_bringup.ros.qos import COMMAND, IMAGE, LATENCY, STATE, TF, TF_STATIC
+from tactile_bringup.ros.qos import COMMAND, IMAGE, LATCHED, LATENCY, STATE, TF, TF_STATIC
 from tactile_bringup.ros.stamps import SECOND_NS, ns_from_time, time_from_ns
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
@@ -193,6 +195,7 @@ class SimNode(ManagedNode):
         self.arms = [ArmTopics(self, self.scene.arms[name]) for name in self.cell.arms]
         self.tf_out = self.publisher(TFMessage, "/tf", TF)
         self.tf_static_out = self.publisher(TFMessage, "/tf_static", TF_STATIC)
+        self.markers_out = self.publisher(MarkerArray, "/sim/markers", LATCHED)
         self.status_every = max(1, round(self.scene.rate / settings.status_rate))
         self.timer(1.0 / self.scene.rate, self._tick)
 
@@ -205,6 +208,8 @@ class SimNode(ManagedNode):
         self.tf_static_out.publish(
             TFMessage(transforms=[t for arm in self.arms for t in arm.static_transforms()])
         )
+
+        self.markers_out.publish(MarkerArray(markers=surface_markers(self.scene)))
 
     def _tick(self) -> None:
         """Make the steps that are due."""
@@ -252,6 +257,14 @@ class SimNode(ManagedNode):
             f"cannot hold {self.scene.rate} steps a second: more than {limit * 1e3:.0f} ms behind real time, "
             f"{arm.lost} exposures of {arm.name} left out so far",
         )
+
+
+def surface_markers(scene: Scene) -> list[Any]:
+    """The true surfaces, for RViz."""
+    return [
+        mesh_marker(WORLD, name, number, surface.T_world_surface, *surface.make().mesh())
+        for number, (name, surface) in enumerate(scene.surfaces.items())
+    ]
 
 
 def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:

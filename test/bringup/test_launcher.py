@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tactile_bringup.shared_memory import orphans
+
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = pytest.mark.ros
 
@@ -69,7 +71,8 @@ class Launch:
     def left(self) -> list[str]:
         """Processes and shared memory of this launch that are still there."""
         processes = [f"process {pid}" for pid in self.running()]
-        return processes + [name for name, inode in self.segments if _inode(name) == inode]
+        dead = set(map(str, orphans()))  # another launch may have taken over a port file meanwhile
+        return processes + [name for name, inode in self.segments if _inode(name) == inode and name in dead]
 
     def leaves_nothing(self, timeout_s: float = 8.0) -> bool:
         assert self.segments or "ROS domain" not in self.output, "no shared memory was seen to be in use"

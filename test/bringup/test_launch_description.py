@@ -1,0 +1,61 @@
+"""`ros2 launch` and RViz get what the graph has."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tactile_bringup.graph import GraphOptions
+from tactile_bringup.task_graph import load_task_graph
+from tactile_filter.config_paths import config_path
+
+needs_launch = pytest.mark.skipif(
+    importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed (it has no wheels)"
+)
+
+
+def topics_of(display) -> list[str]:
+    return [display["Topic"]["Value"]] if "Topic" in display else []
+
+
+def test_rviz_shows_image_frames_belief_and_twist_of_topics_that_exist():
+    config = yaml.safe_load(config_path("rviz/surface_following.rviz").read_text())
+    displays = config["Visualization Manager"]["Displays"]
+    kinds = {display["Class"].split("/")[1] for display in displays}
+    assert {"Image", "TF", "PoseWithCovariance", "TwistStamped"} <= kinds
+    graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
+    published = {topic.name for topic in graph.topics} | {"/arm/tactile/image"}
+    assert {topic for display in displays for topic in topics_of(display)} <= published
+
+
+@needs_launch
+def test_the_launch_description_starts_the_nodes_of_the_graph(tmp_path, monkeypatch):
+    from launch.actions import DeclareLaunchArgument, ExecuteProcess
+    from launch_ros.actions import LifecycleNode
+
+    from launch import LaunchContext
+    from tactile_bringup import launch_description
+
+    monkeypatch.setattr(type(launch_description.launch_config), "log_dir", str(tmp_path))
+    description = launch_description.describe("surface_following")
+    declared = [e.name for e in description.entities if isinstance(e, DeclareLaunchArgument)]
+    assert {"scene", "rate", "record", "headless"} <= set(declared)
+    context = LaunchContext()
+    for entity in description.entities[:-1]:
+        entity.execute(context)
+    actions = description.entities[-1].execute(context)
+    nodes = [action for action in actions if isinstance(action, LifecycleNode)]
+    graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
+    assert [node.node_executable for node in nodes] == [node.executable for node in graph.nodes]
+    assert sum(type(action) is ExecuteProcess for action in actions) == 1  # what runs the paths
+    written = {file.stem for file in Path(tmp_path).glob("*.yaml")}
+    assert written == {node.file_stem for node in graph.nodes}
+
+
+def test_the_launch_file_is_one_of_its_task():
+    text = (
+        config_path("tasks/surface_following.yaml").parents[2] / "launch" / "surface_following.launch.py"
+    ).read_text()
+    assert re.search(r'describe\("surface_following"\)', text)
