@@ -36,6 +36,7 @@ ROTATION_TOLERANCE = 1e-6  # largest element of R^T R - I for R to count as a ro
 _PI_SQUARED = math.pi**2
 _TWO_PI = 2.0 * math.pi
 _TWO_PI_LOW = 2.4492935982947064e-16  # 2 pi minus its double
+_IDENTITY = np.eye(3)
 
 # (theta - sin theta) / theta^3 = sum (-1)^n theta^(2n) / (2n + 3)!, and 2 d/d(theta^2) of it and of
 # (1 - cos theta) / theta^2 = sum (-1)^n theta^(2n) / (2n + 2)!
@@ -203,20 +204,22 @@ def orthonormalized(T: ArrayLike) -> Array:
     """
     pose = _checked_pose(T).copy()
     R = pose[:3, :3]
-    check_rotation(R, "T")
-    for _ in range(2):
-        R = 1.5 * R - 0.5 * R @ (R.T @ R)
-    pose[:3, :3] = R
+    excess = _checked_rotation(R, "T")
+    # R (I + excess)^(-1/2); the next term of the series is below rounding
+    pose[:3, :3] = R - R @ (0.5 * excess - 0.375 * (excess @ excess))
     return pose
 
 
-def check_rotation(R: Array, name: str) -> None:
-    """Raise ValueError if R (3, 3) is no rotation within `ROTATION_TOLERANCE`."""
-    error = float(np.abs(R.T @ R - np.eye(3)).max())
+def _checked_rotation(R: Array, name: str) -> Array:
+    """R^T R - I of R (3, 3); ValueError if R is no rotation within `ROTATION_TOLERANCE`."""
+    excess = R.T @ R - _IDENTITY
+    error = float(np.abs(excess).max())
     if not error <= ROTATION_TOLERANCE:
         raise ValueError(f"{name}: its rotation is not orthonormal, R^T R is off the identity by {error:.3g}")
-    if np.linalg.det(R) < 0.0:
+    first, second, third = R.tolist()
+    if sum(a * b for a, b in zip(_cross(first, second), third, strict=True)) < 0.0:
         raise ValueError(f"{name}: its rotation is a reflection, det R = -1")
+    return excess
 
 
 def pose_from_euler(pose6: ArrayLike) -> Array:
