@@ -299,10 +299,11 @@ def keep_freed_memory() -> None:
 
 
 def _data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Path, Path]:
+    train_dir = data_dir / "train" if (data_dir / "train").is_dir() else data_dir
     if validation_dir is not None:
-        return data_dir, Path(validation_dir)
+        return train_dir, Path(validation_dir)
     if (data_dir / "train").is_dir() and (data_dir / "val").is_dir():
-        return data_dir / "train", data_dir / "val"
+        return train_dir, data_dir / "val"
     raise DatasetError(f"{data_dir}: holds no train/ and val/; name the validation data with --val")
 
 

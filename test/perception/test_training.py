@@ -1,5 +1,6 @@
 """Training, its schedule and its export. Needs PyTorch."""
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
+from tactile_perception import commands  # noqa: E402
 from tactile_perception.dataset import DatasetError, DatasetWriter  # noqa: E402
 from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.labels import labels_from_euler, network_from_pose  # noqa: E402
@@ -206,3 +208,55 @@ def test_a_folder_that_holds_a_run_is_not_overwritten(run, data):
 def test_validation_data_has_to_be_named(data, tmp_path):
     with pytest.raises(DatasetError, match="name the validation data with --val"):
         train(data / "train", tmp_path / "run", QUICK)
+
+
+def command(*words: object) -> int:
+    """Run `tactile train`."""
+    parser = argparse.ArgumentParser()
+    commands.register(parser.add_subparsers())
+    arguments = parser.parse_args(["train", *map(str, words)])
+    return arguments.run(arguments)
+
+
+def test_train_on_the_command_line_installs_a_working_model(data, tmp_path, capsys):
+    small = [
+        "network.channels=[4, 4, 4, 4]",
+        "network.image_size=64",
+        "training.decay_epochs=0",
+        "training.threads=1",
+    ]
+    changes = [word for change in small for word in ("--set", change)]
+    changes += ["--set", "training.rise_epochs=1", "--set", "training.hold_epochs=0", "--limit", "32"]
+    model = tmp_path / "model.onnx"
+    assert command(data, "--out", tmp_path / "run", "--install", model, *changes) == 0
+    assert "rho_x" in capsys.readouterr().out
+    assert Estimator(model).metadata.training["network"]["channels"] == [4, 4, 4, 4]
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--set", "training.bath_size=3"], "did you mean 'batch_size'"),
+        (["--set", "trainin.batch_size=3"], "did you mean 'training'"),
+        (["--set", "training.batch_size=0"], "batch_size = 0"),
+        (["--set", "training.batch_size"], "must have the form"),
+        (["--config", "nowhere.yaml"], "nowhere.yaml"),
+        (["--val", "nowhere"], "nowhere: is not a folder"),
+    ],
+)
+def test_mistakes_on_the_command_line_are_told(data, tmp_path, capsys, words, message):
+    assert command(data, "--out", tmp_path / "run", *words) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_a_mistake_in_a_configuration_file_is_told_with_its_line(data, tmp_path, capsys):
+    path = tmp_path / "config.yaml"
+    path.write_text("network:\n  image_size: 64\ntraining:\n  patience: 2\n  seeed: 3\n")
+    assert command(data, "--out", tmp_path / "run", "--config", path) == 1
+    assert "config.yaml:5: " in (error := capsys.readouterr().err) and "did you mean 'seed'" in error
+
+
+def test_the_configuration_named_after_the_paper_is_the_default():
+    folder = Path(__file__).parents[2] / "config" / "perception"
+    assert TrainConfig.from_file(folder / "gdn_lloyd_lepora.yaml") == TrainConfig()
+    assert TrainConfig.from_file(folder / "tactip_sim.yaml").network == GdnSettings()
