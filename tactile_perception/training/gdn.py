@@ -38,9 +38,9 @@ class ConvBlock(nn.Sequential):
 class MultiDropoutLinear(nn.Module):
     """One dropout layer and one single-output linear layer per output (the paper's multi-dropout).
 
-    The layer computes gain * weight x + bias. One step of Adam moves every weight by the learning rate, and with
-    thousands of positive features the outputs by several millimeters; the gain takes that back, and the weights
-    start from zero, so that training starts from the bias and does not have to recover from its first steps.
+    The layer computes gain * weight x + bias. One step of Adam moves every weight by the learning rate, and
+    with thousands of positive features the outputs by several millimeters; the gain takes that back, and the
+    weights start from zero, so that training does not have to recover from its first steps.
     """
 
     def __init__(self, features: int, dropouts: tuple[float, ...], gain: float = 1.0) -> None:

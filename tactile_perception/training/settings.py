@@ -19,7 +19,7 @@ class GdnSettings(Settings):
         0.01, lower=1e-4, upper=1.0, doc="weight of a batch in the running statistics (0.01: Keras's default)"
     )
     head_gain: float = setting(
-        0.1, lower=1e-4, upper=1.0, doc="factor on the features before the output layer; 1: none, as in the paper"
+        0.1, lower=1e-4, upper=1.0, doc="factor on the features before the output layer; the paper's: 1"
     )
     dropout_mean: tuple[float, ...] = setting(
         (0.7, 0.7, 0.1, 0.0, 0.0, 0.4), lower=0.0, upper=0.99, length=6, doc="dropout of each mean output"
