@@ -98,9 +98,10 @@ def _coerce_sequence(field: dataclasses.Field[Any], value: Any) -> tuple[Any, ..
     length = field.metadata.get("length")
     if length is not None and len(value) != length:
         raise SettingError(f"{field.name}: must have {length} elements, has {len(value)}")
-    if not field.default:
+    default: Any = field.default
+    if not default:
         return tuple(value)
-    return tuple(_coerce_scalar(field.name, field.default[0], element) for element in value)
+    return tuple(_coerce_scalar(field.name, default[0], element) for element in value)
 
 
 def _coerce_scalar(name: str, default: Any, value: Any) -> Any:
