@@ -24,6 +24,7 @@ from tactile_msgs.msg import ArmStatus, StageLatency
 
 CONTROLLER_STAGE = "controller"
 ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
+GAP = 0.1  # s between two words of an arm that runs regularly
 SILENCE = 0.5  # s without a word from an arm after which its driver counts as ended
 
 
@@ -151,6 +152,7 @@ class ArmTask:
         self._client: Any = ActionClient(node, RunTask, f"/{arm}/run_task")
         self._goal: _Goal | None = None
         self._heard_s = self._moved_s = -math.inf
+        self._regular_s = math.inf
         node.create_subscription(ArmStatus, f"/{arm}/arm/status", self._on_arm, STATE)
         node.create_subscription(StageLatency, f"/{arm}/latency", self._on_latency, LATENCY)
 
@@ -173,6 +175,11 @@ class ArmTask:
         if self.progress.arm_mode != ArmStatus.RESTING or self.silent:
             return 0.0
         return self._heard_s - self._moved_s
+
+    @property
+    def regular_for(self) -> float:
+        """Seconds for which the arm has reported without a gap longer than `GAP`."""
+        return max(0.0, self._heard_s - self._regular_s)
 
     @property
     def silent(self) -> bool:
@@ -215,7 +222,10 @@ class ArmTask:
         progress.depth, progress.normal_error = feedback.depth, feedback.normal_error
 
     def _on_arm(self, status: ArmStatus) -> None:
-        self._heard_s = time.monotonic()
+        now = time.monotonic()
+        if now - self._heard_s > GAP:
+            self._regular_s = now
+        self._heard_s = now
         if status.mode != ArmStatus.RESTING:
             self._moved_s = self._heard_s
         self.progress.arm_mode, self.progress.arm_reason = status.mode, status.reason

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 READY_TIMEOUT = 45.0  # s until all nodes are active
 REST_TIMEOUT = 6.0  # s for a cancelled task to bring the arm to rest
+REGULAR = 0.5  # s of regular reports before the first path starts
+SETTLE_TIMEOUT = 5.0  # s after which it starts all the same
 SETTLED = 0.5  # s of rest that count as the end of a path whose result does not come
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
 
@@ -75,6 +77,18 @@ class TaskRunner:
                 raise NotReady(f"not active after {limit:.0f} s: {states}")
             self._turn()
         self.display.say(f"all nodes active after {time.monotonic() - started:.1f} s")
+        self._let_settle()
+
+    def _let_settle(self) -> None:
+        """Until the arms report regularly: what nodes do only at their start holds up a small machine."""
+        deadline = time.monotonic() + SETTLE_TIMEOUT
+        while time.monotonic() < deadline:
+            if all(self.client.arm(arm).regular_for > REGULAR for arm in self.arms):
+                return
+            self._turn()
+        self.display.say(
+            "the arms do not report regularly: is the machine busy with something else?", "yellow"
+        )
 
     def run(self, paths: Sequence[PathGoal]) -> None:
         """Run the paths one after the other; raises `PathFailed` at the first that does not reach its end."""

@@ -22,7 +22,7 @@ def mesh_marker(
     faces: NDArray[np.int64],
     color: tuple[float, float, float, float] = SURFACE_COLOR,
 ) -> Marker:
-    """A marker that stays: triangles `faces` (F, 3) over `vertices` (V, 3), m, at a pose (4, 4) in the frame."""
+    """A marker that stays: triangles `faces` (F, 3) over `vertices` (V, 3) in m, at a pose in the frame."""
     marker = Marker(ns=name, id=number, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
     marker.header.frame_id = frame_id
     marker.pose = pose_from_matrix(T_frame_mesh)
