@@ -137,6 +137,11 @@ class TacTip:
         return self._markers.positions(self._displacement)
 
     @property
+    def marker_pixels(self) -> Array:
+        """Markers (n, 2) in the image: column, row."""
+        return self._camera.project(self.marker_positions)[0]
+
+    @property
     def displacement(self) -> Array:
         """Displacement (nodes, 3) m of the skin nodes from rest, in {s}."""
         return self._displacement.astype(float)
