@@ -72,9 +72,10 @@ class ManagedNode(LifecycleNode):
         self._last_warning: dict[str, float] = {}
         self._while_configured: list[tuple[Callable[[Any], Any], Any]] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DIAGNOSTICS)
-        self._diagnostics_timer = self.create_timer(
-            DIAGNOSTIC_PERIOD, self.publish_diagnostics, clock=self.steady
+        period = declare_read_only(
+            self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
         )
+        self._diagnostics_timer = self.create_timer(period, self.publish_diagnostics, clock=self.steady)
 
     # What a node fills in. Each may raise ConfigurationError or SettingError to refuse.
 
@@ -192,6 +193,7 @@ class ManagedNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> Result:
         """Activate; from here on messages are processed."""
         super().on_activate(state)
+        self.counters.clear()
         result = self._attempt("activate", self.activate)
         if result != Result.SUCCESS:
             super().on_deactivate(state)

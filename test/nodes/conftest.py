@@ -14,6 +14,8 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
 from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
@@ -47,6 +49,7 @@ class Graph:
 
         self.executor = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
+        self.clients: dict[str, Any] = {}
         self.diagnostics = self.collect(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
 
     def close(self) -> None:
@@ -71,7 +74,7 @@ class Graph:
         self, name: str, command: list[str], parameters: dict[str, Any] | None, wait: bool, namespace: str
     ):
         arguments = ["--ros-args", "-r", f"__ns:=/{namespace}"]
-        for key, value in (parameters or {}).items():
+        for key, value in {"diagnostics_period": 0.1, **(parameters or {})}.items():
             arguments += ["-p", f"{key}:={yaml_value(value)}"]
         log = self.log(name)
         child = self.processes.start(name, [*command, *arguments], self.variables, log)
@@ -91,26 +94,37 @@ class Graph:
         """SIGINT; returns the exit code."""
         return self.processes.stop([module])[0].exit_code
 
-    def report(self, node: str) -> SimpleNamespace | None:
-        """The last /diagnostics of a node: level, message, and values by key."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                if status.name.endswith(f"/{node}"):
-                    values = {item.key: item.value for item in status.values}
-                    return SimpleNamespace(level=status.level, message=status.message, values=values)
-        return None
+    def reports(self, node: str) -> list[SimpleNamespace]:
+        """The /diagnostics of a node so far: level (int), message, and values by key."""
+        found = [s for array in self.diagnostics for s in array.status if s.name.endswith(f"/{node}")]
+        return [
+            SimpleNamespace(
+                level=int.from_bytes(status.level, "little"),
+                message=status.message,
+                values={item.key: item.value for item in status.values},
+            )
+            for status in found
+        ]
 
-    def wait_for_count(
-        self, node: str, counter: str, least: int = 1, timeout: float = 5.0
-    ) -> SimpleNamespace:
+    def wait_for_report(self, node: str, condition: Callable[[SimpleNamespace], bool], timeout: float = 5.0):
+        """The first report of a node for which the condition holds."""
+
+        def found() -> list[SimpleNamespace]:
+            return [report for report in self.reports(node) if condition(report)]
+
+        assert self.wait(lambda: bool(found()), timeout), f"reports of {node}: {self.reports(node)[-1:]}"
+        return found()[0]
+
+    def wait_for_count(self, node: str, counter: str, least: int = 1) -> SimpleNamespace:
         """The first report in which a counter has come this far."""
+        return self.wait_for_report(node, lambda report: int(report.values.get(counter, "0")) >= least)
 
-        def reached() -> bool:
-            report = self.report(node)
-            return report is not None and int(report.values.get(counter, "0")) >= least
-
-        assert self.wait(reached, timeout), f"{counter} of {node} stays below {least}: {self.report(node)}"
-        return self.report(node)
+    def restart(self, node: str) -> None:
+        """Deactivate and activate a node, which makes it forget its state, and the reports so far."""
+        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            assert self.call(ChangeState, f"{node}/change_state", request).success
+        self.diagnostics.clear()
 
     # ---- time ----
 
@@ -155,7 +169,9 @@ class Graph:
         return publisher
 
     def call(self, service_type: type, name: str, request: Any, timeout: float = 5.0) -> Any:
-        client = self.node.create_client(service_type, name)
+        if name not in self.clients:
+            self.clients[name] = self.node.create_client(service_type, name)
+        client = self.clients[name]
         assert self.wait(client.service_is_ready, timeout), f"no service {name}"
         future = client.call_async(request)
         assert self.wait(future.done, timeout), f"no answer from {name}"
@@ -194,6 +210,15 @@ def yaml_value(value: Any) -> str:
 
 @pytest.fixture
 def graph(tmp_path):
+    """For one test."""
     graph = Graph(tmp_path)
+    yield graph
+    graph.close()
+
+
+@pytest.fixture(scope="module")
+def shared_graph(tmp_path_factory):
+    """For all tests of a module, which make their nodes start anew with `Graph.restart`."""
+    graph = Graph(tmp_path_factory.mktemp("graph"))
     yield graph
     graph.close()

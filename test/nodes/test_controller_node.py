@@ -32,13 +32,23 @@ class World:
         self.presence_out = graph.publisher(ContactPresence, "contact/presence")
         self.state_out = graph.publisher(ContactState, "contact/state")
         self.client = ActionClient(graph.node, RunTask, "run_task")
+        self.reset()
+        assert graph.wait(self.client.server_is_ready, 5.0)
+
+    def reset(self) -> None:
         self.T = np.eye(4)
         self.depth = 0.003
         self.in_contact = True
         self.images = True
         self.last_stamp = 0
-        assert graph.wait(self.client.server_is_ready, 5.0)
-        assert graph.wait(lambda: bool(self.twists) and bool(self.statuses), 5.0), "no twist arrives"
+        self.twists.clear()
+        self.statuses.clear()
+
+    def restart(self) -> None:
+        """A new start of the controller."""
+        self.graph.restart("controller")
+        self.reset()
+        assert self.graph.wait(lambda: bool(self.twists) and bool(self.statuses), 5.0), "no twist arrives"
 
     def step(self, stamp_ns: int | None = None) -> None:
         """One period: the arm follows the last twist, and an image is taken unless the camera is silent."""
@@ -96,10 +106,16 @@ class World:
         return future.result().result
 
 
+@pytest.fixture(scope="module")
+def running(shared_graph):
+    shared_graph.start(CONTROLLER, FAST)
+    return World(shared_graph)
+
+
 @pytest.fixture
-def world(graph):
-    graph.start(CONTROLLER, FAST)
-    return World(graph)
+def world(running):
+    running.restart()
+    return running
 
 
 def test_without_a_goal_the_twist_is_zero(world):
@@ -186,29 +202,30 @@ def test_a_second_goal_is_refused_while_one_runs(world):
         ({"speed": 5.0}, "must lie in [0, 0.2] m/s"),
     ],
 )
-def test_a_goal_that_cannot_be_run_is_refused_with_the_reason(world, graph, changes, complaint):
+def test_a_goal_that_cannot_be_run_is_refused_with_the_reason(world, changes, complaint):
     assert not world.send(**changes).accepted
-    assert complaint in graph.log(CONTROLLER).read_text()
+    assert complaint in world.graph.log(CONTROLLER).read_text()
 
 
-def test_a_parameter_out_of_range_is_refused_with_its_range_and_the_old_value_stays(world, graph):
-    answer = graph.set_parameter("controller", "task.speed", 9.0)
+def test_a_parameter_out_of_range_is_refused_with_its_range_and_the_old_value_stays(world):
+    answer = world.graph.set_parameter("controller", "task.speed", 9.0)
     assert not answer.successful
     assert "task.speed" in answer.reason and "0.2" in answer.reason
-    assert graph.get_parameter("controller", "task.speed") == 0.01
+    assert world.graph.get_parameter("controller", "task.speed") == 0.01
 
 
-def test_gains_of_the_wrong_length_are_refused_and_the_old_ones_stay(world, graph):
-    old = graph.get_parameter("controller", "pid.kp")
-    answer = graph.set_parameter("controller", "pid.kp", [1.0, 2.0])
+def test_gains_of_the_wrong_length_are_refused_and_the_old_ones_stay(world):
+    old = world.graph.get_parameter("controller", "pid.kp")
+    answer = world.graph.set_parameter("controller", "pid.kp", [1.0, 2.0])
     assert not answer.successful and "6 elements" in answer.reason
-    assert graph.get_parameter("controller", "pid.kp") == old
+    assert world.graph.get_parameter("controller", "pid.kp") == old
 
 
-def test_a_parameter_set_in_mid_run_takes_effect(world, graph):
+def test_a_parameter_set_in_mid_run_takes_effect(world):
     world.following()
-    assert graph.set_parameter("controller", "task.speed", 0.02).successful
+    assert world.graph.set_parameter("controller", "task.speed", 0.02).successful
     assert world.run_until(lambda: world.twist()[1] == pytest.approx(0.02, rel=0.05)), world.twist()
+    assert world.graph.set_parameter("controller", "task.speed", 0.01).successful
 
 
 def test_a_nan_belief_never_reaches_the_arm(world):
@@ -226,7 +243,10 @@ def test_time_that_jumps_back_stops_the_task_and_says_so(world):
     assert not result.success and "jumped back" in result.reason
 
 
-def test_shutting_down_in_mid_run_sends_zero_last_and_ends_with_exit_code_0(world, graph):
+def test_shutting_down_in_mid_run_sends_zero_last_and_ends_with_exit_code_0(graph):
+    graph.start(CONTROLLER, FAST)
+    world = World(graph)
+    world.restart()
     world.following()
     assert graph.stop(CONTROLLER) == 0
     graph.spin(0.1)

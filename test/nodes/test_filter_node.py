@@ -39,8 +39,15 @@ class Feed:
         self.states = graph.collect(ContactState, "contact/state")
         self.beliefs = graph.collect(PoseWithCovarianceStamped, "contact/belief")
         self.arm = graph.arm()
-        self.stamp_ns = time.time_ns()
         graph.spin(0.3)  # discovery
+
+    def restart(self) -> None:
+        """A new start of the filter, in a time later than all before."""
+        self.graph.restart("filter")
+        self.states.clear()
+        self.beliefs.clear()
+        self.graph.spin(0.15)
+        self.stamp_ns = time.time_ns() - SECOND // 10
 
     def pose(self, k: int) -> np.ndarray:
         """Where the sensor is at step k: it moves along y and turns about x."""
@@ -75,10 +82,16 @@ class Feed:
         return found()[0] if found() else None
 
 
+@pytest.fixture(scope="module")
+def running(shared_graph):
+    shared_graph.start(FILTER, {"inputs.tf_timeout": 0.2})
+    return Feed(shared_graph)
+
+
 @pytest.fixture
-def feed(graph):
-    graph.start(FILTER, {"inputs.tf_timeout": 0.2})
-    return Feed(graph)
+def feed(running):
+    running.restart()
+    return running
 
 
 def assert_as_library(feed, states) -> None:
@@ -234,6 +247,8 @@ def test_a_parameter_set_at_runtime_takes_effect_at_the_next_step(feed):
     assert feed.graph.set_parameter("filter", "process_noise_translation", 0.0).successful
     assert feed.graph.set_parameter("filter", "process_noise_rotation", 0.0).successful
     tight = feed.state(feed.step(1))
+    for name in ("process_noise_translation", "process_noise_rotation"):
+        assert feed.graph.set_parameter("filter", name, getattr(FilterSettings(), name)).successful
     library = ContactFilter(FilterSettings())
     library.step(feed.stamp_ns, feed.estimate(0), feed.pose(0))
     library.configure(FilterSettings(process_noise_translation=0.0, process_noise_rotation=0.0))

@@ -47,7 +47,7 @@ TOY = textwrap.dedent("""
 
         def fail(self, where):
             if self.settings.value.fail_in == where:
-                raise ZeroDivisionError("in double") if where == "callback" else ConfigurationError("as asked")
+                raise ZeroDivisionError("in double") if where == "callback" else ConfigurationError("as told")
 
     sys.exit(run(Toy))
 """)
@@ -55,7 +55,7 @@ TOY = textwrap.dedent("""
 
 @pytest.fixture
 def toy(graph):
-    graph.start_code("toy", TOY)
+    graph.start_code("toy", TOY, {"diagnostics_period": 1.0})
     return graph
 
 
@@ -90,15 +90,10 @@ def test_silence_of_an_input_is_told_with_age_and_limit(toy):
     numbers = toy.publisher(Int64, "number")
     numbers.publish(Int64(data=1))
 
-    def told() -> bool:
-        report = toy.report("toy")
-        return (
-            report is not None
-            and "number: no message for" in report.message
-            and "(limit 0.20 s)" in report.message
-        )
+    def told(report) -> bool:
+        return "number: no message for" in report.message and "(limit 0.20 s)" in report.message
 
-    assert toy.wait(told, 4.0)
+    toy.wait_for_report("toy", told)
 
 
 @pytest.mark.parametrize("where", ["configure", "activate"])
@@ -107,7 +102,7 @@ def test_a_node_that_cannot_start_ends_with_exit_code_1_and_says_why(graph, wher
     assert graph.wait(lambda: process.poll() is not None, 10.0)
     assert process.returncode == 1
     log = graph.log("toy").read_text()
-    assert f"cannot {where}: as asked" in log and "Traceback" not in log and "cleaned up" in log
+    assert f"cannot {where}: as told" in log and "Traceback" not in log and "cleaned up" in log
 
 
 def test_an_error_in_a_callback_ends_the_node_after_deactivating_with_exit_code_1_and_the_traceback(graph):
