@@ -70,8 +70,8 @@ def _make_room(bag: Path) -> bool:
 
 def _deliver(bag: Path, folder: Path, outcome: Outcome, console: Console) -> int:
     """Report, pictures and summary, also of a run that failed as far as it went."""
-    from tactile_bringup.bag import BagError
     from tactile_bringup.bag_reader import read_run
+    from tactile_bringup.bag_writer import BagError
 
     try:
         record = read_run(bag)

@@ -111,7 +111,9 @@ def _coerce_scalar(name: str, default: Any, value: Any) -> Any:
     if expected is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if default is not None and type(value) is not expected:
-        raise SettingError(f"{name} = {value!r}: must be of type {expected.__name__}, is {type(value).__name__}")
+        raise SettingError(
+            f"{name} = {value!r}: must be of type {expected.__name__}, is {type(value).__name__}"
+        )
     if isinstance(value, float) and math.isnan(value):
         raise SettingError(f"{name}: is not a number")
     return value
@@ -124,7 +126,7 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     for element in value if isinstance(value, tuple) else (value,):
         if choices is not None and element not in choices:
             raise SettingError(f"{field.name} = {element!r}: must be one of {', '.join(map(str, choices))}")
-        if lower is not None and element < lower or upper is not None and element > upper:
+        if (lower is not None and element < lower) or (upper is not None and element > upper):
             low = "-inf" if lower is None else f"{lower:g}"
             high = "inf" if upper is None else f"{upper:g}"
             raise SettingError(f"{field.name} = {element!r}{unit}: must lie in [{low}, {high}]{unit}")
