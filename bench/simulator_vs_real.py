@@ -20,6 +20,8 @@ from real_markers import Tracked, track
 
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.tactip import TacTip
+from tactile_filter import se3
+from tactile_perception.estimator import Estimator, shipped_model
 from tactile_perception.preprocessing import Preprocessor
 
 matplotlib.use("Agg")
@@ -89,6 +91,24 @@ def plot(rows: list[tuple[float, ...]], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def transfer(tracked: Tracked, model: Path) -> None:
+    """Errors on the real images of a network that has seen simulated ones only."""
+    estimator = Estimator(model)
+    found = []
+    for i in tracked.index:
+        T_fs = se3.inverse(estimator.estimate_processed(tracked.folder.image(i)).mean)
+        found.append(se3.euler_from_pose(T_fs) / np.repeat([1e-3, np.pi / 180], 3))
+    error = np.array(found) - tracked.labels
+    correlation = [np.corrcoef(np.array(found)[:, k], tracked.labels[:, k])[0, 1] for k in range(6)]
+    print(f"{model.name} on the real images: x y z (mm) alpha beta gamma (deg)")
+    for name, values in (
+        ("mean error", error.mean(0)),
+        ("MAE", np.abs(error).mean(0)),
+        ("correlation", correlation),
+    ):
+        print(f"{name:12s}", *[f"{value:7.2f}" for value in values])
+
+
 def side_by_side(sensor: TacTip, tracked: Tracked, depth_offset: float, path: Path) -> None:
     """Real, simulated, and both laid over each other (real blue, simulated red), for eight contact poses."""
     preprocessor = Preprocessor(tracked.folder.preprocessing)
@@ -114,6 +134,9 @@ def main() -> None:
     parser.add_argument(
         "--depth-offset", type=float, default=0.0, help="mm added to the labels' depth in simulation"
     )
+    parser.add_argument(
+        "--model", type=Path, default=shipped_model(), help="network that is tried on real images"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/simulator_vs_real"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -124,6 +147,7 @@ def main() -> None:
     rest = sensor.marker_pixels[order]
     simulated = np.array([simulate(sensor, label, args.depth_offset)[order] for label in tracked.labels])
     plot(statistics(tracked, simulated, rest), args.out / "simulator_vs_real.png")
+    transfer(tracked, args.model)
     side_by_side(sensor, tracked, args.depth_offset, args.out / "side_by_side.png")
     print(args.out / "simulator_vs_real.png", args.out / "side_by_side.png")
 
