@@ -1,8 +1,9 @@
 // Frictional contact of the skin by projected block Gauss-Seidel on its compliance.
 //
-// Every contact node carries a force f (3) and a residual r (3): along the normal the gap, in the tangent plane
-// the offset from the anchor where the node sticks. Displacement is linear in the forces, so a change df at
-// node i adds C[:, i] df to all residuals; the three rows of a node are contiguous and C is symmetric.
+// Every contact node carries a force f (3) and a residual r (3): along the normal the gap, in the
+// tangent plane the offset from the anchor where the node sticks. Displacement is linear in the
+// forces, so a change df at node i adds C[:, i] df to all residuals; the three rows of a node are
+// contiguous and C is symmetric.
 
 #include "contact.h"
 
@@ -50,8 +51,9 @@ static void inverse3(double res[9], const double m[9]) {
 
 
 // force of one node that meets its own contact law while all others are held; returns its state
-static int local_force(double force[3], const double old[3], const double r[3], const double normal[3],
-                       const double block[9], const double inverse[9], double friction) {
+static int local_force(double force[3], const double old[3], const double r[3],
+                       const double normal[3], const double block[9], const double inverse[9],
+                       double friction) {
   // stick: the force that takes the whole residual away
   double step[3];
   mul3(step, inverse, r);
@@ -133,13 +135,14 @@ int contact_solve(double* force, uint8_t* state, float* residual, const double* 
 }
 
 
-void contact_displacement(float* displacement, const double* force, const float* compliance, int dof,
-                          const int32_t* active, int m) {
+void contact_displacement(float* displacement, const double* force, const float* compliance,
+                          int dof, const int32_t* active, int m) {
   memset(displacement, 0, dof * sizeof(float));
   for (int i = 0; i < m; i++) {
     const double* f = force + 3 * i;
     const float* row = compliance + (size_t)3 * active[i] * dof;
     if (f[0] == 0 && f[1] == 0 && f[2] == 0) continue;
-    add_rows(displacement, row, row + dof, row + 2 * dof, (float)f[0], (float)f[1], (float)f[2], dof);
+    add_rows(displacement, row, row + dof, row + 2 * dof, (float)f[0], (float)f[1], (float)f[2],
+             dof);
   }
 }

@@ -19,7 +19,7 @@ int contact_solve(double* force, uint8_t* state, float* residual, const double* 
                   int max_sweeps, double tolerance, float* packed, double* blocks);
 
 // displacement (dof) of all nodes under the forces of the active ones
-void contact_displacement(float* displacement, const double* force, const float* compliance, int dof,
-                          const int32_t* active, int m);
+void contact_displacement(float* displacement, const double* force, const float* compliance,
+                          int dof, const int32_t* active, int m);
 
 #endif  // TACTILE_DRIVERS_SIM_CONTACT_H_

@@ -12,7 +12,8 @@
 // check type, shape and layout; extents below zero match anything
 static int check(PyArrayObject* array, const char* name, int type, int rows, int columns) {
   int ndim = columns == 0 ? 1 : 2;
-  if (PyArray_TYPE(array) != type || !PyArray_IS_C_CONTIGUOUS(array) || PyArray_NDIM(array) != ndim) {
+  if (PyArray_TYPE(array) != type || !PyArray_IS_C_CONTIGUOUS(array) ||
+      PyArray_NDIM(array) != ndim) {
     PyErr_Format(PyExc_TypeError, "%s: wrong type, layout or number of dimensions", name);
     return 0;
   }
@@ -29,7 +30,8 @@ static int check_active(PyArrayObject* active, int nodes) {
   const int32_t* index = PyArray_DATA(active);
   for (npy_intp i = 0; i < PyArray_DIM(active, 0); i++) {
     if (index[i] < 0 || index[i] >= nodes) {
-      PyErr_Format(PyExc_IndexError, "active[%zd] = %d: must lie in 0..%d", i, (int)index[i], nodes - 1);
+      PyErr_Format(PyExc_IndexError, "active[%zd] = %d: must lie in 0..%d", i, (int)index[i],
+                   nodes - 1);
       return 0;
     }
   }
@@ -37,20 +39,22 @@ static int check_active(PyArrayObject* active, int nodes) {
 }
 
 
-PyDoc_STRVAR(solve_doc,
-             "solve(force, state, residual, normal, compliance, active, friction, max_sweeps, tolerance) -> int\n\n"
-             "Projected Gauss-Seidel over the m active nodes, in place; returns the number of sweeps.\n"
-             "force (m,3) float64 N; state (m,) uint8: 0 free, 1 stick, 2 slip; residual (m,3) float32 m;\n"
-             "normal (m,3) float64; compliance (3n,3n) float32 m/N; active (m,) int32.");
+PyDoc_STRVAR(
+    solve_doc,
+    "solve(force, state, residual, normal, compliance, active, friction, max_sweeps, tolerance) -> "
+    "int\n\n"
+    "Projected Gauss-Seidel over the m active nodes, in place; returns the number of sweeps.\n"
+    "force (m,3) float64 N; state (m,) uint8: 0 free, 1 stick, 2 slip; residual (m,3) float32 m;\n"
+    "normal (m,3) float64; compliance (3n,3n) float32 m/N; active (m,) int32.");
 
 static PyObject* py_solve(PyObject* self, PyObject* args) {
   PyArrayObject *force, *state, *residual, *normal, *compliance, *active;
   double friction, tolerance;
   int max_sweeps;
   (void)self;
-  if (!PyArg_ParseTuple(args, "O!O!O!O!O!O!did", &PyArray_Type, &force, &PyArray_Type, &state, &PyArray_Type,
-                        &residual, &PyArray_Type, &normal, &PyArray_Type, &compliance, &PyArray_Type,
-                        &active, &friction, &max_sweeps, &tolerance)) {
+  if (!PyArg_ParseTuple(args, "O!O!O!O!O!O!did", &PyArray_Type, &force, &PyArray_Type, &state,
+                        &PyArray_Type, &residual, &PyArray_Type, &normal, &PyArray_Type,
+                        &compliance, &PyArray_Type, &active, &friction, &max_sweeps, &tolerance)) {
     return NULL;
   }
   if (!check(active, "active", NPY_INT32, -1, 0)) return NULL;
@@ -75,9 +79,9 @@ static PyObject* py_solve(PyObject* self, PyObject* args) {
   }
   int sweeps;
   Py_BEGIN_ALLOW_THREADS;
-  sweeps = contact_solve(PyArray_DATA(force), PyArray_DATA(state), PyArray_DATA(residual), PyArray_DATA(normal),
-                         PyArray_DATA(compliance), dof, PyArray_DATA(active), m, friction, max_sweeps, tolerance,
-                         packed, blocks);
+  sweeps = contact_solve(PyArray_DATA(force), PyArray_DATA(state), PyArray_DATA(residual),
+                         PyArray_DATA(normal), PyArray_DATA(compliance), dof, PyArray_DATA(active),
+                         m, friction, max_sweeps, tolerance, packed, blocks);
   Py_END_ALLOW_THREADS;
   PyMem_RawFree(packed);
   PyMem_RawFree(blocks);
@@ -87,16 +91,19 @@ static PyObject* py_solve(PyObject* self, PyObject* args) {
 
 PyDoc_STRVAR(displacement_doc,
              "displacement(out, force, compliance, active)\n\n"
-             "Displacement out (n,3) float32 of all nodes under force (m,3) float64 on the active ones (m,) int32.");
+             "Displacement out (n,3) float32 of all nodes under force (m,3) float64 on the active "
+             "ones (m,) int32.");
 
 static PyObject* py_displacement(PyObject* self, PyObject* args) {
   PyArrayObject *out, *force, *compliance, *active;
   (void)self;
-  if (!PyArg_ParseTuple(args, "O!O!O!O!", &PyArray_Type, &out, &PyArray_Type, &force, &PyArray_Type, &compliance,
-                        &PyArray_Type, &active)) {
+  if (!PyArg_ParseTuple(args, "O!O!O!O!", &PyArray_Type, &out, &PyArray_Type, &force, &PyArray_Type,
+                        &compliance, &PyArray_Type, &active)) {
     return NULL;
   }
-  if (!check(active, "active", NPY_INT32, -1, 0) || !check(compliance, "compliance", NPY_FLOAT, -1, -1)) return NULL;
+  if (!check(active, "active", NPY_INT32, -1, 0) ||
+      !check(compliance, "compliance", NPY_FLOAT, -1, -1))
+    return NULL;
   int m = (int)PyArray_DIM(active, 0), dof = (int)PyArray_DIM(compliance, 0);
   if (PyArray_DIM(compliance, 1) != dof || dof % 3) {
     PyErr_SetString(PyExc_ValueError, "compliance: must be square, three rows a node");
@@ -107,7 +114,8 @@ static PyObject* py_displacement(PyObject* self, PyObject* args) {
     return NULL;
   }
   Py_BEGIN_ALLOW_THREADS;
-  contact_displacement(PyArray_DATA(out), PyArray_DATA(force), PyArray_DATA(compliance), dof, PyArray_DATA(active), m);
+  contact_displacement(PyArray_DATA(out), PyArray_DATA(force), PyArray_DATA(compliance), dof,
+                       PyArray_DATA(active), m);
   Py_END_ALLOW_THREADS;
   Py_RETURN_NONE;
 }
@@ -115,8 +123,10 @@ static PyObject* py_displacement(PyObject* self, PyObject* args) {
 
 PyDoc_STRVAR(render_doc,
              "render(image, background, blobs, softness, noise, seed, canvas)\n\n"
-             "Draw blobs (n,4) float64 (column, row, radius, gray) over background (h,w) float32 into image (h,w) uint8;\n"
-             "noise (4096,) float32 is drawn from at random by seed, or None; canvas (h,w) float32 is scratch.");
+             "Draw blobs (n,4) float64 (column, row, radius, gray) over background (h,w) float32 "
+             "into image (h,w) uint8;\n"
+             "noise (4096,) float32 is drawn from at random by seed, or None; canvas (h,w) float32 "
+             "is scratch.");
 
 static PyObject* py_render(PyObject* self, PyObject* args) {
   PyArrayObject *image, *background, *blobs, *canvas;
@@ -124,13 +134,14 @@ static PyObject* py_render(PyObject* self, PyObject* args) {
   double softness;
   unsigned long long seed;
   (void)self;
-  if (!PyArg_ParseTuple(args, "O!O!O!dOKO!", &PyArray_Type, &image, &PyArray_Type, &background, &PyArray_Type, &blobs,
-                        &softness, &noise, &seed, &PyArray_Type, &canvas)) {
+  if (!PyArg_ParseTuple(args, "O!O!O!dOKO!", &PyArray_Type, &image, &PyArray_Type, &background,
+                        &PyArray_Type, &blobs, &softness, &noise, &seed, &PyArray_Type, &canvas)) {
     return NULL;
   }
   if (!check(image, "image", NPY_UINT8, -1, -1)) return NULL;
   int height = (int)PyArray_DIM(image, 0), width = (int)PyArray_DIM(image, 1);
-  if (!check(background, "background", NPY_FLOAT, height, width) || !check(canvas, "canvas", NPY_FLOAT, height, width) ||
+  if (!check(background, "background", NPY_FLOAT, height, width) ||
+      !check(canvas, "canvas", NPY_FLOAT, height, width) ||
       !check(blobs, "blobs", NPY_DOUBLE, -1, 4)) {
     return NULL;
   }
@@ -158,8 +169,15 @@ static PyMethodDef methods[] = {
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_contact", "Contact solver and renderer of the simulated sensor.", -1, methods,
-    NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT,
+    "_contact",
+    "Contact solver and renderer of the simulated sensor.",
+    -1,
+    methods,
+    NULL,
+    NULL,
+    NULL,
+    NULL,
 };
 
 PyMODINIT_FUNC PyInit__contact(void) {

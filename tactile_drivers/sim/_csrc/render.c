@@ -15,8 +15,10 @@ static int clamp(double value, int low, int high) {
 static void draw_disc(float* canvas, int height, int width, const double blob[4], double softness) {
   double reach = blob[2] + softness / 2;
   if (!(reach > 0) || !isfinite(blob[0]) || !isfinite(blob[1])) return;
-  int left = clamp(ceil(blob[0] - reach), 0, width), right = clamp(floor(blob[0] + reach) + 1, 0, width);
-  int top = clamp(ceil(blob[1] - reach), 0, height), bottom = clamp(floor(blob[1] + reach) + 1, 0, height);
+  int left = clamp(ceil(blob[0] - reach), 0, width),
+      right = clamp(floor(blob[0] + reach) + 1, 0, width);
+  int top = clamp(ceil(blob[1] - reach), 0, height),
+      bottom = clamp(floor(blob[1] + reach) + 1, 0, height);
   float inner = (float)fmax(blob[2] - softness / 2, 0), span = (float)reach - inner;
   for (int row = top; row < bottom; row++) {
     float dy = (float)(row - blob[1]);
@@ -50,8 +52,8 @@ static void add_noise(float* canvas, int count, const float* noise, uint64_t see
 }
 
 
-void render(uint8_t* image, const float* background, int height, int width, const double* blobs, int n,
-            double softness, const float* noise, uint64_t seed, float* canvas) {
+void render(uint8_t* image, const float* background, int height, int width, const double* blobs,
+            int n, double softness, const float* noise, uint64_t seed, float* canvas) {
   int count = height * width;
   memcpy(canvas, background, count * sizeof(float));
   for (int i = 0; i < n; i++) draw_disc(canvas, height, width, blobs + 4 * i, softness);

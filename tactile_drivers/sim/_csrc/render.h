@@ -12,7 +12,7 @@
 //   softness   width (pixels) of the discs' edges
 //   noise      4096 values that are added at random, from `seed`; none if NULL
 //   canvas     height x width: scratch
-void render(uint8_t* image, const float* background, int height, int width, const double* blobs, int n,
-            double softness, const float* noise, uint64_t seed, float* canvas);
+void render(uint8_t* image, const float* background, int height, int width, const double* blobs,
+            int n, double softness, const float* noise, uint64_t seed, float* canvas);
 
 #endif  // TACTILE_DRIVERS_SIM_RENDER_H_
