@@ -139,13 +139,16 @@ class ArmTopics:
         )
         self._limited.publish(twist_stamped(status.stamp_ns, self.sensor, status.twist))
 
-    def publish_frame(self, frame: Frame) -> None:
-        """The image first, since everything waits for it."""
+    def publish_frame(self, frame: Frame) -> int:
+        """What the sensor gives; returns when it went out, ns."""
         if frame.image is not None:
             self._image.publish(image_message(frame.stamp_ns, self.sensor, frame.image))
         else:
             self._publish_ideal(frame)
-        emitted_ns = self._node.now_ns()
+        return self._node.now_ns()
+
+    def publish_truth(self, frame: Frame, emitted_ns: int) -> None:
+        """What no real cell knows: the true contact, and how long the exposure took to be published."""
         self._truth.publish(truth_message(frame, self.base))
         self._latency.publish(
             StageLatency(
@@ -230,25 +233,29 @@ class SimNode(ManagedNode):
         self.activate()
 
     def _step(self, in_time: bool) -> None:
-        """One step of all arms: transforms first, then images, then the rest."""
+        """One step of all arms: images first, since everything waits for them, then transforms, then the rest."""
         stamp_ns = self.cell.step()
         self.steps += 1
         poses = [self.cell.T_base_sensor(arm.name) for arm in self.arms]
+        frames = [
+            self._expose(arm, in_time) if self.cell.exposure_due(arm.name) else None for arm in self.arms
+        ]
         transforms = [arm.transform(stamp_ns, T) for arm, T in zip(self.arms, poses, strict=True)]
         self.tf_out.publish(TFMessage(transforms=transforms))
-        for arm in self.arms:
-            if self.cell.exposure_due(arm.name):
-                self._expose(arm, in_time)
+        for arm, frame in zip(self.arms, frames, strict=True):
+            if frame is not None:
+                arm.publish_truth(*frame)
         for arm, T in zip(self.arms, poses, strict=True):
             arm.publish_pose(stamp_ns, T)
             if self.steps % self.status_every == 0:
                 arm.publish_status()
 
-    def _expose(self, arm: ArmTopics, in_time: bool) -> None:
+    def _expose(self, arm: ArmTopics, in_time: bool) -> tuple[Frame, int] | None:
+        """Expose and publish; the frame and when it went out (ns), None if it was left out for lack of time."""
         if in_time:
-            arm.publish_frame(self.cell.expose(arm.name))
+            frame = self.cell.expose(arm.name)
             self.count(f"{arm.name} exposures")
-            return
+            return frame, arm.publish_frame(frame)
         arm.lost += 1
         self.count(f"{arm.name} exposures left out")
         limit = self.settings.value.longest_lag
@@ -257,6 +264,7 @@ class SimNode(ManagedNode):
             f"cannot hold {self.scene.rate} steps a second: more than {limit * 1e3:.0f} ms behind real time, "
             f"{arm.lost} exposures of {arm.name} left out so far",
         )
+        return None
 
 
 def surface_markers(scene: Scene) -> list[Any]:
