@@ -41,5 +41,9 @@ if ! up_to_date build/stamp-package "$wanted"; then
     rm -rf build/tactile_servoing/build install/share/tactile_servoing install/lib/tactile_servoing \
         install/lib/python3*/site-packages/tactile_{filter,perception,control,drivers,bringup,servoing-*}
     build colcon-package "Python package with C extensions" tactile_servoing
+    # Python 3.10 has no PYTHONSAFEPATH (see env.sh): what is started in this folder imports its sources.
+    if python -c 'import sys; sys.exit(sys.version_info >= (3, 11))'; then
+        step inplace "C extensions beside the sources" python setup.py build_ext --inplace
+    fi
     printf '%s\n' "$wanted" >build/stamp-package
 fi

@@ -22,6 +22,10 @@ export CMAKE_PREFIX_PATH=$AMENT_PREFIX_PATH
 export ROS_DISTRO=kilted ROS_VERSION=2 ROS_PYTHON_VERSION=3
 unset COLCON_PREFIX_PATH PYTHONHOME
 
+# Nodes are started with `python -m`, which would import from the current folder first: in this one, sources whose C
+# modules are not built (Python 3.11 or newer knows this variable).
+export PYTHONSAFEPATH=1
+
 # Our own packages come before those of the virtual environment.
 export PYTHONPATH=
 for _tactile_site in "$_tactile_install"/lib/python3*/site-packages; do
