@@ -233,7 +233,7 @@ class SimNode(ManagedNode):
         self.activate()
 
     def _step(self, in_time: bool) -> None:
-        """One step of all arms: images first, since everything waits for them, then transforms, then the rest."""
+        """One step of all arms: images first, since all else waits for them, then transforms and the rest."""
         stamp_ns = self.cell.step()
         self.steps += 1
         poses = [self.cell.T_base_sensor(arm.name) for arm in self.arms]
@@ -251,7 +251,7 @@ class SimNode(ManagedNode):
                 arm.publish_status()
 
     def _expose(self, arm: ArmTopics, in_time: bool) -> tuple[Frame, int] | None:
-        """Expose and publish; the frame and when it went out (ns), None if it was left out for lack of time."""
+        """Expose and publish: the frame and when it went out (ns); None if there was no time for it."""
         if in_time:
             frame = self.cell.expose(arm.name)
             self.count(f"{arm.name} exposures")
