@@ -123,3 +123,11 @@ def test_every_interface_is_built_and_each_of_its_fields_is_explained(root: Path
                 explained = True
             else:
                 assert explained or "#" in line, f"{path.name}: '{line}' is not explained"
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 starts `-m` in the current folder")
+def test_a_node_started_in_a_folder_with_sources_imports_what_is_installed(prefix: Path, tmp_path: Path):
+    shadow = tmp_path / "tactile_filter" / "__init__.py"
+    shadow.parent.mkdir()
+    shadow.write_text("raise ImportError('taken from the current folder')")
+    subprocess.run([sys.executable, "-m", "tactile_filter.settings"], cwd=tmp_path, check=True)
