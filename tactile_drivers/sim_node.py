@@ -28,13 +28,13 @@ from visualization_msgs.msg import MarkerArray
 from tactile_bringup.ros.conversions import (
     gaussian_message,
     header,
-    image_message,
     pose_from_matrix,
     pose_stamped,
     transform_stamped,
     twist_stamped,
     vector_from_twist,
 )
+from tactile_bringup.ros.image_bytes import bytes_from_array
 from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_bringup.ros.markers import mesh_marker
 from tactile_bringup.ros.parameters import SettingsParameters
@@ -142,7 +142,7 @@ class ArmTopics:
     def publish_frame(self, frame: Frame) -> int:
         """What the sensor gives; returns when it went out, ns."""
         if frame.image is not None:
-            self._image.publish(image_message(frame.stamp_ns, self.sensor, frame.image))
+            self._image.publish(bytes_from_array(frame.stamp_ns, self.sensor, frame.image))
         else:
             self._publish_ideal(frame)
         return self._node.now_ns()

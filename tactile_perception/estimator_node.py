@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
-from tactile_bringup.ros.conversions import MessageError, array_from_image, gaussian_message, header
+from tactile_bringup.ros.conversions import MessageError, gaussian_message, header
+from tactile_bringup.ros.image_bytes import image_from_bytes
 from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import IMAGE, STATE
-from tactile_bringup.ros.stamps import SECOND_NS, ns_from_time
+from tactile_bringup.ros.stamps import SECOND_NS
 from tactile_filter.settings import Settings, setting
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimator import EstimateError, Estimator, EstimatorSettings, ModelError
@@ -76,21 +77,20 @@ class EstimatorNode(ManagedNode):
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, "contact/estimate", STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
         self.serve(Trigger, "~/capture_reference", self._capture_reference)
-        self.subscribe(Image, "tactile/image", self._receive, IMAGE, age_limit=self.images.value.age_limit)
+        self.subscribe(Image, "tactile/image", self._receive, IMAGE, self.images.value.age_limit, raw=True)
 
     def activate(self) -> None:
         """Start with a new reference image."""
         self.last_stamp_ns = 0
         self._new_reference()
 
-    def _receive(self, message: Image) -> None:
+    def _receive(self, data: bytes) -> None:
         received_ns = self.now_ns()
-        stamp_ns = ns_from_time(message.header.stamp)
-        if not self._in_order(stamp_ns):
+        image = image_from_bytes(data)
+        if not self._in_order(image.stamp_ns):
             return
         try:
-            image = array_from_image(message)
-            self._process(image, stamp_ns, received_ns)
+            self._process(image.array(), image.stamp_ns, received_ns)
         except (MessageError, ImageError) as error:
             self._refuse("images refused", f"tactile/image refused: {error}")
         except EstimateError as error:

@@ -162,17 +162,23 @@ def array_from_image(message: Image) -> NDArray[np.uint8]:
     MessageError
         If the encoding is not mono8, or width, height, step and the number of bytes contradict each other.
     """
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    if message.encoding != MONO8:
-        raise MessageError(f"encoding is '{message.encoding}', must be '{MONO8}'")
+    pixels = np.frombuffer(message.data, dtype=np.uint8)
+    return checked_image(pixels, int(message.height), int(message.width), int(message.step), message.encoding)
+
+
+def checked_image(
+    pixels: NDArray[np.uint8], height: int, width: int, step: int, encoding: str
+) -> NDArray[np.uint8]:
+    """The pixels of a message as (height, width); raises `MessageError` as `array_from_image`."""
+    if encoding != MONO8:
+        raise MessageError(f"encoding is '{encoding}', must be '{MONO8}'")
     if height == 0 or width == 0:
         raise MessageError(f"image is empty: {width}x{height} pixels")
     if step < width:
         raise MessageError(f"step is {step} bytes, must be at least the width {width}")
-    if len(message.data) != step * height:
-        raise MessageError(f"data has {len(message.data)} bytes, must have step * height = {step * height}")
-    rows = np.frombuffer(message.data, dtype=np.uint8).reshape(height, step)
-    return rows[:, :width]
+    if len(pixels) != step * height:
+        raise MessageError(f"data has {len(pixels)} bytes, must have step * height = {step * height}")
+    return pixels.reshape(height, step)[:, :width]
 
 
 def image_message(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> Image:

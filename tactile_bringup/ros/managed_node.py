@@ -111,10 +111,12 @@ class ManagedNode(LifecycleNode):
         qos: QoSProfile,
         age_limit: float | None = None,
         always: bool = False,
+        raw: bool = False,
     ) -> InputWatch | None:
         """Call `callback` with each message while the node is active (or whenever configured, with `always`).
 
         With an `age_limit` (s) the input's silence is told in /diagnostics; 0 watches without limit.
+        With `raw` the callback gets the serialized message.
         """
         watch = None if age_limit is None else self.report.watch(topic, age_limit)
 
@@ -124,7 +126,7 @@ class ManagedNode(LifecycleNode):
             if self.active or always:
                 callback(message)
 
-        subscription = self.create_subscription(message_type, topic, receive, qos)
+        subscription = self.create_subscription(message_type, topic, receive, qos, raw=raw)
         self._while_configured.append((self.destroy_subscription, subscription))
         return watch
 

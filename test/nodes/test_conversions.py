@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
 from geometry_msgs.msg import PoseWithCovariance, Quaternion
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
 from tactile_bringup.ros.conversions import (
@@ -23,6 +24,7 @@ from tactile_bringup.ros.conversions import (
     twist_stamped,
     vector_from_twist,
 )
+from tactile_bringup.ros.image_bytes import bytes_from_array, image_from_bytes
 from tactile_filter import se3
 
 RNG = np.random.default_rng(7)
@@ -88,6 +90,26 @@ def test_an_image_survives_the_way_through_a_message():
     assert np.array_equal(array_from_image(image_message(3, "s", image)), image)
     part = image[10:20, 5:25]  # not contiguous
     assert np.array_equal(array_from_image(image_message(3, "s", part)), part)
+
+
+@pytest.mark.parametrize("frame_id", ["", "s", "sf", "arm", "arm/tactile_sensor", "größe"])
+def test_the_bytes_of_an_image_are_those_of_the_message_class_at_every_alignment(frame_id):
+    image = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
+    stamp_ns = 1_795_260_791_630_780_636
+    ours = bytes_from_array(stamp_ns, frame_id, image)
+    assert deserialize_message(ours, Image) == image_message(stamp_ns, frame_id, image)
+    received = image_from_bytes(serialize_message(image_message(stamp_ns, frame_id, image)))
+    assert received.stamp_ns == stamp_ns
+    assert np.array_equal(received.array(), image)
+
+
+@pytest.mark.parametrize("encoding", ["bgr8", "mono16", "", "8UC1"])
+def test_the_fields_of_a_serialized_image_are_checked_like_those_of_a_message(encoding):
+    message = Image(height=2, width=3, step=4, encoding=encoding, data=bytes(range(8)))
+    with pytest.raises(MessageError, match="must be 'mono8'"):
+        image_from_bytes(serialize_message(message)).array()
+    message.encoding = "mono8"
+    assert image_from_bytes(serialize_message(message)).array().tolist() == [[0, 1, 2], [4, 5, 6]]
 
 
 def test_a_twist_survives_the_way_through_a_message():
