@@ -165,7 +165,9 @@ def test_every_frame_is_estimated_or_counted_as_lost(finished):
     estimated = set(record.estimate.stamp_ns)
     missing = [stamp for stamp in exposed if stamp not in estimated]
     assert len(exposed) > 300
-    assert len(missing) == record.lost.get("estimator", 0)
+    before = sum(stamp < start for stamp in record.truth.stamp_ns)  # while the contact reference was taken
+    counted = record.lost.get("estimator", 0)
+    assert len(missing) <= counted <= len(missing) + before  # none lost in silence, none counted twice
 
 
 def test_every_estimate_becomes_a_belief_and_a_command_or_is_counted(finished):
