@@ -35,7 +35,8 @@ lint:
 model:
 	@scripts/setup.sh train
 	@scripts/build.sh
-	@. scripts/env.sh && tactile data generate out/model/data --train 6500 --val 1500 --seed 1 && rm -rf out/model/run && \
+	@. scripts/env.sh && tactile data generate out/model/data --train 6500 --val 1500 --seed 1 \
+	        --config config/perception/collection_sim.yaml && rm -rf out/model/run && \
 	    tactile train out/model/data --out out/model/run --config config/perception/tactip_sim.yaml \
 	        --install tactile_perception/models/tactip_sim.onnx
 

@@ -29,6 +29,7 @@ from tactile_filter.settings import SettingError, Settings, setting
 
 Array = NDArray[np.float64]
 R = TypeVar("R")
+_FLAT = 1e-6  # 1/m: as good as a plane
 _SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
 
 
@@ -43,6 +44,10 @@ class CollectionSettings(Settings):
     )
     gamma: float = setting(math.radians(5.0), unit="rad", lower=0.0, upper=1.0, doc="largest shear rotation")
     friction: tuple[float, ...] = setting((0.6, 1.2), lower=0.0, length=2, doc="least and largest friction")
+    curvature: tuple[float, ...] = setting(
+        (0.0, 0.0), unit="1/m", lower=-20.0, upper=40.0, length=2,
+        doc="least and largest curvature of the surface, a sphere: positive is convex, 0 the paper's plane",
+    )  # fmt: skip
     position_noise: float = setting(5e-5, unit="m", lower=0.0, doc="of the arm, per axis (1 sigma)")
     angle_noise: float = setting(2e-3, unit="rad", lower=0.0, doc="of the arm, per axis (1 sigma)")
     clearance: float = setting(1e-3, unit="m", lower=0.0, doc="gap from which the sensor starts")
@@ -50,7 +55,7 @@ class CollectionSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("depth", "friction"):
+        for name in ("depth", "friction", "curvature"):
             low, high = getattr(self, name)
             if low > high:
                 raise SettingError(f"{name} = ({low:g}, {high:g}): the least must not exceed the largest")
@@ -85,6 +90,19 @@ class _Plane:
         return points[:, 2].copy(), np.tile([0.0, 0.0, 1.0], (len(points), 1))
 
 
+class _Sphere:
+    """A sphere of signed radius 1 / curvature that touches the plane z = 0 at the origin, from below."""
+
+    def __init__(self, curvature: float) -> None:
+        self._radius = 1.0 / curvature
+
+    def query(self, points: Array) -> tuple[Array, Array]:
+        from_center = points + np.array([0.0, 0.0, self._radius])
+        distance = np.linalg.norm(from_center, axis=1)
+        sign = math.copysign(1.0, self._radius)
+        return sign * (distance - abs(self._radius)), sign * from_center / distance[:, None]
+
+
 def sample_pose(settings: CollectionSettings, rng: np.random.Generator) -> Array:
     """One surface contact pose (6,), m and rad, by the paper's sampling equations."""
     r = settings.disk_radius * np.sqrt(rng.uniform())
@@ -106,19 +124,33 @@ def collect(sensor: TacTip, settings: CollectionSettings, seed: int, index: int)
     friction = rng.uniform(settings.friction[0], settings.friction[1])
     sensor.reset(seed=int(rng.integers(2**63)))
     sensor.friction = friction
-    press_then_shear(sensor, pose + noise, settings.clearance)
+    least, largest = settings.curvature
+    press_then_shear(sensor, pose + noise, settings.clearance, float(rng.uniform(least, largest)))
     return Sample(index, sensor.image(), pose / _SCALE, sensor.truth(), friction)
 
 
-def press_then_shear(sensor: TacTip, pose: Array, clearance: float = 1e-3) -> None:
-    """Bring a sensor to a surface contact pose (6,), m and rad, on a plane: turned, pressed, then sheared."""
-    plane = _Plane()
-    _, _, z, alpha, beta, _ = pose
-    # {f} has z into the plane, and its origin at the dome's centre at first touch
+def press_then_shear(sensor: TacTip, pose: Array, clearance: float = 1e-3, curvature: float = 0.0) -> None:
+    """Bring a sensor to a surface contact pose (6,), m and rad: turned, pressed, then sheared.
+
+    The surface is a plane, or a sphere of that `curvature` in 1/m, along which the shear then runs.
+    """
+    surface = _Plane() if abs(curvature) < _FLAT else _Sphere(curvature)
+    x, y, z, alpha, beta, gamma = pose
+    # {f} has z into the surface, and its origin at the dome's centre at first touch
     T_surface_f = se3.pose_from_euler([0.0, 0.0, sensor.settings.skin.radius, np.pi, 0.0, 0.0])
     for depth in (-clearance, z):
-        sensor.advance(plane, T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
-    sensor.advance(plane, T_surface_f @ se3.pose_from_euler(pose))
+        sensor.advance(surface, T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
+    turned = T_surface_f @ se3.pose_from_euler([0.0, 0.0, z, alpha, beta, gamma])
+    sensor.advance(surface, _along_surface(x, -y, curvature) @ turned)
+
+
+def _along_surface(x: float, y: float, curvature: float) -> Array:
+    """Motion (4, 4) that carries the surface's origin by x, y along it: a turn about a sphere's centre."""
+    if abs(curvature) < _FLAT:
+        return se3.pose_from_euler([x, y, 0.0, 0.0, 0.0, 0.0])
+    phi = np.array([-curvature * y, curvature * x, 0.0])
+    centre = np.array([0.0, 0.0, -1.0 / curvature])
+    return se3.exp(np.concatenate([np.cross(centre, phi), phi]))
 
 
 def generate(
