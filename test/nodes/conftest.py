@@ -30,6 +30,7 @@ from tactile_bringup.ros.discovery import quicken_discovery  # noqa: E402
 ARM = "arm"
 BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
 SECOND = 1_000_000_000
+OTHER_SIDE = 0.2  # s; we know a subscriber a little earlier than it knows us
 
 
 class Graph:
