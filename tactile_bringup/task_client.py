@@ -24,6 +24,7 @@ from tactile_msgs.msg import ArmStatus, StageLatency
 
 CONTROLLER_STAGE = "controller"
 ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
+BACKLOG = 10  # events handled at once after the first
 GAP = 0.1  # s between two words of an arm that runs regularly
 SILENCE = 0.5  # s without a word from an arm after which its driver counts as ended
 
@@ -106,8 +107,10 @@ class TaskClient:
         self._arms: dict[str, ArmTask] = {}
 
     def spin(self, timeout_s: float) -> None:
-        """Handle what has arrived, waiting for at most `timeout_s`."""
+        """Handle what has arrived, waiting for at most `timeout_s` for the first of it."""
         self._executor.spin_once(timeout_sec=timeout_s)
+        for _ in range(BACKLOG):  # each call handles one event
+            self._executor.spin_once(timeout_sec=0.0)
 
     def close(self) -> None:
         """Leave the graph; no shared memory of this process is in use afterwards."""

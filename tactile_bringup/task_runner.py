@@ -20,6 +20,7 @@ READY_TIMEOUT = 45.0  # s until all nodes are active
 REST_TIMEOUT = 6.0  # s for a cancelled task to bring the arm to rest
 REGULAR = 0.5  # s of regular reports before the first path starts
 SETTLE_TIMEOUT = 5.0  # s after which it starts all the same
+LISTEN = 1.0  # s after which an arm that is not heard of counts as one whose driver has ended
 SETTLED = 0.5  # s of rest that count as the end of a path whose result does not come
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
 
@@ -118,9 +119,12 @@ class TaskRunner:
             task.cancel()
         if all(task.progress.arm_mode is None for task in tasks):
             return None
-        deadline = time.monotonic() + REST_TIMEOUT
-        while time.monotonic() < deadline and len(self.signals) < patience and not all(map(_settled, tasks)):
+        started = time.monotonic()
+        while time.monotonic() - started < REST_TIMEOUT and len(self.signals) < patience:
             self.client.spin(SPIN)
+            listened = time.monotonic() - started > LISTEN
+            if all(_settled(task) or (listened and task.silent) for task in tasks):
+                break
         return all(task.rests_for() > 0.0 for task in tasks)
 
     def _waiting(self) -> dict[str, str]:
@@ -151,12 +155,12 @@ class TaskRunner:
 
 
 def _settled(task: ArmTask) -> bool:
-    """Whether there is nothing to wait for: it rests and its path has ended, or nothing is heard of the arm.
+    """Whether the arm rests and its path has ended.
 
     Where a controller has died its path never ends; the arm then only has to stay at rest for a while.
     """
     ended = not task.running or task.result() is not None
-    return task.silent or task.rests_for() > (0.0 if ended else SETTLED)
+    return task.rests_for() > (0.0 if ended else SETTLED)
 
 
 @contextmanager
