@@ -2,7 +2,7 @@
 
 A Fast DDS process holds a file lock on `<segment>_el` for as long as it lives; that is also how
 `fastdds shm clean` tells the dead from the living. Some port files stay without a lock file even after a
-regular end, so a segment counts as dead when no lock on it is held and no process maps it. Segments of other
+regular end, so these count as dead when no lock on them is held and no process maps them. Segments of other
 users, and those made before `since_ns`, are left alone.
 """
 
@@ -31,7 +31,7 @@ def orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[Path]:
         match = _SEGMENT.match(path.name) or _MUTEX.match(path.name)
         if match:
             groups.setdefault(match["name"], []).append(path)
-    mapped = _mapped_files()
+    mapped = _mapped_files(folder)
     dead = [g for g in groups.values() if _made_since(g, since_ns) and not _is_owned(g, mapped)]
     return sorted(path for group in dead for path in group)
 
@@ -66,21 +66,27 @@ def _modified_ns(path: Path) -> int:
 
 
 def _is_owned(paths: list[Path], mapped: set[str]) -> bool:
-    """Whether a living process holds the segment's lock or maps any of its files."""
-    return any(_is_locked(path) for path in paths if path.name.endswith(_LOCK)) or any(
-        str(path) in mapped for path in paths
-    )
+    """Whether a living process holds its lock or, if it is a port or has no lock file, maps it.
+
+    The lock alone decides about a participant's own segment: its readers, we among them, may have it mapped
+    long after its process has died.
+    """
+    locks = [path for path in paths if path.name.endswith(_LOCK)]
+    if any(map(_is_locked, locks)):
+        return True
+    is_port = any("port" in path.name for path in paths)
+    return (is_port or not locks) and any(str(path) in mapped for path in paths)
 
 
-def _mapped_files() -> set[str]:
-    """Files in shared memory that any process which we may look into has mapped."""
+def _mapped_files(folder: Path) -> set[str]:
+    """Files in the folder that any process which we may look into has mapped."""
     mapped: set[str] = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         try:
             lines = maps.read_text().splitlines()
         except OSError:  # the process ended, or is not ours
             continue
-        mapped |= {line.split(None, 5)[5] for line in lines if str(SHARED_MEMORY) in line}
+        mapped |= {line.split(None, 5)[5] for line in lines if str(folder) in line}
     return mapped
 
 

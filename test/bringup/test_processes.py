@@ -1,5 +1,6 @@
 """Children are stopped, reported and never left behind."""
 
+import mmap
 import os
 import signal
 import subprocess
@@ -184,3 +185,19 @@ def test_only_segments_without_a_living_owner_are_removed(tmp_path):
 def test_segments_older_than_the_run_stay(tmp_path):
     (tmp_path / "fastdds_0123456789abcdef").touch()
     assert shared_memory.remove_orphans(time.time_ns() + 10**9, folder=tmp_path) == []
+
+
+def test_a_dead_segment_goes_though_a_reader_still_maps_it(tmp_path):
+    names = ["fastdds_0123456789abcdef", "fastdds_0123456789abcdef_el", "fastdds_port7000"]
+    for name in names:
+        (tmp_path / name).write_bytes(b"\0")
+    maps = [mmap_of(tmp_path / name) for name in ("fastdds_0123456789abcdef", "fastdds_port7000")]
+    assert shared_memory.remove_orphans(folder=tmp_path) == names[:2]
+    for mapped in maps:
+        mapped.close()
+    assert shared_memory.remove_orphans(folder=tmp_path) == names[2:]
+
+
+def mmap_of(path: Path) -> mmap.mmap:
+    with path.open("r+b") as file:
+        return mmap.mmap(file.fileno(), 1)
