@@ -9,8 +9,9 @@ the control rate and sends the twist of the `Command` that comes back. In betwee
         send(command.twist)
 
 Phases: go_to_start -> approach -> settle -> follow -> retreat -> done, or failed. An input that is too old
-takes the twist to zero (`watchdog`) and, once at rest, the task to failed, where it is: an arm that cannot
-feel or does not know where it is does not move on. Every other failure retreats first.
+takes the twist to zero (`watchdog`); the task goes on when it is back, and after the watchdog's patience fails
+where it is: an arm that cannot feel or does not know where it is does not move. Every other failure retreats
+first.
 """
 
 from __future__ import annotations
@@ -229,10 +230,11 @@ class SurfaceFollowing:
         if self._waiting(now_ns):
             return self._command(now_ns, np.zeros(6))
         state = self.watchdog.step(now_ns, self._stamps())
+        if state.failed:
+            self._fail_here(state.reason + self._refused)
+            return self._command(now_ns, np.zeros(6))
         if not state.ok:
-            if state.scale == 0.0:
-                self._fail_here(state.reason + self._refused)
-            return self._command(now_ns, state.scale * self._wanted, state.reason)
+            return self._command(now_ns, state.scale * self._wanted, state.reason + self._refused)
         self._wanted = self._handlers[self.phase](now_ns)
         return self._command(now_ns, self._wanted)
 

@@ -2,7 +2,7 @@
 
 From the moment an input goes silent to zero twist it takes its age limit plus `ramp_time`: with the defaults
 180 ms, so that the arm is commanded to rest within 200 ms. The message says which input, how old it is, and
-its limit.
+its limit. At rest it waits: an input that is back within `patience` was a hiccup, one that is not has failed.
 """
 
 from __future__ import annotations
@@ -26,6 +26,13 @@ class WatchdogSettings(Settings):
     ramp_time: float = setting(
         0.08, lower=0.0, upper=5.0, unit="s", doc="time in which the last twist goes to zero, linearly"
     )
+    patience: float = setting(
+        1.0,
+        lower=0.0,
+        upper=60.0,
+        unit="s",
+        doc="an input that stays too old for this long has failed; until then the arm rests and waits for it",
+    )
     future_tolerance: float = setting(
         0.02, lower=0.0, upper=10.0, unit="s", doc="a stamp may lie this far ahead of the clock"
     )
@@ -37,10 +44,15 @@ class WatchdogSettings(Settings):
 
 @dataclass(frozen=True)
 class WatchdogState:
-    """scale: 1 while all is well, then down to 0 over the ramp; reason: '' or which input, how old, limit."""
+    """What the watchdog says now.
+
+    scale: 1 while all is well, then down to 0 over the ramp; reason: '' or which input, how old, limit; failed:
+    at rest, and out of patience.
+    """
 
     scale: float
     reason: str
+    failed: bool = False
 
     @property
     def ok(self) -> bool:
@@ -72,7 +84,9 @@ class Watchdog:
             return WatchdogState(1.0, "")
         if self._since_ns is None:
             self._since_ns = now_ns
-        return WatchdogState(self._ramp((now_ns - self._since_ns) * NANOSECOND), "; ".join(reasons))
+        elapsed = (now_ns - self._since_ns) * NANOSECOND
+        scale = self._ramp(elapsed)
+        return WatchdogState(scale, "; ".join(reasons), scale == 0.0 and elapsed >= self.settings.patience)
 
     def _complaint(self, now_ns: int, name: str, stamp_ns: int | None) -> str:
         limit = self.settings.limit(name)

@@ -206,6 +206,24 @@ def test_a_silent_input_stops_the_arm_within_200_ms_and_is_named(settings, names
     speed_before = max(np.abs(c.twist).max() for now, c, _, _ in commands if now < at_ns)
     assert speed_before > 0.005
     assert rest_after(commands, at_ns) <= 200.0
+    ended_ns = next(now for now, c, _, _ in commands if c.phase == FAILED)
+    assert ended_ns - at_ns >= settings.watchdog.patience * 1000 * MS
+
+
+def test_a_silence_longer_than_the_ramp_brings_the_arm_to_rest_and_the_task_goes_on(settings):
+    surface = Plane()
+
+    def change(k, inputs):
+        if 300 <= k < 340:
+            return held[0]
+        held[:] = [inputs]
+        return inputs
+
+    held = []
+    task = SurfaceFollowing(settings, PathGoal(length=0.05))
+    commands = run(task, Plant(surface, above(surface)), change=change)
+    assert any(c.phase == FOLLOW and not c.twist.any() for _, c, _, _ in commands[300:340])
+    assert commands[-1][1].succeeded
 
 
 def test_a_short_silence_is_ridden_out(settings):

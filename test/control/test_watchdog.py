@@ -41,3 +41,17 @@ def test_it_recovers_when_inputs_come_back():
 def test_a_stamp_from_the_future_is_refused():
     state = Watchdog(WatchdogSettings()).step(0, {"belief": 3000 * MS})
     assert state.reason == "belief is stamped 3000 ms ahead of the clock"
+
+
+def test_it_fails_only_when_its_patience_is_over():
+    watchdog = Watchdog(WatchdogSettings(patience=0.5))
+    states = {t: watchdog.step(t * MS, {"belief": 0}) for t in range(0, 800, 10)}
+    first = min(t for t, state in states.items() if state.failed)
+    assert 600 <= first <= 620
+    assert not states[400].failed and states[400].scale == 0.0
+
+
+def test_without_patience_it_still_comes_to_rest_first():
+    watchdog = Watchdog(WatchdogSettings(patience=0.0))
+    assert not watchdog.step(110 * MS, {"belief": 0}).failed
+    assert watchdog.step(200 * MS, {"belief": 0}).failed
