@@ -168,6 +168,7 @@ def build_graph(
     controller: Mapping[str, Mapping[str, Any]],
     paths: Sequence[str] = (),
     options: GraphOptions | None = None,
+    filter_values: Mapping[str, Any] | None = None,
 ) -> Graph:
     """The graph of a task on a scene.
 
@@ -177,6 +178,8 @@ def build_graph(
         Group -> parameter -> value, for the controller of every arm.
     paths : sequence of str
         Names of the paths that will be run; kept with the recording.
+    filter_values : mapping, optional
+        Parameter -> value, for the filter of every arm.
     """
     options = options or GraphOptions()
     feeling = tuple(arm for arm in scene.arms if arm.camera_rate is not None)
@@ -184,7 +187,7 @@ def build_graph(
     for arm in feeling:
         if arm.images:
             nodes.append(_estimator(arm, options))
-        nodes += [_filter(arm), _controller(arm, controller)]
+        nodes += [_filter(arm, filter_values or {}), _controller(arm, controller)]
     topics = tuple(_topics(scene.arms))
     if options.record is not None:
         nodes.insert(0, _recorder(task, scene, paths, topics, nodes, options))
@@ -216,8 +219,8 @@ def _estimator(arm: ArmOutline, options: GraphOptions) -> NodeProcess:
     )
 
 
-def _filter(arm: ArmOutline) -> NodeProcess:
-    return NodeProcess("filter", f"/{arm.name}", "tactile_filter.filter_node", "filter")
+def _filter(arm: ArmOutline, values: Mapping[str, Any]) -> NodeProcess:
+    return NodeProcess("filter", f"/{arm.name}", "tactile_filter.filter_node", "filter", values)
 
 
 def _controller(arm: ArmOutline, groups: Mapping[str, Mapping[str, Any]]) -> NodeProcess:

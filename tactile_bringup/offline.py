@@ -38,6 +38,7 @@ from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.config_paths import config_path
+from tactile_filter.files import load_filter_settings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import SettingError
 
@@ -83,7 +84,7 @@ class OfflineOptions:
     arm: str | None = None
     paths: tuple[str, ...] = ()
     time_limit: float = 180.0
-    filter: FilterSettings = field(default_factory=FilterSettings)
+    filter: FilterSettings = field(default_factory=load_filter_settings)
     sensor: dict[str, Any] = field(default_factory=dict)
 
 

@@ -14,6 +14,7 @@ from tactile_control.files import load_task
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_filter.config_paths import config_path
+from tactile_filter.files import load_filter_settings
 from tactile_filter.settings import SettingError
 
 
@@ -41,7 +42,9 @@ def load_task_graph(task: str, scene: str, options: GraphOptions) -> TaskGraph:
     groups: dict[str, dict[str, Any]] = dataclasses.asdict(described.settings)
     paths = described.goals(_start(loaded))
     names = [path.name for path in paths]
-    return TaskGraph(build_graph(task, outline(loaded), groups, names, options), paths, loaded)
+    filter_values = dataclasses.asdict(load_filter_settings())
+    graph = build_graph(task, outline(loaded), groups, names, options, filter_values)
+    return TaskGraph(graph, paths, loaded)
 
 
 def _start(scene: Scene) -> NDArray[np.float64]:

@@ -176,7 +176,8 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
 
 
 def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
-    from tactile_filter.bayes_filter import ContactFilter, FilterSettings
+    from tactile_filter.bayes_filter import ContactFilter
+    from tactile_filter.files import load_filter_settings
     from tactile_perception.estimate_run import run_estimates
     from tactile_perception.sources import SourceError, read_poses, video_frames
 
@@ -186,7 +187,7 @@ def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Cons
     elif not Path(arguments.source).is_file():
         raise SourceError(f"{source}: is neither a data folder, nor a video file, nor the index of a camera")
     poses = read_poses(arguments.poses) if arguments.poses else None
-    contact_filter = ContactFilter(FilterSettings()) if poses and not arguments.no_filter else None
+    contact_filter = ContactFilter(load_filter_settings()) if poses and not arguments.no_filter else None
     frames = video_frames(source, poses, arguments.limit)
     with _bar(console, "estimating", arguments.limit) as update:
         return run_estimates(estimator, _until_interrupted(frames), contact_filter, update)

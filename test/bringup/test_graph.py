@@ -9,7 +9,7 @@ import yaml
 
 from tactile_bringup.graph import ArmOutline, GraphOptions, SceneOutline, build_graph
 from tactile_bringup.task_graph import load_task_graph
-from tactile_filter.config_paths import config_names
+from tactile_filter.config_paths import config_names, config_path
 from tactile_filter.settings import SettingError
 
 CONTROLLER = {"pid": {"gain": 2.0}, "task": {"speed": 0.01, "reference": (0.0, 0.0, 0.003)}}
@@ -28,6 +28,12 @@ def test_one_arm_has_one_of_each_node():
     graph = graph_of(ArmOutline("left"))
     assert names(graph) == ["/sim", "/left/estimator", "/left/filter", "/left/controller"]
     assert graph.arms == ("left",)
+
+
+def test_the_filter_gets_the_values_of_its_file():
+    graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
+    values = yaml.safe_load(config_path("filter.yaml").read_text())
+    assert dict(graph.node("/arm/filter").parameters) == values
 
 
 def test_a_second_arm_exists_only_where_the_scene_has_one():

@@ -114,7 +114,7 @@ def third_party(root: Path) -> set[str]:
 
 
 def test_every_imported_library_is_required_by_the_package(root: Path):
-    distributions = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}
+    distributions = {"cv2": "opencv-contrib-python-headless", "yaml": "pyyaml"}
     required = requirement_names(root)
     missing = {name for name in third_party(root) if distributions.get(name, name) not in required}
     assert not missing, "add these to setup.cfg"
