@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped
@@ -20,7 +20,13 @@ from tactile_bringup.ros.conversions import MessageError, matrix_from_transform
 from tactile_bringup.ros.managed_node import ManagedNode
 from tactile_bringup.ros.qos import TF, TF_STATIC
 from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin, ns_from_time
-from tactile_filter.transform_buffer import TransformBuffer, TransformInPast, TransformUnavailable
+from tactile_filter.transform_buffer import (
+    TransformBuffer,
+    TransformDisconnected,
+    TransformInFuture,
+    TransformInPast,
+    TransformUnavailable,
+)
 
 try:
     import tf2_ros
@@ -58,13 +64,13 @@ class OwnStore:
 
     def put(self, message: TransformStamped, static: bool) -> None:
         """See `Store`."""
-        self._buffer.set_transform(
-            message.header.frame_id,
-            message.child_frame_id,
-            ns_from_time(message.header.stamp),
-            matrix_from_transform(message.transform),
-            static=static,
-        )
+        parent, child = _frames(message)
+        stamp_ns = ns_from_time(message.header.stamp)
+        T = matrix_from_transform(message.transform)
+        try:
+            self._buffer.set_transform(parent, child, stamp_ns, T, static=static)
+        except ValueError as error:
+            raise MessageError(str(error)) from error
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
         """See `Store`."""
@@ -74,9 +80,7 @@ class OwnStore:
         """See `Store`."""
         stamp_ns = self._buffer.latest_stamp(target, source)
         if stamp_ns is None:
-            raise TransformUnavailable(
-                f"nothing moves between '{target}' and '{source}': no newest transform"
-            )
+            raise _nothing_moves(target, source)
         return stamp_ns, self._buffer.lookup(target, source, stamp_ns)
 
     def clear(self) -> None:
@@ -85,40 +89,91 @@ class OwnStore:
 
 
 class Tf2Store:
-    """The buffer of tf2_ros."""
+    """The buffer of tf2_ros, which interpolates position and rotation each on its own.
+
+    What tf2 would log and ignore, or take and answer wrongly later, is refused here as by our own buffer.
+    """
 
     def __init__(self) -> None:
         self._buffer = tf2_ros.Buffer()
-        self._static: list[TransformStamped] = []
+        self._parents: dict[str, tuple[str, bool]] = {}  # by child, with whether the link is static
 
     def put(self, message: TransformStamped, static: bool) -> None:
         """See `Store`."""
+        parent, child = _frames(message)
+        self._check_link(parent, child)
+        if not np.isfinite(matrix_from_transform(message.transform)).all():
+            raise MessageError(f"transform '{parent}' -> '{child}': must be finite, is {message.transform}")
+        self._parents[child] = parent, static
         if static:
-            self._static.append(message)
             self._buffer.set_transform_static(message, "tf_static")
         else:
             self._buffer.set_transform(message, "tf")
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
-        """See `Store`."""
-        return matrix_from_transform(self._lookup(target, source, Time(nanoseconds=stamp_ns)).transform)
+        """See `Store`; tf2 takes a time of zero for 'the newest', which is right only where nothing moves."""
+        if stamp_ns <= 0 and self._newest_ns(target, source) > 0:
+            raise TransformInPast(f"{_asked(target, source, stamp_ns)}: must be later than 0")
+        try:
+            found = self._buffer.lookup_transform(target, source, Time(nanoseconds=max(stamp_ns, 0)))
+        except tf2_ros.TransformException as error:
+            raise self._unavailable(target, source, stamp_ns, error) from error
+        return matrix_from_transform(found.transform)
 
     def newest(self, target: str, source: str) -> tuple[int, Array]:
-        """See `Store`; a time of zero is tf2's way to ask for the newest."""
-        message = self._lookup(target, source, Time())
-        return ns_from_time(message.header.stamp), matrix_from_transform(message.transform)
+        """See `Store`."""
+        stamp_ns = self._newest_ns(target, source)
+        if stamp_ns == 0:
+            raise _nothing_moves(target, source)
+        return stamp_ns, self.lookup(target, source, stamp_ns)
 
     def clear(self) -> None:
-        """See `Store`; tf2 forgets static transforms as well, so they are put back."""
+        """See `Store`; tf2 keeps static transforms as well."""
         self._buffer.clear()
-        for message in self._static:
-            self._buffer.set_transform_static(message, "tf_static")
+        self._parents = {child: link for child, link in self._parents.items() if link[1]}
 
-    def _lookup(self, target: str, source: str, stamp: Time) -> Any:
+    def _check_link(self, parent: str, child: str) -> None:
+        """Raise `MessageError` for a link without a name or one that would close a loop."""
+        if not parent or not child:
+            raise MessageError(f"transform '{parent}' -> '{child}': a frame's name must not be empty")
+        ancestor = parent
+        while ancestor != child and ancestor in self._parents:
+            ancestor = self._parents[ancestor][0]
+        if ancestor == child:
+            raise MessageError(f"transform '{parent}' -> '{child}': would close a loop")
+
+    def _newest_ns(self, target: str, source: str) -> int:
+        """Newest stamp along the chain (ns), 0 if nothing moves in it; raises `TransformDisconnected`."""
         try:
-            return self._buffer.lookup_transform(target, source, stamp)
+            return int(self._buffer.get_latest_common_time(target, source).nanoseconds)
         except tf2_ros.TransformException as error:
-            raise TransformUnavailable(str(error)) from error
+            raise TransformDisconnected(f"no transform from '{source}' to '{target}': {error}") from error
+
+    def _unavailable(self, target: str, source: str, stamp_ns: int, error: Exception) -> TransformUnavailable:
+        """The error that says whether waiting may help, which tf2's do not tell in Python."""
+        try:
+            newest_ns = self._newest_ns(target, source)
+        except TransformDisconnected as disconnected:
+            return disconnected
+        asked, later = _asked(target, source, stamp_ns), (stamp_ns - newest_ns) / SECOND_NS
+        if later > 0.0:
+            return TransformInFuture(
+                f"{asked}: the newest is of {newest_ns} ns, the stamp is {later:.6f} s later"
+            )
+        return TransformInPast(f"{asked}: the stamp is earlier than what is kept: {error}")
+
+
+def _frames(message: TransformStamped) -> tuple[str, str]:
+    """Parent and child; a leading slash, which old programs still send, is no part of a name in tf2."""
+    return message.header.frame_id.removeprefix("/"), message.child_frame_id.removeprefix("/")
+
+
+def _asked(target: str, source: str, stamp_ns: int) -> str:
+    return f"transform from '{source}' to '{target}' at {stamp_ns} ns"
+
+
+def _nothing_moves(target: str, source: str) -> TransformUnavailable:
+    return TransformUnavailable(f"nothing moves between '{target}' and '{source}': no newest transform")
 
 
 class TransformListener:
@@ -167,7 +222,7 @@ class TransformListener:
                 self._look_for_jump(transform)
             try:
                 self.store.put(transform, static)
-            except (MessageError, ValueError) as error:
+            except MessageError as error:
                 self._node.count("transforms refused")
                 self._node.warn("tf", f"transform of {transform.child_frame_id} refused: {error}")
         if self._on_update is not None:
