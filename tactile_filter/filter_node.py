@@ -81,7 +81,10 @@ class FilterNode(ManagedNode):
         self.state_out = self.publisher(ContactState, "contact/state", STATE)
         self.tf_out = self.publisher(TFMessage, "/tf", TF)
         self.latency = LatencyPublisher(self, "filter", self.sensor_frame)
-        self.transforms = TransformListener(self, on_update=self._pump, on_jump=self._jumped)
+        self.contact_frame = f"{self.arm}/contact"
+        self.transforms = TransformListener(
+            self, on_update=self._pump, on_jump=self._jumped, ignore=(self.contact_frame,)
+        )
         self.gate = TransformGate(
             self,
             self.join,
@@ -171,7 +174,7 @@ class FilterNode(ManagedNode):
         stamp_ns, mean = belief.stamp_ns, belief.mean
         self.belief_out.publish(gaussian_message(stamp_ns, self.sensor_frame, mean, belief.cov))
         if self.inputs.value.publish_tf:
-            contact = transform_stamped(stamp_ns, self.sensor_frame, f"{self.arm}/contact", mean)
+            contact = transform_stamped(stamp_ns, self.sensor_frame, self.contact_frame, mean)
             self.tf_out.publish(TFMessage(transforms=[contact]))
 
     def _tell_counts(self) -> None:

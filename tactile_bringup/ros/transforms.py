@@ -7,7 +7,7 @@ yet waits for it with a `TransformGate`, in the order of the stamps and up to a 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Protocol
 
 import numpy as np
@@ -186,6 +186,9 @@ class TransformListener:
     on_jump : callable, optional
         Called with the size of the jump in seconds when stamps go back, after the old transforms were
         forgotten.
+    ignore : collection of str, optional
+        Child frames that are passed over: those the node itself publishes. One from before a jump that is
+        heard only after it would be taken for the start of yet another time.
     """
 
     def __init__(
@@ -193,10 +196,12 @@ class TransformListener:
         node: ManagedNode,
         on_update: Callable[[], None] | None = None,
         on_jump: Callable[[float], None] | None = None,
+        ignore: Collection[str] = (),
     ) -> None:
         self._node = node
         self._on_update = on_update
         self._on_jump = on_jump
+        self._ignore = frozenset(ignore)
         self._newest_ns: dict[str, int] = {}
         self.store: Store = OwnStore() if tf2_ros is None else Tf2Store()
         node.subscribe(TFMessage, "/tf_static", self._receive_static, TF_STATIC, always=True)
@@ -218,6 +223,8 @@ class TransformListener:
 
     def _put_all(self, message: TFMessage, static: bool) -> None:
         for transform in message.transforms:
+            if transform.child_frame_id in self._ignore:
+                continue
             if not static:
                 self._look_for_jump(transform)
             try:

@@ -263,6 +263,16 @@ def test_a_transform_that_cannot_be_used_is_counted_and_the_others_of_its_messag
     np.testing.assert_allclose(listening.listener.lookup(BASE, "camera", LAST), np.eye(4), atol=1e-15)
 
 
+def test_a_frame_of_the_nodes_own_heard_late_is_no_second_jump(kind):
+    node, jumps = Node(), []
+    TransformListener(node, on_jump=jumps.append, ignore=["contact"])
+    node.send(message(BASE, TOOL, START))
+    node.send(message(BASE, TOOL, START - 9 * SECOND))
+    node.send(message(TOOL, "contact", START))
+    node.send(message(TOOL, "contact", START - 9 * SECOND))
+    assert jumps == [pytest.approx(9.0)]
+
+
 @pytest.fixture
 def gate(listening):
     """A gate that waits an hour."""
