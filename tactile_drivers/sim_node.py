@@ -47,8 +47,8 @@ from tactile_filter.settings import Settings, setting
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactTruth, StageLatency
 
 WORLD = "world"
-START_DELAY_NS = SECOND_NS // 10
-AHEAD_NS = 1_000_000  # a step that is due within this is waited for rather than left to the next tick
+START_DELAY = 0.1  # s
+JUMP = 1.0  # s; a step that lies further ahead means that the clock was set back
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,14 @@ class SimSettings(Settings):
     )
     longest_lag: float = setting(
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
+    )
+    head_start: float = setting(
+        0.003,
+        lower=0.0,
+        upper=0.05,
+        unit="s",
+        doc="a step is computed this long before its time, so that what a simulation costs does not count as "
+        "latency; nothing is published before its time, and commands that arrive in between wait a step",
     )
 
 
@@ -200,11 +208,10 @@ class SimNode(ManagedNode):
         self.tf_static_out = self.publisher(TFMessage, "/tf_static", TF_STATIC)
         self.markers_out = self.publisher(MarkerArray, "/sim/markers", LATCHED)
         self.status_every = max(1, round(self.scene.rate / settings.status_rate))
-        self.timer(1.0 / self.scene.rate, self._tick)
 
     def activate(self) -> None:
         """The cell starts anew, as soon as everything else has been made ready."""
-        self.cell = Cell(self.scene, self.settings.value.seed, self.now_ns() + START_DELAY_NS)
+        self.cell = Cell(self.scene, self.settings.value.seed, self.now_ns() + round(START_DELAY * SECOND_NS))
         self.steps = 0
         for arm in self.arms:
             arm.lost = 0
@@ -214,18 +221,31 @@ class SimNode(ManagedNode):
 
         self.markers_out.publish(MarkerArray(markers=surface_markers(self.scene)))
 
-    def _tick(self) -> None:
-        """Make the steps that are due."""
-        now_ns = self.now_ns()
-        if now_ns < self.cell.stamp_ns - START_DELAY_NS - SECOND_NS:
-            self._restart(f"time jumped back by {(self.cell.stamp_ns - now_ns) / SECOND_NS:.3f} s")
-        while (lead_ns := self._next_ns() - self.now_ns()) <= AHEAD_NS:
-            if lead_ns > 0:
-                time.sleep(lead_ns / SECOND_NS)
-            self._step(in_time=-lead_ns <= self.settings.value.longest_lag * SECOND_NS)
+    def due_in(self) -> float:
+        """Seconds until the next step is to be computed."""
+        if not self.active:
+            return math.inf
+        lead = self._lead_of_next_step()
+        jumped = lead > START_DELAY + JUMP
+        return 0.0 if jumped else lead - self.settings.value.head_start
 
-    def _next_ns(self) -> int:
-        return self.cell.stamp_ns + SECOND_NS // self.scene.rate
+    def work(self) -> None:
+        """Make the step that is due."""
+        lead = self._lead_of_next_step()
+        if lead > START_DELAY + JUMP:
+            self._restart(f"time jumped back by {lead:.3f} s")
+        else:
+            self._step(in_time=-lead <= self.settings.value.longest_lag)
+
+    def _lead_of_next_step(self) -> float:
+        """Seconds from now to the stamp of the next step."""
+        next_ns = self.cell.stamp_ns + SECOND_NS // self.scene.rate
+        return (next_ns - self.now_ns()) / SECOND_NS
+
+    def _wait_until(self, stamp_ns: int) -> None:
+        lead = (stamp_ns - self.now_ns()) / SECOND_NS
+        if lead > 0.0:
+            time.sleep(lead)
 
     def _restart(self, reason: str) -> None:
         self.warn("jump", f"{reason}: the cell starts anew")
@@ -233,29 +253,33 @@ class SimNode(ManagedNode):
         self.activate()
 
     def _step(self, in_time: bool) -> None:
-        """One step of all arms: images first, since all else waits for them, then transforms and the rest."""
+        """One step of all arms, published at its time: images first, since all else waits for them."""
         stamp_ns = self.cell.step()
         self.steps += 1
         poses = [self.cell.T_base_sensor(arm.name) for arm in self.arms]
         frames = [
             self._expose(arm, in_time) if self.cell.exposure_due(arm.name) else None for arm in self.arms
         ]
+        self._wait_until(stamp_ns)
+        sent_ns = [
+            0 if frame is None else arm.publish_frame(frame)
+            for arm, frame in zip(self.arms, frames, strict=True)
+        ]
         transforms = [arm.transform(stamp_ns, T) for arm, T in zip(self.arms, poses, strict=True)]
         self.tf_out.publish(TFMessage(transforms=transforms))
-        for arm, frame in zip(self.arms, frames, strict=True):
+        for arm, frame, emitted_ns in zip(self.arms, frames, sent_ns, strict=True):
             if frame is not None:
-                arm.publish_truth(*frame)
+                arm.publish_truth(frame, emitted_ns)
         for arm, T in zip(self.arms, poses, strict=True):
             arm.publish_pose(stamp_ns, T)
             if self.steps % self.status_every == 0:
                 arm.publish_status()
 
-    def _expose(self, arm: ArmTopics, in_time: bool) -> tuple[Frame, int] | None:
-        """Expose and publish: the frame and when it went out (ns); None if there was no time for it."""
+    def _expose(self, arm: ArmTopics, in_time: bool) -> Frame | None:
+        """The frame of an exposure; None if there was no time for it."""
         if in_time:
-            frame = self.cell.expose(arm.name)
             self.count(f"{arm.name} exposures")
-            return frame, arm.publish_frame(frame)
+            return self.cell.expose(arm.name)
         arm.lost += 1
         self.count(f"{arm.name} exposures left out")
         limit = self.settings.value.longest_lag

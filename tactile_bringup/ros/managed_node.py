@@ -13,6 +13,7 @@ failure. SIGINT and SIGTERM deactivate and clean up first; the process then ends
 from __future__ import annotations
 
 import gc
+import math
 import signal
 import sys
 import time
@@ -90,6 +91,13 @@ class ManagedNode(LifecycleNode):
 
     def cleanup(self) -> None:
         """Release what `configure` has loaded; publishers, subscriptions and timers go without it."""
+
+    def due_in(self) -> float:
+        """Seconds until `work` wants to be called, for a node with a time base of its own; inf: never."""
+        return math.inf
+
+    def work(self) -> None:
+        """What is due; called between callbacks once `due_in` is not positive."""
 
     # What a node uses.
 
@@ -321,7 +329,9 @@ def _spin(node: ManagedNode, executor: Any, stopped: list[int]) -> int:
     try:
         # spin() of the events executor burns a core and dispatches nothing; spin_once in a loop does neither.
         while not stopped and not node.stop_reason and rclpy.ok():
-            executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+            executor.spin_once(timeout_sec=min(SPIN_TIMEOUT, max(0.0, node.due_in())))
+            if node.due_in() <= 0.0:
+                node.work()
     except ExternalShutdownException:
         node.stop("the context was shut down")
     except Exception as error:
