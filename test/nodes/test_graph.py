@@ -120,11 +120,27 @@ def test_each_exposure_is_answered_or_counted_as_dropped(cell):
 def test_a_filter_that_stops_brings_the_arm_to_rest_and_the_task_ends_with_the_reason(cell):
     handle = cell.following()
     stopped_ns = cell.graph.now_ns()
-    cell.graph.processes.children[FILTER].process.send_signal(signal.SIGSTOP)
-    cell.assert_at_rest_within(stopped_ns, 0.3)
-    cell.graph.processes.children[FILTER].process.send_signal(signal.SIGCONT)
-    result = cell.result(handle, 5.0)
+    stopped = cell.graph.processes.children[FILTER].process
+    stopped.send_signal(signal.SIGSTOP)
+    try:
+        cell.assert_at_rest_within(stopped_ns, 0.3)
+        result = cell.result(handle, 5.0)
+    finally:
+        stopped.send_signal(signal.SIGCONT)
     assert not result.success and "belief" in result.reason and "limit" in result.reason
+
+
+def test_a_filter_that_pauses_brings_the_arm_to_rest_and_the_task_goes_on(cell):
+    handle = cell.following()
+    paused_ns = cell.graph.now_ns()
+    paused = cell.graph.processes.children[FILTER].process
+    paused.send_signal(signal.SIGSTOP)
+    try:
+        cell.assert_at_rest_within(paused_ns, 0.3)
+    finally:
+        paused.send_signal(signal.SIGCONT)
+    result = cell.result(handle, 15.0)
+    assert result.success, result.reason
 
 
 def test_a_controller_that_is_killed_leaves_the_arm_at_rest_by_the_arms_own_watchdog(cell):
