@@ -20,8 +20,7 @@ build:
 	@scripts/build.sh
 
 demo: build
-	@. scripts/env.sh && export ROS_DOMAIN_ID=$${ROS_DOMAIN_ID:-$$((1 + $$$$ % 101))} && \
-	    exec tactile demo --out out/demo $(ARGS)
+	@. scripts/env.sh && exec tactile demo --out out/demo $(ARGS)
 
 test:
 	@scripts/setup.sh test train

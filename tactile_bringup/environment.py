@@ -55,6 +55,7 @@ def ros_environment(log_folder: Path, base: Mapping[str, str] | None = None) -> 
     variables["ROS_LOG_DIR"] = str(log_folder)
     variables["RCUTILS_COLORIZED_OUTPUT"] = "0"
     variables["PYTHONUNBUFFERED"] = "1"
+    variables.setdefault("PYTHONSAFEPATH", "1")  # else sources in the working folder hide what is installed
     for name in _THREAD_VARIABLES:
         variables.setdefault(name, "1")
     return RosEnvironment(variables, domain_id, domain_chosen=not given)

@@ -14,6 +14,7 @@ def test_a_domain_is_chosen_and_discovery_stays_on_this_host():
     assert environment.variables["ROS_DOMAIN_ID"] == str(environment.domain_id)
     assert environment.discovery_range == "LOCALHOST"
     assert environment.variables["PATH"] == "/bin"
+    assert environment.variables["PYTHONSAFEPATH"] == "1"
 
 
 def test_what_the_user_has_set_is_kept():
