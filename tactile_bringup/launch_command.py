@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tactile_bringup.launcher import Outcome
     from tactile_bringup.task_graph import TaskGraph
 
-TASKS = ("surface_following",)
+TASK_HELP = "task: the name of one of config/tasks, or a task file of your own"
 DEFAULT_SCENE = "ramp"
 EXIT_CODES = """exit codes: 0 the task was done; 1 it failed; 2 an option, scene or task file is wrong;
 3 a node ended by itself; 4 nodes were not ready in time; 130 ended by Ctrl-C; 143 ended by SIGTERM"""
@@ -25,7 +25,7 @@ def register(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "launch", help="start a task's nodes and run it", description=__doc__, epilog=EXIT_CODES
     )
-    parser.add_argument("task", choices=TASKS, help="task to run")
+    parser.add_argument("task", help=TASK_HELP)
     add_scene_options(parser)
     parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
     parser.add_argument("--record-images", action="store_true", help="with images, compressed without loss")
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         record=_absolute(arguments.record),
         record_images=arguments.record_images,
     )
-    folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{arguments.task}"
+    folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = Console()
     outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:

@@ -27,6 +27,7 @@ from tactile_filter.config_paths import config_path
 PACKAGE = "tactile_servoing"
 ARGUMENTS = {
     "scene": ("ramp", "scene of config/scenes, or the path of a scene file"),
+    "task_file": ("", "a task file of your own in place of the packaged one"),
     "rate": ("0", "exposures a second; 0: as the scene says"),
     "seed": ("0", "seed of the simulated cell"),
     "model": ("", "the estimator's model; empty: the one that is shipped"),
@@ -48,6 +49,7 @@ def describe(task: str) -> LaunchDescription:
 
 def _actions(task: str, context: LaunchContext) -> list[Any]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    task = given["task_file"] or task
     graph = load_task_graph(task, given["scene"], _options(given)).graph
     actions = [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
     if not _flag(given, "headless"):

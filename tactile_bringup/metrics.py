@@ -7,6 +7,7 @@ others; a number that cannot be computed from the record (no truth in a run on a
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -69,6 +70,7 @@ REPORT_FIELDS: dict[str, str] = {
     "frames.believed": "images with a belief",
     "frames.commands": "commands emitted",
     "frames.lost.*": "frames lost by this stage (dropped and counted)",
+    "frames.silent": "frames that a stage neither answered nor counted as dropped",
     "paths.*.succeeded": "this path was followed to its end",
     "paths.*.length_mm": "its length while following",
     "paths.*.contact_fraction": "as above, of this path",
@@ -128,7 +130,8 @@ def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("depth error of belief RMS", _text(values["belief"]["depth_rms_mm"], "mm", 3), ""),
         ("latency p50", _text(latency["p50"], "ms", 1), "<= 8 ms"),
         ("latency p99", _text(latency["p99"], "ms", 1), "<= 25 ms"),
-        ("frames lost", str(sum(values["frames"]["lost"].values())), "0"),
+        ("frames dropped and counted", str(sum(values["frames"]["lost"].values())), ""),
+        ("frames lost in silence", str(values["frames"]["silent"]), "0"),
     ]
 
 
@@ -336,7 +339,20 @@ def _frames(record: RunRecord) -> dict[str, Any]:
         "believed": len(record.belief),
         "commands": len(record.command),
         "lost": dict(record.lost),
+        "silent": _silent(record),
     }
+
+
+def _silent(record: RunRecord) -> int:
+    """Frames that a stage answered, and the next one neither answered nor counted while both were at work."""
+    stages = [(stage, series.stamp_ns) for stage, series in record.latency.items()]
+    silent = 0
+    for (_, given), (stage, answered) in itertools.pairwise(stages):
+        if len(given) and len(answered):
+            asked = given[(given >= answered[0]) & (given <= answered[-1])]
+            missing = len(np.setdiff1d(asked, answered))
+            silent += max(0, missing - record.lost.get(stage, 0))
+    return silent
 
 
 # ---- small things ----

@@ -32,12 +32,11 @@ from tactile_bringup.run_record import (
     SurfaceMesh,
     TruthSeries,
 )
-from tactile_control.files import Task, load_task
+from tactile_control.files import Task, load_task, task_path
 from tactile_control.task import Command, StampedPose, StampedPresence, SurfaceFollowing, TaskInputs
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.config_paths import config_path
 from tactile_filter.files import load_filter_settings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import SettingError
@@ -165,7 +164,7 @@ def run_offline(
     scene = load_scene(scene) if isinstance(scene, str) else scene
     if options.fidelity is not None:
         scene = scene.with_fidelity(options.fidelity, **options.sensor)
-    task = load_task(config_path(f"tasks/{task}.yaml"), scene.name) if isinstance(task, str) else task
+    task = load_task(task_path(task), scene.name) if isinstance(task, str) else task
     return _OfflineLoop(scene, task, options, progress).run()
 
 

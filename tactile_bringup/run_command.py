@@ -7,7 +7,7 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.launch_command import DEFAULT_SCENE, EXIT_CODES, TASKS
+from tactile_bringup.launch_command import DEFAULT_SCENE, EXIT_CODES, TASK_HELP
 
 if TYPE_CHECKING:
     from tactile_bringup.progress import Display
@@ -19,7 +19,7 @@ def register(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "run", help="run a task on nodes that are up already", description=__doc__, epilog=EXIT_CODES
     )
-    parser.add_argument("task", choices=TASKS, help="task to run")
+    parser.add_argument("task", help=TASK_HELP)
     parser.add_argument("--scene", default=DEFAULT_SCENE, metavar="NAME", help="(default: %(default)s)")
     parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
     parser.set_defaults(run=run)

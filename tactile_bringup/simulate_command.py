@@ -19,7 +19,9 @@ def register(subparsers: Any) -> None:
         help="run a task on a simulated scene in one process, without ROS, as fast as it goes",
         description="Runs a task in a simulated scene in one process; writes report.json, pictures, record.",
     )
-    parser.add_argument("task", nargs="?", default="surface_following", help="a task of config/tasks")
+    parser.add_argument(
+        "task", nargs="?", default="surface_following", help="a task of config/tasks, or a path"
+    )
     parser.add_argument("--scene", default="ramp", help="a scene of config/scenes, or a path (default: ramp)")
     parser.add_argument(
         "--fidelity", choices=("image", "ideal"), help="image or ideal sensor (default: the scene's)"
@@ -37,15 +39,12 @@ def register(subparsers: Any) -> None:
 
 def _simulate(arguments: argparse.Namespace) -> int:
     from tactile_bringup.offline import OfflineOptions, run_offline
-    from tactile_control.files import load_task
+    from tactile_control.files import load_task, task_path
     from tactile_drivers.scene import load_scene
-    from tactile_filter.config_paths import config_path
 
     try:
         scene = load_scene(arguments.scene)
-        task = load_task(
-            config_path(f"tasks/{arguments.task}.yaml"), scene.name, controller=arguments.controller
-        )
+        task = load_task(task_path(arguments.task), scene.name, controller=arguments.controller)
         options = OfflineOptions(
             fidelity=arguments.fidelity,
             model=arguments.model,

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_bringup.graph import ArmOutline, Graph, GraphOptions, SceneOutline, build_graph
-from tactile_control.files import load_task
+from tactile_control.files import load_task, task_path
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
-from tactile_filter.config_paths import config_path
 from tactile_filter.files import load_filter_settings
 from tactile_filter.settings import SettingError
 
@@ -28,7 +27,7 @@ class TaskGraph:
 
 
 def load_task_graph(task: str, scene: str, options: GraphOptions) -> TaskGraph:
-    """The graph of `config/tasks/<task>.yaml` on a scene, by name or by file.
+    """The graph of a task on a scene, each the name of a packaged one or the path of a file.
 
     Raises
     ------
@@ -38,12 +37,12 @@ def load_task_graph(task: str, scene: str, options: GraphOptions) -> TaskGraph:
         There is no such task or scene; the message lists those that there are.
     """
     loaded = load_scene(scene)
-    described = load_task(config_path(f"tasks/{task}.yaml"), loaded.name)
+    described = load_task(task_path(task), loaded.name)
     groups: dict[str, dict[str, Any]] = dataclasses.asdict(described.settings)
     paths = described.goals(_start(loaded))
     names = [path.name for path in paths]
     filter_values = dataclasses.asdict(load_filter_settings())
-    graph = build_graph(task, outline(loaded), groups, names, options, filter_values)
+    graph = build_graph(described.name, outline(loaded), groups, names, options, filter_values)
     return TaskGraph(graph, paths, loaded)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tactile_control.task import PathGoal
 from tactile_control.task_settings import SurfaceFollowingSettings
 from tactile_filter import se3
+from tactile_filter.config_paths import config_folder, named_file
 from tactile_filter.settings import SettingError, unknown_name
 from tactile_filter.yaml_file import Section, read_yaml
 
@@ -42,6 +43,17 @@ def load_controller(
     return _merged(base or SurfaceFollowingSettings(), read_yaml(path))
 
 
+def task_path(name_or_path: str | Path) -> Path:
+    """The file of a task: a path (with .yaml), or the name of one of the packaged tasks.
+
+    Raises `SettingError` with the packaged names if there is none.
+    """
+    try:
+        return named_file("task", name_or_path)
+    except FileNotFoundError as error:
+        raise SettingError(str(error)) from error
+
+
 def load_task(
     path: str | Path, scene: str, controllers: str | Path | None = None, controller: str | None = None
 ) -> Task:
@@ -50,7 +62,8 @@ def load_task(
     Parameters
     ----------
     controllers
-        Folder of the controller files, by default `../controllers` seen from the task file.
+        Folder of the controller files, by default `../controllers` seen from the task file if there is one,
+        else the packaged ones.
     controller
         Name of one of them in place of the one that the task names.
 
@@ -69,9 +82,7 @@ def load_task(
         root.fail(f"no paths for this scene: {unknown_name(scene, list(scenes))}", "scenes")
     on_scene = scenes[scene]
     on_scene.allow("settings", "paths")
-    folder = (
-        Path(controllers) if controllers is not None else Path(path).resolve().parent.parent / "controllers"
-    )
+    folder = Path(controllers) if controllers is not None else _controllers_of(Path(path))
     names = sorted(file.stem for file in folder.glob("*.yaml"))
     controller = controller or root.choice("controller", names)
     if controller not in names:
@@ -80,6 +91,11 @@ def load_task(
     for section in (root.section("settings"), on_scene.section("settings")):
         settings = _merged(settings, section)
     return Task(name, scene, controller, settings, _paths(on_scene))
+
+
+def _controllers_of(task_file: Path) -> Path:
+    beside = task_file.resolve().parent.parent / "controllers"
+    return beside if beside.is_dir() else config_folder() / "controllers"
 
 
 def _paths(on_scene: Section) -> tuple[PathGoal, ...]:

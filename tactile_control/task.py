@@ -9,9 +9,9 @@ the control rate and sends the twist of the `Command` that comes back. In betwee
         send(command.twist)
 
 Phases: go_to_start -> approach -> settle -> follow -> retreat -> done, or failed. An input that is too old
-takes the twist to zero (`watchdog`); the task goes on when it is back, and after the watchdog's patience fails
-where it is: an arm that cannot feel or does not know where it is does not move. Every other failure retreats
-first.
+takes the twist to zero (`watchdog`). The task goes on when it is back; after the watchdog's patience it fails
+where it is, since an arm that cannot feel or does not know where it is does not move. Every other failure
+retreats first.
 """
 
 from __future__ import annotations

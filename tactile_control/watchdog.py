@@ -46,8 +46,8 @@ class WatchdogSettings(Settings):
 class WatchdogState:
     """What the watchdog says now.
 
-    scale: 1 while all is well, then down to 0 over the ramp; reason: '' or which input, how old, limit; failed:
-    at rest, and out of patience.
+    scale: 1 while all is well, then down to 0 over the ramp; reason: '' or which input, how old, limit;
+    failed: at rest, and out of patience.
     """
 
     scale: float

@@ -22,8 +22,8 @@ from tactile_drivers.sim.arm import ArmSettings
 from tactile_drivers.sim.ideal_sensor import IdealSensorSettings
 from tactile_drivers.sim.surfaces import SURFACES, Surface
 from tactile_filter import se3
-from tactile_filter.config_paths import config_names, config_path
-from tactile_filter.settings import SettingError, Settings, setting, unknown_name
+from tactile_filter.config_paths import named_file
+from tactile_filter.settings import SettingError, Settings, setting
 from tactile_filter.yaml_file import Section, read_yaml
 
 Array = NDArray[np.float64]
@@ -163,15 +163,10 @@ def scene_path(name_or_path: str | Path) -> Path:
 
     Raises `SceneError` with the packaged names if there is none.
     """
-    text = str(name_or_path)
-    if text.endswith((".yaml", ".yml")):
-        if not Path(text).is_file():
-            raise SceneError(f"{text}: no such scene file")
-        return Path(text)
-    names = config_names("scenes")
-    if text not in names:
-        raise SceneError(f"scene: {unknown_name(text, names)}; or give the path of a .yaml file")
-    return config_path(f"scenes/{text}.yaml")
+    try:
+        return named_file("scene", name_or_path)
+    except FileNotFoundError as error:
+        raise SceneError(str(error)) from error
 
 
 def load_scene(name_or_path: str | Path) -> Scene:

@@ -47,6 +47,27 @@ def config_path(name: str) -> Path:
     return path
 
 
+def named_file(kind: str, name_or_path: str | Path) -> Path:
+    """A packaged file by its name, or any by its path (with .yaml): `named_file("scene", "ramp")`.
+
+    `kind` is the folder's name without its s.
+
+    Raises
+    ------
+    FileNotFoundError
+        With the packaged names if there is none.
+    """
+    text = str(name_or_path)
+    if text.endswith((".yaml", ".yml")):
+        if not Path(text).is_file():
+            raise FileNotFoundError(f"{text}: no such {kind} file")
+        return Path(text)
+    names = config_names(f"{kind}s")
+    if text not in names:
+        raise FileNotFoundError(f"{kind}: {unknown_name(text, names)}; or give the path of a .yaml file")
+    return config_path(f"{kind}s/{text}.yaml")
+
+
 def config_names(folder: str, suffix: str = ".yaml") -> list[str]:
     """Names, without suffix, of the files in a folder of the configuration: `config_names("scenes")`."""
     return sorted(path.stem for path in (config_folder() / folder).glob(f"*{suffix}"))

@@ -156,3 +156,20 @@ def test_a_scene_that_the_task_has_no_paths_for_is_refused(tmp_path):
     file.write_text("arms:\n  arm:\n    start: {position: [0, 0, 0.1]}\n    sensor: {fidelity: ideal}\n")
     with pytest.raises(SettingError, match=r"no paths for this scene: unknown name 'kitchen'.*ramp"):
         load_task_graph("surface_following", str(file), GraphOptions())
+
+
+def test_a_scene_and_a_task_of_ones_own_run_with_the_packaged_controllers(tmp_path):
+    scene, task = tmp_path / "kitchen.yaml", tmp_path / "wipe.yaml"
+    scene.write_text("arms:\n  arm:\n    start: {position: [0, 0, 0.1]}\n    sensor: {fidelity: ideal}\n")
+    task.write_text(
+        "task: surface_following\ncontroller: surface_following_tuned\n"
+        "scenes:\n  kitchen:\n    paths:\n      - {name: table, direction_deg: 0, length: 0.3}\n"
+    )
+    loaded = load_task_graph(str(task), str(scene), GraphOptions())
+    assert loaded.graph.task == "surface_following" and loaded.graph.scene == "kitchen"
+    assert [path.name for path in loaded.paths] == ["table"]
+
+
+def test_an_unknown_task_lists_the_tasks():
+    with pytest.raises(SettingError, match=r"'surface_folowing' .did you mean 'surface_following'"):
+        load_task_graph("surface_folowing", "ramp", GraphOptions())

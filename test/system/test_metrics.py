@@ -169,3 +169,23 @@ def test_the_manual_lists_every_number_of_the_report(request):
     text = (request.config.rootpath / "docs" / "control.md").read_text()
     for name, meaning in REPORT_FIELDS.items():
         assert f"| `{name}` | {meaning} |" in text
+
+
+def without_some(record, stage, count):
+    """The record with `count` frames in the middle missing from a stage."""
+    series = record.latency[stage]
+    keep = np.ones(len(series.stamp_ns), bool)
+    keep[50 : 50 + count] = False
+    record.latency[stage] = StageSeries(series.stamp_ns[keep], series.seconds[keep])
+    return record
+
+
+def test_a_frame_that_no_stage_counts_is_lost_in_silence():
+    assert report(made_up())["frames"]["silent"] == 0
+    assert report(without_some(made_up(), "controller", 3))["frames"]["silent"] == 3
+
+
+def test_a_counted_frame_is_not_lost_in_silence():
+    record = without_some(made_up(), "controller", 3)
+    record.lost["controller"] = 2
+    assert report(record)["frames"]["silent"] == 1
