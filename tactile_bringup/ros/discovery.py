@@ -1,4 +1,4 @@
-"""Quick discovery: has Fast DDS announce participants more often (config/dds/fastdds.xml)."""
+"""Our profile of Fast DDS (config/dds/fastdds.xml): quick discovery, and shared memory that holds images."""
 
 from __future__ import annotations
 
