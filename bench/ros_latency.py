@@ -24,7 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from tactile_bringup.environment import ros_environment
 from tactile_bringup.processes import ProcessGroup, tail
 from tactile_bringup.ros import qos
-from tactile_bringup.ros.discovery import quicken_discovery
+from tactile_bringup.ros.dds_profile import use_dds_profile
 from tactile_bringup.ros.managed_node import make_executor
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_msgs.action import RunTask
@@ -94,7 +94,7 @@ def measure(options: argparse.Namespace) -> None:
 
     with ProcessGroup() as group:
         pids = start(group, options, folder, dict(environment.variables))
-        quicken_discovery()
+        use_dds_profile()
         rclpy.init(domain_id=environment.domain_id, signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node("latency_bench")
         executor = make_executor()

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_bringup.ros.conversions import pose_from_matrix
-from tactile_bringup.ros.discovery import quicken_discovery
+from tactile_bringup.ros.dds_profile import use_dds_profile
 from tactile_bringup.ros.managed_node import make_executor
 from tactile_bringup.ros.qos import LATENCY, STATE
 from tactile_control.task import PathGoal
@@ -24,6 +24,7 @@ from tactile_msgs.msg import ArmStatus, StageLatency
 
 CONTROLLER_STAGE = "controller"
 ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
+ANSWER_TIME = 1.0  # s; an answer can be lost while two nodes are still finding each other: then ask again
 BACKLOG = 10  # events handled at once after the first
 GAP = 0.1  # s between two words of an arm that runs regularly
 SILENCE = 0.5  # s without a word from an arm after which its driver counts as ended
@@ -98,7 +99,7 @@ class TaskClient:
     """
 
     def __init__(self, domain_id: int) -> None:
-        quicken_discovery()
+        use_dds_profile()
         rclpy.init(domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("tactile_launch", enable_rosout=False)
         self._executor = make_executor()
@@ -140,6 +141,9 @@ class TaskClient:
         if state.question is not None and state.question.done():
             answer = state.question.result().current_state
             state.label, state.active = answer.label, answer.id == State.PRIMARY_STATE_ACTIVE
+            state.question = None
+        if state.question is not None and now_s - state.asked_s > ANSWER_TIME:
+            state.client.remove_pending_request(state.question)
             state.question = None
         waits = state.question is not None or state.active or now_s - state.asked_s < ASK_PERIOD
         if not waits and state.client.service_is_ready():

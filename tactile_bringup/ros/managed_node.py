@@ -31,8 +31,8 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
+from tactile_bringup.ros.dds_profile import use_dds_profile
 from tactile_bringup.ros.diagnostics import Diagnostics, InputWatch
-from tactile_bringup.ros.discovery import quicken_discovery
 from tactile_bringup.ros.parameters import declare_read_only
 from tactile_bringup.ros.qos import DIAGNOSTICS
 from tactile_filter.settings import SettingError, unknown_name
@@ -287,7 +287,7 @@ def make_executor() -> Any:
 
 def run(node_type: Callable[[], ManagedNode], args: list[str] | None = None) -> int:
     """Run one node until a signal or an error; returns the exit code of the process."""
-    quicken_discovery()
+    use_dds_profile()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     stopped: list[int] = []
 

@@ -25,7 +25,7 @@ from tactile_bringup.environment import ros_environment  # noqa: E402
 from tactile_bringup.processes import ProcessGroup, tail  # noqa: E402
 from tactile_bringup.ros import qos  # noqa: E402
 from tactile_bringup.ros.conversions import transform_stamped  # noqa: E402
-from tactile_bringup.ros.discovery import quicken_discovery  # noqa: E402
+from tactile_bringup.ros.dds_profile import use_dds_profile  # noqa: E402
 
 ARM = "arm"
 BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
@@ -42,7 +42,7 @@ class Graph:
         self.variables = environment.variables
         self.folder = folder
         self.processes = ProcessGroup(grace_s=5.0, kill_after_s=1.0)
-        quicken_discovery()
+        use_dds_profile()
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=environment.domain_id)
         self.node = rclpy.create_node("test", context=self.context, namespace=ARM)

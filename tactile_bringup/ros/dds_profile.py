@@ -10,7 +10,7 @@ VARIABLE = "FASTDDS_DEFAULT_PROFILES_FILE"
 _DEPRECATED = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
-def quicken_discovery() -> None:
+def use_dds_profile() -> None:
     """Name our profile to Fast DDS, unless the user has named one; call it before `rclpy.init`.
 
     Other middlewares do not look at the variable. Without the file (a package that was only partly installed)

@@ -1,0 +1,74 @@
+"""The launcher's client asks on until it knows that the nodes are active."""
+
+import pytest
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rclpy.task import Future
+
+from tactile_bringup.task_client import ANSWER_TIME, TaskClient
+
+
+class Service:
+    """A state service that answers nothing until `answers` is set."""
+
+    def __init__(self) -> None:
+        self.answers = False
+        self.pending: list[Future] = []
+        self.asked = 0
+
+    def service_is_ready(self) -> bool:
+        return True
+
+    def call_async(self, request: GetState.Request) -> Future:
+        self.asked += 1
+        future = Future()
+        if self.answers:
+            state = State(id=State.PRIMARY_STATE_ACTIVE, label="active")
+            future.set_result(GetState.Response(current_state=state))
+        else:
+            self.pending.append(future)
+        return future
+
+    def remove_pending_request(self, future: Future) -> None:
+        self.pending.remove(future)
+
+
+class Graph:
+    """Stands for the ROS node of the client."""
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+
+    def create_client(self, kind: type, name: str) -> Service:
+        assert name == "/arm/filter/get_state"
+        return self.service
+
+
+@pytest.fixture
+def service() -> Service:
+    return Service()
+
+
+@pytest.fixture
+def client(service: Service) -> TaskClient:
+    made = TaskClient.__new__(TaskClient)  # without a participant of DDS
+    made._node, made._states = Graph(service), {}
+    return made
+
+
+def test_a_question_whose_answer_was_lost_is_asked_again(client, service):
+    assert client.inactive(["/arm/filter"], 0.0) == {"/arm/filter": "not there yet"}
+    service.answers = True
+    client.inactive(["/arm/filter"], 0.5 * ANSWER_TIME)
+    assert service.asked == 1
+    client.inactive(["/arm/filter"], 1.5 * ANSWER_TIME)
+    assert service.asked == 2 and not service.pending
+    assert client.inactive(["/arm/filter"], 1.6 * ANSWER_TIME) == {}
+
+
+def test_an_active_node_is_not_asked_again(client, service):
+    service.answers = True
+    client.inactive(["/arm/filter"], 0.0)
+    assert client.inactive(["/arm/filter"], 1.0) == {}
+    client.inactive(["/arm/filter"], 100.0)
+    assert service.asked == 1
