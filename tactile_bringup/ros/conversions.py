@@ -7,7 +7,6 @@ over [rho, phi]. Whatever comes in is checked; `MessageError` says what was wron
 from __future__ import annotations
 
 import array
-import math
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from tactile_bringup.ros.stamps import time_from_ns
-from tactile_filter import pose_covariance
+from tactile_filter import pose_covariance, se3
 from tactile_filter.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
@@ -58,33 +57,7 @@ def matrix_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
     square = x * x + y * y + z * z + w * w
     if not abs(square - 1.0) <= 2.0 * QUATERNION_TOLERANCE:
         raise MessageError(f"quaternion (x, y, z, w) = ({x}, {y}, {z}, {w}): must have norm 1")
-    s = 2.0 / square
-    xx, yy, zz, xy, xz, yz = s * x * x, s * y * y, s * z * z, s * x * y, s * x * z, s * y * z
-    wx, wy, wz = s * w * x, s * w * y, s * w * z
-    return np.array(
-        (
-            (1.0 - yy - zz, xy - wz, xz + wy),
-            (xy + wz, 1.0 - xx - zz, yz - wx),
-            (xz - wy, yz + wx, 1.0 - xx - yy),
-        )
-    )
-
-
-def quaternion_from_matrix(R: ArrayLike) -> tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w), w >= 0, of a rotation (3, 3); exact near every angle (Shepperd)."""
-    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = np.asarray(R, dtype=np.float64).tolist()
-    trace = r00 + r11 + r22
-    largest = max(trace, r00, r11, r22)
-    if largest == trace:
-        x, y, z, w = r21 - r12, r02 - r20, r10 - r01, 1.0 + trace
-    elif largest == r00:
-        x, y, z, w = 1.0 + r00 - r11 - r22, r01 + r10, r02 + r20, r21 - r12
-    elif largest == r11:
-        x, y, z, w = r01 + r10, 1.0 - r00 + r11 - r22, r12 + r21, r02 - r20
-    else:
-        x, y, z, w = r02 + r20, r12 + r21, 1.0 - r00 - r11 + r22, r10 - r01
-    scale = math.copysign(1.0 / math.sqrt(x * x + y * y + z * z + w * w), w)
-    return x * scale, y * scale, z * scale, w * scale
+    return se3.rotation_from_quaternion((x, y, z, w))
 
 
 def matrix_from_pose(pose: Pose) -> Array:
@@ -202,5 +175,5 @@ def _matrix(x: float, y: float, z: float, R: Array) -> Array:
 
 
 def _quaternion(T: Array) -> Quaternion:
-    x, y, z, w = quaternion_from_matrix(T[:3, :3])
+    x, y, z, w = se3.quaternion_from_rotation(T[:3, :3]).tolist()
     return Quaternion(x=x, y=y, z=z, w=w)

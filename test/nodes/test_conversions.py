@@ -20,7 +20,6 @@ from tactile_bringup.ros.conversions import (
     matrix_from_pose,
     matrix_from_quaternion,
     pose_from_matrix,
-    quaternion_from_matrix,
     twist_stamped,
     vector_from_twist,
 )
@@ -44,7 +43,7 @@ def test_poses_survive_the_way_through_a_message_at_every_angle(angle):
 
 def test_quaternions_have_norm_one_and_a_real_part_that_is_not_negative():
     for axis in RNG.normal(size=(50, 3)):
-        q = np.array(quaternion_from_matrix(pose(RNG.uniform(0, np.pi), axis)[:3, :3]))
+        q = np.array(se3.quaternion_from_rotation(pose(RNG.uniform(0, np.pi), axis)[:3, :3]))
         assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-15) and q[3] >= 0.0
 
 
