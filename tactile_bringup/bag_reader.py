@@ -186,7 +186,11 @@ def _arm_row(message: Any) -> dict[str, Any]:
 
 
 def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
-    """Latency of each stage, and the frames that it dropped, in the order of the stages."""
+    """Latency of each stage, and the frames that it dropped since its first answer here, in the order of the stages.
+
+    A stage counts from its activation, which may come before the recording: what it dropped until then is not
+    of this record.
+    """
     by_stage: dict[str, list[tuple[int, float, int]]] = {}
     for message in rows.messages("latency"):
         stamp = _stamp(message)
@@ -196,7 +200,7 @@ def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
     for stage in sorted(by_stage, key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)):
         stamps, seconds_each, dropped = zip(*sorted(by_stage[stage]), strict=True)
         series[stage] = StageSeries(np.array(stamps), np.array(seconds_each))
-        lost[stage] = int(max(dropped))
+        lost[stage] = int(max(dropped) - dropped[0])
     return series, lost
 
 
