@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import track
 
+from tactile_drivers.sampling import VALIDATION_START
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
 from tactile_drivers.sim.tactip import TacTipSettings
 from tactile_filter.yaml_file import read_yaml
@@ -19,8 +20,6 @@ from tactile_perception.dataset import DatasetError, DatasetWriter, write_proces
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 
 PARAMETERS_NAME = "collect_params.json"
-#: First sample of the validation data, far behind any training data of the same seed.
-VALIDATION_START = 10_000_000
 
 
 def register(subparsers: Any) -> None:

@@ -23,9 +23,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_drivers.sampling import SamplingSettings, check_ordered, sample_pose, sample_rng
 from tactile_drivers.sim.tactip import ContactTruth, TacTip, TacTipSettings
 from tactile_filter import se3
-from tactile_filter.settings import SettingError, Settings, setting
+from tactile_filter.settings import setting
 
 Array = NDArray[np.float64]
 R = TypeVar("R")
@@ -34,15 +35,9 @@ _SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
 
 
 @dataclass(frozen=True)
-class CollectionSettings(Settings):
-    """Ranges of the samples; the defaults of the first four are the paper's."""
+class CollectionSettings(SamplingSettings):
+    """Ranges of the samples, and what differs between them that no label tells."""
 
-    disk_radius: float = setting(5e-3, unit="m", lower=0.0, doc="of the disk that shear displacements fill")
-    depth: tuple[float, ...] = setting((0.5e-3, 6e-3), unit="m", lower=0.0, length=2, doc="least and largest")
-    cap_angle: float = setting(
-        math.radians(25.0), unit="rad", lower=0.0, upper=1.2, doc="of the cap of contacts"
-    )
-    gamma: float = setting(math.radians(5.0), unit="rad", lower=0.0, upper=1.0, doc="largest shear rotation")
     friction: tuple[float, ...] = setting((0.6, 1.2), lower=0.0, length=2, doc="least and largest friction")
     curvature: tuple[float, ...] = setting(
         (0.0, 0.0), unit="1/m", lower=-20.0, upper=40.0, length=2,
@@ -55,10 +50,7 @@ class CollectionSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("depth", "friction", "curvature"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise SettingError(f"{name} = ({low:g}, {high:g}): the least must not exceed the largest")
+        check_ordered(self, "friction", "curvature")
 
 
 @dataclass(frozen=True)
@@ -103,22 +95,9 @@ class _Sphere:
         return sign * (distance - abs(self._radius)), sign * from_center / distance[:, None]
 
 
-def sample_pose(settings: CollectionSettings, rng: np.random.Generator) -> Array:
-    """One surface contact pose (6,), m and rad, by the paper's sampling equations."""
-    r = settings.disk_radius * np.sqrt(rng.uniform())
-    theta = rng.uniform(0, 2 * np.pi)
-    z = rng.uniform(settings.depth[0], settings.depth[1])
-    phi = np.arccos(1 - (1 - np.cos(settings.cap_angle)) * rng.uniform())
-    azimuth = rng.uniform(0, 2 * np.pi)
-    alpha = -np.arcsin(np.sin(phi) * np.sin(azimuth))
-    beta = -np.arctan2(np.sin(phi) * np.cos(azimuth), np.cos(phi))
-    gamma = rng.uniform(-settings.gamma, settings.gamma)
-    return np.array([r * np.cos(theta), r * np.sin(theta), z, alpha, beta, gamma])
-
-
 def collect(sensor: TacTip, settings: CollectionSettings, seed: int, index: int) -> Sample:
     """Collect sample `index` with a sensor, whose contact history is forgotten first."""
-    rng = np.random.default_rng([seed, index])
+    rng = sample_rng(seed, index)
     pose = sample_pose(settings, rng)
     noise = rng.normal(size=6) * np.repeat([settings.position_noise, settings.angle_noise], 3)
     friction = rng.uniform(settings.friction[0], settings.friction[1])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tactile_drivers.sim.collection import CollectionSettings, Sample, collect, generate, sample_pose
+from tactile_drivers.sampling import SamplingSettings, pose_of, sample_pose
+from tactile_drivers.sim.collection import CollectionSettings, Sample, collect, generate
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 from tactile_filter.settings import SettingError
@@ -12,7 +13,7 @@ from tactile_filter.settings import SettingError
 @pytest.fixture(scope="module")
 def poses() -> np.ndarray:
     rng = np.random.default_rng(0)
-    return np.array([sample_pose(CollectionSettings(), rng) for _ in range(4000)])
+    return np.array([sample_pose(SamplingSettings(), rng) for _ in range(4000)])
 
 
 def test_shear_fills_its_disk_evenly(poses):
@@ -44,6 +45,12 @@ def test_a_sample_depends_on_seed_and_index_only():
     assert np.array_equal(forward[2].image, backward[0].image)
     assert np.array_equal(forward[0].image, backward[1].image)
     assert not np.array_equal(forward[0].euler_mm_deg, next(generate(settings, 8, [0])).euler_mm_deg)
+
+
+def test_the_pose_of_a_sample_is_known_without_collecting_it():
+    sample = next(generate(CollectionSettings(), 7, [3]))
+    expected = pose_of(SamplingSettings(), 7, 3) / np.repeat([1e-3, np.pi / 180], 3)
+    np.testing.assert_array_equal(sample.euler_mm_deg, expected)
 
 
 def test_processes_change_neither_order_nor_content():
