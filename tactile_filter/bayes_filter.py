@@ -11,131 +11,42 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
-from enum import IntFlag
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
 
+from tactile_filter import filter_arithmetic as arithmetic
 from tactile_filter import se3
+from tactile_filter.belief import Belief, BeliefFlag
+from tactile_filter.filter_settings import FilterSettings
 from tactile_filter.fusion import FusionError, FusionStatus, check_gaussian, fuse
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import SettingError, Settings, setting
+
+__all__ = [
+    "Belief",
+    "BeliefFlag",
+    "ContactFilter",
+    "FilterSettings",
+    "gate_threshold",
+    "normalized_innovation_squared",
+]
 
 Array = NDArray[np.float64]
 
 SECOND_NS = 1_000_000_000
 DOF = 6
 
-
-@dataclass(frozen=True)
-class FilterSettings(Settings):
-    """Everything about the filter that can be tuned; the defaults are the paper's except for the gate."""
-
-    fusion_mode: str = setting(
-        "paper",
-        choices=("paper", "fast", "exact"),
-        doc="paper: as published; fast: 3 iterations with the exact Jacobian; exact: to convergence",
-    )
-    iterations: int = setting(
-        0, lower=0, upper=1000, doc="iterations of the fusion (mode exact: at most); 0 takes the mode's own"
-    )
-    jacobian_order: str = setting(
-        "mode",
-        choices=("mode", "2", "4", "exact"),
-        doc="order of the inverse Jacobian; 'mode' takes the mode's",
-    )
-    process_noise_translation: float = setting(
-        5e-4, lower=0.0, upper=1.0, unit="m", doc="standard deviation that a step adds to each translation"
-    )
-    process_noise_rotation: float = setting(
-        math.radians(0.5), lower=0.0, upper=math.pi, unit="rad",
-        doc="standard deviation that a step adds to each rotation",
-    )  # fmt: skip
-    process_noise_interval: float = setting(
-        0.0, lower=0.0, upper=10.0, unit="s",
-        doc="0: the noise is that of a step, however long (as in the paper); "
-        "else: that of this much time, and its variance grows in proportion to the time elapsed",
-    )  # fmt: skip
-    gate_probability: float = setting(
-        0.999999, lower=0.5, upper=1.0,
-        doc="a measurement is refused if its NIS exceeds this quantile of chi-square with 6 degrees of "
-        "freedom; 1 refuses none (as in the paper)",
-    )  # fmt: skip
-    reinitialize_after: int = setting(
-        5,
-        lower=1,
-        upper=10000,
-        doc="after this many measurements refused in a row the next starts a new belief",
-    )
-    max_prediction_age: float = setting(
-        0.5, lower=0.001, upper=3600.0, unit="s",
-        doc="a belief that was not corrected for longer is given up: nothing is predicted from it",
-    )  # fmt: skip
-    backward_jump: float = setting(
-        1.0, lower=0.0, upper=3600.0, unit="s",
-        doc="a measurement older than the last by more than this resets the filter; one older by "
-        "less is refused",
-    )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.fusion_mode == "exact" and self.jacobian_order not in ("mode", "exact"):
-            raise SettingError(
-                f"jacobian_order = '{self.jacobian_order}': fusion_mode 'exact' needs 'exact' or 'mode'"
-            )
+_FUSED = BeliefFlag.MEASUREMENT_FUSED
+_STARTED = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
+_NOT_CONVERGED = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.NOT_CONVERGED
+_PREDICTED = BeliefFlag.PREDICTED_ONLY
+_GATED = BeliefFlag.PREDICTED_ONLY | BeliefFlag.GATED
+_INVALID = BeliefFlag.INVALID | BeliefFlag.PREDICTED_ONLY
 
 
-class BeliefFlag(IntFlag):
-    """What a belief rests on; the values are those of tactile_msgs/ContactState."""
-
-    MEASUREMENT_FUSED = 1
-    PREDICTED_ONLY = 2
-    GATED = 4
-    REINITIALIZED = 8
-    NO_CONTACT = 16
-    INVALID = 32
-    NOT_CONVERGED = 64
-
-
-@dataclass(frozen=True)
-class Belief:
-    """The contact's pose in the sensor, X_sf = exp(eps^) mean with eps ~ N(0, cov).
-
-    Attributes
-    ----------
-    stamp_ns : int
-        When it holds.
-    mean, cov : (4, 4) pose and (6, 6) left covariance in m and rad; NaN where flags has INVALID
-    nis : float
-        Normalized innovation squared of the measurement against the prediction; NaN without both.
-    nis_dof : int
-        Its degrees of freedom: 6, or 0 where nis is NaN.
-    flags : BeliefFlag
-    reason : str
-        Why a measurement was not fused or the belief was restarted; empty in the regular case.
-    rejected : int
-        Measurements refused since the last reset.
-    """
-
-    stamp_ns: int
-    mean: Array
-    cov: Array
-    nis: float = math.nan
-    nis_dof: int = 0
-    flags: BeliefFlag = BeliefFlag.MEASUREMENT_FUSED
-    reason: str = ""
-    rejected: int = 0
-
-    @property
-    def valid(self) -> bool:
-        """Whether mean and cov may be used."""
-        return not self.flags & BeliefFlag.INVALID
-
-
-@dataclass(frozen=True)
-class _State:
+class _State(NamedTuple):
     """What the filter knows between two steps; `corrected_ns` is the stamp of the last measurement fused."""
 
     stamp_ns: int
@@ -143,6 +54,35 @@ class _State:
     cov: Array
     T_base_sensor: Array
     corrected_ns: int
+
+
+class _Tuning(NamedTuple):
+    """What a step needs of the settings, worked out once."""
+
+    gate: float
+    variances: Array  # (6,) of the process noise
+    noise_interval_ns: float
+    max_age_ns: float
+    backward_jump_ns: float
+    fusion_mode: str
+    iterations: int | None
+    jacobian_order: int | str | None
+
+    @classmethod
+    def of(cls, settings: FilterSettings) -> _Tuning:
+        order: str | int | None = settings.jacobian_order
+        return cls(
+            gate=gate_threshold(settings.gate_probability),
+            variances=np.repeat(
+                (settings.process_noise_translation**2, settings.process_noise_rotation**2), 3
+            ),
+            noise_interval_ns=settings.process_noise_interval * SECOND_NS,
+            max_age_ns=settings.max_prediction_age * SECOND_NS,
+            backward_jump_ns=settings.backward_jump * SECOND_NS,
+            fusion_mode=settings.fusion_mode,
+            iterations=settings.iterations or None,
+            jacobian_order={"mode": None, "2": 2, "4": 4, "exact": "exact"}[str(order)],
+        )
 
 
 class ContactFilter:
@@ -172,23 +112,24 @@ class ContactFilter:
     @property
     def rejected(self) -> int:
         """Measurements refused since the last reset."""
-        return sum(self.rejections.values())
+        return sum(self.rejections.values()) if self.rejections else 0
+
+    @property
+    def gate(self) -> float:
+        """The NIS above which a measurement is refused."""
+        return self._tuning.gate
 
     def configure(self, settings: FilterSettings) -> None:
         """Take other settings from the next step on; the belief stays."""
         self.settings = settings
-        self.gate = gate_threshold(settings.gate_probability)
-        variances = (settings.process_noise_translation**2, settings.process_noise_rotation**2)
-        self._noise = np.diag(np.repeat(variances, 3))
-        order: str | int | None = settings.jacobian_order
-        self._order = {"mode": None, "2": 2, "4": 4, "exact": "exact"}[str(order)]
+        self._tuning = _Tuning.of(settings)
 
     def reset(self, reason: str) -> None:
         """Forget the belief and the counts of refused measurements."""
         self._state = None
         self._refused_in_a_row = 0
-        self.rejections.clear()
-        self.resets[reason] += 1
+        self.rejections = Counter()
+        self._count_reset(reason)
 
     def step(self, stamp_ns: int, measurement: PoseGaussian, T_base_sensor: ArrayLike) -> Belief:
         """Predict to the measurement's stamp and fuse it.
@@ -209,13 +150,13 @@ class ContactFilter:
             At `stamp_ns`; at the stamp of the last step if this one is not later.
         """
         stamp_ns = int(stamp_ns)
-        sensor = _pose_or_none(T_base_sensor)
+        sensor = arithmetic.usable_pose(T_base_sensor)
         if sensor is None:
             return self._refuse_unmoved("sensor pose", "the sensor's pose is not usable", stamp_ns)
         restarted = ""
         if self._state is not None:
             behind = self._state.stamp_ns - stamp_ns
-            if behind > self.settings.backward_jump * SECOND_NS:
+            if behind > self._tuning.backward_jump_ns:
                 restarted = "time jumped back"
                 self.reset(restarted)
             elif behind >= 0:
@@ -227,17 +168,16 @@ class ContactFilter:
     def predict_to(self, stamp_ns: int, T_base_sensor: ArrayLike) -> Belief:
         """The belief moved on to a stamp without a measurement, to make up for latency; changes nothing."""
         stamp_ns = int(stamp_ns)
-        sensor = _pose_or_none(T_base_sensor)
+        sensor = arithmetic.usable_pose(T_base_sensor)
         if sensor is None:
             return self._invalid(stamp_ns, "the sensor's pose is not usable")
         if self._state is None:
             return self._invalid(stamp_ns, "nothing has been measured yet")
         if stamp_ns < self._state.stamp_ns:
             return self._invalid(stamp_ns, f"the belief is of {self._state.stamp_ns} ns, which is later")
-        if self._is_stale(stamp_ns):
-            return self._invalid(stamp_ns, self._stale_text(stamp_ns))
-        predicted = self._predicted(self._state, stamp_ns, sensor)
-        return self._belief(predicted, BeliefFlag.PREDICTED_ONLY)
+        if self._is_stale(self._state, stamp_ns):
+            return self._invalid(stamp_ns, self._stale_text(self._state, stamp_ns))
+        return self._belief(self._predicted(self._state, stamp_ns, sensor), _PREDICTED)
 
     def _step_forward(
         self, stamp_ns: int, measurement: PoseGaussian, sensor: Array, restarted: str
@@ -249,106 +189,131 @@ class ContactFilter:
             return self._refuse_moved("not usable", str(error), stamp_ns, sensor)
         if self._state is None:
             return self._initialize(stamp_ns, measurement, sensor, restarted)
-        if self._is_stale(stamp_ns):
-            return self._initialize(stamp_ns, measurement, sensor, self._stale_text(stamp_ns))
+        if self._is_stale(self._state, stamp_ns):
+            return self._initialize(stamp_ns, measurement, sensor, self._stale_text(self._state, stamp_ns))
         predicted = self._predicted(self._state, stamp_ns, sensor)
-        nis = normalized_innovation_squared(measurement, predicted.mean, predicted.cov)
-        if not nis <= self.gate:
-            return self._refuse_outlier(stamp_ns, measurement, sensor, nis)
-        return self._correct(measurement, predicted, nis)
+        innovation = arithmetic.innovation(measurement.mean, measurement.cov, predicted.mean, predicted.cov)
+        if not innovation.nis <= self._tuning.gate:
+            return self._refuse_outlier(measurement, predicted, innovation)
+        return self._correct(measurement, predicted, innovation)
 
-    def _correct(self, measurement: PoseGaussian, predicted: _State, nis: float) -> Belief:
-        s = self.settings
+    def _correct(
+        self, measurement: PoseGaussian, predicted: _State, innovation: arithmetic.Innovation
+    ) -> Belief:
+        tuning = self._tuning
         try:
             result = fuse(
-                measurement.mean, measurement.cov, predicted.mean, predicted.cov, s.fusion_mode,
-                iterations=s.iterations or None, jacobian_order=self._order,
+                measurement.mean, measurement.cov, predicted.mean, predicted.cov, tuning.fusion_mode,
+                iterations=tuning.iterations, jacobian_order=tuning.jacobian_order,
             )  # fmt: skip
         except FusionError as error:
-            stamp_ns, sensor = predicted.stamp_ns, predicted.T_base_sensor
-            return self._refuse_moved("not fusable", str(error), stamp_ns, sensor, nis)
+            return self._refuse_predicted("not fusable", str(error), predicted, _PREDICTED, innovation)
         self._refused_in_a_row = 0
         stamp_ns = predicted.stamp_ns
-        self._state = _State(stamp_ns, result.mean, result.cov, predicted.T_base_sensor, stamp_ns)
-        flags = BeliefFlag.MEASUREMENT_FUSED
-        if result.status != FusionStatus.CONVERGED:
-            flags |= BeliefFlag.NOT_CONVERGED
-        return self._belief(self._state, flags, nis=nis)
+        state = _State(stamp_ns, result.mean, result.cov, predicted.T_base_sensor, stamp_ns)
+        self._state = state
+        flags = _FUSED if result.status == FusionStatus.CONVERGED else _NOT_CONVERGED
+        return self._belief(state, flags, "", innovation)
 
     def _initialize(
-        self, stamp_ns: int, measurement: PoseGaussian, sensor: Array, reason: str, nis: float = math.nan
+        self,
+        stamp_ns: int,
+        measurement: PoseGaussian,
+        sensor: Array,
+        reason: str,
+        innovation: arithmetic.Innovation | None = None,
     ) -> Belief:
         """Start from the measurement alone (the algorithm's initialization)."""
         self._refused_in_a_row = 0
         mean = se3.orthonormalized(measurement.mean)
         cov = 0.5 * (measurement.cov + measurement.cov.T)
         self._state = _State(stamp_ns, mean, cov, sensor, stamp_ns)
-        flags = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
-        return self._belief(self._state, flags, reason, nis)
+        return self._belief(self._state, _STARTED, reason, innovation)
 
-    def _refuse_outlier(self, stamp_ns: int, measurement: PoseGaussian, sensor: Array, nis: float) -> Belief:
-        refused = self._refused_in_a_row
-        text = f"NIS {nis:.4g} is above the gate {self.gate:.4g}"
-        if refused >= self.settings.reinitialize_after:
-            self.resets["outliers in a row"] += 1
-            return self._initialize(
-                stamp_ns, measurement, sensor, f"{text} after {refused} refused in a row", nis
-            )
-        return self._refuse_moved("outlier", text, stamp_ns, sensor, nis, BeliefFlag.GATED)
-
-    def _refuse_moved(
-        self, reason: str, text: str, stamp_ns: int, sensor: Array, nis: float = math.nan, flag: int = 0
+    def _refuse_outlier(
+        self, measurement: PoseGaussian, predicted: _State, innovation: arithmetic.Innovation
     ) -> Belief:
+        refused = self._refused_in_a_row
+        text = f"NIS {innovation.nis:.4g} is above the gate {self.gate:.4g}"
+        if refused < self.settings.reinitialize_after:
+            return self._refuse_predicted("outlier", text, predicted, _GATED, innovation)
+        self._count_reset("outliers in a row")
+        text = f"{text} after {refused} refused in a row"
+        return self._initialize(predicted.stamp_ns, measurement, predicted.T_base_sensor, text, innovation)
+
+    def _refuse_moved(self, reason: str, text: str, stamp_ns: int, sensor: Array) -> Belief:
         """Count the measurement as refused and let the step be a prediction: time has passed all the same."""
-        self.rejections[reason] += 1
+        if self._state is not None and not self._is_stale(self._state, stamp_ns):
+            predicted = self._predicted(self._state, stamp_ns, sensor)
+            return self._refuse_predicted(reason, text, predicted, _PREDICTED)
+        self._count_refused(reason)
         self._refused_in_a_row += 1
-        if self._state is None:
-            return self._invalid(stamp_ns, text)
-        if self._is_stale(stamp_ns):
-            return self._invalid(stamp_ns, f"{text}; {self._stale_text(stamp_ns)}")
-        self._state = self._predicted(self._state, stamp_ns, sensor)
-        return self._belief(self._state, BeliefFlag.PREDICTED_ONLY | flag, text, nis)
+        if self._state is not None:
+            text = f"{text}; {self._stale_text(self._state, stamp_ns)}"
+        return self._invalid(stamp_ns, text)
+
+    def _refuse_predicted(
+        self,
+        reason: str,
+        text: str,
+        predicted: _State,
+        flags: BeliefFlag,
+        innovation: arithmetic.Innovation | None = None,
+    ) -> Belief:
+        """Count the measurement as refused and believe what was predicted."""
+        self._count_refused(reason)
+        self._refused_in_a_row += 1
+        self._state = predicted
+        return self._belief(predicted, flags, text, innovation)
 
     def _refuse_unmoved(self, reason: str, text: str, stamp_ns: int) -> Belief:
         """Count the measurement as refused where nothing can be predicted; the belief stays what it is."""
-        self.rejections[reason] += 1
+        self._count_refused(reason)
         if self._state is None:
             return self._invalid(stamp_ns, text)
-        return self._belief(self._state, BeliefFlag.PREDICTED_ONLY, text)
+        return self._belief(self._state, _PREDICTED, text)
+
+    def _count_refused(self, reason: str) -> None:
+        self.rejections = self.rejections + Counter((reason,))
+
+    def _count_reset(self, reason: str) -> None:
+        self.resets = self.resets + Counter((reason,))
 
     def _predicted(self, state: _State, stamp_ns: int, sensor: Array) -> _State:
-        """The algorithm's prediction step, with the adjoint of T_k."""
-        T_k = se3.inverse(sensor) @ state.T_base_sensor
-        adjoint = se3.adjoint(T_k)
-        cov = adjoint @ state.cov @ adjoint.T
-        cov = 0.5 * (cov + cov.T) + self._noise_since(stamp_ns - state.stamp_ns)
-        return _State(stamp_ns, se3.orthonormalized(T_k @ state.mean), cov, sensor, state.corrected_ns)
+        """The algorithm's prediction step."""
+        variances = self._noise_since(stamp_ns - state.stamp_ns)
+        mean, cov = arithmetic.predict(state.mean, state.cov, state.T_base_sensor, sensor, variances)
+        return _State(stamp_ns, mean, cov, sensor, state.corrected_ns)
 
     def _noise_since(self, elapsed_ns: int) -> Array:
-        interval = self.settings.process_noise_interval
-        if interval == 0.0:
-            return self._noise if elapsed_ns > 0 else np.zeros((DOF, DOF))
-        return self._noise * (elapsed_ns / SECOND_NS / interval)
+        """Variances (6,) of the process noise."""
+        interval_ns = self._tuning.noise_interval_ns
+        if interval_ns == 0.0:
+            return self._tuning.variances if elapsed_ns > 0 else np.zeros(DOF)
+        return self._tuning.variances * (elapsed_ns / interval_ns)
 
-    def _is_stale(self, stamp_ns: int) -> bool:
-        assert self._state is not None
-        return stamp_ns - self._state.corrected_ns > self.settings.max_prediction_age * SECOND_NS
+    def _is_stale(self, state: _State, stamp_ns: int) -> bool:
+        return stamp_ns - state.corrected_ns > self._tuning.max_age_ns
 
-    def _stale_text(self, stamp_ns: int) -> str:
-        assert self._state is not None
-        age = (stamp_ns - self._state.corrected_ns) / SECOND_NS
+    def _stale_text(self, state: _State, stamp_ns: int) -> str:
+        age = (stamp_ns - state.corrected_ns) / SECOND_NS
         return f"no measurement fused for {age:.3f} s, more than {self.settings.max_prediction_age:g} s"
 
-    def _belief(self, state: _State, flags: int, reason: str = "", nis: float = math.nan) -> Belief:
-        dof = 0 if math.isnan(nis) else DOF
-        return Belief(
-            state.stamp_ns, state.mean, state.cov, nis, dof, BeliefFlag(flags), reason, self.rejected
-        )
+    def _belief(
+        self,
+        state: _State,
+        flags: BeliefFlag,
+        reason: str = "",
+        innovation: arithmetic.Innovation | None = None,
+    ) -> Belief:
+        if innovation is None:
+            return Belief(state[0], state[1], state[2], math.nan, 0, flags, reason, self.rejected)
+        nis, whitened = innovation
+        return Belief(state[0], state[1], state[2], nis, DOF, flags, reason, self.rejected, whitened)
 
     def _invalid(self, stamp_ns: int, reason: str) -> Belief:
         mean, cov = np.full((4, 4), math.nan), np.full((DOF, DOF), math.nan)
-        flags = BeliefFlag.INVALID | BeliefFlag.PREDICTED_ONLY
-        return Belief(stamp_ns, mean, cov, flags=flags, reason=reason, rejected=self.rejected)
+        return Belief(stamp_ns, mean, cov, flags=_INVALID, reason=reason, rejected=self.rejected)
 
 
 def gate_threshold(probability: float, dof: int = DOF) -> float:
@@ -357,24 +322,5 @@ def gate_threshold(probability: float, dof: int = DOF) -> float:
 
 
 def normalized_innovation_squared(measurement: PoseGaussian, mean: Array, cov: Array) -> float:
-    """NIS of a measurement against a predicted Gaussian.
-
-    With X = exp(a^) X_obs = exp(b^) X_bel the innovation nu = log(X_obs X_bel^-1) obeys
-    exp(nu^) = exp(-a^) exp(b^), so to first order in a and b about nu its covariance is
-    S = J(nu)^-1 Sigma_obs J(nu)^-T + J(-nu)^-1 Sigma_bel J(-nu)^-T.
-    """
-    nu = se3.log(measurement.mean @ se3.inverse(mean))
-    left, right = se3.inverse_left_jacobian(nu), se3.inverse_left_jacobian(-nu)
-    S = left @ measurement.cov @ left.T + right @ cov @ right.T
-    try:
-        whitened = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.T)), nu)
-    except np.linalg.LinAlgError:
-        return math.inf
-    return float(whitened @ whitened)
-
-
-def _pose_or_none(T: ArrayLike) -> Array | None:
-    try:
-        return se3.orthonormalized(T)
-    except ValueError:
-        return None
+    """NIS of a measurement against a predicted Gaussian; see `filter_arithmetic.innovation`."""
+    return arithmetic.innovation(measurement.mean, measurement.cov, mean, cov).nis

@@ -1,0 +1,63 @@
+"""What the filter believes after a step, and what that rests on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class BeliefFlag(IntFlag):
+    """What a belief rests on; the values are those of tactile_msgs/ContactState."""
+
+    MEASUREMENT_FUSED = 1
+    PREDICTED_ONLY = 2
+    GATED = 4
+    REINITIALIZED = 8
+    NO_CONTACT = 16
+    INVALID = 32
+    NOT_CONVERGED = 64
+
+
+@dataclass(frozen=True)
+class Belief:
+    """The contact's pose in the sensor, X_sf = exp(eps^) mean with eps ~ N(0, cov).
+
+    Attributes
+    ----------
+    stamp_ns : int
+        When it holds.
+    mean, cov : (4, 4) pose and (6, 6) left covariance in m and rad; NaN where flags has INVALID
+    nis : float
+        Normalized innovation squared of the measurement against the prediction; NaN without both.
+    nis_dof : int
+        Its degrees of freedom: 6, or 0 where nis is NaN.
+    flags : BeliefFlag
+    reason : str
+        Why a measurement was not fused or the belief was restarted; empty in the regular case.
+    rejected : int
+        Measurements refused since the last reset.
+    innovation : (6,) or None
+        Whitened innovation: standard normal and independent from step to step if the filter's assumptions
+        hold. Its squared length is nis; None where nis is NaN.
+    """
+
+    stamp_ns: int
+    mean: Array
+    cov: Array
+    nis: float = math.nan
+    nis_dof: int = 0
+    flags: BeliefFlag = BeliefFlag.MEASUREMENT_FUSED
+    reason: str = ""
+    rejected: int = 0
+    innovation: Array | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether mean and cov may be used."""
+        return not self.flags & BeliefFlag.INVALID
