@@ -18,6 +18,7 @@ C_MODULES = {
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.
 NODES = {
     "estimator": "tactile_perception.estimator_node",
+    "marker_view": "tactile_perception.marker_view_node",
     "filter": "tactile_filter.filter_node",
     "controller": "tactile_control.controller_node",
     "sim": "tactile_drivers.sim_node",

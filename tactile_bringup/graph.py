@@ -106,6 +106,8 @@ class GraphOptions:
         The bag to write.
     record_images : bool
         Whether images go into the bag, compressed without loss.
+    marker_view : bool
+        Whether each sensor with images gets a node that publishes a picture of its markers.
     """
 
     rate: float | None = None
@@ -113,6 +115,7 @@ class GraphOptions:
     model: Path | None = None
     record: Path | None = None
     record_images: bool = False
+    marker_view: bool = False
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,8 @@ def build_graph(
     for arm in feeling:
         if arm.images:
             nodes.append(_estimator(arm, options))
+            if options.marker_view:
+                nodes.append(_marker_view(arm))
         nodes += [_filter(arm, filter_values or {}), _controller(arm, controller)]
     topics = tuple(_topics(scene.arms))
     if options.record is not None:
@@ -216,6 +221,12 @@ def _estimator(arm: ArmOutline, options: GraphOptions) -> NodeProcess:
         parameters["model"] = str(options.model)
     return NodeProcess(
         "estimator", f"/{arm.name}", "tactile_perception.estimator_node", "estimator", parameters
+    )
+
+
+def _marker_view(arm: ArmOutline) -> NodeProcess:
+    return NodeProcess(
+        "marker_view", f"/{arm.name}", "tactile_perception.marker_view_node", "marker_view", {}
     )
 
 

@@ -29,6 +29,9 @@ def register(subparsers: Any) -> None:
     add_scene_options(parser)
     parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
     parser.add_argument("--record-images", action="store_true", help="with images, compressed without loss")
+    parser.add_argument(
+        "--marker-view", action="store_true", help="publish a picture of the markers (tactile/marker_view)"
+    )
     parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
     parser.add_argument(
         "--out",
@@ -66,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         model=_absolute(arguments.model),
         record=_absolute(arguments.record),
         record_images=arguments.record_images,
+        marker_view=arguments.marker_view,
     )
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = Console()

@@ -33,6 +33,7 @@ ARGUMENTS = {
     "model": ("", "the estimator's model; empty: the one that is shipped"),
     "record": ("", "folder of a new bag to record; empty: none"),
     "record_images": ("false", "whether images are recorded as well (true, false)"),
+    "marker_view": ("false", "whether to publish a picture of the markers for RViz (true, false)"),
     "headless": ("false", "whether to do without RViz (true, false)"),
     "run": ("true", "whether to run the task's paths once all nodes are active, then end (true, false)"),
 }
@@ -66,6 +67,7 @@ def _options(given: dict[str, str]) -> GraphOptions:
         model=Path(given["model"]).absolute() if given["model"] else None,
         record=Path(given["record"]).absolute() if given["record"] else None,
         record_images=_flag(given, "record_images"),
+        marker_view=_flag(given, "marker_view"),
     )
 
 

@@ -55,6 +55,13 @@ def test_a_sensor_without_images_needs_no_estimator():
     assert names(graph_of(ArmOutline("left", images=False))) == ["/sim", "/left/filter", "/left/controller"]
 
 
+def test_the_marker_view_is_there_only_where_it_is_asked_for_and_has_images():
+    arms = (ArmOutline("left"), ArmOutline("right", images=False))
+    viewers = [n for n in names(graph_of(*arms, options=GraphOptions(marker_view=True))) if "view" in n]
+    assert viewers == ["/left/marker_view"]
+    assert not any("view" in name for name in names(graph_of(*arms)))
+
+
 def test_nothing_is_recorded_unless_asked_for():
     assert "/recorder" not in names(graph_of(ArmOutline("left")))
 

@@ -26,7 +26,7 @@ def test_rviz_shows_image_frames_belief_and_twist_of_topics_that_exist():
     kinds = {display["Class"].split("/")[1] for display in displays}
     assert {"Image", "TF", "PoseWithCovariance", "TwistStamped"} <= kinds
     graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
-    published = {topic.name for topic in graph.topics} | {"/arm/tactile/image"}
+    published = {topic.name for topic in graph.topics} | {"/arm/tactile/image", "/arm/tactile/marker_view"}
     assert {topic for display in displays for topic in topics_of(display)} <= published
 
 
