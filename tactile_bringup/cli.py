@@ -14,6 +14,7 @@ COMMANDS = (
     "tactile_bringup.demo",
     "tactile_bringup.simulate_command",
     "tactile_perception.commands",
+    "tactile_perception.evaluate_command",
     "tactile_perception.marker_command",
     "tactile_bringup.data_command",
     "tactile_bringup.doctor",

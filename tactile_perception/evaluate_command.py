@@ -1,0 +1,105 @@
+"""The command `tactile evaluate`: how accurate trained networks are, how honest, and what a filter adds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+MODES = ("network", "filter")
+
+
+def register(subparsers: Any) -> None:
+    """Add `evaluate` to argparse subparsers; sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="measure trained networks, alone or with the filter, on labelled images",
+        description="Measure trained networks on a labelled data folder: the paper's tables and figures, "
+        "and how honest their uncertainty is. `tactile evaluate filter` runs the paper's filter experiment.",
+    )
+    parser.add_argument("mode", nargs="?", choices=MODES, default="network", help="what to measure (network)")
+    parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
+    parser.add_argument(
+        "--model", type=Path, nargs="+", required=True, metavar="RUN",
+        help="run folders of `tactile train`, folders of such folders, or ONNX files",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, help="folder for tables and figures (out/evaluate)")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
+    parser.add_argument(
+        "--ensemble", action="store_true", help="also the models of each kind together, moment-matched"
+    )
+    parser.add_argument(
+        "--calibrate", type=Path, metavar="DIR",
+        help="calibrate on this labelled folder, which no model was trained on, not as the model files say",
+    )  # fmt: skip
+    parser.add_argument("--limit", type=int, metavar="N", help="use only N samples, spread over the table")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads of an inference (0: all cores)")
+    parser.add_argument("--no-figures", action="store_true", help="tables only")
+    parser.set_defaults(run=run_evaluate)
+
+
+def run_evaluate(arguments: argparse.Namespace) -> int:
+    """`tactile evaluate`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        _run_network(arguments, console)
+    except (ValueError, OSError) as error:
+        console.print(f"tactile evaluate: {error}", markup=False, style="red", soft_wrap=True)
+        return 1
+    return 0
+
+
+def _run_network(arguments: argparse.Namespace, console: Console) -> None:
+    from tactile_perception.evaluation.evaluate import evaluate, load_data
+    from tactile_perception.evaluation.models import open_models
+    from tactile_perception.evaluation.report import summary, write_files
+
+    models = open_models(arguments.model, arguments.threads)
+    with _progress(console) as progress:
+        task = progress.add_task("reading", total=None)
+        data = load_data(arguments.data, models, arguments.limit, _counter(progress, task))
+        held_back = load_data(arguments.calibrate, models) if arguments.calibrate else None
+        total = len(models) * (len(data) + (len(held_back) if held_back else 0))
+        task = progress.add_task("predicting", total=total)
+        results = evaluate(
+            data, models, arguments.ensemble, held_back, lambda count: progress.advance(task, count)
+        )
+    for line in data.report.lines() + [f"note: {note}" for note in data.notes]:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    out = arguments.out or Path("out/evaluate")
+    out.mkdir(parents=True, exist_ok=True)
+    write_files(out, data, results)
+    if not arguments.no_figures:
+        from tactile_perception.evaluation.plots import draw_all
+
+        draw_all(out, data, results)
+    if arguments.json:
+        print(json.dumps(summary(data, results), allow_nan=False))
+    else:
+        _print_tables(Console(), results)
+    console.print(f"files: {out}", highlight=False, soft_wrap=True)
+
+
+def _print_tables(console: Console, results: Any) -> None:
+    from tactile_perception.evaluation import report
+
+    console.print(report.accuracy_table(results))
+    for name, members in report.groups(results).items():
+        table = report.calibration_table(members, name)
+        if table is not None:
+            console.print(table)
+        console.print(report.bins_table(members, name, "by_depth"))
+        console.print(report.bins_table(members, name, "by_shear"))
+
+
+def _progress(console: Console) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _counter(progress: Progress, task: Any) -> Any:
+    return lambda done, total: progress.update(task, completed=done, total=total)

@@ -1,0 +1,1 @@
+"""Evaluation of trained networks: accuracy, calibration, and what the filter makes of them."""

@@ -1,0 +1,250 @@
+"""Evaluation of several models on one data folder: predictions, results, and their means over the models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_perception.calibration import Calibration, fit_calibration
+from tactile_perception.dataset import DatasetError, DatasetReport, read_dataset
+from tactile_perception.evaluation.metrics import (
+    Accuracy,
+    Bins,
+    Consistency,
+    accuracy,
+    binned,
+    by_predicted_sigma,
+    consistency,
+    depth_edges,
+    shear_of,
+)
+from tactile_perception.evaluation.models import Model
+from tactile_perception.evaluation.predictions import Predictions, moment_matched
+from tactile_perception.preprocessing import PreprocessingSettings
+
+Array = NDArray[np.float64]
+ENSEMBLE = "ensemble"
+
+
+@dataclass(frozen=True)
+class EvaluationData:
+    """Labels of a folder and its images, pre-processed as each model wants them.
+
+    Attributes
+    ----------
+    labels : (N, 6) xi_sf in mm and rad
+    euler_mm_deg : (N, 6) Euler surface contact pose
+    images : by pre-processing, uint8 (N, size, size)
+    notes : what a reader of the results should know about folder and models
+    """
+
+    folder: Path
+    names: list[str]
+    labels: Array
+    euler_mm_deg: Array
+    images: dict[PreprocessingSettings, NDArray[np.uint8]]
+    sha256: str
+    report: DatasetReport
+    notes: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Results of one set of predictions; what needs uncertainty is None without."""
+
+    predictions: Predictions
+    consistency: Consistency | None
+    by_sigma: list[Bins] | None
+    by_depth: Bins
+    by_shear: Bins
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """Results of a model (or ensemble) as it answers and, where it has a calibration, calibrated."""
+
+    name: str
+    kind: str
+    accuracy: Accuracy
+    raw: Assessment
+    calibrated: Assessment | None = None
+    calibration_source: str = ""
+    members: int = 1
+
+    @property
+    def best(self) -> Assessment:
+        """The calibrated results, else the raw ones."""
+        return self.calibrated or self.raw
+
+
+def load_data(
+    folder: Path | str,
+    models: Sequence[Model],
+    limit: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> EvaluationData:
+    """Read a labelled folder of the public layout, pre-processed as each of the models was trained.
+
+    Raises
+    ------
+    DatasetError
+        If the folder has no labels, no images, or nothing usable.
+    """
+    folder = Path(folder)
+    _check_folder(folder)
+    wanted = list(dict.fromkeys(model.metadata.preprocessing for model in models))
+    sets = [read_dataset(folder, settings, limit=limit, progress=progress) for settings in wanted]
+    first = sets[0]
+    data = EvaluationData(
+        folder=folder,
+        names=first.names,
+        labels=first.labels,
+        euler_mm_deg=first.euler_mm_deg,
+        images={settings: found.images for settings, found in zip(wanted, sets, strict=True)},
+        sha256=first.sha256,
+        report=first.report,
+    )
+    data.notes.extend(_training_notes(data, models))
+    return data
+
+
+def _check_folder(folder: Path) -> None:
+    """Name the parts of a folder of splits instead of saying that it has no table."""
+    if not folder.is_dir() or list(folder.glob("targets*.csv")):
+        return
+    parts = sorted(table.parent.name for table in folder.glob("*/targets*.csv"))
+    if parts:
+        listed = ", ".join(parts)
+        raise DatasetError(f"{folder}: holds the parts {listed}; evaluate one of them: {folder / parts[-1]}")
+
+
+def _training_notes(data: EvaluationData, models: Sequence[Model]) -> list[str]:
+    """Warnings where results would be flattered by what a model has seen."""
+    notes = []
+    for model in models:
+        known = model.metadata.training_data
+        if known.get("sha256") == data.sha256:
+            notes.append(f"{model.name} was trained on these data: its results here say nothing about others")
+        elif known.get("validation_sha256") == data.sha256:
+            notes.append(f"{model.name}'s best epoch was chosen on these data")
+    return notes
+
+
+def evaluate(
+    data: EvaluationData,
+    models: Sequence[Model],
+    ensemble: bool = False,
+    calibration_data: EvaluationData | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[ModelResult]:
+    """Results of each model, and of the models of each kind with uncertainty together.
+
+    Parameters
+    ----------
+    ensemble : bool
+        Also evaluate the moment-matched mixture of the models of each kind.
+    calibration_data : EvaluationData, optional
+        Calibrate on these instead of using the calibration in the model files.
+    """
+    predictions = [predict(model, data, progress) for model in models]
+    held_back = [predict(model, calibration_data, progress) for model in models] if calibration_data else None
+    results = []
+    for index, model in enumerate(models):
+        calibration, source = Calibration(), ""
+        if model.has_uncertainty and calibration_data is not None and held_back is not None:
+            calibration, source = _fitted(calibration_data, held_back[index])
+        elif model.has_uncertainty and not stored_calibration(model).is_identity:
+            calibration, source = stored_calibration(model), "model file"
+        results.append(assess(model.name, model.kind, data, predictions[index], calibration, source))
+    if ensemble:
+        results += _ensembles(data, models, predictions, results, calibration_data, held_back)
+    return results
+
+
+def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:
+    """A model's own predictions for all samples of the data."""
+    return model.predict(data.images[model.metadata.preprocessing], progress)
+
+
+def stored_calibration(model: Model) -> Calibration:
+    """The calibration in the model file; the identity if there is none."""
+    return getattr(model.metadata, "calibration", None) or Calibration()
+
+
+def assess(
+    name: str,
+    kind: str,
+    data: EvaluationData,
+    predictions: Predictions,
+    calibration: Calibration | None = None,
+    source: str = "",
+) -> ModelResult:
+    """Everything about one set of predictions, before and after calibration."""
+    calibrated = None
+    if calibration is not None and not calibration.is_identity:
+        calibrated = _assessment(data, predictions.calibrated(calibration))
+    return ModelResult(
+        name=name,
+        kind=kind,
+        accuracy=accuracy(data.labels, data.euler_mm_deg, predictions),
+        raw=_assessment(data, predictions),
+        calibrated=calibrated,
+        calibration_source=source,
+    )
+
+
+def _assessment(data: EvaluationData, predictions: Predictions) -> Assessment:
+    depth, shear = data.euler_mm_deg[:, 2], shear_of(data.euler_mm_deg)
+    uncertain = predictions.cov is not None
+    return Assessment(
+        predictions=predictions,
+        consistency=consistency(data.labels, predictions) if uncertain else None,
+        by_sigma=by_predicted_sigma(data.labels, predictions) if uncertain else None,
+        by_depth=binned(data.labels, predictions, depth, depth_edges(depth)),
+        by_shear=binned(data.labels, predictions, shear, depth_edges(shear)),
+    )
+
+
+def _fitted(data: EvaluationData, predictions: Predictions) -> tuple[Calibration, str]:
+    assert predictions.cov is not None
+    fitted = fit_calibration(data.labels, predictions.mean, predictions.cov)
+    return fitted, f"fitted on {fitted.samples} samples of {data.folder}"
+
+
+def _ensembles(
+    data: EvaluationData,
+    models: Sequence[Model],
+    predictions: Sequence[Predictions],
+    results: Sequence[ModelResult],
+    calibration_data: EvaluationData | None,
+    held_back: Sequence[Predictions] | None,
+) -> list[ModelResult]:
+    """One result for each kind of which there are at least two models.
+
+    Calibrated: fitted to the mixture itself where there are data for it, else the mixture of calibrated
+    members.
+    """
+    found = []
+    for kind in dict.fromkeys(model.kind for model in models):
+        chosen = [index for index, model in enumerate(models) if model.kind == kind]
+        if len(chosen) < 2:
+            continue
+        mixture = moment_matched([predictions[index] for index in chosen])
+        name = f"{ENSEMBLE} of {len(chosen)} {kind}"
+        result = assess(name, kind, data, mixture)
+        calibrated, source = None, ""
+        if mixture.cov is not None and calibration_data is not None and held_back is not None:
+            fitted, source = _fitted(calibration_data, moment_matched([held_back[index] for index in chosen]))
+            calibrated = _assessment(data, mixture.calibrated(fitted))
+        elif all(results[index].calibrated for index in chosen):
+            members = [results[index].best.predictions for index in chosen]
+            calibrated, source = _assessment(data, moment_matched(members)), "calibrated members"
+        found.append(ModelResult(name, kind, result.accuracy, result.raw, calibrated, source, len(chosen)))
+    return found

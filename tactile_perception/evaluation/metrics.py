@@ -1,0 +1,177 @@
+"""Accuracy and calibration of predictions against labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from tactile_perception.evaluation.predictions import OUTPUTS, Predictions, euler_of
+
+Array = NDArray[np.float64]
+
+#: Nominal levels of the central intervals whose coverage the tables give.
+LEVELS = (0.50, 0.90, 0.95, 0.99)
+#: Nominal levels of the reliability diagrams.
+CURVE = np.linspace(0.0, 1.0, 41)
+#: The paper's weights of the CNN's mean squared error (eq. mse_loss_def).
+MSE_WEIGHTS = np.array([1.0, 1.0, 1.0, 100.0, 100.0, 100.0])
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of the means.
+
+    Attributes
+    ----------
+    mse : the paper's weighted mean squared error
+    mae, rmse, bias : (6,) of xi_sf in mm and rad; bias is prediction less label
+    euler_mae : (6,) of the Euler surface contact pose in mm and degrees
+    """
+
+    mse: float
+    mae: Array
+    rmse: Array
+    bias: Array
+    euler_mae: Array
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """How well the stated uncertainty fits the errors.
+
+    Attributes
+    ----------
+    nll : mean negative log-likelihood (paper, eq. gdn_mean_nll_loss_def), in mm and rad
+    nees : (6,) mean of (error / sigma)^2; 1 is right, more is overconfident
+    nees_interval : in which 95 % of such means lie if the Gaussians are right
+    joint, joint_interval : the same of the joint NEES / 6
+    coverage : (len(LEVELS), 6) fraction of labels in the central intervals of LEVELS
+    curve : (len(CURVE), 6) the same at the levels of CURVE
+    sharpness : (6,) mean predicted standard deviation in mm and rad
+    """
+
+    nll: float
+    nees: Array
+    nees_interval: tuple[float, float]
+    joint: float
+    joint_interval: tuple[float, float]
+    coverage: Array
+    curve: Array
+    sharpness: Array
+
+
+def accuracy(labels: Array, euler_mm_deg: Array, predictions: Predictions) -> Accuracy:
+    """Errors of the means; labels (N, 6) in mm and rad, Euler poses (N, 6) in mm and degrees."""
+    error = predictions.mean - labels
+    return Accuracy(
+        mse=float((error**2 @ MSE_WEIGHTS).mean()),
+        mae=np.abs(error).mean(axis=0),
+        rmse=np.sqrt((error**2).mean(axis=0)),
+        bias=error.mean(axis=0),
+        euler_mae=np.abs(euler_error(euler_mm_deg, predictions)).mean(axis=0),
+    )
+
+
+def euler_error(euler_mm_deg: Array, predictions: Predictions) -> Array:
+    """Prediction less label of the Euler surface contact pose, (N, 6) in mm and degrees."""
+    error = euler_of(predictions.mean) - euler_mm_deg
+    error[:, 3:] = (error[:, 3:] + 180.0) % 360.0 - 180.0
+    return error
+
+
+def consistency(labels: Array, predictions: Predictions) -> Consistency:
+    """Calibration of predictions that have covariances; `ValueError` for others."""
+    if predictions.cov is None:
+        raise ValueError("these predictions have no uncertainty: nothing can be said about its calibration")
+    error = predictions.mean - labels
+    squared = squared_mahalanobis(error, predictions.cov)
+    _, log_det = np.linalg.slogdet(predictions.cov)
+    z = np.abs(error) / predictions.sigma
+    return Consistency(
+        nll=float(0.5 * (squared + log_det + OUTPUTS * np.log(2.0 * np.pi)).mean()),
+        nees=(z**2).mean(axis=0),
+        nees_interval=mean_interval(len(z), 1),
+        joint=float(squared.mean()) / OUTPUTS,
+        joint_interval=mean_interval(len(z), OUTPUTS),
+        coverage=coverage(z, np.array(LEVELS)),
+        curve=coverage(z, CURVE),
+        sharpness=predictions.sigma.mean(axis=0),
+    )
+
+
+def squared_mahalanobis(error: Array, cov: Array) -> Array:
+    """error^T cov^-1 error of each row: (N, 6), (N, 6, 6) -> (N,)."""
+    return np.einsum("ni,ni->n", error, np.linalg.solve(cov, error[:, :, None])[:, :, 0])
+
+
+def coverage(z: Array, levels: Array) -> Array:
+    """Fraction of |errors| in sigmas, (N, 6), within each level's central interval: (len(levels), 6)."""
+    return np.stack([(z <= bound).mean(axis=0) for bound in norm.ppf(0.5 + 0.5 * levels)])
+
+
+def mean_interval(count: int, dof: int, probability: float = 0.95) -> tuple[float, float]:
+    """Interval of the mean over `count` samples of chi-square(dof) / dof."""
+    total = count * dof
+    low, high = chi2.ppf([0.5 - 0.5 * probability, 0.5 + 0.5 * probability], total) / total
+    return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Errors by another quantity.
+
+    Attributes
+    ----------
+    edges : (B + 1,)
+    count : (B,)
+    mae, rmse : (B, 6) in mm and rad; NaN where a bin is empty
+    sigma : (B, 6) root of the mean predicted variance; NaN without uncertainty
+    nees : (B, 6) mean of (error / sigma)^2
+    """
+
+    edges: Array
+    count: NDArray[np.int64]
+    mae: Array
+    rmse: Array
+    sigma: Array
+    nees: Array
+
+
+def binned(labels: Array, predictions: Predictions, by: Array, edges: Array) -> Bins:
+    """Errors of the samples in each bin of the quantity `by` (N,); the last edge belongs to its bin."""
+    error = predictions.mean - labels
+    sigma = np.full_like(error, np.nan) if predictions.cov is None else predictions.sigma
+    number = np.clip(np.searchsorted(edges, by, side="right") - 1, -1, len(edges) - 1)
+    number[by == edges[-1]] = len(edges) - 2
+    columns = (np.abs(error), error**2, sigma**2, (error / sigma) ** 2)
+    means = np.full((4, len(edges) - 1, OUTPUTS), np.nan)
+    count = np.bincount(number[(number >= 0) & (number < len(edges) - 1)], minlength=len(edges) - 1)
+    for index in np.flatnonzero(count):
+        means[:, index] = [column[number == index].mean(axis=0) for column in columns]
+    mae, squared, variance, nees = means
+    return Bins(edges, count, mae, np.sqrt(squared), np.sqrt(variance), nees)
+
+
+def by_predicted_sigma(labels: Array, predictions: Predictions, bins: int = 10) -> list[Bins]:
+    """For each component, its errors in bins of as many samples each of its predicted sigma."""
+    found = []
+    for component in range(OUTPUTS):
+        sigma = predictions.sigma[:, component]
+        edges = np.unique(np.quantile(sigma, np.linspace(0.0, 1.0, bins + 1)))
+        if len(edges) == 1:  # a network that always states the same
+            edges = edges[0] * np.array([1.0 - 1e-6, 1.0 + 1e-6])
+        found.append(binned(labels, predictions, sigma, edges))
+    return found
+
+
+def depth_edges(depth_mm: Array) -> Array:
+    """Whole millimeters around the depths that occur."""
+    return np.arange(np.floor(depth_mm.min()), np.ceil(depth_mm.max()) + 0.5)
+
+
+def shear_of(euler_mm_deg: Array) -> Array:
+    """Tangential displacement (N,) in mm."""
+    return np.hypot(euler_mm_deg[:, 0], euler_mm_deg[:, 1])

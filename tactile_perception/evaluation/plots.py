@@ -1,0 +1,159 @@
+"""Figures of an evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
+from tactile_perception.evaluation.metrics import CURVE
+from tactile_perception.evaluation.report import groups
+from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+
+Array = NDArray[np.float64]
+Row = tuple[str, Array, Array, Array | None]
+_DPI = 80
+
+
+def draw_all(out: Path, data: EvaluationData, results: Sequence[ModelResult]) -> list[Path]:
+    """Every figure that the results allow, as PNG files in the folder `out`."""
+    best = [_best(members) for members in groups(results).values()]
+    rows: list[Row] = []
+    for result in best:
+        predictions = result.best.predictions
+        sigma = None if predictions.cov is None else predictions.sigma
+        rows.append((result.name, data.labels, predictions.mean, sigma))
+    paths = [out / "predicted_against_actual.png", out / "error_by_depth_and_shear.png"]
+    draw_predicted_against_actual(paths[0], rows, f"{data.folder.name}, {len(data)} images")
+    draw_by_depth_and_shear(paths[1], best)
+    uncertain = [result for result in best if result.raw.consistency is not None]
+    if uncertain:
+        paths += [out / "reliability.png", out / "error_by_sigma.png"]
+        draw_reliability(paths[2], uncertain)
+        draw_error_by_sigma(paths[3], uncertain)
+    return paths
+
+
+def _best(members: Sequence[ModelResult]) -> ModelResult:
+    """The model with the lowest loss, as the paper's figures show it."""
+
+    def loss(result: ModelResult) -> float:
+        consistency = result.raw.consistency
+        return result.accuracy.mse if consistency is None else consistency.nll
+
+    return min(members, key=loss)
+
+
+def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
+    """The paper's figure: predicted against actual, colored by precision, one row of plots for each entry.
+
+    Parameters
+    ----------
+    rows : sequence of (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad
+    """
+    figure, grid = _grid(len(rows), 6, 3.4)
+    for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):
+        for component, axes in enumerate(axes_row):
+            deviation = None if sigma is None else sigma[:, component]
+            scatter(figure, axes, actual[:, component], predicted[:, component], deviation)
+            mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
+            unit = NETWORK_UNITS[component]
+            axes.set_title(f"{COMPONENTS[component]}, {name}: MAE {mae:.4g} {unit}", fontsize=9)
+            axes.set(xlabel=f"actual ({unit})", ylabel="predicted")
+    figure.suptitle(title)
+    figure.savefig(path, dpi=_DPI)
+
+
+def scatter(figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: Array | None) -> None:
+    """One plot of the figure; without sigma in one color."""
+    usable = np.flatnonzero(np.isfinite(predicted) & np.isfinite(actual))
+    if sigma is None:
+        axes.scatter(actual[usable], predicted[usable], s=3, color="tab:gray")
+    else:
+        # Precise points on top, as they are the ones to trust.
+        order = usable[np.argsort(-sigma[usable])]
+        precision = sigma[order] ** -2
+        low, high = np.percentile(precision, [2.0, 98.0])
+        limits = {"vmin": low, "vmax": max(high, low * 1.001)}
+        points = axes.scatter(actual[order], predicted[order], c=precision, cmap="jet", s=3, **limits)
+        figure.colorbar(points, ax=axes, label="precision", pad=0.01)
+    limits_line = [actual[usable].min(), actual[usable].max()]
+    axes.plot(limits_line, limits_line, color="black", linewidth=0.8)
+
+
+def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
+    """Coverage against the nominal level of central intervals, before and after calibration."""
+    figure, grid = _grid(1, 6, 3.6)
+    for component, axes in enumerate(grid[0]):
+        axes.plot([0.0, 1.0], [0.0, 1.0], color="black", linewidth=0.8)
+        for color, result in enumerate(results):
+            for assessment, style in ((result.raw, ":"), (result.calibrated, "-")):
+                if assessment is not None and assessment.consistency is not None:
+                    state = "calibrated" if assessment is result.calibrated else "as the network says"
+                    curve = assessment.consistency.curve[:, component]
+                    axes.plot(CURVE, curve, style, color=f"C{color}", label=f"{result.name}, {state}")
+        axes.set(xlabel="nominal", title=COMPONENTS[component], aspect="equal")
+        axes.grid(alpha=0.3)
+    grid[0][0].set_ylabel("fraction of labels inside")
+    grid[0][0].legend(fontsize=7)
+    figure.savefig(path, dpi=_DPI)
+
+
+def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
+    """Root mean square error against predicted sigma in ten bins of as many samples each."""
+    figure, grid = _grid(1, 6, 3.6)
+    for component, axes in enumerate(grid[0]):
+        reach = []
+        for color, result in enumerate(results):
+            for assessment, style in ((result.raw, "o:"), (result.calibrated, "o-")):
+                if assessment is None or assessment.by_sigma is None:
+                    continue
+                bins = assessment.by_sigma[component]
+                state = "calibrated" if assessment is result.calibrated else "as the network says"
+                sigma, rmse = bins.sigma[:, component], bins.rmse[:, component]
+                axes.loglog(
+                    sigma, rmse, style, color=f"C{color}", markersize=3, label=f"{result.name}, {state}"
+                )
+                reach += [*sigma[np.isfinite(sigma)], *rmse[np.isfinite(rmse)]]
+        limits = [min(reach), max(reach)]
+        axes.plot(limits, limits, color="black", linewidth=0.8)
+        axes.set(xlabel=f"predicted sigma ({NETWORK_UNITS[component]})", title=COMPONENTS[component])
+        axes.grid(alpha=0.3, which="both")
+    grid[0][0].set_ylabel("root mean square error")
+    grid[0][0].legend(fontsize=7)
+    figure.savefig(path, dpi=_DPI)
+
+
+def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
+    """Mean absolute error by depth and by tangential displacement, with the mean predicted sigma dashed."""
+    figure, grid = _grid(2, 6, 3.0)
+    for axes_row, which in zip(grid, ("by_depth", "by_shear"), strict=True):
+        for component, axes in enumerate(axes_row):
+            for color, result in enumerate(results):
+                bins = getattr(result.best, which)
+                middle = 0.5 * (bins.edges[1:] + bins.edges[:-1])
+                axes.plot(middle, bins.mae[:, component], "o-", color=f"C{color}", label=result.name)
+                if np.isfinite(bins.sigma).any():
+                    # A Gaussian's mean absolute error is 0.798 of its sigma.
+                    expected = np.sqrt(2.0 / np.pi) * bins.sigma[:, component]
+                    axes.plot(middle, expected, "--", color=f"C{color}", label=f"{result.name}, predicted")
+            axes.set(
+                xlabel=f"{which[3:]} (mm)", title=f"{COMPONENTS[component]} ({NETWORK_UNITS[component]})"
+            )
+            axes.set_ylim(bottom=0.0)
+            axes.grid(alpha=0.3)
+        axes_row[0].set_ylabel("mean absolute error")
+    grid[0][0].legend(fontsize=7)
+    figure.savefig(path, dpi=_DPI)
+
+
+def _grid(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
+    figure = Figure(figsize=(3.3 * columns, height * rows + 0.3), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False)

@@ -1,0 +1,235 @@
+"""Tables and files of an evaluation: the paper's table, calibration, and everything as CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, ModelResult
+from tactile_perception.evaluation.metrics import LEVELS, Bins
+from tactile_perception.labels import COMPONENTS, EULER_COMPONENTS, EULER_UNITS, NETWORK_UNITS
+
+Array = NDArray[np.float64]
+
+
+def groups(results: Sequence[ModelResult]) -> dict[str, list[ModelResult]]:
+    """Results by what their models are; an ensemble is a group of its own."""
+    found: dict[str, list[ModelResult]] = {}
+    for result in results:
+        key = result.name if result.members > 1 else result.kind
+        found.setdefault(key, []).append(result)
+    return found
+
+
+def spread(values: Sequence[float] | Array) -> tuple[float, float]:
+    """Mean and sample standard deviation over models; NaN where there is only one."""
+    array = np.asarray(values, dtype=np.float64)
+    return float(array.mean()), float(array.std(ddof=1)) if len(array) > 1 else float("nan")
+
+
+def with_spread(values: Sequence[float] | Array, digits: int = 4) -> str:
+    """Mean and standard deviation as in the paper's tables."""
+    mean, deviation = spread(values)
+    text = f"{mean:.{digits}f}"
+    return text if np.isnan(deviation) else f"{text} ± {deviation:.{digits}f}"
+
+
+def accuracy_table(results: Sequence[ModelResult]) -> Table:
+    """The paper's table of losses and mean absolute errors, with the Euler pose's below."""
+    columns = groups(results)
+    table = Table(title="loss and mean absolute errors (mean ± deviation over models)")
+    table.add_column("")
+    for name, members in columns.items():
+        table.add_column(name if len(members) == 1 else f"{name}, {len(members)} models", justify="right")
+
+    def row(label: str, value: Callable[[ModelResult], float | None]) -> None:
+        table.add_row(label, *(_cell([value(member) for member in members]) for members in columns.values()))
+
+    row("mean NLL", lambda result: result.raw.consistency.nll if result.raw.consistency else None)
+    row("weighted MSE", lambda result: result.accuracy.mse)
+    table.add_section()
+    for index, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
+        row(f"{name} ({unit})", lambda result, index=index: result.accuracy.mae[index])  # type: ignore[misc]
+    table.add_section()
+    for index, (name, unit) in enumerate(zip(EULER_COMPONENTS, EULER_UNITS, strict=True)):
+        row(f"{name} ({unit})", lambda result, index=index: result.accuracy.euler_mae[index])  # type: ignore[misc]
+    return table
+
+
+def _cell(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return with_spread(known) if known else "-"
+
+
+def calibration_table(members: Sequence[ModelResult], name: str) -> Table | None:
+    """NEES and coverage before and after calibration, means over models; None without uncertainty."""
+    if any(member.raw.consistency is None for member in members):
+        return None
+    states: list[tuple[str, Callable[[ModelResult], Assessment]]] = [("raw", lambda m: m.raw)]
+    if all(member.calibrated for member in members):
+        states.append(("calibrated", lambda m: m.best))
+    count = int(members[0].raw.by_depth.count.sum())
+    interval = members[0].raw.consistency
+    assert interval is not None
+    low, high = interval.joint_interval
+    table = Table(
+        title=f"{name}: NEES (more than 1: overconfident) and coverage in %, raw and calibrated\n"
+        f"a right joint NEES / 6 of {count} samples lies in [{low:.3f}, {high:.3f}] with 95 %"
+    )
+    table.add_column("")
+    for label in (*COMPONENTS, "joint", "mean NLL"):
+        table.add_column(label, justify="right")
+    for state, choose in states:
+        found = [choose(member).consistency for member in members]
+        rows = [consistency for consistency in found if consistency is not None]
+        cells = [with_spread(column, 2) for column in np.array([c.nees for c in rows]).T]
+        joint, nll = with_spread([c.joint for c in rows], 3), with_spread([c.nll for c in rows], 2)
+        table.add_row(f"NEES, {state}", *cells, joint, nll)
+        for level, percent in zip(LEVELS, np.mean([c.coverage for c in rows], axis=0) * 100.0, strict=True):
+            table.add_row(f"within {level:.0%}", *(f"{value:.1f}" for value in percent), "", "")
+    return table
+
+
+def bins_table(members: Sequence[ModelResult], name: str, which: str) -> Table:
+    """MAE by depth or by shear (`by_depth`, `by_shear`), means over models."""
+    bins: list[Bins] = [getattr(member.best, which) for member in members]
+    table = Table(title=f"{name}: mean absolute error {which.replace('_', ' ')} (mm)")
+    table.add_column("")
+    edges, count = bins[0].edges, bins[0].count
+    chosen = np.flatnonzero(count)
+    for index in chosen:
+        table.add_column(f"{edges[index]:g} to {edges[index + 1]:g}", justify="right")
+    table.add_row("samples", *(str(count[index]) for index in chosen))
+    mae = np.mean([b.mae for b in bins], axis=0)
+    for component, (label, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
+        table.add_row(f"{label} ({unit})", *(f"{mae[index, component]:.4f}" for index in chosen))
+    return table
+
+
+def summary(data: EvaluationData, results: Sequence[ModelResult]) -> dict[str, Any]:
+    """Everything but the predictions as plain types, for JSON."""
+    return {
+        "data": {"folder": str(data.folder), "samples": len(data), "sha256": data.sha256},
+        "notes": data.notes,
+        "components": [f"{n} ({u})" for n, u in zip(COMPONENTS, NETWORK_UNITS, strict=True)],
+        "coverage_levels": list(LEVELS),
+        "models": [_plain_result(result) for result in results],
+        "groups": {name: _plain_group(members) for name, members in groups(results).items()},
+    }
+
+
+def _plain_result(result: ModelResult) -> dict[str, Any]:
+    plain: dict[str, Any] = {
+        "name": result.name,
+        "kind": result.kind,
+        "members": result.members,
+        "accuracy": _plain(result.accuracy),
+        "raw": _plain_assessment(result.raw),
+    }
+    if result.calibrated is not None:
+        plain["calibrated"] = _plain_assessment(result.calibrated)
+        plain["calibration"] = result.calibration_source
+    return plain
+
+
+def _plain_assessment(assessment: Assessment) -> dict[str, Any]:
+    parts = {
+        name: _plain(getattr(assessment, name))
+        for name in ("consistency", "by_sigma", "by_depth", "by_shear")
+    }
+    return {name: value for name, value in parts.items() if value is not None}
+
+
+def _plain_group(members: Sequence[ModelResult]) -> dict[str, Any]:
+    """Mean and deviation over the models of the numbers that the paper's table has."""
+    found: dict[str, Any] = {"models": len(members)}
+    for name in ("mse", "mae", "euler_mae"):
+        found[name] = _mean_and_deviation([getattr(member.accuracy, name) for member in members])
+    for state in ("raw", "calibrated"):
+        assessments = [getattr(member, state) for member in members]
+        if any(assessment is None or assessment.consistency is None for assessment in assessments):
+            continue
+        for name in ("nll", "joint", "nees", "coverage"):
+            values = [getattr(assessment.consistency, name) for assessment in assessments]
+            found[f"{state}_{name}"] = _mean_and_deviation(values)
+    return found
+
+
+def _mean_and_deviation(values: Sequence[Any]) -> dict[str, Any]:
+    array = np.array(values)
+    deviation = array.std(axis=0, ddof=1) if len(array) > 1 else np.full(array.shape[1:], np.nan)
+    return {"mean": _plain(array.mean(axis=0)), "deviation": _plain(deviation)}
+
+
+def _plain(value: Any) -> Any:
+    """Data classes, arrays and numbers as JSON has them; what is not finite becomes null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(element) for element in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def write_files(out: Path, data: EvaluationData, results: Sequence[ModelResult]) -> None:
+    """`results.json`, `results.csv` (one number a row), and each model's predictions as a table."""
+    text = json.dumps(summary(data, results), indent=1, allow_nan=False)
+    (out / "results.json").write_text(text + "\n")
+    with (out / "results.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["model", "kind", "state", "quantity", "component", "value"])
+        for result in results:
+            writer.writerows((result.name, result.kind, *row) for row in _rows(result))
+    for number, result in enumerate(results):
+        _write_predictions(out / f"predictions_{number + 1}.csv", data, result)
+
+
+def _rows(result: ModelResult) -> Iterator[tuple[str, str, str, str]]:
+    """(state, quantity, component, value) of every number that does not come from bins."""
+    accuracy = result.accuracy
+    yield "", "weighted MSE", "", f"{accuracy.mse:.6g}"
+    for quantity, values in (("MAE", accuracy.mae), ("RMSE", accuracy.rmse), ("bias", accuracy.bias)):
+        for component, value in zip(COMPONENTS, values, strict=True):
+            yield "", quantity, component, f"{value:.6g}"
+    for component, value in zip(EULER_COMPONENTS, accuracy.euler_mae, strict=True):
+        yield "", "MAE", component, f"{value:.6g}"
+    for state in ("raw", "calibrated"):
+        assessment = getattr(result, state)
+        consistency = None if assessment is None else assessment.consistency
+        if consistency is None:
+            continue
+        yield state, "mean NLL", "", f"{consistency.nll:.6g}"
+        yield state, "joint NEES / 6", "", f"{consistency.joint:.6g}"
+        for component, value in zip(COMPONENTS, consistency.nees, strict=True):
+            yield state, "NEES", component, f"{value:.6g}"
+        for level, row in zip(LEVELS, consistency.coverage, strict=True):
+            for component, value in zip(COMPONENTS, row, strict=True):
+                yield state, f"coverage at {level:.0%}", component, f"{value:.6g}"
+
+
+def _write_predictions(path: Path, data: EvaluationData, result: ModelResult) -> None:
+    vector = [f"{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
+    header = [f"{kind}_{column}" for kind in ("label", "predicted") for column in vector]
+    columns = [data.labels, result.raw.predictions.mean]
+    for state in ("raw", "calibrated"):
+        assessment = getattr(result, state)
+        if assessment is not None and assessment.consistency is not None:
+            header += [f"{state}_sigma_{column}" for column in vector]
+            columns.append(assessment.predictions.sigma)
+    values = np.hstack(columns)
+    with path.open("w", newline="") as file:
+        file.write(f"# {result.name}\n")
+        file.write(",".join(["image", *header]) + "\n")
+        for name, row in zip(data.names, values.tolist(), strict=True):
+            file.write(name + "," + ",".join(f"{value:.6g}" for value in row) + "\n")
