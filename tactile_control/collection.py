@@ -1,0 +1,409 @@
+"""Data collection as a state machine: approach, rotate, contact, shear, image, retreat, again and again.
+
+The paper's Algorithm "Data collection" for an arm that takes twists. A library without ROS and without a
+clock of its own: whoever owns the time calls `step(now_ns, inputs)` at the control rate, sends the twist of
+what comes back and, where that holds a `Capture`, stores the image of its exposure under its number::
+
+    task = DataCollection(settings, targets, T_base_f)
+    while not (command := task.step(now_ns(), inputs())).done:
+        send(command.twist)
+        if command.capture:
+            store(image_of(command.capture.stamp_ns), command.capture)
+
+Phases: go_to_start -> reference -> (touch) -> (rotate -> contact -> shear -> capture -> retreat) for each
+sample -> done, or failed. The label is where the arm says that the sensor was at the exposure, not where it
+was sent. An input that is too old takes the twist to zero (`watchdog`); the task goes on when it is back, and
+fails where it is after the watchdog's patience. Every other failure leaves the surface first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_control import collection_geometry as geometry
+from tactile_control.collection_settings import DataCollectionSettings
+from tactile_control.collection_types import (
+    CAPTURE,
+    CONTACT,
+    REFERENCE,
+    ROTATE,
+    SHEAR,
+    TOUCH,
+    Capture,
+    CollectionCommand,
+    CollectionInputs,
+    Exposure,
+    Target,
+)
+from tactile_control.limiter import TwistLimiter
+from tactile_control.motion import Odometer, Waypoint, pose_difference, twist_towards, way_to_start
+from tactile_control.pid import NANOSECOND, ControlInputError
+from tactile_control.servoing import checked_pose
+from tactile_control.task import AT_REST, DONE, FAILED, GO_TO_START, RETREAT, STOPPING, StampedPose
+from tactile_control.task_settings import TaskSettings
+from tactile_control.touch_off import TouchFailed, TouchOff, at
+from tactile_control.watchdog import Watchdog
+from tactile_filter import se3
+
+Array = NDArray[np.float64]
+
+
+class DataCollection:
+    """Collects one sample after the other; see the module's text.
+
+    Parameters
+    ----------
+    settings : DataCollectionSettings
+    targets : sequence of Target
+    T_base_f : ndarray (4, 4)
+        Contact frame of the flat surface (see `collection_geometry`); touches correct it.
+
+    Raises
+    ------
+    ValueError
+        Without a target, or with a contact frame that is no rigid transform.
+    """
+
+    def __init__(self, settings: DataCollectionSettings, targets: Sequence[Target], T_base_f: Array) -> None:
+        if not targets:
+            raise ValueError("no sample to collect")
+        self.settings = settings
+        self.targets = list(targets)
+        self.T_base_f = checked_pose("contact frame", T_base_f)
+        self.limiter = TwistLimiter(settings.limiter)
+        self.watchdog = Watchdog(settings.watchdog)
+        self.phase = GO_TO_START
+        self.reason = ""
+        self.collected = 0
+        self.touch = TouchOff(settings.touch)
+        self._odometer = Odometer(1e-4)
+        self._handlers: dict[str, Callable[[int], Array]] = {
+            GO_TO_START: self._go_to_start,
+            REFERENCE: self._reference,
+            TOUCH: self._touch,
+            ROTATE: self._rotate,
+            CONTACT: self._contact,
+            SHEAR: self._shear,
+            CAPTURE: self._capture,
+            RETREAT: self._retreat,
+            STOPPING: self._stopping,
+        }
+        self._now_ns: int | None = None
+        self._phase_since_ns = 0
+        self._pose: StampedPose | None = None
+        self._exposure: Exposure | None = None
+        self._waypoints: list[Waypoint] | None = None
+        self._goal: Array | None = None
+        self._still: StampedPose | None = None
+        self._captured: Capture | None = None
+        self._wanted = np.zeros(6)
+        self._refused = ""
+
+    # ---- what the owner calls ----
+
+    def configure(self, settings: DataCollectionSettings) -> None:
+        """Replace the settings; they hold from the next step on."""
+        self.settings = settings
+        self.limiter.configure(settings.limiter)
+        self.watchdog.configure(settings.watchdog)
+
+    def stop(self, reason: str) -> None:
+        """Ask the task to end: it comes to rest, leaves the surface, and fails with `reason`."""
+        if self.phase in (DONE, FAILED, STOPPING) or self.reason:
+            return
+        self.reason = reason or "stopped"
+        self._enter(STOPPING)
+
+    def step(self, now_ns: int, inputs: CollectionInputs) -> CollectionCommand:
+        """Advance to `now_ns` with the latest inputs. Bad inputs do not raise: they fail the task."""
+        self._captured = None
+        if self._now_ns is None:
+            self._phase_since_ns = now_ns
+        elif now_ns < self._now_ns:
+            self._fail_here(f"the clock went back by {(self._now_ns - now_ns) * NANOSECOND:.3f} s")
+        self._now_ns = now_ns
+        self._take(inputs)
+        if self.phase in (DONE, FAILED) or self._waiting(now_ns):
+            self._wanted = np.zeros(6)
+            return self._command(now_ns, self._wanted)
+        state = self.watchdog.step(now_ns, self._stamps())
+        if state.failed:
+            self._fail_here(state.reason + self._refused)
+            return self._command(now_ns, np.zeros(6))
+        if not state.ok:
+            self._still = None
+            return self._command(now_ns, state.scale * self._wanted, state.reason + self._refused)
+        self._wanted = self._handlers[self.phase](now_ns)
+        return self._command(now_ns, self._wanted)
+
+    # ---- inputs ----
+
+    def _take(self, inputs: CollectionInputs) -> None:
+        """Keep each input if it is later than the last and usable; a refused one counts as not come."""
+        pose, exposure = inputs.sensor_pose, inputs.exposure
+        self._refused = ""
+        try:
+            if pose is not None and (self._pose is None or pose.stamp_ns > self._pose.stamp_ns):
+                checked_pose("sensor pose", pose.T)
+                self._pose = pose
+                self._odometer.add(pose.T[:3, 3])
+            if exposure is not None and (
+                self._exposure is None or exposure.stamp_ns > self._exposure.stamp_ns
+            ):
+                checked_pose("sensor pose at the exposure", exposure.T_base_sensor)
+                self._exposure = exposure
+        except ControlInputError as error:
+            self._refused = f" (the last one was refused: {error})"
+
+    def _stamps(self) -> dict[str, int | None]:
+        """Stamps of what this phase needs; leaving the surface needs no image."""
+        stamps = {"pose": self._pose.stamp_ns if self._pose else None}
+        if self.phase not in (RETREAT, STOPPING):
+            stamps["image"] = self._exposure.stamp_ns if self._exposure else None
+        return stamps
+
+    def _waiting(self, now_ns: int) -> bool:
+        """True while an input has yet to arrive for the first time; fails after a while."""
+        missing = [name for name, stamp in self._stamps().items() if stamp is None]
+        if not missing:
+            return False
+        limit = self.settings.motion.start_timeout
+        if self._in_phase(now_ns) > limit:
+            self._fail_here(f"no {' and no '.join(missing)} has arrived within {limit:g} s{self._refused}")
+        return True
+
+    # ---- phases: each returns the twist wanted now ----
+
+    def _go_to_start(self, now_ns: int) -> Array:
+        pose, motion = self._sensor_pose(), self.settings.motion
+        start = self._in_base(at(0.0, 0.0, -motion.standoff))
+        if self._waypoints is None:
+            self._waypoints = way_to_start(pose, start, motion.in_air)
+        while self._waypoints and self._waypoints[0].reached(pose):
+            self._waypoints.pop(0)
+        if not self._waypoints:
+            self._enter(REFERENCE)
+            return np.zeros(6)
+        if self._late(now_ns):
+            return self._fail(f"the start was not reached within {motion.motion_timeout:g} s")
+        return twist_towards(pose, self._waypoints[0].T_base_goal, motion.in_air)
+
+    def _reference(self, now_ns: int) -> Array:
+        """At rest off the surface until the image without contact is known."""
+        exposure, motion = self._exposure, self.settings.motion
+        if exposure is not None and exposure.in_contact is not None and self._resting(now_ns):
+            if exposure.in_contact:
+                return self._fail("the image shows contact where there is none: the reference is no good")
+            self._enter(TOUCH if self.settings.touch.points else ROTATE)
+            return np.zeros(6)
+        if self._in_phase(now_ns) > motion.capture_timeout + motion.settle_time:
+            return self._fail(f"no image without contact was taken within {motion.capture_timeout:g} s")
+        return np.zeros(6)
+
+    def _touch(self, now_ns: int) -> Array:
+        """Touch the surface in places, then correct the contact frame by what was found."""
+        exposure, motion = self._exposure, self.settings.motion
+        assert exposure is not None
+        X_exposed = self._in_contact_frame(exposure.T_base_sensor)
+        try:
+            move = self.touch.step(
+                now_ns, self._X_fs(), exposure.stamp_ns, X_exposed, bool(exposure.in_contact)
+            )
+        except TouchFailed as error:
+            return self._fail(str(error))
+        if self.touch.done:
+            self.T_base_f = self.touch.corrected(self.T_base_f)
+            self._enter(ROTATE)
+            return np.zeros(6)
+        if self._in_phase(now_ns) > motion.motion_timeout * self.settings.touch.points:
+            return self._fail(f"{len(self.touch.touches) + 1} touches took too long")
+        pace = motion.in_contact.replaced(travel_speed=self.settings.touch.speed)
+        return twist_towards(
+            self._sensor_pose(), self._in_base(move.X_fs), pace if move.slowly else motion.in_air
+        )
+
+    def _rotate(self, now_ns: int) -> Array:
+        """Back over the point of first touch, turned to the contact angles, in the air."""
+        target, motion = self._target(), self.settings.motion
+        if self._late(now_ns):
+            return self._fail(f"the start of the contact was not reached within {motion.motion_timeout:g} s")
+        twist = self._towards(geometry.above(target.euler, motion.clearance), motion.in_air)
+        if twist is not None:
+            return twist
+        if self._clear():
+            self._enter(CONTACT)
+        elif self._in_phase(now_ns) > motion.capture_timeout:
+            return self._fail(
+                f"the image shows contact {motion.clearance * 1e3:.1f} mm off the surface: the surface is "
+                "nearer than it is said to be (find it by touch), or the reference image is no good"
+            )
+        return np.zeros(6)
+
+    def _contact(self, now_ns: int) -> Array:
+        return self._slow_leg(now_ns, geometry.pressed(self._target().euler), SHEAR, "depth")
+
+    def _shear(self, now_ns: int) -> Array:
+        return self._slow_leg(now_ns, se3.pose_from_euler(self._target().euler), CAPTURE, "shear")
+
+    def _capture(self, now_ns: int) -> Array:
+        """At rest until an exposure of that rest has come."""
+        exposure, motion, target = self._exposure, self.settings.motion, self._target()
+        assert exposure is not None
+        if self._resting(now_ns) and self._rested(exposure):
+            X_fs = self._in_contact_frame(exposure.T_base_sensor)
+            if X_fs[2, 3] >= motion.certain_depth and not exposure.in_contact:
+                return self._fail(
+                    f"the image shows no contact at a depth of {X_fs[2, 3] * 1e3:.1f} mm: the surface is "
+                    "further away than it is said to be (find it by touch)"
+                )
+            euler = se3.euler_from_pose(X_fs)
+            self._captured = Capture(
+                target.number, exposure.stamp_ns, euler, target.euler, exposure.T_base_sensor
+            )
+            self.collected += 1
+            self._enter(RETREAT)
+        elif self._in_phase(now_ns) > motion.capture_timeout + motion.settle_time:
+            return self._fail(f"the arm did not rest, or no image came, within {motion.capture_timeout:g} s")
+        return np.zeros(6)
+
+    def _retreat(self, now_ns: int) -> Array:
+        motion = self.settings.motion
+        ends = bool(self.reason) or self.collected == len(self.targets)
+        gap = motion.standoff if ends else motion.clearance
+        if self._goal is None:
+            self._goal = geometry.lifted(self._X_fs(), gap)
+        if self._X_fs()[2, 3] <= -gap + 10.0 * motion.position_tolerance:
+            return self._next_or_end()
+        if self._late(now_ns):
+            late = f"the retreat took longer than {motion.motion_timeout:g} s"
+            self._fail_here(f"{self.reason}; {late}" if self.reason else late)
+            return np.zeros(6)
+        return twist_towards(self._sensor_pose(), self._in_base(self._goal), motion.in_air)
+
+    def _stopping(self, now_ns: int) -> Array:
+        if np.abs(self.limiter.twist).max() <= AT_REST:
+            self._enter(RETREAT)
+        return np.zeros(6)
+
+    # ---- parts of phases ----
+
+    def _next_or_end(self) -> Array:
+        """On to the next sample, or to the end."""
+        if self.reason:
+            self._enter(FAILED)
+        else:
+            self._enter(DONE if self.collected == len(self.targets) else ROTATE)
+        return np.zeros(6)
+
+    def _slow_leg(self, now_ns: int, X_fs: Array, following: str, what: str) -> Array:
+        """On the way in contact; a leg that ends begins the next phase."""
+        motion = self.settings.motion
+        if self._late(now_ns):
+            return self._fail(f"the {what} was not reached within {motion.motion_timeout:g} s")
+        twist = self._towards(X_fs, motion.in_contact)
+        if twist is None:
+            self._enter(following)
+            return np.zeros(6)
+        return twist
+
+    def _towards(self, X_fs: Array, pace: TaskSettings) -> Array | None:
+        """Twist towards a pose in {f}; None where it is reached."""
+        goal = self._in_base(X_fs)
+        reached = Waypoint(goal, pace.position_tolerance, pace.angle_tolerance).reached(self._sensor_pose())
+        return None if reached else twist_towards(self._sensor_pose(), goal, pace)
+
+    def _clear(self) -> bool:
+        """No contact in an image exposed since this phase began."""
+        exposure = self._exposure
+        assert exposure is not None
+        known = exposure.in_contact is not None
+        return known and not exposure.in_contact and exposure.stamp_ns >= self._phase_since_ns
+
+    def _resting(self, now_ns: int) -> bool:
+        """Whether the commanded twist is zero and the pose has not moved for `settle_time`."""
+        motion, pose = self.settings.motion, self._pose
+        assert pose is not None
+        moved = self._still is None or not self._near(pose.T, self._still.T)
+        if moved or np.abs(self.limiter.twist).max() > AT_REST:
+            self._still = pose
+            return False
+        assert self._still is not None
+        return (pose.stamp_ns - self._still.stamp_ns) * NANOSECOND >= motion.settle_time
+
+    def _rested(self, exposure: Exposure) -> bool:
+        """Whether an exposure was made after rest had settled, where the sensor rests."""
+        assert self._still is not None
+        rest = (exposure.stamp_ns - self._still.stamp_ns) * NANOSECOND
+        settled = rest >= self.settings.motion.settle_time
+        return settled and self._near(exposure.T_base_sensor, self._still.T)
+
+    def _near(self, T: Array, other: Array) -> bool:
+        position, rotation = pose_difference(T, other)
+        motion = self.settings.motion
+        return bool(
+            np.linalg.norm(position) <= motion.still_distance
+            and np.linalg.norm(rotation) <= motion.still_angle
+        )
+
+    def _target(self) -> Target:
+        return self.targets[self.collected]
+
+    def _in_base(self, X_fs: Array) -> Array:
+        return np.asarray(self.T_base_f @ X_fs)
+
+    def _in_contact_frame(self, T_base_sensor: Array) -> Array:
+        return np.asarray(se3.inverse(self.T_base_f) @ T_base_sensor)
+
+    def _X_fs(self) -> Array:
+        return self._in_contact_frame(self._sensor_pose())
+
+    def _sensor_pose(self) -> Array:
+        assert self._pose is not None
+        return self._pose.T
+
+    def _late(self, now_ns: int) -> bool:
+        return self._in_phase(now_ns) > self.settings.motion.motion_timeout
+
+    def _in_phase(self, now_ns: int) -> float:
+        return (now_ns - self._phase_since_ns) * NANOSECOND
+
+    def _fail(self, reason: str) -> Array:
+        """Fail, after leaving the surface."""
+        self.reason = self.reason or reason
+        self._enter(STOPPING)
+        return np.zeros(6)
+
+    def _fail_here(self, reason: str) -> None:
+        """Fail where it stands: what is known does not allow to move."""
+        if self.phase not in (DONE, FAILED):
+            self.reason = self.reason or reason
+            self._enter(FAILED)
+
+    def _enter(self, phase: str) -> None:
+        self.phase = phase
+        self._phase_since_ns = self._now_ns or 0
+        self._goal = self._still = None
+        self.watchdog.reset()
+
+    # ---- output ----
+
+    def _command(self, now_ns: int, wanted: Array, reason: str = "") -> CollectionCommand:
+        limited = self.limiter.step(now_ns, wanted)
+        resting = float(np.abs(limited.twist).max()) <= AT_REST
+        return CollectionCommand(
+            twist=limited.twist,
+            unlimited=self._wanted.copy(),
+            phase=self.phase,
+            number=self._target().number if self.collected < len(self.targets) else 0,
+            collected=self.collected,
+            total=len(self.targets),
+            travelled=self._odometer.length,
+            capture=self._captured,
+            done=self.phase in (DONE, FAILED) and resting,
+            succeeded=self.phase == DONE,
+            reason="; ".join(text for text in (self.reason, reason) if text),
+            limited=limited.reason,
+        )

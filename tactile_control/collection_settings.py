@@ -1,0 +1,123 @@
+"""What can be set of data collection with an arm: its motion, limiter and watchdog."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+
+from tactile_control.limiter import LimiterSettings
+from tactile_control.task_settings import TaskSettings
+from tactile_control.watchdog import WatchdogSettings
+from tactile_filter.settings import SettingError, Settings, setting
+
+
+@dataclass(frozen=True)
+class CollectionMotionSettings(Settings):
+    """Speeds, tolerances and time limits of `DataCollection`."""
+
+    clearance: float = setting(
+        0.003, lower=2e-4, upper=0.1, unit="m", doc="gap to the surface in which the sensor turns"
+    )
+    standoff: float = setting(
+        0.010, lower=2e-4, upper=0.5, unit="m", doc="gap at which collection begins and ends"
+    )
+    air_speed: float = setting(0.05, lower=1e-3, upper=1.0, unit="m/s", doc="speed off the surface")
+    air_angular_speed: float = setting(
+        1.0, lower=1e-2, upper=6.3, unit="rad/s", doc="rotation speed off the surface"
+    )
+    contact_speed: float = setting(
+        0.02, lower=1e-4, upper=0.2, unit="m/s", doc="speed of pressing and shearing"
+    )
+    contact_angular_speed: float = setting(
+        0.35, lower=1e-3, upper=3.0, unit="rad/s", doc="rotation speed of shearing"
+    )
+    gain: float = setting(8.0, lower=0.1, upper=50.0, unit="1/s", doc="speed per distance left")
+    position_tolerance: float = setting(
+        5e-5, lower=1e-6, upper=0.005, unit="m", doc="a contact pose is reached within this"
+    )
+    angle_tolerance: float = setting(
+        1e-3, lower=1e-5, upper=0.1, unit="rad", doc="and its orientation within this"
+    )
+    motion_timeout: float = setting(20.0, lower=0.5, upper=600.0, unit="s", doc="longest single motion")
+    start_timeout: float = setting(
+        5.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
+    )
+    settle_time: float = setting(
+        0.15, lower=0.0, upper=10.0, unit="s", doc="rest before the exposure that is kept"
+    )
+    still_distance: float = setting(
+        2e-5, lower=1e-7, upper=0.005, unit="m", doc="rest: the sensor strays no further than this"
+    )
+    still_angle: float = setting(5e-4, lower=1e-6, upper=0.1, unit="rad", doc="and turns no further")
+    capture_timeout: float = setting(
+        5.0, lower=0.1, upper=60.0, unit="s", doc="longest wait for rest and an exposure of it"
+    )
+    certain_depth: float = setting(
+        1e-3, lower=0.0, upper=0.02, unit="m",
+        doc="a contact this deep must show in the image, one this far off must not: else the surface is not "
+        "where it is said to be, and labels would be wrong",
+    )  # fmt: skip
+
+    @property
+    def in_air(self) -> TaskSettings:
+        """Pace off the surface, as the moves of `tactile_control.motion` take it."""
+        return self._pace(self.air_speed, self.air_angular_speed)
+
+    @property
+    def in_contact(self) -> TaskSettings:
+        """Pace of pressing and shearing."""
+        return self._pace(self.contact_speed, self.contact_angular_speed)
+
+    def _pace(self, speed: float, angular_speed: float) -> TaskSettings:
+        return TaskSettings(
+            travel_speed=speed,
+            travel_angular_speed=angular_speed,
+            travel_gain=self.gain,
+            travel_height=self.standoff,
+            position_tolerance=self.position_tolerance,
+            angle_tolerance=self.angle_tolerance,
+        )
+
+
+@dataclass(frozen=True)
+class TouchSettings(Settings):
+    """How the surface is found by touch before the first sample."""
+
+    points: int = setting(
+        0, lower=0, upper=24,
+        doc="0: the surface is where it is said to be; 1: a touch finds its height; 3 and more: its tilt too",
+    )  # fmt: skip
+    radius: float = setting(0.015, lower=1e-3, upper=0.2, unit="m", doc="of the circle of 3 and more points")
+    search: float = setting(
+        0.005, lower=2e-4, upper=0.1, unit="m", doc="the surface is sought this far above and below"
+    )
+    speed: float = setting(0.002, lower=1e-4, upper=0.02, unit="m/s", doc="speed of the search")
+    depth: float = setting(
+        2e-4, lower=0.0, upper=0.005, unit="m", doc="depth at which contact first shows in the image"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.points == 2:
+            raise SettingError("points = 2: two touches do not tell a plane; must be 0, 1, or 3 and more")
+
+
+@dataclass(frozen=True)
+class CollectionWatchdogSettings(WatchdogSettings):
+    """Age limits; collection looks at the sensor's pose and at the image."""
+
+    image_age: float = setting(0.2, lower=0.005, upper=10.0, unit="s", doc="oldest image acted upon")
+
+
+@dataclass(frozen=True)
+class DataCollectionSettings:
+    """All that can be set of `DataCollection`."""
+
+    motion: CollectionMotionSettings = field(default_factory=CollectionMotionSettings)
+    touch: TouchSettings = field(default_factory=TouchSettings)
+    limiter: LimiterSettings = field(default_factory=LimiterSettings)
+    watchdog: CollectionWatchdogSettings = field(default_factory=CollectionWatchdogSettings)
+
+    def replaced(self, **groups: Settings) -> DataCollectionSettings:
+        """A copy with whole groups replaced."""
+        return dataclasses.replace(self, **groups)  # type: ignore[arg-type]

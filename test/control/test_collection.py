@@ -1,0 +1,332 @@
+"""Data collection in closed loop with a kinematic arm: labels, order of motion, rest, stops, failures."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from kinematic_plant import MS, TIP_RADIUS, Plane, Plant, pointing_down
+
+from tactile_control.collection import DataCollection
+from tactile_control.collection_geometry import contact_frame
+from tactile_control.collection_settings import (
+    CollectionMotionSettings,
+    DataCollectionSettings,
+    TouchSettings,
+)
+from tactile_control.collection_types import PHASES, CollectionInputs, Exposure, Target
+from tactile_control.task import StampedPose
+from tactile_filter import se3
+from tactile_filter.settings import SettingError
+
+START = pointing_down((0.3, 0.1, TIP_RADIUS + 0.012))
+POSES = [
+    np.array([0.003, -0.002, 0.004, 0.2, -0.3, 0.08]),
+    np.array([-0.004, 0.001, 0.0006, -0.35, 0.1, -0.05]),
+    np.array([0.0, 0.0, 0.006, 0.0, 0.0, 0.0]),
+]
+TARGETS = [Target(number, pose) for number, pose in enumerate(POSES, start=1)]
+QUICK = DataCollectionSettings(motion=CollectionMotionSettings(settle_time=0.05))
+FIRST_VISIBLE = 2e-4  # m of depth
+
+
+class Bench(Plant):
+    """An arm over a plane with a camera that needs `reference` images before it knows contact."""
+
+    def __init__(self, T=START, reference=5, **kwargs) -> None:
+        super().__init__(Plane(), T, time_constant=0.01, **kwargs)
+        self.images = self.poses = True
+        self.blind = False
+        self.reference = reference
+        self._inputs = CollectionInputs()
+
+    def collection_inputs(self) -> CollectionInputs:
+        stamp, T = self.history[-1]
+        pose = StampedPose(stamp, T) if self.poses else self._inputs.sensor_pose
+        exposure = self._inputs.exposure
+        if self.images:
+            seen = TIP_RADIUS - T[2, 3] > FIRST_VISIBLE and not self.blind
+            exposure = Exposure(stamp, T, seen if len(self.history) > self.reference else None)
+        self._inputs = CollectionInputs(pose, exposure)
+        return self._inputs
+
+
+def frame(height=0.0) -> np.ndarray:
+    T_base_surface = np.eye(4)
+    T_base_surface[2, 3] = height
+    return contact_frame(T_base_surface, START, TIP_RADIUS)
+
+
+def collection(settings=QUICK, targets=TARGETS, height=0.0) -> DataCollection:
+    return DataCollection(settings, targets, frame(height))
+
+
+def run(task, bench, limit_s=60.0, each=None):
+    """All commands until the task is done."""
+    commands = []
+    for _ in range(round(limit_s * 1e9 / bench.period_ns)):
+        command = task.step(bench.now_ns, bench.collection_inputs())
+        commands.append(command)
+        if each is not None:
+            each(command)
+        if command.done:
+            break
+        bench.step(command.twist)
+    return commands
+
+
+def captures(commands):
+    return [command.capture for command in commands if command.capture]
+
+
+def phases(commands):
+    seen = [command.phase for command in commands]
+    return [phase for k, phase in enumerate(seen) if k == 0 or seen[k - 1] != phase]
+
+
+def test_every_sample_is_captured_once_in_order_and_the_arm_ends_off_the_surface():
+    bench = Bench()
+    commands = run(collection(), bench)
+    assert commands[-1].succeeded and not commands[-1].reason
+    assert [capture.number for capture in captures(commands)] == [1, 2, 3]
+    assert bench.depth == pytest.approx(-QUICK.motion.standoff, abs=6e-4)
+    assert np.all(commands[-1].twist == 0.0)
+
+
+def test_a_sample_goes_through_the_steps_of_the_papers_algorithm():
+    commands = run(collection(targets=TARGETS[:1]), Bench())
+    assert phases(commands) == [
+        "go_to_start", "reference", "rotate", "contact", "shear", "capture", "retreat", "done",
+    ]  # fmt: skip
+    assert set(phases(commands)) <= set(PHASES)
+
+
+def test_a_label_is_where_the_sensor_was_and_that_is_where_it_was_sent():
+    for capture in captures(run(collection(), Bench())):
+        X_fs = se3.inverse(frame()) @ capture.T_base_sensor
+        np.testing.assert_allclose(se3.pose_from_euler(capture.euler), X_fs, atol=1e-12)
+        np.testing.assert_allclose(capture.euler[:3], capture.target[:3], atol=6e-5)
+        np.testing.assert_allclose(capture.euler[3:], capture.target[3:], atol=2e-3)
+
+
+def test_an_exposure_is_kept_only_after_the_arm_has_rested():
+    bench, twists = Bench(), []
+    run(collection(), bench, each=lambda command: twists.append(command))
+    for k, command in enumerate(twists):
+        if command.capture:
+            steps = round(QUICK.motion.settle_time / (bench.period_ns * 1e-9))
+            assert all(np.all(before.twist == 0.0) for before in twists[k - steps : k])
+            _, T = next(item for item in bench.history if item[0] == command.capture.stamp_ns)
+            np.testing.assert_array_equal(T, command.capture.T_base_sensor)
+
+
+def test_the_sensor_turns_in_the_air_presses_along_the_normal_and_shears_at_depth():
+    bench, log = Bench(), []
+
+    def look(command):
+        X_fs = se3.inverse(frame()) @ bench.T
+        log.append((command.phase, se3.euler_from_pose(X_fs)))
+
+    run(collection(targets=TARGETS[:1]), bench, each=look)
+    for phase, euler in log:
+        if phase == "rotate":
+            assert euler[2] < -0.002
+        if phase in ("contact", "shear"):
+            np.testing.assert_allclose(euler[3:5], POSES[0][3:5], atol=5e-3)
+        if phase == "contact":
+            assert np.abs(euler[:2]).max() < 1e-3
+        if phase in ("shear", "capture"):
+            assert euler[2] == pytest.approx(POSES[0][2], abs=1e-4)
+
+
+def test_speeds_stay_within_their_limits():
+    motion = QUICK.motion
+    for command in run(collection(), Bench()):
+        v, omega = np.linalg.norm(command.twist[:3]), np.linalg.norm(command.twist[3:])
+        slow = command.phase in ("contact", "shear")
+        assert v <= motion.air_speed + 1e-9 and omega <= motion.air_angular_speed + 1e-9
+        if slow and command.limited == "":
+            assert v <= motion.contact_speed + 1e-9 and omega <= motion.contact_angular_speed + 1e-9
+
+
+# what happens when an input stops, in every phase that moves the arm
+MOVING = ("go_to_start", "rotate", "contact", "shear", "retreat")
+
+
+@pytest.mark.parametrize("phase", [*MOVING, "touch"])
+@pytest.mark.parametrize("silent", ["images", "poses"])
+def test_an_input_that_stops_takes_the_twist_to_zero_within_its_limit(phase, silent):
+    points = 1 if phase == "touch" else 0
+    settings = dataclasses.replace(QUICK, touch=TouchSettings(points=points))
+    task, bench = collection(settings, targets=TARGETS[:1]), Bench()
+    last = {}
+
+    def cut(command):
+        if command.phase == phase and not last and np.linalg.norm(command.twist) > 1e-3:
+            setattr(bench, silent, False)
+            last["ns"] = bench.now_ns
+
+    moving = []
+    commands = run(task, bench, limit_s=20.0, each=lambda c: (cut(c), moving.append((bench.now_ns, c))))
+    assert last, f"the arm never moved in {phase}"
+    limits = task.settings.watchdog
+    if phase == "retreat" and silent == "images":
+        assert commands[-1].succeeded, "leaving the surface needs no image"
+        return
+    name = {"images": "image", "poses": "pose"}[silent]
+    stop_ns = last["ns"] + round((limits.limit(name) + limits.ramp_time) * 1e9) + 150 * MS
+    late = [command for now_ns, command in moving if now_ns > stop_ns and not command.done]
+    assert late and all(np.all(command.twist == 0.0) for command in late)
+    assert not commands[-1].succeeded and f"{name} is" in commands[-1].reason
+    assert "limit" in commands[-1].reason
+
+
+def test_a_hiccup_of_the_images_delays_but_does_not_fail():
+    task, bench, state = collection(targets=TARGETS[:1]), Bench(), {"count": 0}
+
+    def hiccup(command):
+        if command.phase == "contact":
+            state["count"] += 1
+        bench.images = not 5 < state["count"] < 30
+
+    commands = run(task, bench, each=hiccup)
+    assert commands[-1].succeeded
+    assert any("image is" in command.reason for command in commands)
+
+
+@pytest.mark.parametrize("what", ["nan", "not a rotation"])
+def test_a_pose_that_cannot_be_used_counts_as_not_come(what):
+    task, bench = collection(targets=TARGETS[:1]), Bench()
+    good, bad = bench.collection_inputs, np.full((4, 4), np.nan) if what == "nan" else 2.0 * np.eye(4)
+    state = {"bad": False}
+
+    def inputs():
+        found = good()
+        return (
+            dataclasses.replace(found, sensor_pose=StampedPose(bench.now_ns, bad)) if state["bad"] else found
+        )
+
+    bench.collection_inputs = inputs
+    commands = run(task, bench, each=lambda c: state.update(bad=state["bad"] or c.phase == "contact"))
+    assert not commands[-1].succeeded
+    assert "refused" in commands[-1].reason
+    assert all(np.isfinite(command.twist).all() for command in commands)
+    assert np.all(commands[-1].twist == 0.0)
+
+
+def test_without_any_input_it_waits_at_rest_and_then_says_what_is_missing():
+    task, bench = collection(), Bench()
+    bench.images = False
+    commands = run(task, bench, limit_s=10.0)
+    assert all(np.all(command.twist == 0.0) for command in commands)
+    assert commands[-1].reason == "no image has arrived within 5 s"
+
+
+def test_without_a_reference_image_it_does_not_begin():
+    commands = run(collection(), Bench(reference=10**6), limit_s=30.0)
+    assert "no image without contact" in commands[-1].reason
+    assert not {"rotate", "contact"} & set(phases(commands))
+
+
+def test_stopping_in_contact_leaves_the_surface_before_it_ends():
+    task, bench = collection(), Bench()
+
+    def look(command):
+        if command.phase == "shear" and np.any(command.twist != 0.0):
+            task.stop("cancelled")
+
+    commands = run(task, bench, each=look)
+    assert phases(commands)[-3:] == ["stopping", "retreat", "failed"]
+    assert commands[-1].reason == "cancelled" and bench.depth < -0.008
+
+
+def test_a_surface_further_away_than_said_is_noticed_and_nothing_is_kept():
+    commands = run(collection(height=0.003, targets=TARGETS[1:2]), Bench())
+    assert not captures(commands) or captures(commands)[0].euler[2] < QUICK.motion.certain_depth
+    commands = run(collection(height=0.005, targets=TARGETS[:1]), Bench())
+    assert not captures(commands)
+    assert "shows no contact at a depth of 4.0 mm" in commands[-1].reason
+    assert not commands[-1].succeeded
+
+
+def test_a_surface_nearer_than_said_is_noticed_before_pressing():
+    commands = run(collection(height=-0.005, targets=TARGETS[:1]), Bench(T=pointing_down((0.3, 0.1, 0.04))))
+    assert not captures(commands)
+    assert "shows contact 3.0 mm off the surface" in commands[-1].reason
+    assert "contact" not in phases(commands)
+
+
+@pytest.mark.parametrize("height", [-0.003, 0.0, 0.002])
+def test_one_touch_finds_the_height(height):
+    settings = dataclasses.replace(QUICK, touch=TouchSettings(points=1, search=0.006))
+    task, bench = collection(settings, height=height), Bench(T=pointing_down((0.3, 0.1, 0.05)))
+    commands = run(task, bench)
+    assert commands[-1].succeeded, commands[-1].reason
+    np.testing.assert_allclose(task.T_base_f[:3, 3], frame()[:3, 3], atol=6e-5)
+    for capture in captures(commands):
+        assert TIP_RADIUS - capture.T_base_sensor[2, 3] == pytest.approx(capture.target[2], abs=1.2e-4)
+
+
+def test_four_touches_find_the_tilt():
+    settings = dataclasses.replace(QUICK, touch=TouchSettings(points=4))
+    tilted = np.eye(4)
+    tilted[:3, :3] = se3.pose_from_euler([0, 0, 0, 0.05, -0.04, 0])[:3, :3]
+    tilted[:3, 3] = [0.3, 0.1, 0.001]
+    task = DataCollection(settings, TARGETS[:1], contact_frame(tilted, START, TIP_RADIUS))
+    commands = run(task, Bench())
+    assert commands[-1].succeeded, commands[-1].reason
+    assert np.degrees(np.arccos(-task.T_base_f[2, 2])) < 0.3
+    np.testing.assert_allclose(task.T_base_f[2, 3], TIP_RADIUS, atol=6e-5)
+    np.testing.assert_allclose(se3.inverse(task.T_base_f) @ task.T_base_f, np.eye(4), atol=1e-12)
+
+
+def test_a_touch_that_meets_nothing_fails_with_how_far_it_looked():
+    settings = dataclasses.replace(QUICK, touch=TouchSettings(points=1, search=0.002))
+    commands = run(collection(settings, height=0.005), Bench(T=pointing_down((0.3, 0.1, 0.05))))
+    assert "no contact within 2.0 mm above and below" in commands[-1].reason
+    assert not captures(commands)
+
+
+def test_a_blind_camera_stops_a_touch_before_it_presses_deep():
+    settings = dataclasses.replace(QUICK, touch=TouchSettings(points=1, search=0.002))
+    bench, depths = Bench(), []
+    bench.blind = True
+    run(collection(settings), bench, each=lambda c: depths.append(bench.depth))
+    assert max(depths) < 0.003
+
+
+def test_a_clock_that_goes_back_fails_the_task_at_rest():
+    task, bench = collection(), Bench()
+    run(task, bench, limit_s=1.0)
+    command = task.step(bench.now_ns - 10**9, bench.collection_inputs())
+    assert "clock went back" in command.reason and command.phase == "failed"
+
+
+def test_an_arm_that_does_not_move_is_noticed():
+    task, bench = collection(targets=TARGETS[:1]), Bench()
+    bench.step = lambda twist: (
+        setattr(bench, "now_ns", bench.now_ns + bench.period_ns),
+        bench.history.append((bench.now_ns, bench.T.copy())),
+    )
+    commands = run(task, bench, limit_s=60.0)
+    assert "the start was not reached within 20 s" in commands[-1].reason
+
+
+def test_two_touches_are_refused():
+    with pytest.raises(SettingError, match="two touches"):
+        TouchSettings(points=2)
+
+
+def test_nothing_to_collect_is_an_error():
+    with pytest.raises(ValueError, match="no sample"):
+        DataCollection(QUICK, [], np.eye(4))
+
+
+def test_the_contact_frame_lies_a_radius_off_the_surface_with_z_into_it():
+    T = frame(height=0.01)
+    np.testing.assert_allclose(T[:3, 3], [0.3, 0.1, 0.01 + TIP_RADIUS], atol=1e-12)
+    np.testing.assert_allclose(T[:3, :3], START[:3, :3], atol=1e-12)
+
+
+def test_a_sensor_that_points_away_from_the_surface_is_an_error():
+    with pytest.raises(ValueError, match="points away"):
+        contact_frame(np.eye(4), np.eye(4), TIP_RADIUS)
