@@ -15,14 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaincinv
 
 from tactile_filter import filter_arithmetic as arithmetic
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
-from tactile_filter.filter_settings import FilterSettings
+from tactile_filter.filter_settings import SECOND_NS, FilterSettings, Tuning, gate_threshold
 from tactile_filter.fusion import FusionError, FusionStatus, check_gaussian, fuse
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.history import Entry, History, Key
+from tactile_filter.robust import Spectrum, huber_inflation, student_t_inflation
 
 __all__ = [
     "Belief",
@@ -35,7 +36,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-SECOND_NS = 1_000_000_000
 DOF = 6
 
 _FUSED = BeliefFlag.MEASUREMENT_FUSED
@@ -56,33 +56,13 @@ class _State(NamedTuple):
     corrected_ns: int
 
 
-class _Tuning(NamedTuple):
-    """What a step needs of the settings, worked out once."""
+class _Memory(NamedTuple):
+    """Everything that a step changes."""
 
-    gate: float
-    variances: Array  # (6,) of the process noise
-    noise_interval_ns: float
-    max_age_ns: float
-    backward_jump_ns: float
-    fusion_mode: str
-    iterations: int | None
-    jacobian_order: int | str | None
-
-    @classmethod
-    def of(cls, settings: FilterSettings) -> _Tuning:
-        order: str | int | None = settings.jacobian_order
-        return cls(
-            gate=gate_threshold(settings.gate_probability),
-            variances=np.repeat(
-                (settings.process_noise_translation**2, settings.process_noise_rotation**2), 3
-            ),
-            noise_interval_ns=settings.process_noise_interval * SECOND_NS,
-            max_age_ns=settings.max_prediction_age * SECOND_NS,
-            backward_jump_ns=settings.backward_jump * SECOND_NS,
-            fusion_mode=settings.fusion_mode,
-            iterations=settings.iterations or None,
-            jacobian_order={"mode": None, "2": 2, "4": 4, "exact": "exact"}[str(order)],
-        )
+    state: _State | None
+    refused_in_a_row: int
+    rejections: Counter[str]
+    resets: Counter[str]
 
 
 class ContactFilter:
@@ -90,19 +70,29 @@ class ContactFilter:
 
     Attributes
     ----------
-    rejections : Counter
-        Measurements refused since the last reset by reason: "outlier", "not usable", "out of order",
-        "same stamp", "sensor pose", "not fusable".
-    resets : Counter
-        Restarts since construction, by reason.
+    late : Counter
+        With a `history`: measurements that came late since the last reset, by what became of them: "put in
+        place" or "too late".
     """
 
     def __init__(self, settings: FilterSettings | None = None) -> None:
-        self.rejections: Counter[str] = Counter()
-        self.resets: Counter[str] = Counter()
+        self.late: Counter[str] = Counter()
         self._state: _State | None = None
         self._refused_in_a_row = 0
+        self._rejections: Counter[str] = Counter()  # counters are replaced, never changed: see _memory
+        self._resets: Counter[str] = Counter()
+        self._history = History(0)
         self.configure(FilterSettings() if settings is None else settings)
+
+    @property
+    def settings(self) -> FilterSettings:
+        """The settings in force."""
+        return self._tuning.settings
+
+    @property
+    def gate(self) -> float:
+        """The NIS above which a measurement is refused."""
+        return self._tuning.gate
 
     @property
     def has_belief(self) -> bool:
@@ -110,29 +100,51 @@ class ContactFilter:
         return self._state is not None
 
     @property
-    def rejected(self) -> int:
-        """Measurements refused since the last reset."""
-        return sum(self.rejections.values()) if self.rejections else 0
+    def rejections(self) -> Counter[str]:
+        """Measurements refused since the last reset by reason: "outlier", "not usable", "out of order",
+        "same stamp", "too late", "sensor pose", "not fusable".
+        """
+        late = self.late["too late"]
+        return self._rejections + Counter({"too late": late}) if late else self._rejections
 
     @property
-    def gate(self) -> float:
-        """The NIS above which a measurement is refused."""
-        return self._tuning.gate
+    def rejected(self) -> int:
+        """Measurements refused since the last reset."""
+        return sum(self._rejections.values()) + self.late["too late"]
+
+    @property
+    def resets(self) -> Counter[str]:
+        """Restarts since construction, by reason."""
+        return self._resets
 
     def configure(self, settings: FilterSettings) -> None:
         """Take other settings from the next step on; the belief stays."""
-        self.settings = settings
-        self._tuning = _Tuning.of(settings)
+        self._tuning = Tuning.of(settings)
+        self._history.span_ns = round(settings.history * SECOND_NS)
+        if self._history.span_ns == 0:
+            self._history.clear()
 
-    def reset(self, reason: str) -> None:
-        """Forget the belief and the counts of refused measurements."""
-        self._state = None
-        self._refused_in_a_row = 0
-        self.rejections = Counter()
-        self._count_reset(reason)
+    def reset(self, reason: str, stamp_ns: int | None = None) -> None:
+        """Forget the belief and the counts of refused measurements.
 
-    def step(self, stamp_ns: int, measurement: PoseGaussian, T_base_sensor: ArrayLike) -> Belief:
-        """Predict to the measurement's stamp and fuse it.
+        Parameters
+        ----------
+        stamp_ns : int, optional
+            With a `history`: measurements of this stamp and earlier ones that are still to come are too late.
+        """
+        self._forget(reason)
+        self._history.clear(stamp_ns)
+
+    def step(
+        self,
+        stamp_ns: int,
+        measurement: PoseGaussian,
+        T_base_sensor: ArrayLike,
+        *,
+        source: str = "",
+        sequence: int = 0,
+    ) -> Belief:
+        """Predict to the measurement's stamp and fuse it; put it in its place if it comes late.
 
         Parameters
         ----------
@@ -143,6 +155,8 @@ class ContactFilter:
             step then only predicts.
         T_base_sensor : (4, 4)
             The sensor's pose in a frame in which the surface stands still, at that stamp.
+        source, sequence : str, int
+            Order of measurements of the same stamp (of which the first is fused).
 
         Returns
         -------
@@ -151,6 +165,39 @@ class ContactFilter:
         """
         stamp_ns = int(stamp_ns)
         sensor = arithmetic.usable_pose(T_base_sensor)
+        if self._history.span_ns == 0:
+            return self._step_in_order(stamp_ns, measurement, sensor)
+        entry = Entry(Key(stamp_ns, source, sequence), measurement, sensor, self._tuning, self._memory())
+        return self._step_in_place(entry)
+
+    def _step_in_place(self, entry: Entry) -> Belief:
+        """Step from where the entry belongs, through all that came before it but belongs after it."""
+        history, stamp_ns = self._history, entry.key.stamp_ns
+        newest_ns = history.newest_ns
+        if newest_ns is not None and newest_ns - stamp_ns > self._tuning.backward_jump_ns:
+            history.clear()
+        elif not history.takes(stamp_ns):
+            self.late["too late"] += 1
+            text = (
+                f"measurement of {stamp_ns} ns is too late: the last is of {newest_ns} ns, and the history "
+            )
+            return self._unmoved(f"{text}is {self.settings.history:g} s", stamp_ns)
+        following = history.insert(entry)
+        if len(following) == 1:
+            return self._step_in_order(stamp_ns, entry.measurement, entry.T_base_sensor)
+        self.late["put in place"] += 1
+        self._state, self._refused_in_a_row, self._rejections, self._resets = entry.before
+        newest_tuning = self._tuning
+        for each in following:
+            each.before, self._tuning = self._memory(), each.tuning
+            belief = self._step_in_order(each.key.stamp_ns, each.measurement, each.T_base_sensor)
+        self._tuning = newest_tuning
+        return belief
+
+    def _memory(self) -> _Memory:
+        return _Memory(self._state, self._refused_in_a_row, self._rejections, self._resets)
+
+    def _step_in_order(self, stamp_ns: int, measurement: PoseGaussian, sensor: Array | None) -> Belief:
         if sensor is None:
             return self._refuse_unmoved("sensor pose", "the sensor's pose is not usable", stamp_ns)
         restarted = ""
@@ -158,7 +205,7 @@ class ContactFilter:
             behind = self._state.stamp_ns - stamp_ns
             if behind > self._tuning.backward_jump_ns:
                 restarted = "time jumped back"
-                self.reset(restarted)
+                self._forget(restarted)
             elif behind >= 0:
                 which = "same stamp" if behind == 0 else "out of order"
                 text = f"measurement of {stamp_ns} ns comes after that of {self._state.stamp_ns} ns: {which}"
@@ -201,9 +248,13 @@ class ContactFilter:
         self, measurement: PoseGaussian, predicted: _State, innovation: arithmetic.Innovation
     ) -> Belief:
         tuning = self._tuning
+        cov, inflation = measurement.cov, 1.0
         try:
+            if tuning.settings.robust != "none":
+                inflation = self._inflation(measurement, predicted)
+                cov = inflation * cov
             result = fuse(
-                measurement.mean, measurement.cov, predicted.mean, predicted.cov, tuning.fusion_mode,
+                measurement.mean, cov, predicted.mean, predicted.cov, tuning.settings.fusion_mode,
                 iterations=tuning.iterations, jacobian_order=tuning.jacobian_order,
             )  # fmt: skip
         except FusionError as error:
@@ -213,7 +264,14 @@ class ContactFilter:
         state = _State(stamp_ns, result.mean, result.cov, predicted.T_base_sensor, stamp_ns)
         self._state = state
         flags = _FUSED if result.status == FusionStatus.CONVERGED else _NOT_CONVERGED
-        return self._belief(state, flags, "", innovation)
+        return self._belief(state, flags, "", innovation, inflation)
+
+    def _inflation(self, measurement: PoseGaussian, predicted: _State) -> float:
+        settings = self._tuning.settings
+        spectrum = Spectrum(measurement, predicted.mean, predicted.cov)
+        if settings.robust == "student_t":
+            return student_t_inflation(spectrum, settings.student_t_dof)
+        return huber_inflation(spectrum, settings.huber_threshold)
 
     def _initialize(
         self,
@@ -269,15 +327,25 @@ class ContactFilter:
     def _refuse_unmoved(self, reason: str, text: str, stamp_ns: int) -> Belief:
         """Count the measurement as refused where nothing can be predicted; the belief stays what it is."""
         self._count_refused(reason)
+        return self._unmoved(text, stamp_ns)
+
+    def _unmoved(self, text: str, stamp_ns: int) -> Belief:
         if self._state is None:
             return self._invalid(stamp_ns, text)
         return self._belief(self._state, _PREDICTED, text)
 
     def _count_refused(self, reason: str) -> None:
-        self.rejections = self.rejections + Counter((reason,))
+        self._rejections = self._rejections + Counter((reason,))
 
     def _count_reset(self, reason: str) -> None:
-        self.resets = self.resets + Counter((reason,))
+        self._resets = self._resets + Counter((reason,))
+
+    def _forget(self, reason: str) -> None:
+        self._state = None
+        self._refused_in_a_row = 0
+        self._rejections = Counter()
+        self.late = Counter()
+        self._count_reset(reason)
 
     def _predicted(self, state: _State, stamp_ns: int, sensor: Array) -> _State:
         """The algorithm's prediction step."""
@@ -305,20 +373,19 @@ class ContactFilter:
         flags: BeliefFlag,
         reason: str = "",
         innovation: arithmetic.Innovation | None = None,
+        inflation: float = 1.0,
     ) -> Belief:
         if innovation is None:
-            return Belief(state[0], state[1], state[2], math.nan, 0, flags, reason, self.rejected)
+            return Belief(
+                state.stamp_ns, state.mean, state.cov, flags=flags, reason=reason, rejected=self.rejected
+            )
         nis, whitened = innovation
-        return Belief(state[0], state[1], state[2], nis, DOF, flags, reason, self.rejected, whitened)
+        mean, cov = state.mean, state.cov
+        return Belief(state.stamp_ns, mean, cov, nis, DOF, flags, reason, self.rejected, whitened, inflation)
 
     def _invalid(self, stamp_ns: int, reason: str) -> Belief:
         mean, cov = np.full((4, 4), math.nan), np.full((DOF, DOF), math.nan)
         return Belief(stamp_ns, mean, cov, flags=_INVALID, reason=reason, rejected=self.rejected)
-
-
-def gate_threshold(probability: float, dof: int = DOF) -> float:
-    """Quantile of chi-square; infinite at probability 1."""
-    return math.inf if probability >= 1.0 else 2.0 * float(gammaincinv(0.5 * dof, probability))
 
 
 def normalized_innovation_squared(measurement: PoseGaussian, mean: Array, cov: Array) -> float:

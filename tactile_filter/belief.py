@@ -45,6 +45,8 @@ class Belief:
     innovation : (6,) or None
         Whitened innovation: standard normal and independent from step to step if the filter's assumptions
         hold. Its squared length is nis; None where nis is NaN.
+    inflation : float
+        Factor on the measurement's covariance by which it was fused (setting `robust`).
     """
 
     stamp_ns: int
@@ -56,6 +58,7 @@ class Belief:
     reason: str = ""
     rejected: int = 0
     innovation: Array | None = None
+    inflation: float = 1.0
 
     @property
     def valid(self) -> bool:

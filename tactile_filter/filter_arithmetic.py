@@ -73,7 +73,8 @@ def innovation(mean_obs: Array, cov_obs: Array, mean_bel: Array, cov_bel: Array)
     if failed:
         return Innovation(math.inf, np.full(6, math.inf))
     whitened, _ = dtrtrs(factor, se3.log(D), lower=1)
-    return Innovation(float(whitened @ whitened), whitened)
+    nis = float(whitened @ whitened)
+    return Innovation(nis if nis == nis else math.inf, whitened)
 
 
 def between(T_a: Array, T_b: Array) -> Array:

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from tactile_filter.settings import SettingError, Settings, setting
+
+SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,19 @@ class FilterSettings(Settings):
         upper=10000,
         doc="after this many measurements refused in a row the next starts a new belief",
     )
+    robust: str = setting(
+        "none",
+        choices=("none", "student_t", "huber"),
+        doc="inflate the covariance of estimates that are unlikely: student_t for errors with heavy tails, "
+        "huber for errors that are normal but for outliers; none as in the paper",
+    )
+    student_t_dof: float = setting(
+        6.0, lower=2.1, upper=1e6, doc="robust student_t: degrees of freedom of the estimate's errors"
+    )
+    huber_threshold: float = setting(
+        3.55, lower=0.1, upper=1e3,
+        doc="robust huber: Mahalanobis distance (6 dimensions) from which on an estimate counts as unlikely",
+    )  # fmt: skip
     max_prediction_age: float = setting(
         0.5, lower=0.001, upper=3600.0, unit="s",
         doc="a belief that was not corrected for longer is given up: nothing is predicted from it",
@@ -57,6 +77,11 @@ class FilterSettings(Settings):
         doc="a measurement older than the last by more than this resets the filter; one older by "
         "less is late: see history",
     )  # fmt: skip
+    history: float = setting(
+        0.0, lower=0.0, upper=10.0, unit="s",
+        doc="a measurement that comes late, by no more than this, is put in its place and everything since is "
+        "filtered anew; 0 refuses whatever comes late",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,3 +89,37 @@ class FilterSettings(Settings):
             raise SettingError(
                 f"jacobian_order = '{self.jacobian_order}': fusion_mode 'exact' needs 'exact' or 'mode'"
             )
+
+
+class Tuning(NamedTuple):
+    """What a step needs of the settings, worked out once."""
+
+    settings: FilterSettings
+    gate: float
+    variances: NDArray[np.float64]  # (6,) of the process noise
+    noise_interval_ns: float
+    max_age_ns: float
+    backward_jump_ns: float
+    iterations: int | None
+    jacobian_order: int | str | None
+
+    @classmethod
+    def of(cls, settings: FilterSettings) -> Tuning:
+        """The settings as a step takes them."""
+        sigma = np.repeat((settings.process_noise_translation, settings.process_noise_rotation), 3)
+        orders: dict[str, int | str | None] = {"mode": None, "2": 2, "4": 4, "exact": "exact"}
+        return cls(
+            settings=settings,
+            gate=gate_threshold(settings.gate_probability),
+            variances=sigma**2,
+            noise_interval_ns=settings.process_noise_interval * SECOND_NS,
+            max_age_ns=settings.max_prediction_age * SECOND_NS,
+            backward_jump_ns=settings.backward_jump * SECOND_NS,
+            iterations=settings.iterations or None,
+            jacobian_order=orders[settings.jacobian_order],
+        )
+
+
+def gate_threshold(probability: float, dof: int = 6) -> float:
+    """Quantile of chi-square; infinite at probability 1."""
+    return math.inf if probability >= 1.0 else 2.0 * float(gammaincinv(0.5 * dof, probability))
