@@ -84,13 +84,10 @@ def measure(options: argparse.Namespace) -> None:
     dropped = dict.fromkeys(STAGES, 0)
 
     def take(message: StageLatency) -> None:
-        stamp = ns_from_time(message.header.stamp)
-        age, work = (
-            ns_from_time(message.emitted) - stamp,
-            ns_from_time(message.emitted) - ns_from_time(message.received),
-        )
-        seconds[message.stage][stamp] = (age * 1e-6, work * 1e-6)
-        dropped[message.stage] = message.dropped
+        for times in zip(message.exposed, message.received, message.emitted, strict=True):
+            exposed, received, emitted = map(ns_from_time, times)
+            seconds[message.stage][exposed] = (emitted - exposed) * 1e-6, (emitted - received) * 1e-6
+        dropped[message.stage] = message.dropped[-1]
 
     with ProcessGroup() as group:
         pids = start(group, options, folder, dict(environment.variables))

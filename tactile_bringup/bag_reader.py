@@ -186,21 +186,21 @@ def _arm_row(message: Any) -> dict[str, Any]:
 
 
 def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
-    """Latency of each stage, and the frames that it dropped since its first answer here, in the order of the stages.
+    """Latency of each stage, and the frames that it dropped since its first answer here, by stage in order.
 
     A stage counts from its activation, which may come before the recording: what it dropped until then is not
     of this record.
     """
     by_stage: dict[str, list[tuple[int, float, int]]] = {}
     for message in rows.messages("latency"):
-        stamp = _stamp(message)
-        seconds = (_ns(message.emitted) - stamp) * 1e-9
-        by_stage.setdefault(message.stage, []).append((stamp, seconds, message.dropped))
+        frames = by_stage.setdefault(message.stage, [])
+        for exposed, emitted, dropped in zip(message.exposed, message.emitted, message.dropped, strict=True):
+            frames.append((_ns(exposed), (_ns(emitted) - _ns(exposed)) * 1e-9, int(dropped)))
     series, lost = {}, {}
     for stage in sorted(by_stage, key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)):
-        stamps, seconds_each, dropped = zip(*sorted(by_stage[stage]), strict=True)
+        stamps, seconds_each, counts = zip(*sorted(by_stage[stage]), strict=True)
         series[stage] = StageSeries(np.array(stamps), np.array(seconds_each))
-        lost[stage] = int(max(dropped) - dropped[0])
+        lost[stage] = max(counts) - counts[0]
     return series, lost
 
 

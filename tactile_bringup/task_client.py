@@ -239,7 +239,7 @@ class ArmTask:
 
     def _on_latency(self, message: StageLatency) -> None:
         if message.stage == CONTROLLER_STAGE:
-            exposure, emitted = message.header.stamp, message.emitted
+            exposure, emitted = message.exposed[-1], message.emitted[-1]
             self.progress.latency = emitted.sec - exposure.sec + 1e-9 * (emitted.nanosec - exposure.nanosec)
 
 

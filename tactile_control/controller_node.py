@@ -8,6 +8,7 @@ One goal runs at a time: a second one is refused, a cancelled one decelerates an
 
 from __future__ import annotations
 
+import functools
 import math
 import sys
 from dataclasses import dataclass
@@ -19,13 +20,15 @@ from numpy.typing import NDArray
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.duration import Duration
 
-from tactile_bringup.ros.conversions import MessageError, header, matrix_from_pose, twist_stamped
+from tactile_bringup.ros.cdr import HeadedReader, Layout, split_stamp
+from tactile_bringup.ros.conversions import MessageError, matrix_from_pose
 from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ManagedNode, run
 from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import COMMAND, STATE
-from tactile_bringup.ros.stamps import SECOND_NS, duration_from_ns, ns_from_time, time_from_ns
+from tactile_bringup.ros.stamps import SECOND_NS, duration_from_ns
 from tactile_bringup.ros.transforms import TransformListener
+from tactile_bringup.ros.wire import twist_bytes
 from tactile_control.files import TASKS
 from tactile_control.task import Command, PathGoal, StampedPose, StampedPresence, SurfaceFollowing, TaskInputs
 from tactile_control.task_settings import SurfaceFollowingSettings
@@ -33,11 +36,13 @@ from tactile_filter import se3
 from tactile_filter.settings import SettingError, Settings, setting, unknown_name
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ContactPresence, ContactState, ControllerStatus
+from tactile_msgs.msg import ContactState, ControllerStatus
 
 IDLE = "idle"
 ZERO = np.zeros(6)
 NOT_A_NUMBER = np.full(6, np.nan)
+read_state = HeadedReader(ContactState)
+XI, FLAGS = slice(0, 6), 50  # among its numbers: behind xi are covariance, euler, nis and nis_dof
 
 
 @dataclass(frozen=True)
@@ -99,8 +104,7 @@ class ControllerNode(ManagedNode):
         self.status_out = self.publisher(ControllerStatus, "controller/status", STATE)
         self.latency = LatencyPublisher(self, "controller", self.sensor_frame)
         self.transforms = TransformListener(self, on_jump=self._jumped)
-        self.subscribe(ContactPresence, "contact/presence", self._take_presence, STATE, limits.presence_age)
-        self.subscribe(ContactState, "contact/state", self._take_state, STATE, limits.belief_age)
+        self.subscribe(ContactState, "contact/state", self._take_state, STATE, limits.belief_age, raw=True)
         self.timer(self.timing.value.watchdog_period, self._tick)
         action = ActionServer(
             self,
@@ -123,7 +127,7 @@ class ControllerNode(ManagedNode):
         """Abort what runs and leave a zero twist as the last word."""
         if self.run is not None:
             self._finish("the controller was deactivated", succeeded=False)
-        self.twist_out.publish(twist_stamped(self.now_ns(), self.sensor_frame, ZERO))
+        self.twist_out.publish(twist_bytes(self.now_ns(), self.sensor_frame, ZERO))
         self.twist_out.wait_for_all_acked(Duration(seconds=0.2))
 
     def _clear(self) -> None:
@@ -133,17 +137,15 @@ class ControllerNode(ManagedNode):
 
     # ---- inputs ----
 
-    def _take_presence(self, message: ContactPresence) -> None:
-        self._update_presence(ns_from_time(message.header.stamp), message.in_contact)
-
-    def _take_state(self, message: ContactState) -> None:
+    def _take_state(self, data: bytes) -> None:
         received_ns = self.now_ns()
-        stamp_ns = ns_from_time(message.header.stamp)
-        self._update_presence(stamp_ns, not message.flags & ContactState.NO_CONTACT)
-        if not message.flags & ContactState.INVALID:
-            self._take_belief(stamp_ns, np.asarray(message.xi))
+        stamp_ns, _, numbers = read_state(data)
+        xi, flags = numbers[XI], int(numbers[FLAGS])
+        self._update_presence(stamp_ns, not flags & ContactState.NO_CONTACT)
+        if not flags & ContactState.INVALID:
+            self._take_belief(stamp_ns, np.array(xi))
         self._step()
-        self.latency.publish(stamp_ns, received_ns, self.last_step_ns, 0)
+        self.latency.note(stamp_ns, received_ns, self.last_step_ns, 0)
 
     def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
         """Keep the belief; one that is not finite is as if it had not come, and the watchdog acts on that."""
@@ -183,13 +185,13 @@ class ControllerNode(ManagedNode):
     def _step(self) -> None:
         now_ns = self.now_ns()
         if self.run is None:
-            self.twist_out.publish(twist_stamped(now_ns, self.sensor_frame, ZERO))
+            self.twist_out.publish(twist_bytes(now_ns, self.sensor_frame, ZERO))
             self._publish_status(now_ns, self.last, ZERO)
         else:
             inputs = TaskInputs(self.belief, self.presence, self._sensor_pose())
             command = self.run.task.step(now_ns, inputs)
             now_ns = self.now_ns()
-            self.twist_out.publish(twist_stamped(now_ns, self.sensor_frame, command.twist))
+            self.twist_out.publish(twist_bytes(now_ns, self.sensor_frame, command.twist))
             self._publish_status(now_ns, command, command.twist)
             self._after(now_ns, command)
         self.last_step_ns = now_ns
@@ -224,26 +226,10 @@ class ControllerNode(ManagedNode):
         )
 
     def _publish_status(self, now_ns: int, command: Command | None, twist: NDArray[np.float64]) -> None:
-        phase = command.phase if command else IDLE
-        unlimited = command.unlimited if command and self.run else ZERO
+        age = (now_ns - self.belief.stamp_ns) / SECOND_NS if self.belief else -1.0
+        path = max(self.goals - 1, 0), self.path_name
         self.status_out.publish(
-            ControllerStatus(
-                header=header(now_ns, self.sensor_frame),
-                belief_stamp=time_from_ns(command.exposure_ns if command and self.run else 0),
-                phase=phase_code(phase),
-                phase_name=phase,
-                path=max(self.goals - 1, 0),
-                path_name=self.path_name,
-                reason=command.reason if command else "",
-                error=command.error if command else NOT_A_NUMBER,
-                feedforward=command.feedforward if command else ZERO,
-                unlimited=unlimited,
-                limited=twist,
-                saturated=(np.abs(unlimited - twist) > 1e-12).tolist(),
-                progress=command.progress if command else 0.0,
-                path_length=command.travelled if command else 0.0,
-                belief_age=(now_ns - self.belief.stamp_ns) / SECOND_NS if self.belief else -1.0,
-            )
+            status_bytes(now_ns, self.sensor_frame, command, self.run is not None, path, twist, age)
         )
 
     # ---- parameters ----
@@ -328,6 +314,42 @@ def _nothing_to_execute(handle: Any) -> RunTask.Result:
     A coroutine that waited for the end would be polled without pause by the executors and burn a core.
     """
     raise RuntimeError("goals of run_task are concluded by the controller's steps")
+
+
+def status_bytes(
+    now_ns: int,
+    frame_id: str,
+    command: Command | None,
+    running: bool,
+    path: tuple[int, str],
+    twist: NDArray[np.float64],
+    belief_age: float,
+) -> bytes:
+    """ControllerStatus of the last command, if there is one, and the twist that went out."""
+    phase, reason = (command.phase, command.reason) if command else (IDLE, "")
+    number, name = path
+    unlimited = command.unlimited if command and running else ZERO
+    return _status_layout(frame_id, phase, name, reason).pack(
+        *split_stamp(now_ns),
+        *split_stamp(command.exposure_ns if command and running else 0),
+        phase_code(phase),
+        number,
+        *(command.error if command else NOT_A_NUMBER).tolist(),
+        *(command.feedforward if command else ZERO).tolist(),
+        *unlimited.tolist(),
+        *twist.tolist(),
+        *(np.abs(unlimited - twist) > 1e-12).tolist(),
+        command.progress if command else 0.0,
+        command.travelled if command else 0.0,
+        belief_age,
+    )
+
+
+@functools.lru_cache(maxsize=32)
+def _status_layout(frame_id: str, phase: str, path: str, reason: str) -> Layout:
+    example = ControllerStatus(phase_name=phase, path_name=path, reason=reason)
+    example.header.frame_id = frame_id
+    return Layout(example)
 
 
 def phase_code(phase: str) -> int:

@@ -12,6 +12,8 @@ Stamps are ROS time at the scene's rate. When the machine cannot hold the rate, 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 import math
 import sys
 import time
@@ -19,32 +21,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, PoseStamped, PoseWithCovarianceStamped, TwistStamped, Vector3
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from tactile_bringup.ros.conversions import (
-    gaussian_message,
-    header,
-    pose_from_matrix,
-    pose_stamped,
-    transform_stamped,
-    twist_stamped,
-    vector_from_twist,
-)
+from tactile_bringup.ros.cdr import Layout, split_stamp
+from tactile_bringup.ros.conversions import numbers_from_pose, transform_stamped
 from tactile_bringup.ros.image_bytes import bytes_from_array
+from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_bringup.ros.markers import mesh_marker
 from tactile_bringup.ros.parameters import SettingsParameters
-from tactile_bringup.ros.qos import COMMAND, IMAGE, LATCHED, LATENCY, STATE, TF, TF_STATIC
-from tactile_bringup.ros.stamps import SECOND_NS, ns_from_time, time_from_ns
+from tactile_bringup.ros.qos import COMMAND, IMAGE, LATCHED, STATE, TF, TF_STATIC
+from tactile_bringup.ros.stamps import SECOND_NS
+from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes, read_twist, twist_bytes
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter import se3
 from tactile_filter.settings import Settings, setting
-from tactile_msgs.msg import ArmStatus, ContactPresence, ContactTruth, StageLatency
+from tactile_msgs.msg import ArmStatus, ContactPresence, ContactTruth
 
 WORLD = "world"
 START_DELAY = 0.1  # s
@@ -61,7 +58,7 @@ class SimSettings(Settings):
         0.0, lower=0.0, upper=240.0, unit="Hz", doc="rate of all cameras; 0: as the scene says"
     )
     status_rate: float = setting(
-        60.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/status and command/twist_limited"
+        60.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/pose, arm/status and command/twist_limited"
     )
     longest_lag: float = setting(
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
@@ -91,26 +88,26 @@ class ArmTopics:
         self._pose = node.publisher(PoseStamped, f"/{self.name}/arm/pose", STATE)
         self._status = node.publisher(ArmStatus, f"/{self.name}/arm/status", STATE)
         self._limited = node.publisher(TwistStamped, f"/{self.name}/command/twist_limited", STATE)
-        node.subscribe(TwistStamped, f"/{self.name}/command/twist", self._receive, COMMAND, age_limit=0.0)
+        node.subscribe(TwistStamped, f"/{self.name}/command/twist", self._receive, COMMAND, 0.0, raw=True)
         if scene.sensor is not None:
             self._open_sensor(images=scene.sensor.settings.fidelity == "image")
 
     def _open_sensor(self, images: bool) -> None:
         node = self._node
         self._truth = node.publisher(ContactTruth, f"/{self.name}/sim/truth", STATE)
-        self._latency = node.publisher(StageLatency, f"/{self.name}/latency", LATENCY)
+        self._latency = LatencyPublisher(node, "camera", self.sensor, f"/{self.name}/latency")
         if images:
             self._image = node.publisher(Image, f"/{self.name}/tactile/image", IMAGE)
             return
         self._presence = node.publisher(ContactPresence, f"/{self.name}/contact/presence", STATE)
         self._estimate = node.publisher(PoseWithCovarianceStamped, f"/{self.name}/contact/estimate", STATE)
 
-    def _receive(self, message: TwistStamped) -> None:
+    def _receive(self, data: bytes) -> None:
         """Hand a command to the arm; one in another frame than the sensor's would move it wrongly."""
-        cell, stamp_ns = self._node.cell, ns_from_time(message.header.stamp)
-        if message.header.frame_id != self.sensor:
-            reason = f"frame is '{message.header.frame_id}', must be '{self.sensor}'"
-        elif cell.command(self.name, stamp_ns, vector_from_twist(message.twist)):
+        cell, (stamp_ns, frame_id, twist) = self._node.cell, read_twist(data)
+        if frame_id != self.sensor:
+            reason = f"frame is '{frame_id}', must be '{self.sensor}'"
+        elif cell.command(self.name, stamp_ns, np.array(twist)):
             return
         else:
             reason = cell.status(self.name).last_refusal
@@ -124,28 +121,19 @@ class ArmTopics:
             transform_stamped(0, self.tool, self.sensor, self.T_tool_sensor),
         ]
 
-    def transform(self, stamp_ns: int, T_base_sensor: NDArray[np.float64]) -> Any:
-        """Where the tool is."""
-        return transform_stamped(stamp_ns, self.base, self.tool, T_base_sensor @ self.T_sensor_tool)
+    def transform(self, stamp_ns: int, T_base_sensor: NDArray[np.float64]) -> tuple[float, ...]:
+        """Where the tool is: the numbers of a TransformStamped."""
+        return *split_stamp(stamp_ns), *numbers_from_pose(T_base_sensor @ self.T_sensor_tool)
 
-    def publish_pose(self, stamp_ns: int, T_base_sensor: NDArray[np.float64]) -> None:
-        """The sensor in the base."""
-        self._pose.publish(pose_stamped(stamp_ns, self.base, T_base_sensor))
-
-    def publish_status(self) -> None:
-        """What the arm does, and the twist that it makes of its commands."""
+    def publish_status(self, T_base_sensor: NDArray[np.float64]) -> None:
+        """Where the sensor is in the base, what the arm does, and the twist that it makes of its commands."""
         status = self._node.cell.status(self.name)
-        self._status.publish(
-            ArmStatus(
-                header=header(status.stamp_ns, self.base),
-                mode=int(status.mode),
-                reason=status.reason,
-                command_age=status.command_age,
-                limited=status.limited,
-                twist=status.twist,
-            )
-        )
-        self._limited.publish(twist_stamped(status.stamp_ns, self.sensor, status.twist))
+        stamp_ns, numbers = status.stamp_ns, numbers_from_pose(T_base_sensor)
+        self._pose.publish(headed_bytes(PoseStamped, stamp_ns, self.base, *numbers))
+        self._limited.publish(twist_bytes(stamp_ns, self.sensor, status.twist))
+        numbers = int(status.mode), status.command_age, status.limited, *status.twist.tolist()
+        layout = _status_layout(self.base, status.reason)
+        self._status.publish(layout.pack(*split_stamp(stamp_ns), *numbers))
 
     def publish_frame(self, frame: Frame) -> int:
         """What the sensor gives; returns when it went out, ns."""
@@ -157,30 +145,16 @@ class ArmTopics:
 
     def publish_truth(self, frame: Frame, emitted_ns: int) -> None:
         """What no real cell knows: the true contact, and how long the exposure took to be published."""
-        self._truth.publish(truth_message(frame, self.base))
-        self._latency.publish(
-            StageLatency(
-                header=header(frame.stamp_ns, self.sensor),
-                stage="camera",
-                received=time_from_ns(frame.stamp_ns),
-                emitted=time_from_ns(emitted_ns),
-                dropped=self.lost,
-            )
-        )
+        self._truth.publish(truth_bytes(frame, self.base))
+        self._latency.note(frame.stamp_ns, frame.stamp_ns, emitted_ns, self.lost)
 
     def _publish_ideal(self, frame: Frame) -> None:
         in_contact = frame.estimate is not None
-        self._presence.publish(
-            ContactPresence(
-                header=header(frame.stamp_ns, self.sensor),
-                score=float(in_contact),
-                threshold=0.5,
-                in_contact=in_contact,
-            )
-        )
+        numbers = float(in_contact), 0.5, in_contact
+        self._presence.publish(headed_bytes(ContactPresence, frame.stamp_ns, self.sensor, *numbers))
         if frame.estimate is not None:
             mean, cov = frame.estimate.mean, frame.estimate.cov
-            self._estimate.publish(gaussian_message(frame.stamp_ns, self.sensor, mean, cov))
+            self._estimate.publish(gaussian_bytes(frame.stamp_ns, self.sensor, mean, cov))
 
 
 class SimNode(ManagedNode):
@@ -205,6 +179,8 @@ class SimNode(ManagedNode):
         self.report.values["scene"] = str(self.scene.path)
         self.arms = [ArmTopics(self, self.scene.arms[name]) for name in self.cell.arms]
         self.tf_out = self.publisher(TFMessage, "/tf", TF)
+        moving = [transform_stamped(0, arm.base, arm.tool, np.eye(4)) for arm in self.arms]
+        self.tf_layout = Layout(TFMessage(transforms=moving))
         self.tf_static_out = self.publisher(TFMessage, "/tf_static", TF_STATIC)
         self.markers_out = self.publisher(MarkerArray, "/sim/markers", LATCHED)
         self.status_every = max(1, round(self.scene.rate / settings.status_rate))
@@ -218,7 +194,6 @@ class SimNode(ManagedNode):
         self.tf_static_out.publish(
             TFMessage(transforms=[t for arm in self.arms for t in arm.static_transforms()])
         )
-
         self.markers_out.publish(MarkerArray(markers=surface_markers(self.scene)))
 
     def due_in(self) -> float:
@@ -265,15 +240,14 @@ class SimNode(ManagedNode):
             0 if frame is None else arm.publish_frame(frame)
             for arm, frame in zip(self.arms, frames, strict=True)
         ]
-        transforms = [arm.transform(stamp_ns, T) for arm, T in zip(self.arms, poses, strict=True)]
-        self.tf_out.publish(TFMessage(transforms=transforms))
+        transforms = (arm.transform(stamp_ns, T) for arm, T in zip(self.arms, poses, strict=True))
+        self.tf_out.publish(self.tf_layout.pack(*itertools.chain.from_iterable(transforms)))
         for arm, frame, emitted_ns in zip(self.arms, frames, sent_ns, strict=True):
             if frame is not None:
                 arm.publish_truth(frame, emitted_ns)
-        for arm, T in zip(self.arms, poses, strict=True):
-            arm.publish_pose(stamp_ns, T)
-            if self.steps % self.status_every == 0:
-                arm.publish_status()
+        if self.steps % self.status_every == 0:
+            for arm, T in zip(self.arms, poses, strict=True):
+                arm.publish_status(T)
 
     def _expose(self, arm: ArmTopics, in_time: bool) -> Frame | None:
         """The frame of an exposure; None if there was no time for it."""
@@ -330,28 +304,32 @@ def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:
     return dataclasses.replace(scene, rate=steps, arms=arms)
 
 
-def truth_message(frame: Frame, base_frame: str) -> ContactTruth:
+def truth_bytes(frame: Frame, base_frame: str) -> bytes:
     """ContactTruth message of a frame."""
     truth = frame.truth
     valid = bool(np.isfinite(truth.T_fs).all())
-    return ContactTruth(
-        header=header(frame.stamp_ns, base_frame),
-        in_contact=truth.in_contact,
-        depth=truth.depth,
-        normal_angle=truth.normal_angle,
-        euler=se3.euler_from_pose(truth.T_fs) if valid else np.full(6, np.nan),
-        shear=truth.shear,
-        slip_fraction=truth.slip_fraction,
-        normal_force=truth.normal_force,
-        pose=pose_from_matrix(frame.T_base_sensor),
-        surface_point=Point(**_xyz(truth.point)),
-        surface_normal=Vector3(**_xyz(truth.normal)),
+    return headed_bytes(
+        ContactTruth,
+        frame.stamp_ns,
+        base_frame,
+        truth.in_contact,
+        truth.depth,
+        truth.normal_angle,
+        *(se3.euler_from_pose(truth.T_fs) if valid else np.full(6, np.nan)).tolist(),
+        *np.asarray(truth.shear).tolist(),
+        truth.slip_fraction,
+        truth.normal_force,
+        *numbers_from_pose(frame.T_base_sensor),
+        *truth.point.tolist(),
+        *truth.normal.tolist(),
     )
 
 
-def _xyz(vector: NDArray[np.float64]) -> dict[str, float]:
-    x, y, z = vector.tolist()
-    return {"x": x, "y": y, "z": z}
+@functools.lru_cache(maxsize=32)
+def _status_layout(frame_id: str, reason: str) -> Layout:
+    example = ArmStatus(reason=reason)
+    example.header.frame_id = frame_id
+    return Layout(example)
 
 
 def main() -> int:

@@ -16,22 +16,21 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
-from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from tactile_bringup.ros.cdr import HeadedReader
 from tactile_bringup.ros.conversions import (
     MessageError,
-    gaussian_from_message,
-    gaussian_message,
-    header,
+    gaussian_from_numbers,
     transform_stamped,
 )
 from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ManagedNode, run
 from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import STATE, TF
-from tactile_bringup.ros.stamps import Event, EventJoin, duration_from_ns, ns_from_time
+from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin
 from tactile_bringup.ros.transforms import TransformGate, TransformListener
+from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes, read_gaussian
 from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
@@ -40,6 +39,7 @@ from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
 
 NOT_A_NUMBER = np.full(6, np.nan)
+read_presence = HeadedReader(ContactPresence)
 UNUSABLE = PoseGaussian(np.full((4, 4), np.nan), np.full((6, 6), np.nan))
 
 
@@ -57,7 +57,13 @@ class FilterInputSettings(Settings):
     age_limit: float = setting(
         0.25, lower=0.005, upper=60.0, unit="s", doc="longer silence of the estimator is told in /diagnostics"
     )
-    publish_tf: bool = setting(True, doc="publish the belief as frame <arm>/contact on /tf as well")
+    tf_rate: float = setting(
+        15.0,
+        lower=0.0,
+        upper=1000.0,
+        unit="Hz",
+        doc="the belief is published as frame <arm>/contact on /tf as well, at most this often; 0: never",
+    )
 
 
 class FilterNode(ManagedNode):
@@ -70,6 +76,7 @@ class FilterNode(ManagedNode):
             self, FilterInputSettings(), prefix="inputs", read_only=("age_limit",)
         )
         self.filter = ContactFilter(self.settings.value)
+        self.no_contact_ns = self.tf_ns = -1
         # without contact there is nothing to believe, and no estimate is needed to say so
         self.join = EventJoin(
             ("presence", "estimate"), complete=lambda parts: not parts.get("presence", (True, 0))[0]
@@ -95,8 +102,10 @@ class FilterNode(ManagedNode):
             drop=self._drop,
         )
         limit = self.inputs.value.age_limit
-        self.subscribe(ContactPresence, "contact/presence", self._take_presence, STATE, limit)
-        self.subscribe(PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit)
+        self.subscribe(ContactPresence, "contact/presence", self._take_presence, STATE, limit, raw=True)
+        self.subscribe(
+            PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit, raw=True
+        )
         self.serve(ResetFilter, "~/reset", self._serve_reset)
 
     def activate(self) -> None:
@@ -105,23 +114,25 @@ class FilterNode(ManagedNode):
 
     # ---- inputs ----
 
-    def _take_presence(self, message: ContactPresence) -> None:
-        self._take("presence", message.header, message.in_contact)
+    def _take_presence(self, data: bytes) -> None:
+        stamp_ns, _, (_, _, in_contact) = read_presence(data)
+        self._take("presence", stamp_ns, in_contact)
 
-    def _take_estimate(self, message: PoseWithCovarianceStamped) -> None:
-        if message.header.frame_id != self.sensor_frame:
-            self._refuse(f"frame is '{message.header.frame_id}', must be '{self.sensor_frame}'")
+    def _take_estimate(self, data: bytes) -> None:
+        stamp_ns, frame_id, numbers = read_gaussian(data)
+        if frame_id != self.sensor_frame:
+            self._refuse(f"frame is '{frame_id}', must be '{self.sensor_frame}'")
             return
         try:
-            estimate = gaussian_from_message(message.pose)
+            estimate = gaussian_from_numbers(numbers)
         except MessageError as error:
             self._refuse(str(error))
             estimate = UNUSABLE  # the filter predicts in its place
-        self._take("estimate", message.header, estimate)
+        self._take("estimate", stamp_ns, estimate)
 
-    def _take(self, source: str, head: Header, content: Any) -> None:
+    def _take(self, source: str, stamp_ns: int, content: Any) -> None:
         """Keep one part of an event and process what has become complete."""
-        stamp_ns, received_ns = ns_from_time(head.stamp), self.now_ns()
+        received_ns = self.now_ns()
         useless = source == "estimate" and stamp_ns <= self.no_contact_ns
         if not useless and not self.join.add(source, stamp_ns, (content, received_ns), time.monotonic_ns()):
             self.warn("late", f"contact/{source} refused: its stamp is not later than the last one's")
@@ -156,12 +167,12 @@ class FilterNode(ManagedNode):
             self.no_contact_ns = event.stamp_ns
             belief = nothing(event.stamp_ns, self.filter.rejected)
         emitted_ns = self._publish(belief)
-        self.latency.publish(event.stamp_ns, received_ns, emitted_ns, self.join.dropped + self.join.late)
+        self.latency.note(event.stamp_ns, received_ns, emitted_ns, self.join.dropped + self.join.late)
 
     def _publish(self, belief: Belief) -> int:
         """Publish the belief and return when; the state first, since the controller waits for it."""
         emitted_ns = self.now_ns()
-        self.state_out.publish(state_message(belief, self.sensor_frame, emitted_ns))
+        self.state_out.publish(state_bytes(belief, self.sensor_frame, emitted_ns))
         if belief.valid:
             self._publish_for_others(belief)
         if belief.reason:
@@ -172,8 +183,10 @@ class FilterNode(ManagedNode):
     def _publish_for_others(self, belief: Belief) -> None:
         """What people and their tools look at; the controller does not wait for it."""
         stamp_ns, mean = belief.stamp_ns, belief.mean
-        self.belief_out.publish(gaussian_message(stamp_ns, self.sensor_frame, mean, belief.cov))
-        if self.inputs.value.publish_tf:
+        self.belief_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, mean, belief.cov))
+        rate = self.inputs.value.tf_rate
+        if rate and abs(stamp_ns - self.tf_ns) * rate >= 0.95 * SECOND_NS:
+            self.tf_ns = stamp_ns
             contact = transform_stamped(stamp_ns, self.sensor_frame, self.contact_frame, mean)
             self.tf_out.publish(TFMessage(transforms=[contact]))
 
@@ -188,7 +201,7 @@ class FilterNode(ManagedNode):
         """Start anew, inputs included."""
         self._reset(reason)
         self.join.clear()
-        self.no_contact_ns = -1
+        self.no_contact_ns = self.tf_ns = -1
 
     def _reset(self, reason: str) -> None:
         self.filter.reset(reason)
@@ -216,20 +229,23 @@ def nothing(stamp_ns: int, rejected: int) -> Belief:
     return Belief(stamp_ns, UNUSABLE.mean, UNUSABLE.cov, flags=flags, rejected=rejected)
 
 
-def state_message(belief: Belief, frame_id: str, emitted_ns: int) -> ContactState:
+def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:
     """ContactState message of a belief; NaN where it holds nothing."""
     xi = se3.log(belief.mean) if belief.valid else NOT_A_NUMBER
     euler = se3.euler_from_pose(se3.inverse(belief.mean)) if belief.valid else NOT_A_NUMBER
-    return ContactState(
-        header=header(belief.stamp_ns, frame_id),
-        xi=xi,
-        covariance=np.ascontiguousarray(belief.cov).reshape(36),
-        euler=euler,
-        nis=belief.nis,
-        nis_dof=belief.nis_dof,
-        flags=int(belief.flags),
-        rejected=belief.rejected,
-        latency=duration_from_ns(emitted_ns - belief.stamp_ns),
+    latency = divmod(emitted_ns - belief.stamp_ns, SECOND_NS)
+    return headed_bytes(
+        ContactState,
+        belief.stamp_ns,
+        frame_id,
+        *xi.tolist(),
+        *belief.cov.ravel().tolist(),
+        *euler.tolist(),
+        belief.nis,
+        belief.nis_dof,
+        int(belief.flags),
+        belief.rejected,
+        *latency,
     )
 
 

@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
-from tactile_bringup.ros.conversions import MessageError, gaussian_message, header
+from tactile_bringup.ros.conversions import MessageError
 from tactile_bringup.ros.image_bytes import image_from_bytes
 from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import IMAGE, STATE
 from tactile_bringup.ros.stamps import SECOND_NS
+from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes
 from tactile_filter.settings import Settings, setting
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimator import EstimateError, Estimator, EstimatorSettings, ModelError
@@ -104,16 +105,10 @@ class EstimatorNode(ManagedNode):
             self._tell_reference()
             return
         estimate = self.estimator.estimate_prepared(prepared)
-        self.presence_out.publish(
-            PresenceMessage(
-                header=header(stamp_ns, self.sensor_frame),
-                score=presence.score,
-                threshold=self.presence.settings.on,
-                in_contact=presence.in_contact,
-            )
-        )
-        self.estimate_out.publish(gaussian_message(stamp_ns, self.sensor_frame, estimate.mean, estimate.cov))
-        self.latency.publish(stamp_ns, received_ns, self.now_ns(), self._dropped())
+        numbers = presence.score, self.presence.settings.on, presence.in_contact
+        self.presence_out.publish(headed_bytes(PresenceMessage, stamp_ns, self.sensor_frame, *numbers))
+        self.estimate_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, estimate.mean, estimate.cov))
+        self.latency.note(stamp_ns, received_ns, self.now_ns(), self._dropped())
 
     def _in_order(self, stamp_ns: int) -> bool:
         """Count what is missing since the last image; False for an image that is not later than it."""

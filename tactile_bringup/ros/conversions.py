@@ -7,6 +7,7 @@ over [rho, phi]. Whatever comes in is checked; `MessageError` says what was wron
 from __future__ import annotations
 
 import array
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -68,8 +69,19 @@ def matrix_from_pose(pose: Pose) -> Array:
 
 def pose_from_matrix(T: Array) -> Pose:
     """Pose message of T (4, 4)."""
-    x, y, z = T[:3, 3].tolist()
-    return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(T))
+    x, y, z, *q = numbers_from_pose(T)
+    return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(q))
+
+
+def numbers_from_pose(T: Array) -> tuple[float, ...]:
+    """(x, y, z, qx, qy, qz, qw) of T (4, 4), as Pose and Transform have them."""
+    return (*T[:3, 3].tolist(), *se3.quaternion_from_rotation(T[:3, :3]).tolist())
+
+
+def pose_from_numbers(translation: Sequence[float], rotation: Sequence[float]) -> Array:
+    """T (4, 4) of a translation and a quaternion (x, y, z, w); raises `MessageError`."""
+    x, y, z = translation
+    return _matrix(x, y, z, matrix_from_quaternion(*rotation))
 
 
 def matrix_from_transform(transform: Transform) -> Array:
@@ -80,8 +92,8 @@ def matrix_from_transform(transform: Transform) -> Array:
 
 def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> TransformStamped:
     """TransformStamped message of T_parent_child (4, 4)."""
-    x, y, z = T_parent_child[:3, 3].tolist()
-    transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(T_parent_child))
+    x, y, z, *q = numbers_from_pose(T_parent_child)
+    transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(q))
     return TransformStamped(header=header(stamp_ns, parent), child_frame_id=child, transform=transform)
 
 
@@ -111,8 +123,14 @@ def gaussian_from_message(message: PoseWithCovariance) -> PoseGaussian:
     MessageError
         If a number is not finite or a variance is negative.
     """
-    mean = matrix_from_pose(message.pose)
-    cov = np.asarray(message.covariance, dtype=np.float64).reshape(6, 6)
+    p, q = message.pose.position, message.pose.orientation
+    return gaussian_from_numbers((p.x, p.y, p.z, q.x, q.y, q.z, q.w, *message.covariance))
+
+
+def gaussian_from_numbers(numbers: Sequence[float]) -> PoseGaussian:
+    """The same of position, quaternion (x, y, z, w) and covariance: 43 numbers."""
+    mean = pose_from_numbers(numbers[:3], numbers[3:7])
+    cov = np.array(numbers[7:], dtype=np.float64).reshape(6, 6)
     if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
         raise MessageError("pose or covariance is not finite")
     if (np.diagonal(cov) < 0.0).any():
@@ -174,6 +192,6 @@ def _matrix(x: float, y: float, z: float, R: Array) -> Array:
     return T
 
 
-def _quaternion(T: Array) -> Quaternion:
-    x, y, z, w = se3.quaternion_from_rotation(T[:3, :3]).tolist()
+def _quaternion(q: Sequence[float]) -> Quaternion:
+    x, y, z, w = q
     return Quaternion(x=x, y=y, z=z, w=w)

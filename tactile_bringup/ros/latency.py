@@ -8,23 +8,39 @@ from tactile_bringup.ros.qos import LATENCY
 from tactile_bringup.ros.stamps import time_from_ns
 from tactile_msgs.msg import StageLatency
 
+PERIOD = 0.25  # s; a message a frame would cost every stage, and whoever listens, more than some stages do
+
 
 class LatencyPublisher:
-    """Publishes the latency of one stage on `latency`; call it after the stage's own output is on its way."""
+    """Publishes the latency of one stage on `topic`, four times a second while the node is active.
 
-    def __init__(self, node: ManagedNode, stage: str, frame_id: str) -> None:
-        self._publisher = node.publisher(StageLatency, "latency", LATENCY)
+    `note` what has become of a frame after the stage's own output is on its way.
+    """
+
+    def __init__(self, node: ManagedNode, stage: str, frame_id: str, topic: str = "latency") -> None:
+        self._publisher = node.publisher(StageLatency, topic, LATENCY)
+        self._now_ns = node.now_ns
         self._stage = stage
         self._frame_id = frame_id
+        self._noted: list[tuple[int, int, int, int]] = []
+        node.timer(PERIOD, self._publish)
 
-    def publish(self, exposure_ns: int, received_ns: int, emitted_ns: int, dropped: int) -> None:
+    def note(self, exposure_ns: int, received_ns: int, emitted_ns: int, dropped: int) -> None:
         """`dropped` is the number of inputs that this stage has dropped since it started."""
+        self._noted.append((exposure_ns, received_ns, emitted_ns, dropped))
+
+    def _publish(self) -> None:
+        if not self._noted:
+            return
+        exposed, received, emitted, dropped = zip(*self._noted, strict=True)
+        self._noted.clear()
         self._publisher.publish(
             StageLatency(
-                header=header(exposure_ns, self._frame_id),
+                header=header(self._now_ns(), self._frame_id),
                 stage=self._stage,
-                received=time_from_ns(received_ns),
-                emitted=time_from_ns(emitted_ns),
+                exposed=[time_from_ns(stamp_ns) for stamp_ns in exposed],
+                received=[time_from_ns(stamp_ns) for stamp_ns in received],
+                emitted=[time_from_ns(stamp_ns) for stamp_ns in emitted],
                 dropped=dropped,
             )
         )

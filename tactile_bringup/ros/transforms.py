@@ -11,15 +11,20 @@ from collections.abc import Callable, Collection
 from typing import Protocol
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
-from tactile_bringup.ros.conversions import MessageError, matrix_from_transform
+from tactile_bringup.ros.cdr import ReceivedTransform, transforms_from_bytes
+from tactile_bringup.ros.conversions import (
+    MessageError,
+    matrix_from_transform,
+    pose_from_numbers,
+    transform_stamped,
+)
 from tactile_bringup.ros.managed_node import ManagedNode
 from tactile_bringup.ros.qos import TF, TF_STATIC
-from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin, ns_from_time
+from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin
 from tactile_filter.transform_buffer import (
     TransformBuffer,
     TransformDisconnected,
@@ -43,7 +48,7 @@ JUMP_NS = (
 class Store(Protocol):
     """Where transforms are kept."""
 
-    def put(self, message: TransformStamped, static: bool) -> None:
+    def put(self, transform: ReceivedTransform, static: bool) -> None:
         """Keep a transform; raises `MessageError` if it cannot be used."""
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
@@ -62,13 +67,12 @@ class OwnStore:
     def __init__(self) -> None:
         self._buffer = TransformBuffer()
 
-    def put(self, message: TransformStamped, static: bool) -> None:
+    def put(self, transform: ReceivedTransform, static: bool) -> None:
         """See `Store`."""
-        parent, child = _frames(message)
-        stamp_ns = ns_from_time(message.header.stamp)
-        T = matrix_from_transform(message.transform)
+        parent, child = _frames(transform)
+        T = pose_from_numbers(transform.translation, transform.rotation)
         try:
-            self._buffer.set_transform(parent, child, stamp_ns, T, static=static)
+            self._buffer.set_transform(parent, child, transform.stamp_ns, T, static=static)
         except ValueError as error:
             raise MessageError(str(error)) from error
 
@@ -98,13 +102,15 @@ class Tf2Store:
         self._buffer = tf2_ros.Buffer()
         self._parents: dict[str, tuple[str, bool]] = {}  # by child, with whether the link is static
 
-    def put(self, message: TransformStamped, static: bool) -> None:
+    def put(self, transform: ReceivedTransform, static: bool) -> None:
         """See `Store`."""
-        parent, child = _frames(message)
+        parent, child = _frames(transform)
         self._check_link(parent, child)
-        if not np.isfinite(matrix_from_transform(message.transform)).all():
-            raise MessageError(f"transform '{parent}' -> '{child}': must be finite, is {message.transform}")
+        T = pose_from_numbers(transform.translation, transform.rotation)
+        if not np.isfinite(T).all():
+            raise MessageError(f"transform '{parent}' -> '{child}': must be finite, is {transform}")
         self._parents[child] = parent, static
+        message = transform_stamped(transform.stamp_ns, parent, child, T)
         if static:
             self._buffer.set_transform_static(message, "tf_static")
         else:
@@ -163,9 +169,9 @@ class Tf2Store:
         return TransformInPast(f"{asked}: the stamp is earlier than what is kept: {error}")
 
 
-def _frames(message: TransformStamped) -> tuple[str, str]:
+def _frames(transform: ReceivedTransform) -> tuple[str, str]:
     """Parent and child; a leading slash, which old programs still send, is no part of a name in tf2."""
-    return message.header.frame_id.removeprefix("/"), message.child_frame_id.removeprefix("/")
+    return transform.parent.removeprefix("/"), transform.child.removeprefix("/")
 
 
 def _asked(target: str, source: str, stamp_ns: int) -> str:
@@ -204,8 +210,8 @@ class TransformListener:
         self._ignore = frozenset(ignore)
         self._newest_ns: dict[str, int] = {}
         self.store: Store = OwnStore() if tf2_ros is None else Tf2Store()
-        node.subscribe(TFMessage, "/tf_static", self._receive_static, TF_STATIC, always=True)
-        node.subscribe(TFMessage, "/tf", self._receive, TF, always=True)
+        node.subscribe(TFMessage, "/tf_static", self._receive_static, TF_STATIC, always=True, raw=True)
+        node.subscribe(TFMessage, "/tf", self._receive, TF, always=True, raw=True)
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
         """T_target_source (4, 4) at the stamp; raises `TransformUnavailable`."""
@@ -215,15 +221,15 @@ class TransformListener:
         """The newest T_target_source with its stamp, for who asks where things are and heeds the age."""
         return self.store.newest(target, source)
 
-    def _receive_static(self, message: TFMessage) -> None:
-        self._put_all(message, static=True)
+    def _receive_static(self, data: bytes) -> None:
+        self._put_all(transforms_from_bytes(data), static=True)
 
-    def _receive(self, message: TFMessage) -> None:
-        self._put_all(message, static=False)
+    def _receive(self, data: bytes) -> None:
+        self._put_all(transforms_from_bytes(data), static=False)
 
-    def _put_all(self, message: TFMessage, static: bool) -> None:
-        for transform in message.transforms:
-            if transform.child_frame_id in self._ignore:
+    def _put_all(self, transforms: list[ReceivedTransform], static: bool) -> None:
+        for transform in transforms:
+            if transform.child in self._ignore:
                 continue
             if not static:
                 self._look_for_jump(transform)
@@ -231,13 +237,13 @@ class TransformListener:
                 self.store.put(transform, static)
             except MessageError as error:
                 self._node.count("transforms refused")
-                self._node.warn("tf", f"transform of {transform.child_frame_id} refused: {error}")
+                self._node.warn("tf", f"transform of {transform.child} refused: {error}")
         if self._on_update is not None:
             self._on_update()
 
-    def _look_for_jump(self, transform: TransformStamped) -> None:
-        stamp_ns = ns_from_time(transform.header.stamp)
-        newest_ns = self._newest_ns.get(transform.child_frame_id, stamp_ns)
+    def _look_for_jump(self, transform: ReceivedTransform) -> None:
+        stamp_ns, child = transform.stamp_ns, transform.child
+        newest_ns = self._newest_ns.get(child, stamp_ns)
         if stamp_ns < newest_ns - JUMP_NS:
             self._newest_ns.clear()
             self.store.clear()
@@ -246,9 +252,7 @@ class TransformListener:
             self._node.warn("jump", f"time jumped back by {seconds:.3f} s: transforms and state are cleared")
             if self._on_jump is not None:
                 self._on_jump(seconds)
-        self._newest_ns[transform.child_frame_id] = max(
-            stamp_ns, self._newest_ns.get(transform.child_frame_id, 0)
-        )
+        self._newest_ns[child] = max(stamp_ns, self._newest_ns.get(child, 0))
 
 
 class TransformGate:

@@ -12,7 +12,7 @@ from tactile_bringup.ros.conversions import header, vector_from_twist
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_filter import se3
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ContactPresence, ContactState, ControllerStatus
+from tactile_msgs.msg import ContactState, ControllerStatus
 
 CONTROLLER = "tactile_control.controller_node"
 SENSOR = "arm/tactile_sensor"
@@ -29,7 +29,6 @@ class World:
         self.arm = graph.arm()
         self.twists = graph.collect(TwistStamped, "command/twist", qos.COMMAND)
         self.statuses = graph.collect(ControllerStatus, "controller/status")
-        self.presence_out = graph.publisher(ContactPresence, "contact/presence")
         self.state_out = graph.publisher(ContactState, "contact/state")
         self.client = ActionClient(graph.node, RunTask, "run_task")
         self.reset()
@@ -57,9 +56,6 @@ class World:
         self.arm.at(stamp_ns, self.T)
         if self.images:
             self.last_stamp = stamp_ns
-            self.presence_out.publish(
-                ContactPresence(header=header(stamp_ns, SENSOR), score=0.1, in_contact=self.in_contact)
-            )
             self.state_out.publish(self.state(stamp_ns))
 
     def state(self, stamp_ns: int) -> ContactState:

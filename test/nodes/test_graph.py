@@ -107,7 +107,8 @@ def test_each_exposure_is_answered_or_counted_as_dropped(cell):
     cell.following()
     seen: dict[str, dict[int, int]] = {"camera": {}, "filter": {}, "controller": {}}
     for message in cell.latencies:
-        seen[message.stage][ns_from_time(message.header.stamp)] = message.dropped
+        for exposed, dropped in zip(message.exposed, message.dropped, strict=True):
+            seen[message.stage][ns_from_time(exposed)] = dropped
     since = max(min(by_stamp) for by_stamp in seen.values())
     until = min(max(by_stamp) for by_stamp in seen.values())
     stamps = {stage: {s for s in by_stamp if since <= s <= until} for stage, by_stamp in seen.items()}

@@ -10,9 +10,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
+from rclpy.serialization import serialize_message
 from tf2_msgs.msg import TFMessage
 
 from tactile_bringup.ros import transforms
+from tactile_bringup.ros.cdr import transforms_from_bytes
 from tactile_bringup.ros.conversions import MessageError, transform_stamped
 from tactile_bringup.ros.stamps import EventJoin
 from tactile_bringup.ros.transforms import OwnStore, Tf2Store, TransformGate, TransformListener
@@ -54,7 +56,7 @@ def kind(request, monkeypatch):
 def store(kind):
     """The sensor fixed to the tool, which has ten poses."""
     store = OwnStore() if kind == "own" else Tf2Store()
-    store.put(transform_stamped(0, TOOL, SENSOR, TOOL_SENSOR), static=True)
+    put(store, transform_stamped(0, TOOL, SENSOR, TOOL_SENSOR), static=True)
     move(store, START)
     return store
 
@@ -63,9 +65,14 @@ def pose(k: float) -> np.ndarray:
     return se3.exp(np.array([0.3, 0.1, 0.2, 0.2, 0.1, -0.1]) + 0.01 * k)
 
 
+def put(store, message, static: bool = False) -> None:
+    (transform,) = transforms_from_bytes(serialize_message(TFMessage(transforms=[message])))
+    store.put(transform, static)
+
+
 def move(store, start_ns: int) -> None:
     for k in range(10):
-        store.put(transform_stamped(start_ns + k * PERIOD, BASE, TOOL, pose(k)), static=False)
+        put(store, transform_stamped(start_ns + k * PERIOD, BASE, TOOL, pose(k)))
 
 
 def message(parent: str, child: str, stamp_ns: int = START, T: np.ndarray | None = None):
@@ -102,7 +109,7 @@ def test_too_early_and_too_late_are_told_apart(store):
 
 @pytest.mark.parametrize("offset, error", [(-1, TransformInPast), (1, TransformInFuture)])
 def test_past_and_future_are_told_apart_by_a_single_transform(store, offset, error):
-    store.put(message(SENSOR, "tip", START + PERIOD), static=False)
+    put(store, message(SENSOR, "tip", START + PERIOD))
     with pytest.raises(error):
         store.lookup(SENSOR, "tip", START + PERIOD + offset)
 
@@ -118,7 +125,7 @@ def test_a_static_transform_holds_at_any_stamp(store, stamp_ns):
 
 
 def test_the_newest_has_the_stamp_of_the_link_that_lags(store):
-    store.put(message(SENSOR, "tip", START + 2 * PERIOD), static=False)
+    put(store, message(SENSOR, "tip", START + 2 * PERIOD))
     stamp_ns, T = store.newest(BASE, "tip")
     assert stamp_ns == START + 2 * PERIOD
     np.testing.assert_allclose(T, pose(2) @ TOOL_SENSOR, atol=1e-14)
@@ -133,7 +140,7 @@ def test_what_does_not_move_has_no_newest(store):
     "frames", [(BASE, "nix"), ("nix", SENSOR), (BASE, "leaf"), (BASE, ""), ("/" + BASE, TOOL)]
 )
 def test_unknown_and_unconnected_frames_are_disconnected(store, frames):
-    store.put(message("other", "leaf"), static=False)
+    put(store, message("other", "leaf"))
     with pytest.raises(TransformDisconnected):
         store.lookup(*frames, START)
     with pytest.raises(TransformDisconnected):
@@ -159,12 +166,12 @@ def test_after_clearing_an_earlier_time_can_begin(store):
 
 def test_after_clearing_a_link_may_be_turned_around(store):
     store.clear()
-    store.put(message(TOOL, BASE), static=False)
+    put(store, message(TOOL, BASE))
     np.testing.assert_allclose(store.lookup(TOOL, BASE, START), np.eye(4), atol=1e-15)
 
 
 def test_a_leading_slash_is_no_part_of_a_name(store):
-    store.put(message("/" + BASE, "/camera"), static=False)
+    put(store, message("/" + BASE, "/camera"))
     np.testing.assert_allclose(store.lookup(BASE, "camera", START), np.eye(4), atol=1e-15)
 
 
@@ -180,7 +187,7 @@ def test_a_leading_slash_is_no_part_of_a_name(store):
 )
 def test_links_that_do_not_make_a_tree_are_refused_and_leave_it_as_it_was(store, parent, child, text):
     with pytest.raises(MessageError, match=text):
-        store.put(message(parent, child, LAST), static=False)
+        put(store, message(parent, child, LAST))
     np.testing.assert_allclose(store.lookup(BASE, SENSOR, LAST), pose(9) @ TOOL_SENSOR, atol=1e-14)
 
 
@@ -189,7 +196,7 @@ def test_a_translation_that_is_not_finite_is_refused(store, x):
     broken = np.eye(4)
     broken[0, 3] = x
     with pytest.raises(MessageError, match="finite"):
-        store.put(message(BASE, TOOL, LAST + PERIOD, broken), static=False)
+        put(store, message(BASE, TOOL, LAST + PERIOD, broken))
     assert store.newest(BASE, SENSOR)[0] == LAST
 
 
@@ -198,7 +205,7 @@ def test_a_quaternion_that_is_no_rotation_is_refused(store, w):
     broken = message(BASE, TOOL, LAST + PERIOD)
     broken.transform.rotation.w = w
     with pytest.raises(MessageError, match="norm 1"):
-        store.put(broken, static=False)
+        put(store, broken)
     assert store.newest(BASE, SENSOR)[0] == LAST
 
 
@@ -212,7 +219,8 @@ class Node:
         self.receive: dict = {}
         self.counters: dict[str, int] = {}
 
-    def subscribe(self, message_type, topic, callback, profile, always) -> None:
+    def subscribe(self, message_type, topic, callback, profile, always, raw) -> None:
+        assert raw
         self.receive[topic] = callback
 
     def timer(self, period, callback) -> None:
@@ -225,7 +233,7 @@ class Node:
         """Counted already."""
 
     def send(self, *sent) -> None:
-        self.receive["/tf"](TFMessage(transforms=list(sent)))
+        self.receive["/tf"](serialize_message(TFMessage(transforms=list(sent))))
 
 
 @pytest.fixture
@@ -233,7 +241,9 @@ def listening(kind):
     node, jumps = Node(), []
     listener = TransformListener(node, on_jump=jumps.append)
     assert isinstance(listener.store, OwnStore if kind == "own" else Tf2Store)
-    node.receive["/tf_static"](TFMessage(transforms=[message(TOOL, SENSOR, 0, TOOL_SENSOR)]))
+    node.receive["/tf_static"](
+        serialize_message(TFMessage(transforms=[message(TOOL, SENSOR, 0, TOOL_SENSOR)]))
+    )
     for k in range(10):
         node.send(message(BASE, TOOL, START + k * PERIOD, pose(k)))
     return SimpleNamespace(node=node, listener=listener, jumps=jumps)
