@@ -16,7 +16,8 @@ from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
 from tactile_drivers.sim.tactip import TacTipSettings
 from tactile_filter.yaml_file import read_yaml
 from tactile_perception.command_settings import name_and_value
-from tactile_perception.dataset import DatasetError, DatasetWriter, write_processed
+from tactile_perception.dataset_layout import DatasetError
+from tactile_perception.dataset_writer import DatasetWriter, write_processed
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 
 PARAMETERS_NAME = "collect_params.json"

@@ -1,4 +1,4 @@
-"""Reader and writer of the public tactile data layout: `targets_images.csv` beside `processed_images/`.
+"""Reader of the public tactile data layout: `targets_images.csv` beside `processed_images/`.
 
 A row holds an image's name, the normal contact `pose_*` and the post-contact shear `shear_*` (mm, degrees);
 their sum is the Euler surface contact pose. Nothing that is wrong with a folder passes in silence: what is
@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,47 +22,32 @@ from numpy.typing import NDArray
 
 from tactile_filter.settings import SettingError
 from tactile_perception import lenient_json
+from tactile_perception.dataset_layout import (
+    IMAGE_COLUMNS,
+    IMAGE_PARAMS_NAME,
+    IMAGES_NAME,
+    POSE_COLUMNS,
+    RAW_IMAGES_NAME,
+    SHEAR_COLUMNS,
+    TARGETS_NAME,
+    DatasetError,
+    DatasetReport,
+)
+from tactile_perception.dataset_writer import DatasetWriter
 from tactile_perception.labels import labels_from_euler
 from tactile_perception.preprocessing import Image, ImageError, PreprocessingSettings, Preprocessor
 
-TARGETS_NAME = "targets_images.csv"
-IMAGES_NAME = "processed_images"
-RAW_IMAGES_NAME = "images"
-IMAGE_PARAMS_NAME = "processed_image_params.json"
-AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
-POSE_COLUMNS = tuple(f"pose_{axis}" for axis in AXES)
-SHEAR_COLUMNS = tuple(f"shear_{axis}" for axis in AXES)
-IMAGE_COLUMNS = ("sensor_image", "image_name")
+__all__ = [
+    "DatasetError",
+    "DatasetReport",
+    "DatasetWriter",
+    "TactileDataset",
+    "TactileFolder",
+    "open_folder",
+    "read_dataset",
+]
+
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-
-
-class DatasetError(ValueError):
-    """A folder that is not a data set, or one in which nothing is usable."""
-
-
-@dataclass
-class DatasetReport:
-    """What was found in a data folder: how many samples are usable, and everything that is not, by name."""
-
-    folder: Path
-    rows: int = 0
-    samples: int = 0
-    #: what is wrong -> the names it is wrong with
-    problems: dict[str, list[str]] = field(default_factory=dict)
-    #: repairs and assumptions, one sentence each
-    notes: list[str] = field(default_factory=list)
-
-    def add(self, problem: str, name: str) -> None:
-        self.problems.setdefault(problem, []).append(name)
-
-    def lines(self, names: int = 5) -> list[str]:
-        """The report as lines of text, with at most `names` names for each problem."""
-        lines = [f"{self.folder}: {self.samples} usable samples of {self.rows} rows"]
-        lines += [f"  note: {note}" for note in self.notes]
-        for problem, which in self.problems.items():
-            rest = f", and {len(which) - names} more" if len(which) > names else ""
-            lines.append(f"  {problem}: {len(which)} ({', '.join(which[:names])}{rest})")
-        return lines
 
 
 @dataclass
@@ -351,107 +335,3 @@ def _with_images(rows: list[Row], image_folder: Path, report: DatasetReport) -> 
     for name in sorted(present - named):
         report.add("image without its row", name)
     return [row for row in rows if row[0] in present]
-
-
-class DatasetWriter:
-    """Writes the public layout, one sample at a time; what is written survives an interruption.
-
-    Each sample's row goes to a journal as soon as its image is on disk; `finish` turns the journal into
-    `targets_images.csv`, sorted by sample number. Opening the same folder again goes on where it ended.
-    """
-
-    def __init__(self, folder: Path | str, preprocessing: PreprocessingSettings) -> None:
-        self.folder = Path(folder)
-        self.preprocessing = preprocessing
-        self._journal = self.folder / "targets_images.partial.csv"
-        self._preprocessor = Preprocessor(preprocessing)
-        (self.folder / IMAGES_NAME).mkdir(parents=True, exist_ok=True)
-        self._drop_cut_row()
-        self._write_image_params()
-
-    @property
-    def done(self) -> set[int]:
-        """Numbers of the samples that are already there, finished or in the journal."""
-        return {int(row["sensor_image"][len("image_") : -len(".png")]) for row in self._rows()}
-
-    def add(self, number: int, image: Image, euler_mm_deg: Iterable[float]) -> None:
-        """Store camera image `number` (from 1) with its Euler surface contact pose in mm and degrees."""
-        write_processed(self.folder, number, self._preprocessor.binary(image))
-        self.add_row(number, euler_mm_deg)
-
-    def add_row(self, number: int, euler_mm_deg: Iterable[float]) -> None:
-        """Store the label of an image that `write_processed` has already written."""
-        x, y, z, alpha, beta, gamma = (repr(float(value)) for value in euler_mm_deg)
-        row = [image_name(number), "0", "0", z, alpha, beta, "0", x, y, "0", "0", "0", gamma]
-        new = not self._journal.exists() or self._journal.stat().st_size == 0
-        with self._journal.open("a", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            if new:
-                writer.writerow(["sensor_image", *POSE_COLUMNS, *SHEAR_COLUMNS])
-            writer.writerow(row)
-
-    def finish(self) -> Path:
-        """Write `targets_images.csv` from everything recorded so far and remove the journal."""
-        rows = sorted(self._rows(), key=lambda row: int(row["sensor_image"][len("image_") : -len(".png")]))
-        path = self.folder / TARGETS_NAME
-        temporary = path.with_suffix(".tmp")
-        with temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(
-                file,
-                ["sensor_image", *POSE_COLUMNS, *SHEAR_COLUMNS],
-                lineterminator="\n",
-                extrasaction="ignore",
-            )
-            writer.writeheader()
-            writer.writerows(rows)
-        temporary.replace(path)
-        self._journal.unlink(missing_ok=True)
-        return path
-
-    def _rows(self) -> Iterator[dict[str, str]]:
-        """Rows written so far whose image exists, each once."""
-        seen: set[str] = set()
-        for path in (self.folder / TARGETS_NAME, self._journal):
-            if not path.exists():
-                continue
-            with path.open(newline="") as file:
-                for row in csv.DictReader(file):
-                    name = row["sensor_image"]
-                    if name not in seen and (self.folder / IMAGES_NAME / name).exists():
-                        seen.add(name)
-                        yield row
-
-    def _drop_cut_row(self) -> None:
-        """Remove a last row that an interruption cut short; it could still look like numbers."""
-        if self._journal.exists():
-            text = self._journal.read_text()
-            self._journal.write_text(text[: text.rfind("\n") + 1])
-
-    def _write_image_params(self) -> None:
-        settings = self.preprocessing
-        params = {
-            "type": "standard",
-            "gray": True,
-            "thresh": [settings.threshold_block, settings.threshold_offset],
-            "threshold_method": settings.threshold_method,
-            "median": settings.median,
-            "circle_mask_radius": settings.circle_mask_radius,
-            "bbox": list(settings.bbox),
-        }
-        (self.folder / IMAGE_PARAMS_NAME).write_text(json.dumps(params, indent=2) + "\n")
-
-
-def image_name(number: int) -> str:
-    """File name of sample `number`, counted from 1."""
-    return f"image_{number}.png"
-
-
-def write_processed(folder: Path | str, number: int, binary: Image) -> None:
-    """Write one cropped and thresholded image of the public layout, whole or not at all."""
-    path = Path(folder) / IMAGES_NAME / image_name(number)
-    ok, encoded = cv2.imencode(".png", binary)
-    if not ok:
-        raise ImageError(f"{path}: could not be encoded as PNG")
-    temporary = path.with_suffix(".tmp")
-    temporary.write_bytes(encoded.tobytes())
-    temporary.replace(path)

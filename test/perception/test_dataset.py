@@ -226,20 +226,3 @@ def test_a_limit_takes_samples_from_the_whole_table(folder):
     data = read_dataset(folder, limit=2)
     assert data.names == ["image_1.png", "image_3.png"]
     assert any("took 2 of 3" in note for note in data.report.notes)
-
-
-def test_writing_goes_on_where_it_was_interrupted(tmp_path):
-    writer = DatasetWriter(tmp_path, PreprocessingSettings())
-    writer.add(2, camera_image(2), EULER[1])
-    writer.add(1, camera_image(1), EULER[0])
-    journal = next(tmp_path.glob("*.partial.csv"))
-    journal.write_text(journal.read_text()[:-4])  # killed in the middle of a row
-    resumed = DatasetWriter(tmp_path, PreprocessingSettings())
-    assert resumed.done == {2}
-    resumed.add(1, camera_image(1), EULER[0])
-    resumed.add(3, camera_image(3), EULER[2])
-    resumed.finish()
-    data = read_dataset(tmp_path)
-    assert data.names == ["image_1.png", "image_2.png", "image_3.png"]
-    np.testing.assert_array_equal(data.euler_mm_deg, EULER)
-    assert data.report.problems == {}

@@ -1,0 +1,58 @@
+"""Names of the public data layout, and the report on a data folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+TARGETS_NAME = "targets_images.csv"
+JOURNAL_NAME = "targets_images.partial.csv"
+IMAGES_NAME = "processed_images"
+RAW_IMAGES_NAME = "images"
+IMAGE_PARAMS_NAME = "processed_image_params.json"
+AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
+POSE_COLUMNS = tuple(f"pose_{axis}" for axis in AXES)
+SHEAR_COLUMNS = tuple(f"shear_{axis}" for axis in AXES)
+IMAGE_COLUMNS = ("sensor_image", "image_name")
+
+
+class DatasetError(ValueError):
+    """A folder that is not a data set, or one in which nothing is usable."""
+
+
+@dataclass
+class DatasetReport:
+    """What was found in a data folder: how many samples are usable, and everything that is not, by name."""
+
+    folder: Path
+    rows: int = 0
+    samples: int = 0
+    #: what is wrong -> the names it is wrong with
+    problems: dict[str, list[str]] = field(default_factory=dict)
+    #: repairs and assumptions, one sentence each
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, problem: str, name: str) -> None:
+        self.problems.setdefault(problem, []).append(name)
+
+    def lines(self, names: int = 5) -> list[str]:
+        """The report as lines of text, with at most `names` names for each problem."""
+        lines = [f"{self.folder}: {self.samples} usable samples of {self.rows} rows"]
+        lines += [f"  note: {note}" for note in self.notes]
+        for problem, which in self.problems.items():
+            rest = f", and {len(which) - names} more" if len(which) > names else ""
+            lines.append(f"  {problem}: {len(which)} ({', '.join(which[:names])}{rest})")
+        return lines
+
+
+def image_name(number: int) -> str:
+    """File name of sample `number`, counted from 1."""
+    return f"image_{number}.png"
+
+
+def image_number(name: str) -> int:
+    """Number of a sample from its file name; raises ValueError for another name."""
+    stem = Path(name).stem
+    if not stem.startswith("image_"):
+        raise ValueError(f"{name}: is not named image_<number>")
+    return int(stem[len("image_") :])
