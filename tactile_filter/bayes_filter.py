@@ -349,16 +349,9 @@ class ContactFilter:
 
     def _predicted(self, state: _State, stamp_ns: int, sensor: Array) -> _State:
         """The algorithm's prediction step."""
-        variances = self._noise_since(stamp_ns - state.stamp_ns)
+        variances = self._tuning.noise_since(stamp_ns - state.stamp_ns)
         mean, cov = arithmetic.predict(state.mean, state.cov, state.T_base_sensor, sensor, variances)
         return _State(stamp_ns, mean, cov, sensor, state.corrected_ns)
-
-    def _noise_since(self, elapsed_ns: int) -> Array:
-        """Variances (6,) of the process noise."""
-        interval_ns = self._tuning.noise_interval_ns
-        if interval_ns == 0.0:
-            return self._tuning.variances if elapsed_ns > 0 else np.zeros(DOF)
-        return self._tuning.variances * (elapsed_ns / interval_ns)
 
     def _is_stale(self, state: _State, stamp_ns: int) -> bool:
         return stamp_ns - state.corrected_ns > self._tuning.max_age_ns

@@ -79,7 +79,7 @@ class FilterSettings(Settings):
     )  # fmt: skip
     history: float = setting(
         0.0, lower=0.0, upper=10.0, unit="s",
-        doc="a measurement that comes late, by no more than this, is put in its place and everything since is "
+        doc="a measurement that comes late, by no more than this, is put in its place and all since is "
         "filtered anew; 0 refuses whatever comes late",
     )  # fmt: skip
 
@@ -118,6 +118,12 @@ class Tuning(NamedTuple):
             iterations=settings.iterations or None,
             jacobian_order=orders[settings.jacobian_order],
         )
+
+    def noise_since(self, elapsed_ns: int) -> NDArray[np.float64]:
+        """Variances (6,) that the process noise adds in this time."""
+        if self.noise_interval_ns > 0.0:
+            return self.variances * (elapsed_ns / self.noise_interval_ns)
+        return self.variances if elapsed_ns > 0 else np.zeros(6)
 
 
 def gate_threshold(probability: float, dof: int = 6) -> float:

@@ -91,7 +91,7 @@ def good(stamp, shift=0.0):
 
 
 def test_what_is_older_than_the_history_is_refused_counted_and_named():
-    contact_filter, beliefs = fed([good(k * PERIOD) for k in range(40)])
+    contact_filter, _ = fed([good(k * PERIOD) for k in range(40)])
     expected = contact_filter.predict_to(39 * PERIOD, np.eye(4))
     belief = contact_filter.step(39 * PERIOD - 101 * MS, *good(0)[1:3])
     assert "is too late: the last is of 312000000 ns, and the history is 0.1 s" in belief.reason
