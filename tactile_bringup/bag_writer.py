@@ -16,14 +16,13 @@ from typing import Any
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from tactile_bringup.bag_contents import BagError
 from tactile_bringup.message_definitions import message_definition, type_hash
+
+__all__ = ["METADATA", "BagError", "BagWriter", "Topic"]
 
 METADATA = "metadata.yaml"
 _METADATA_VERSION = 9
-
-
-class BagError(ValueError):
-    """A bag that cannot be written or read; the message names the file."""
 
 
 @dataclass(frozen=True)

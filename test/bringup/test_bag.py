@@ -1,6 +1,7 @@
 """Bags are what other tools expect, and readable up to where their writer was killed."""
 
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -8,7 +9,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_bringup.bag import read_bag
@@ -126,6 +130,140 @@ def test_damaged_data_is_noticed_and_what_came_before_is_kept(tmp_path, definiti
     bag = read_bag(tmp_path / "run")
     assert not bag.complete and len(bag.messages) == 5
     assert "damaged near byte" in bag.problem
+
+
+def test_a_damaged_chunk_does_not_hide_those_behind_it(tmp_path, definitions):
+    writer = write(tmp_path / "run", definitions)
+    sizes = []
+    for _ in range(2):
+        writer.flush()
+        sizes.append(writer.file.stat().st_size)
+        for index in range(50):
+            writer.write(TWIST.name, twist(index), 2000 + index, 2000 + index)
+    writer.close()
+    data = bytearray(writer.file.read_bytes())
+    data[sizes[0] + 60 : sizes[0] + 90] = bytes(30)
+    writer.file.write_bytes(data)
+    bag = read_bag(tmp_path / "run")
+    assert not bag.complete and len(bag.messages) == 5 + 50
+
+
+def test_after_a_damaged_length_the_index_tells_where_to_go_on(tmp_path, definitions):
+    writer = write(tmp_path / "run", definitions)
+    writer.flush()
+    size = writer.file.stat().st_size
+    for index in range(50):
+        writer.write(TWIST.name, twist(index), 2000 + index, 2000 + index)
+    writer.flush()
+    for index in range(7):
+        writer.write(TWIST.name, twist(index), 3000 + index, 3000 + index)
+    writer.close()
+    data = bytearray(writer.file.read_bytes())
+    data[size + 1 : size + 9] = b"\xff" * 8
+    writer.file.write_bytes(data)
+    bag = read_bag(tmp_path / "run")
+    assert "no record of MCAP" in bag.problem and len(bag.messages) == 5 + 7
+
+
+def other_bag(folder: Path, plugin, count: int = 3000) -> None:
+    """A bag as `ros2 bag` would write it."""
+    with Writer(folder, version=9, storage_plugin=plugin) as bag:
+        fill(bag, count)
+
+
+def fill(bag, count: int) -> None:
+    connection = bag.add_connection(TWIST.name, TWIST.type, typestore=STORE)
+    bag.add_connection(TREE.name, TREE.type, typestore=STORE)
+    for index in range(count):
+        bag.write(connection, 1000 + index, twist(index))
+
+
+STORAGES = [
+    (plugin, mode)
+    for plugin in StoragePlugin
+    for mode in CompressionMode
+    if (plugin, mode) != (StoragePlugin.SQLITE3, CompressionMode.STORAGE)  # chunks are a thing of MCAP
+]
+
+
+@pytest.mark.parametrize(("plugin", "mode"), STORAGES)
+def test_bags_of_ros2_bag_are_read_in_every_storage_and_compression(tmp_path, plugin, mode):
+    bag = Writer(tmp_path / "run", version=9, storage_plugin=plugin)
+    if mode != CompressionMode.NONE:
+        bag.set_compression(mode, CompressionFormat.ZSTD)
+    with bag:
+        fill(bag, 300)
+    bag = read_bag(tmp_path / "run")
+    assert bag.complete, bag.problem
+    assert [message.twist.linear.x for _, message in bag.decoded(TWIST.name)] == list(range(300))
+    assert bag.messages[7].received_ns == 1007
+    assert bag.types[TREE.name] == TREE.type and bag.topics == {TWIST.name: 300}
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+def test_chunks_of_every_compression_are_read_up_to_where_the_file_is_cut(tmp_path, definitions, compression):
+    file = tmp_path / "one.mcap"
+    noise = random.Random(1)
+    with file.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=1 << 20, compression=compression)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(TWIST.type, "ros2msg", definitions[TWIST.type].encode())
+        channel = writer.register_channel(TWIST.name, "cdr", schema)
+        for index in range(3000):
+            writer.add_message(channel, index, twist(noise.random()), index)
+        writer.finish()
+    assert len(read_bag(file).messages) == 3000
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 4])
+    part = read_bag(file)  # all of it was one chunk
+    assert not part.complete and 500 < len(part.messages) < 3000
+    assert [m.received_ns for m in part.messages] == list(range(len(part.messages)))
+
+
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.95])
+def test_a_truncated_sqlite_bag_gives_what_is_readable(tmp_path, part):
+    other_bag(tmp_path / "run", StoragePlugin.SQLITE3)
+    file = next((tmp_path / "run").glob("*.db3"))
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(part * len(whole))])
+    bag = read_bag(tmp_path / "run")
+    read = [message.twist.linear.x for _, message in bag.decoded(TWIST.name)]
+    assert 500 < len(read) < 3000 and set(read) <= set(range(3000)) and sorted(read) == read
+    assert not bag.complete and "ends early" in bag.problem
+
+
+def test_rows_behind_a_damaged_page_of_a_sqlite_bag_are_read(tmp_path):
+    other_bag(tmp_path / "run", StoragePlugin.SQLITE3)
+    file = next((tmp_path / "run").glob("*.db3"))
+    data = bytearray(file.read_bytes())
+    at = data.index(twist(1500.0))
+    page = at // 4096 * 4096
+    data[page : page + 4096] = b"\xff" * 4096
+    file.write_bytes(data)
+    bag = read_bag(tmp_path / "run")
+    read = [message.twist.linear.x for _, message in bag.decoded(TWIST.name)]
+    assert not bag.complete and 0.0 in read and 2999.0 in read and 1500.0 not in read
+
+
+def test_a_bag_in_several_files_is_one_bag_and_a_missing_one_is_named(tmp_path, definitions):
+    for number in (0, 1, 2, 10):
+        write(tmp_path / f"run_{number}", definitions, count=number + 1).close()
+    (tmp_path / "run").mkdir()
+    for number in (0, 1, 2, 10):
+        (tmp_path / f"run_{number}" / f"run_{number}_0.mcap").rename(tmp_path / "run" / f"run_{number}.mcap")
+    bag = read_bag(tmp_path / "run")
+    assert bag.complete and len(bag.messages) == 1 + 2 + 3 + 11
+    assert [m.received_ns for m in bag.messages[-11:]] == [1000 + i for i in range(11)]
+    names = ["run_0.mcap", "run_1.mcap", "run_7.mcap"]
+    text = yaml.safe_dump({"rosbag2_bagfile_information": {"relative_file_paths": names}})
+    (tmp_path / "run" / "metadata.yaml").write_text(text)
+    bag = read_bag(tmp_path / "run")
+    assert not bag.complete and "run_7.mcap: the file is missing" in bag.problem
+
+
+def test_only_the_topics_that_are_wanted_are_kept_and_all_are_counted(tmp_path, definitions):
+    write(tmp_path / "run", definitions).close()
+    bag = read_bag(tmp_path / "run", lambda topic, type_name: topic == TREE.name)
+    assert bag.messages == [] and bag.counts == {TWIST.name: 5, TREE.name: 0}
 
 
 def test_an_existing_bag_is_not_overwritten(tmp_path, definitions):
