@@ -10,15 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_filter.fusion_result import FusionError, FusionResult, FusionStatus
+from tactile_filter.native import _fusion
 from tactile_filter.settings import unknown_name
-
-try:
-    from tactile_filter import _fusion
-except ImportError as error:
-    raise ImportError(
-        "the C extension tactile_filter._fusion is not built for this Python: run `make build`, or "
-        "`python setup.py build_ext --inplace` in a source tree"
-    ) from error
 
 __all__ = [
     "JACOBIAN_ORDERS",

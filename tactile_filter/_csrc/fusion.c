@@ -54,10 +54,7 @@ int fusion_set_mean(FusionInput* input, const double mat[16]) {
     return FUSION_NO_POSE;
   }
 
-  // a rotation, not a reflection: the third row is the cross product of the others
-  const double* r = input->mean.rot;
-  return (r[0]*r[4] - r[1]*r[3])*r[8] + (r[1]*r[5] - r[2]*r[4])*r[6]
-         + (r[2]*r[3] - r[0]*r[5])*r[7] > 0 ? 0 : FUSION_NO_POSE;
+  return se3_determinant(input->mean.rot) > 0 ? 0 : FUSION_NO_POSE;
 }
 
 

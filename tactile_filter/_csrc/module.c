@@ -1,57 +1,10 @@
 // Python module tactile_filter._fusion: the interface is tactile_filter/fusion.py.
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-#include <numpy/arrayobject.h>
-
-#include <string.h>
-
+#define TACTILE_IMPORTS_NUMPY
+#include "arrays.h"
 #include "fusion.h"
+#include "module_se3.h"
 
 #define MAX_ITERATIONS 100000
-
-
-// view of an argument as a contiguous double array of this shape; new reference or NULL with an error set
-static PyArrayObject* matrix_argument(PyObject* arg, npy_intp size, const char* name) {
-  PyArrayObject* array;
-  if (PyArray_CheckExact(arg) && PyArray_TYPE((PyArrayObject*)arg) == NPY_DOUBLE
-      && PyArray_ISCARRAY_RO((PyArrayObject*)arg)) {
-    Py_INCREF(arg);
-    array = (PyArrayObject*)arg;
-  } else {
-    array = (PyArrayObject*)PyArray_FROM_OTF(arg, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
-    if (!array) {
-      return NULL;
-    }
-  }
-  if (PyArray_NDIM(array) != 2 || PyArray_DIM(array, 0) != size || PyArray_DIM(array, 1) != size) {
-    PyErr_Format(PyExc_ValueError, "%s: must have shape (%d, %d)", name, (int)size, (int)size);
-    Py_DECREF(array);
-    return NULL;
-  }
-  return array;
-}
-
-
-// copy a matrix argument; returns 0 with an error set if it is none
-static int read_matrix(double* res, PyObject* arg, npy_intp size, const char* name) {
-  PyArrayObject* array = matrix_argument(arg, size, name);
-  if (!array) {
-    return 0;
-  }
-  memcpy(res, PyArray_DATA(array), (size_t)(size*size) * sizeof(double));
-  Py_DECREF(array);
-  return 1;
-}
-
-
-static PyObject* new_matrix(const double* data, npy_intp size) {
-  npy_intp dims[2] = {size, size};
-  PyObject* res = PyArray_SimpleNew(2, dims, NPY_DOUBLE);
-  if (res) {
-    memcpy(PyArray_DATA((PyArrayObject*)res), data, (size_t)(size*size) * sizeof(double));
-  }
-  return res;
-}
 
 
 static PyObject* new_pose(const Pose* pose) {
@@ -61,14 +14,14 @@ static PyObject* new_pose(const Pose* pose) {
     mat[4*i+3] = pose->pos[i];
   }
   mat[15] = 1;
-  return new_matrix(mat, 4);
+  return new_array(mat, 4, 4);
 }
 
 
 // mean, cov, factor, iterations, status, step
 static PyObject* new_result(const FusionOutput* output) {
   PyObject* items[6] = {
-    new_pose(&output->mean), new_matrix(output->cov, 6), new_matrix(output->factor, 6),
+    new_pose(&output->mean), new_array(output->cov, 6, 6), new_array(output->factor, 6, 6),
     PyLong_FromLong(output->iterations), PyLong_FromLong(output->status),
     PyFloat_FromDouble(output->step)};
   PyObject* res = PyTuple_New(6);
@@ -90,8 +43,8 @@ static PyObject* new_result(const FusionOutput* output) {
 static int read_input(FusionInput* input, PyObject* const* args, int index) {
   static const char* const names[4] = {"mean_1", "cov_1", "mean_2", "cov_2"};
   double mean[16], cov[36];
-  if (!read_matrix(mean, args[0], 4, names[2*index])
-      || !read_matrix(cov, args[1], 6, names[2*index+1])) {
+  if (!read_array(mean, args[0], 4, 4, names[2*index])
+      || !read_array(cov, args[1], 6, 6, names[2*index+1])) {
     return -1;
   }
   int lack = fusion_set_mean(input, mean);
@@ -153,6 +106,7 @@ static PyObject* check(PyObject* module, PyObject* const* args, Py_ssize_t nargs
 static PyMethodDef methods[] = {
   {"check", (PyCFunction)(void(*)(void))check, METH_FASTCALL, check_doc},
   {"fuse", (PyCFunction)(void(*)(void))fuse, METH_FASTCALL, fuse_doc},
+  MODULE_SE3_METHODS
   {NULL, NULL, 0, NULL}
 };
 
@@ -164,5 +118,8 @@ static struct PyModuleDef definition = {
 
 PyMODINIT_FUNC PyInit__fusion(void) {
   import_array();
+  if (!module_se3_select(NULL)) {
+    return NULL;
+  }
   return PyModule_Create(&definition);
 }

@@ -170,6 +170,17 @@ void se3_perturb(Pose* pose, const double xi[6]) {
 }
 
 
+void se3_product(Pose* res, const Pose* a, const Pose* b) {
+  for (int i = 0; i < 3; i++) {
+    const double* row = a->rot + 3*i;
+    for (int j = 0; j < 3; j++) {
+      res->rot[3*i+j] = row[0]*b->rot[j] + row[1]*b->rot[3+j] + row[2]*b->rot[6+j];
+    }
+    res->pos[i] = dot3(row, b->pos) + a->pos[i];
+  }
+}
+
+
 void se3_difference(Pose* res, const Pose* a, const Pose* b) {
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
@@ -178,6 +189,29 @@ void se3_difference(Pose* res, const Pose* a, const Pose* b) {
   }
   for (int i = 0; i < 3; i++) {
     res->pos[i] = a->pos[i] - dot3(res->rot + 3*i, b->pos);
+  }
+}
+
+
+void se3_inverse(Pose* res, const Pose* pose) {
+  for (int i = 0; i < 3; i++) {
+    double sum = 0;
+    for (int j = 0; j < 3; j++) {
+      res->rot[3*i+j] = pose->rot[3*j+i];
+      sum += pose->rot[3*j+i] * pose->pos[j];
+    }
+    res->pos[i] = -sum;
+  }
+}
+
+
+void se3_inverse_product(Pose* res, const Pose* a, const Pose* b) {
+  for (int i = 0; i < 3; i++) {
+    res->pos[i] = 0;
+    for (int j = 0; j < 3; j++) {
+      res->rot[3*i+j] = a->rot[i]*b->rot[j] + a->rot[3+i]*b->rot[3+j] + a->rot[6+i]*b->rot[6+j];
+      res->pos[i] += a->rot[3*j+i] * (b->pos[j] - a->pos[j]);
+    }
   }
 }
 
@@ -228,13 +262,23 @@ static void gram3(double res[9], const double rot[9]) {
 
 
 void se3_orthonormalize(Pose* pose) {
-  double gram[9], rot[9];
-  gram3(gram, pose->rot);
+  double excess[9], factor[9], rot[9];
+  gram3(excess, pose->rot);
+  for (int i = 0; i < 3; i++) {
+    excess[4*i] -= 1;
+  }
+
+  // rot * (I + excess)^(-1/2); the next term of the series is below rounding
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
-      double product = pose->rot[3*i]*gram[j] + pose->rot[3*i+1]*gram[3+j]
-                       + pose->rot[3*i+2]*gram[6+j];
-      rot[3*i+j] = 1.5*pose->rot[3*i+j] - 0.5*product;
+      double square = excess[3*i]*excess[j] + excess[3*i+1]*excess[3+j] + excess[3*i+2]*excess[6+j];
+      factor[3*i+j] = 0.5*excess[3*i+j] - 0.375*square;
+    }
+  }
+  for (int i = 0; i < 3; i++) {
+    const double* row = pose->rot + 3*i;
+    for (int j = 0; j < 3; j++) {
+      rot[3*i+j] = row[j] - (row[0]*factor[j] + row[1]*factor[3+j] + row[2]*factor[6+j]);
     }
   }
   for (int i = 0; i < 9; i++) {
@@ -253,4 +297,9 @@ double se3_rotation_error(const double rot[9]) {
     res = !(error <= res) ? error : res;
   }
   return res;
+}
+
+
+double se3_determinant(const double r[9]) {
+  return (r[0]*r[4] - r[1]*r[3])*r[8] + (r[1]*r[5] - r[2]*r[4])*r[6] + (r[2]*r[3] - r[0]*r[5])*r[7];
 }

@@ -23,8 +23,17 @@ void se3_log(double res[6], const Pose* pose);
 // pose = exp(xi^) * pose
 void se3_perturb(Pose* pose, const double xi[6]);
 
+// res = a * b, res not among them
+void se3_product(Pose* res, const Pose* a, const Pose* b);
+
 // res = a * b^-1
 void se3_difference(Pose* res, const Pose* a, const Pose* b);
+
+// res = pose^-1, res not pose
+void se3_inverse(Pose* res, const Pose* pose);
+
+// res = a^-1 * b, res not among them
+void se3_inverse_product(Pose* res, const Pose* a, const Pose* b);
 
 // inverse left Jacobian at xi, |phi| <= pi
 void se3_inverse_jacobian(InverseJacobian* res, const double xi[6], int order);
@@ -34,5 +43,7 @@ void se3_orthonormalize(Pose* pose);
 
 // largest deviation of rot' * rot from the identity
 double se3_rotation_error(const double rot[9]);
+
+double se3_determinant(const double rot[9]);
 
 #endif  // TACTILE_SE3_H_

@@ -1,0 +1,116 @@
+// NumPy arrays to and from C arrays. The file that imports NumPy defines TACTILE_IMPORTS_NUMPY first.
+#ifndef TACTILE_ARRAYS_H_
+#define TACTILE_ARRAYS_H_
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#define PY_ARRAY_UNIQUE_SYMBOL tactile_filter_numpy
+#ifndef TACTILE_IMPORTS_NUMPY
+#define NO_IMPORT_ARRAY
+#endif
+#include <numpy/arrayobject.h>
+
+#include <math.h>
+#include <string.h>
+
+
+// whether the array has the shape (rows, columns), or (rows,) for columns = 0
+static inline int has_shape(PyArrayObject* array, npy_intp rows, npy_intp columns) {
+  if (columns == 0) {
+    return PyArray_NDIM(array) == 1 && PyArray_DIM(array, 0) == rows;
+  }
+  return PyArray_NDIM(array) == 2 && PyArray_DIM(array, 0) == rows && PyArray_DIM(array, 1) == columns;
+}
+
+
+static inline void set_shape_error(PyArrayObject* array, npy_intp rows, npy_intp columns, const char* name) {
+  PyObject* shape = PyObject_GetAttrString((PyObject*)array, "shape");
+  if (!shape) {
+    return;
+  }
+  if (columns == 0) {
+    PyErr_Format(PyExc_ValueError, "%s: must have shape (%d,), has %S", name, (int)rows, shape);
+  } else {
+    PyErr_Format(PyExc_ValueError, "%s: must have shape (%d, %d), has %S", name, (int)rows, (int)columns, shape);
+  }
+  Py_DECREF(shape);
+}
+
+
+// copy an argument of this shape (see has_shape), converting it if need be; returns 0 with an error set
+static inline int read_array(double* res, PyObject* arg, npy_intp rows, npy_intp columns, const char* name) {
+  size_t bytes = (size_t)(rows * (columns ? columns : 1)) * sizeof(double);
+  if (PyArray_CheckExact(arg)) {
+    PyArrayObject* array = (PyArrayObject*)arg;
+    if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array) && has_shape(array, rows, columns)) {
+      memcpy(res, PyArray_DATA(array), bytes);
+      return 1;
+    }
+  }
+  PyArrayObject* array = (PyArrayObject*)PyArray_FROM_OTF(arg, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
+  if (!array) {
+    return 0;
+  }
+  int fits = has_shape(array, rows, columns);
+  if (fits) {
+    memcpy(res, PyArray_DATA(array), bytes);
+  } else {
+    set_shape_error(array, rows, columns, name);
+  }
+  Py_DECREF(array);
+  return fits;
+}
+
+
+// as read_array; not finite is an error, too
+static inline int read_finite(double* res, PyObject* arg, npy_intp rows, npy_intp columns, const char* name) {
+  if (!read_array(res, arg, rows, columns, name)) {
+    return 0;
+  }
+  double zero = 0;
+  for (npy_intp i = 0; i < rows * (columns ? columns : 1); i++) {
+    zero += 0*res[i];
+  }
+  if (zero == 0) {
+    return 1;
+  }
+  PyObject* array = PyArray_FROM_OTF(arg, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
+  PyObject* list = array ? PyArray_ToList((PyArrayObject*)array) : NULL;
+  if (list) {
+    PyErr_Format(PyExc_ValueError, "%s: must be finite, is %S", name, list);
+  }
+  Py_XDECREF(list);
+  Py_XDECREF(array);
+  return 0;
+}
+
+
+// homogeneous matrix of a pose; returns 0 with an error set
+static inline int read_pose(double mat[16], PyObject* arg, const char* name) {
+  if (!read_finite(mat, arg, 4, 4, name)) {
+    return 0;
+  }
+  if (mat[12] == 0 && mat[13] == 0 && mat[14] == 0 && mat[15] == 1) {
+    return 1;
+  }
+  PyObject* row = Py_BuildValue("[dddd]", mat[12], mat[13], mat[14], mat[15]);
+  if (row) {
+    PyErr_Format(PyExc_ValueError, "%s: last row must be [0, 0, 0, 1], is %S", name, row);
+    Py_DECREF(row);
+  }
+  return 0;
+}
+
+
+// new array (rows, columns), or (rows,) for columns = 0
+static inline PyObject* new_array(const double* data, npy_intp rows, npy_intp columns) {
+  npy_intp dims[2] = {rows, columns};
+  PyObject* res = PyArray_SimpleNew(columns ? 2 : 1, dims, NPY_DOUBLE);
+  if (res) {
+    size_t bytes = (size_t)(rows * (columns ? columns : 1)) * sizeof(double);
+    memcpy(PyArray_DATA((PyArrayObject*)res), data, bytes);
+  }
+  return res;
+}
+
+#endif  // TACTILE_ARRAYS_H_

@@ -1,0 +1,25 @@
+// The routines of which there is one build for each instruction set; the same sources give the same bits.
+#ifndef TACTILE_ROUTINES_H_
+#define TACTILE_ROUTINES_H_
+
+typedef struct {
+  const char* name;  // of the instruction set
+
+  // se3_exact.h
+  void (*exp)(double res[16], const double xi[6]);
+  int (*log)(double res[6], const double mat[16]);
+  void (*adjoint)(double res[36], const double mat[16]);
+  void (*left_jacobian)(double res[36], const double xi[6]);
+  void (*inverse_left_jacobian)(double res[36], const double xi[6]);
+} Routines;
+
+extern const Routines routines_base;
+#ifdef __x86_64__
+extern const Routines routines_avx2;
+extern const Routines routines_avx512;
+#endif
+
+// the routines of an instruction set by its name, or null if this machine does not have it; the best for null
+const Routines* routines_select(const char* name);
+
+#endif  // TACTILE_ROUTINES_H_
