@@ -23,34 +23,46 @@ def motion_covariance(sigma: float) -> Array:
     return np.diag(np.repeat([sigma * 1e-3, np.radians(sigma)], 3) ** 2)
 
 
-def motion_filter(sigma: float) -> ContactFilter:
-    """The paper's filter for motions known up to `sigma` mm and degrees: it fuses every measurement."""
-    settings = FilterSettings(
-        process_noise_translation=sigma * 1e-3,
-        process_noise_rotation=float(np.radians(sigma)),
-        gate_probability=1.0,
-    )
-    return ContactFilter(settings)
+def motion_filter(sigma: float, settings: FilterSettings | None = None) -> ContactFilter:
+    """The paper's filter for motions known up to `sigma` mm and degrees: it fuses every measurement.
+
+    `settings` give the rest; without them nothing is gated, as in the paper.
+    """
+    settings = settings or FilterSettings(gate_probability=1.0)
+    noise = {
+        "process_noise_translation": sigma * 1e-3,
+        "process_noise_rotation": float(np.radians(sigma)),
+    }
+    return ContactFilter(settings.replaced(**noise))
 
 
 def with_motion_noise(frames: Iterable[Frame], sigma: float, seed: int) -> Iterator[Frame]:
-    """The frames with the poses that noisy odometry would give: T_k = exp(psi^) X_k X_{k-1}^-1.
-
-    Paper, eq. se3_filter_exp_state_trans_model; frames without a pose pass as they are.
-    """
-    rng = np.random.default_rng(seed)
-    deviation = np.sqrt(np.diag(motion_covariance(sigma)))
-    last: Array | None = None
-    drifted = np.eye(4)
+    """The frames with the poses that noisy odometry would give; frames without a pose pass as they are."""
+    drift = Drift(sigma, seed)
     for frame in frames:
         true = frame.T_base_sensor
-        if true is None:
-            yield frame
-            continue
-        if last is None:
-            drifted = true
+        yield frame if true is None else replace(frame, T_base_sensor=drift(true))
+
+
+class Drift:
+    """Poses of the sensor as noisy odometry gives them, one after the other: T_k = exp(psi^) X_k X_{k-1}^-1.
+
+    Paper, eq. se3_filter_exp_state_trans_model.
+    """
+
+    def __init__(self, sigma: float, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._deviation = np.sqrt(np.diag(motion_covariance(sigma)))
+        self._true: Array | None = None
+        self._drifted = np.eye(4)
+
+    def __call__(self, true: Array) -> Array:
+        """The drifted pose (4, 4) that goes with the next true one."""
+        if self._true is None:
+            self._drifted = true
         else:
-            motion = se3.exp(rng.normal(0.0, deviation)) @ se3.inverse(true) @ last
-            drifted = se3.orthonormalized(drifted @ se3.inverse(motion))
-        last = true
-        yield replace(frame, T_base_sensor=drifted)
+            noise = se3.exp(self._rng.normal(0.0, self._deviation))
+            motion = noise @ se3.inverse(true) @ self._true
+            self._drifted = se3.orthonormalized(self._drifted @ se3.inverse(motion))
+        self._true = true
+        return self._drifted

@@ -23,7 +23,7 @@ _DPI = 80
 
 def draw_all(out: Path, data: EvaluationData, results: Sequence[ModelResult]) -> list[Path]:
     """Every figure that the results allow, as PNG files in the folder `out`."""
-    best = [_best(members) for members in groups(results).values()]
+    best = [best(members) for members in groups(results).values()]
     rows: list[Row] = []
     for result in best:
         predictions = result.best.predictions
@@ -40,7 +40,7 @@ def draw_all(out: Path, data: EvaluationData, results: Sequence[ModelResult]) ->
     return paths
 
 
-def _best(members: Sequence[ModelResult]) -> ModelResult:
+def best(members: Sequence[ModelResult]) -> ModelResult:
     """The model with the lowest loss, as the paper's figures show it."""
 
     def loss(result: ModelResult) -> float:

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import LEVELS, Bins
+from tactile_perception.evaluation.reference import ReferenceTables
 from tactile_perception.labels import COMPONENTS, EULER_COMPONENTS, EULER_UNITS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
@@ -42,22 +43,34 @@ def with_spread(values: Sequence[float] | Array, digits: int = 4) -> str:
     return text if np.isnan(deviation) else f"{text} ± {deviation:.{digits}f}"
 
 
-def accuracy_table(results: Sequence[ModelResult]) -> Table:
-    """The paper's table of losses and mean absolute errors, with the Euler pose's below."""
+def accuracy_table(results: Sequence[ModelResult], reference: ReferenceTables | None = None) -> Table:
+    """The paper's table of losses and mean absolute errors, with the Euler pose's below.
+
+    `reference` adds the columns of another's results.
+    """
     columns = groups(results)
+    networks = {} if reference is None else reference.networks
     table = Table(title="loss and mean absolute errors (mean ± deviation over models)")
     table.add_column("")
     for name, members in columns.items():
         table.add_column(name if len(members) == 1 else f"{name}, {len(members)} models", justify="right")
 
-    def row(label: str, value: Callable[[ModelResult], float | None]) -> None:
-        table.add_row(label, *(_cell([value(member) for member in members]) for members in columns.values()))
+    for name in networks:
+        table.add_column(f"paper, {name}", justify="right")
 
-    row("mean NLL", lambda result: result.raw.consistency.nll if result.raw.consistency else None)
-    row("weighted MSE", lambda result: result.accuracy.mse)
+    def row(label: str, value: Callable[[ModelResult], float | None], others: Sequence[str] = ()) -> None:
+        cells = [_cell([value(member) for member in members]) for members in columns.values()]
+        table.add_row(label, *cells, *others)
+
+    losses = {name: f"{loss:.4f}" for name, (loss, _) in networks.items()}
+    nll = [losses[name] if name != "CNN" else "" for name in losses]
+    mse = [losses[name] if name == "CNN" else "" for name in losses]
+    row("mean NLL", lambda result: result.raw.consistency.nll if result.raw.consistency else None, nll)
+    row("weighted MSE", lambda result: result.accuracy.mse, mse)
     table.add_section()
     for index, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
-        row(f"{name} ({unit})", lambda result, index=index: result.accuracy.mae[index])  # type: ignore[misc]
+        others = [f"{mae[index]:.4f}" for _, mae in networks.values()]
+        row(f"{name} ({unit})", lambda result, index=index: result.accuracy.mae[index], others)  # type: ignore[misc]
     table.add_section()
     for index, (name, unit) in enumerate(zip(EULER_COMPONENTS, EULER_UNITS, strict=True)):
         row(f"{name} ({unit})", lambda result, index=index: result.accuracy.euler_mae[index])  # type: ignore[misc]
