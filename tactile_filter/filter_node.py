@@ -1,15 +1,16 @@
 """Filter node: estimates + the arm's motion from TF -> belief over the surface contact pose.
 
-Estimate and contact presence of one exposure are joined by their stamp and taken in the order of stamps. Each
-waits for the sensor's pose at its stamp up to `tf_timeout`; then it is dropped and counted. A backward jump
-of the clock, the loss of contact and `~/reset` (tactile_msgs/ResetFilter) clear the belief. Without contact
-`contact/state` says so and holds no belief.
+Estimates, which tell of contact, and contact presences that tell of none are taken in the order of stamps; a
+presence in contact announces its estimate. Each waits for the sensor's pose at its stamp up to `tf_timeout`;
+then it is dropped and counted. A backward jump of the clock, the loss of contact and `~/reset`
+(tactile_msgs/ResetFilter) clear the belief. Without contact `contact/state` says so and holds no belief.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,10 +78,7 @@ class FilterNode(ManagedNode):
         )
         self.filter = ContactFilter(self.settings.value)
         self.no_contact_ns = self.tf_ns = -1
-        # without contact there is nothing to believe, and no estimate is needed to say so
-        self.join = EventJoin(
-            ("presence", "estimate"), complete=lambda parts: not parts.get("presence", (True, 0))[0]
-        )
+        self.join = measurement_join()
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""
@@ -116,7 +114,8 @@ class FilterNode(ManagedNode):
 
     def _take_presence(self, data: bytes) -> None:
         stamp_ns, _, (_, _, in_contact) = read_presence(data)
-        self._take("presence", stamp_ns, in_contact)
+        if not in_contact or stamp_ns > self.join.done_ns:  # else its estimate came first, as it should
+            self._take("presence", stamp_ns, in_contact)
 
     def _take_estimate(self, data: bytes) -> None:
         stamp_ns, frame_id, numbers = read_gaussian(data)
@@ -156,16 +155,15 @@ class FilterNode(ManagedNode):
     # ---- steps ----
 
     def _process(self, event: Event, T_base_sensor: NDArray[np.float64]) -> None:
-        in_contact, received_ns = event.parts["presence"]
-        if in_contact:
-            estimate, estimated_ns = event.parts["estimate"]
-            belief = self.filter.step(event.stamp_ns, estimate, T_base_sensor)
-            received_ns = max(received_ns, estimated_ns)
-        else:
+        if says_no_contact(event.parts):
+            _, received_ns = event.parts["presence"]
             if self.filter.has_belief:
                 self._reset("no contact")
             self.no_contact_ns = event.stamp_ns
             belief = nothing(event.stamp_ns, self.filter.rejected)
+        else:
+            estimate, received_ns = event.parts["estimate"]
+            belief = self.filter.step(event.stamp_ns, estimate, T_base_sensor)
         emitted_ns = self._publish(belief)
         self.latency.note(event.stamp_ns, received_ns, emitted_ns, self.join.dropped + self.join.late)
 
@@ -221,6 +219,18 @@ class FilterNode(ManagedNode):
 
     def _change_settings(self, settings: FilterSettings) -> None:
         self.filter.configure(settings)
+
+
+def says_no_contact(parts: Mapping[str, Any]) -> bool:
+    """Whether a contact presence among an event's parts tells of no contact, whatever an estimate says."""
+    return "presence" in parts and not parts["presence"][0]
+
+
+def measurement_join() -> EventJoin:
+    """Joins `presence` and `estimate`, each as (content, received); one that tells of no contact will do."""
+    return EventJoin(
+        ("presence", "estimate"), complete=lambda parts: "estimate" in parts or says_no_contact(parts)
+    )
 
 
 def nothing(stamp_ns: int, rejected: int) -> Belief:

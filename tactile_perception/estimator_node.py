@@ -1,6 +1,7 @@
 """Estimator node: camera images -> Gaussian over the surface contact pose, and contact presence.
 
-For each image it publishes `contact/presence` and `contact/estimate`, both with the image's exposure stamp.
+For each image it publishes `contact/presence` and, in contact, `contact/estimate` before it: a network always
+answers, but without contact there is nothing to estimate. Both have the image's exposure stamp.
 The newest image wins: what it replaces is told by the stamps and counted. Images that cannot be used (wrong
 encoding, wrong size) and answers of the network that are not a Gaussian are refused, counted and told in
 /diagnostics.
@@ -94,8 +95,6 @@ class EstimatorNode(ManagedNode):
             self._process(image.array(), image.stamp_ns, received_ns)
         except (MessageError, ImageError) as error:
             self._refuse("images refused", f"tactile/image refused: {error}")
-        except EstimateError as error:
-            self._refuse("estimates refused", f"estimate refused: {error}")
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
         assert self.presence is not None
@@ -104,11 +103,20 @@ class EstimatorNode(ManagedNode):
         if presence.in_contact is None:
             self._tell_reference()
             return
-        estimate = self.estimator.estimate_prepared(prepared)
+        if presence.in_contact:
+            self._publish_estimate(prepared, stamp_ns)
+        emitted_ns = self.now_ns()
         numbers = presence.score, self.presence.settings.on, presence.in_contact
         self.presence_out.publish(headed_bytes(PresenceMessage, stamp_ns, self.sensor_frame, *numbers))
+        self.latency.note(stamp_ns, received_ns, emitted_ns, self._dropped())
+
+    def _publish_estimate(self, prepared: NDArray, stamp_ns: int) -> None:
+        try:
+            estimate = self.estimator.estimate_prepared(prepared)
+        except EstimateError as error:
+            self._refuse("estimates refused", f"estimate refused: {error}")
+            return
         self.estimate_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, estimate.mean, estimate.cov))
-        self.latency.note(stamp_ns, received_ns, self.now_ns(), self._dropped())
 
     def _in_order(self, stamp_ns: int) -> bool:
         """Count what is missing since the last image; False for an image that is not later than it."""

@@ -57,6 +57,8 @@ class EventJoin:
         Messages refused because their stamp was not later than what had been handed out or dropped.
     dropped : int
         Events dropped because a source had skipped their stamp, or by `drop_oldest`.
+    done_ns : int
+        Stamp of the last event that was handed out or dropped.
     """
 
     def __init__(
@@ -72,14 +74,14 @@ class EventJoin:
         """Forget all pending events and the last stamp, after a backward time jump for instance."""
         self._events: list[Event] = []
         self._newest = dict.fromkeys(self.sources, -1)
-        self._done_ns = -1
+        self.done_ns = -1
 
     def __len__(self) -> int:
         return len(self._events)
 
     def add(self, source: str, stamp_ns: int, message: Any, received_ns: int) -> bool:
         """Take a message; False (and counted) if its stamp has been passed already."""
-        if stamp_ns <= self._done_ns or stamp_ns <= self._newest[source]:
+        if stamp_ns <= self.done_ns or stamp_ns <= self._newest[source]:
             self.late += 1
             return False
         self._newest[source] = stamp_ns
@@ -114,7 +116,7 @@ class EventJoin:
     def pop(self) -> Event:
         """Take the oldest event off; from now on its stamp is past."""
         event = self._events.pop(0)
-        self._done_ns = event.stamp_ns
+        self.done_ns = event.stamp_ns
         return event
 
     def drop_oldest(self) -> Event:

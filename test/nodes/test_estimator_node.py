@@ -79,10 +79,10 @@ class Camera:
         self.reference()
 
     def send(self, image: np.ndarray | None = None, message: Image | None = None, after: int = 1) -> int:
-        """Publish an image `after` periods after the last one; returns its stamp."""
+        """Publish an image (of a contact, by default) `after` periods after the last; returns its stamp."""
         self.stamp_ns += after * PERIOD_NS
         if message is None:
-            message = image_message(self.stamp_ns, SENSOR, dots() if image is None else image)
+            message = image_message(self.stamp_ns, SENSOR, dots(5) if image is None else image)
         message.header.stamp = image_message(self.stamp_ns, SENSOR, WHITE).header.stamp
         self.images.publish(message)
         self.graph.spin(0.02)
@@ -90,7 +90,7 @@ class Camera:
 
     def reference(self) -> None:
         for _ in range(REFERENCE_FRAMES):
-            self.send()
+            self.send(dots())
 
     def answered(self, stamp_ns: int, timeout: float = 2.0) -> bool:
         return self.graph.wait(
@@ -128,11 +128,19 @@ def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_th
 
 
 def test_presence_compares_with_the_first_images_and_carries_the_stamp(camera):
-    same, other = camera.send(dots()), camera.send(dots(5))
-    assert camera.answered(other)
+    same, other = camera.send(dots()), camera.send()
+    assert camera.graph.wait(lambda: len(camera.presences) == 2, 2.0)
     by_stamp = {ns_from_time(m.header.stamp): m for m in camera.presences}
     assert not by_stamp[same].in_contact and by_stamp[same].score < by_stamp[other].score
     assert by_stamp[other].in_contact and by_stamp[other].score > by_stamp[other].threshold
+
+
+def test_without_contact_there_is_no_estimate(camera):
+    untouched, touched = camera.send(dots()), camera.send()
+    assert camera.answered(touched)
+    assert [ns_from_time(m.header.stamp) for m in camera.estimates] == [touched]
+    assert camera.graph.wait(lambda: len(camera.presences) == 2, 2.0)
+    assert [ns_from_time(m.header.stamp) for m in camera.presences] == [untouched, touched]
 
 
 def test_nothing_is_published_before_the_reference_is_there_nor_while_a_new_one_is_taken(camera):

@@ -62,8 +62,9 @@ class Feed:
         stamp_ns = self.stamp_ns + k * PERIOD_NS
         if tf:
             self.arm.at(stamp_ns, self.pose(k))
+        if in_contact:
+            self.send_estimate(stamp_ns, estimate or self.estimate(k))
         self.send_presence(stamp_ns, in_contact)
-        self.send_estimate(stamp_ns, estimate or self.estimate(k))
         return stamp_ns
 
     def send_presence(self, stamp_ns: int, in_contact: bool = True) -> None:
