@@ -13,6 +13,7 @@ PACKAGE = "tactile_servoing"
 C_MODULES = {
     "tactile_filter._fusion": "tactile_filter/_csrc",
     "tactile_drivers.sim._contact": "tactile_drivers/sim/_csrc",
+    "tactile_perception._image": "tactile_perception/_csrc",
 }
 
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 MESSAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
-COMPILED = ("tactile_filter._fusion", "tactile_drivers.sim._contact")
+COMPILED = ("tactile_filter._fusion", "tactile_drivers.sim._contact", "tactile_perception._image")
 SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
 
 

@@ -1,7 +1,12 @@
-"""Pre-processing of tactile images: crop, median, adaptive threshold, circle mask, resize, [0, 1]."""
+"""Pre-processing of tactile images: crop, median, adaptive threshold, circle mask, resize, [0, 1].
+
+The steps that the published settings need are in C (`_csrc`), in integers; what these do not cover (another
+median, Gaussian weights, enlarging) is OpenCV's.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -9,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_filter.settings import SettingError, Settings, setting
+from tactile_perception import _image
 
 Image = NDArray[np.uint8]
 
 _THRESHOLD_METHODS = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
+#: Limits of the C functions: 16-bit sums over this many pixels.
+_C_MAX_BLOCK = _C_MAX_RATIO = 255
 
 
 class ImageError(ValueError):
@@ -98,11 +106,15 @@ class Preprocessor:
         cv2.setNumThreads(1)
         shape = self.settings.crop_shape
         self._smooth = np.empty(shape, np.uint8)
+        self._binary = np.empty(shape, np.uint8)
+        self._resized = np.empty((self.settings.size, self.settings.size), np.uint8)
         self._mask = _circle_mask(shape, self.settings.circle_mask_radius)
 
     def __call__(self, image: Image) -> NDArray[np.float32]:
         """Camera image, uint8 of `raw_shape` -> network input, float32 (1, 1, size, size) in [0, 1]."""
-        return as_input(self.resized(self.binary(image)))
+        self._binarize(image, self._binary)
+        self._resize(self._binary, self._resized)
+        return as_input(self._resized)
 
     def from_processed(self, crop: Image) -> NDArray[np.float32]:
         """Already cropped and thresholded image, uint8 of `crop_shape` -> network input."""
@@ -116,19 +128,9 @@ class Preprocessor:
         ImageError
             If the image is not uint8 of `raw_shape`.
         """
-        settings = self.settings
-        image = check_image(image, settings.raw_shape, "camera image")
-        x0, y0, x1, y1 = settings.bbox
-        crop = image[y0:y1, x0:x1]
-        if settings.median:
-            crop = np.asarray(cv2.medianBlur(crop, settings.median, dst=self._smooth), np.uint8)
-        method = _THRESHOLD_METHODS[settings.threshold_method]
-        binary = cv2.adaptiveThreshold(
-            crop, 255, method, cv2.THRESH_BINARY, settings.threshold_block, settings.threshold_offset
-        )
-        if self._mask is not None:
-            cv2.bitwise_and(binary, self._mask, dst=binary)
-        return np.asarray(binary, np.uint8)
+        result = np.empty(self.settings.crop_shape, np.uint8)
+        self._binarize(image, result)
+        return result
 
     def resized(self, crop: Image) -> Image:
         """Processed crop -> uint8 (size, size); what training keeps in memory.
@@ -138,9 +140,40 @@ class Preprocessor:
         ImageError
             If the crop is not uint8 of `crop_shape`.
         """
-        crop = check_image(crop, self.settings.crop_shape, "processed image")
-        side = self.settings.size
-        return np.asarray(cv2.resize(crop, (side, side), interpolation=cv2.INTER_AREA), np.uint8)
+        result = np.empty_like(self._resized)
+        self._resize(check_image(crop, self.settings.crop_shape, "processed image"), result)
+        return result
+
+    def _binarize(self, image: Image, result: Image) -> None:
+        settings = self.settings
+        image = check_image(image, settings.raw_shape, "camera image")
+        x0, y0, x1, y1 = settings.bbox
+        crop = _adjacent_columns(image)[y0:y1, x0:x1]
+        if settings.median == 5:
+            _image.median5(self._smooth, crop)
+            crop = self._smooth
+        elif settings.median:
+            crop = np.asarray(cv2.medianBlur(crop, settings.median, dst=self._smooth), np.uint8)
+        if settings.threshold_method == "mean" and settings.threshold_block <= _C_MAX_BLOCK:
+            offset = math.ceil(settings.threshold_offset)
+            _image.threshold_mean(result, crop, settings.threshold_block, offset, self._mask)
+        else:
+            method = _THRESHOLD_METHODS[settings.threshold_method]
+            block, offset_gray = settings.threshold_block, settings.threshold_offset
+            cv2.adaptiveThreshold(crop, 255, method, cv2.THRESH_BINARY, block, offset_gray, dst=result)
+            cv2.bitwise_and(result, self._mask, dst=result)
+
+    def _resize(self, crop: Image, result: Image) -> None:
+        side, shape = self.settings.size, crop.shape
+        if side <= min(shape) and shape[0] <= _C_MAX_RATIO * side:
+            _image.shrink(result, _adjacent_columns(crop))
+        else:
+            cv2.resize(crop, (side, side), dst=result, interpolation=cv2.INTER_AREA)
+
+
+def _adjacent_columns(image: Image) -> Image:
+    """The image, copied if the pixels of a row do not lie side by side in memory."""
+    return image if image.strides[1] == 1 else np.ascontiguousarray(image)
 
 
 def as_input(resized: Image) -> NDArray[np.float32]:
@@ -149,9 +182,10 @@ def as_input(resized: Image) -> NDArray[np.float32]:
     return np.multiply(stack[:, np.newaxis], np.float32(1.0 / 255.0), dtype=np.float32)
 
 
-def _circle_mask(shape: tuple[int, int], radius: int) -> Image | None:
+def _circle_mask(shape: tuple[int, int], radius: int) -> Image:
+    """255 within the circle, or everywhere if the radius is 0."""
     if radius == 0:
-        return None
+        return np.full(shape, 255, np.uint8)
     mask = np.zeros(shape, np.uint8)
     center = (shape[1] // 2, shape[0] // 2)
     return np.asarray(cv2.circle(mask, center, radius, 255, thickness=-1), np.uint8)

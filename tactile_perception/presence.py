@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_filter.settings import SettingError, Settings, setting
+from tactile_perception import _image
 
 Prepared = NDArray[np.float32]
 #: Spreads of the score without contact that the thresholds stay away from, however small they are set.
@@ -133,10 +133,7 @@ class ContactPresence:
     def _change(self, image: Prepared) -> float:
         """Largest patch mean of the absolute change beyond each pixel's noise."""
         assert self._reference is not None and self._noise is not None
-        change = cv2.subtract(cv2.absdiff(image, self._reference), self._noise)
-        change = cv2.threshold(change, 0.0, 0.0, cv2.THRESH_TOZERO)[1]
-        side = (self.settings.window, self.settings.window)
-        return float(cv2.blur(change, side, borderType=cv2.BORDER_REFLECT_101).max())
+        return _image.largest_change(image, self._reference, self._noise, self.settings.window)
 
 
 def _mean_and_noise(stack: Prepared) -> tuple[Prepared, Prepared]:

@@ -62,7 +62,9 @@ def test_the_data_of_the_packages_is_installed(root: Path):
         assert (site_packages / path.relative_to(root)).read_bytes() == path.read_bytes()
 
 
-@pytest.mark.parametrize("module", ["tactile_filter._fusion", "tactile_drivers.sim._contact"])
+@pytest.mark.parametrize(
+    "module", ["tactile_filter._fusion", "tactile_drivers.sim._contact", "tactile_perception._image"]
+)
 def test_c_modules_are_built(module: str):
     loaded = importlib.import_module(module)
     assert loaded.__file__ is not None

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tactile_filter.settings import SettingError
+from tactile_perception import _image
 from tactile_perception.preprocessing import ImageError, PreprocessingSettings, Preprocessor, as_input
 
 
@@ -19,6 +20,41 @@ def marker_image(shift: float = 0.0, noise: float = 3.0, seed: int = 0) -> np.nd
                     image, (int(16 * (x + shift)), int(16 * y)), 16 * 6, 200.0, -1, cv2.LINE_AA, shift=4
                 )
     return np.clip(image + rng.normal(0.0, noise, image.shape), 0, 230).astype(np.uint8)
+
+
+def by_opencv(image: np.ndarray, settings: PreprocessingSettings) -> np.ndarray:
+    """Crop, median, threshold and mask as OpenCV does them."""
+    x0, y0, x1, y1 = settings.bbox
+    crop = np.ascontiguousarray(image[y0:y1, x0:x1])
+    if settings.median:
+        crop = cv2.medianBlur(crop, settings.median)
+    method = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
+    binary = cv2.adaptiveThreshold(
+        crop,
+        255,
+        method[settings.threshold_method],
+        cv2.THRESH_BINARY,
+        settings.threshold_block,
+        settings.threshold_offset,
+    )
+    if settings.circle_mask_radius:
+        mask = np.zeros(crop.shape, np.uint8)
+        center = (crop.shape[1] // 2, crop.shape[0] // 2)
+        cv2.circle(mask, center, settings.circle_mask_radius, 255, -1)
+        binary &= mask
+    return binary
+
+
+def by_opencv_resized(crop: np.ndarray, size: int) -> np.ndarray:
+    return cv2.resize(crop, (size, size), interpolation=cv2.INTER_AREA)
+
+
+def random_images(shape: tuple[int, int], seed: int = 0) -> list[np.ndarray]:
+    """Noise, noise with many equal values, and something smooth."""
+    rng = np.random.default_rng(seed)
+    noise = rng.integers(0, 256, shape, dtype=np.uint8)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 3.0)
+    return [noise, noise // 64 * 64, cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX)]
 
 
 def test_a_camera_image_becomes_the_networks_input():
@@ -121,3 +157,96 @@ def test_a_stack_of_images_becomes_a_batch():
     batch = as_input(stack)
     assert batch.shape == (3, 1, 128, 128)
     np.testing.assert_allclose(batch[:, 0, 0, 0], [0.0, 0.2, 1.0], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"median": 0},
+        {"median": 3},
+        {"threshold_block": 3},
+        {"threshold_block": 255},
+        {"threshold_block": 301},
+        {"threshold_offset": -7.0},
+        {"threshold_offset": 4.3},
+        {"threshold_method": "gaussian"},
+        {"circle_mask_radius": 0},
+        {"bbox": (3, 1, 40, 478), "threshold_block": 101},
+    ],
+    ids=str,
+)
+def test_pixels_are_those_of_opencv(changes):
+    settings = PreprocessingSettings(**changes)
+    preprocessor = Preprocessor(settings)
+    for image in [marker_image(), *random_images(settings.raw_shape)]:
+        np.testing.assert_array_equal(preprocessor.binary(image), by_opencv(image, settings))
+
+
+def test_network_input_is_that_of_opencv_to_the_bit():
+    preprocessor = Preprocessor()
+    for seed in range(5):
+        image = marker_image(shift=2.3 * seed, seed=seed)
+        expected = by_opencv_resized(by_opencv(image, preprocessor.settings), 128)
+        np.testing.assert_array_equal(preprocessor(image), as_input(expected))
+    for crop in random_images(preprocessor.settings.crop_shape):
+        np.testing.assert_array_equal(preprocessor.resized(crop), by_opencv_resized(crop, 128))
+
+
+@pytest.mark.parametrize("size", [16, 64, 96, 110, 256, 440, 512])
+def test_other_sizes_of_the_network_input_are_within_a_gray_level_of_opencv(size):
+    # where an average is half way between two levels, OpenCV's sums of floats go either way
+    preprocessor = Preprocessor(PreprocessingSettings(size=size))
+    for crop in [preprocessor.binary(marker_image()), *random_images(preprocessor.settings.crop_shape)]:
+        difference = np.abs(preprocessor.resized(crop).astype(int) - by_opencv_resized(crop, size))
+        assert difference.max() <= 1
+        assert np.mean(difference > 0) < 0.002
+
+
+@pytest.mark.parametrize("cols", [1, 2, 31, 32, 33, 224, 255, 256, 257, 448, 513])
+@pytest.mark.parametrize("rows", [1, 2, 3, 6, 17])
+def test_median_and_threshold_are_those_of_opencv_at_any_size(rows, cols):
+    for image in random_images((rows, cols), seed=rows + cols):
+        result = np.empty_like(image)
+        _image.median5(result, image)
+        np.testing.assert_array_equal(result, cv2.medianBlur(image, 5))
+        for block in (3, 15, 17, 61):
+            _image.threshold_mean(result, image, block, 5, np.full_like(image, 255))
+            expected = cv2.adaptiveThreshold(
+                image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, block, 5
+            )
+            np.testing.assert_array_equal(result, expected)
+
+
+def test_images_may_lie_in_memory_in_any_way():
+    image = marker_image()
+    expected = Preprocessor()(image)
+    wide = np.zeros((500, 700), np.uint8)
+    wide[7:487, 13:653] = image
+    np.testing.assert_array_equal(Preprocessor()(wide[7:487, 13:653]), expected)
+    np.testing.assert_array_equal(Preprocessor()(np.asfortranarray(image)), expected)
+    every_second = np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)[::2, ::2]
+    np.testing.assert_array_equal(Preprocessor()(every_second), expected)
+    turned = np.ascontiguousarray(image[::-1, ::-1])
+    np.testing.assert_array_equal(Preprocessor()(turned[::-1, ::-1]), expected)
+    upside_down = np.ascontiguousarray(image[::-1])
+    np.testing.assert_array_equal(Preprocessor()(upside_down[::-1]), expected)
+
+
+@pytest.mark.parametrize(
+    "call, error, message",
+    [
+        (lambda a, b: _image.median5(a[:, :-1], b), TypeError, "res: must be uint8 .* contiguous"),
+        (lambda a, b: _image.median5(a[:-1], b), ValueError, "res: must have the shape of the image"),
+        (lambda a, b: _image.median5(a, b.astype(np.float32)), TypeError, "image: must be uint8"),
+        (lambda a, b: _image.median5(a, b[0]), TypeError, "two axes"),
+        (lambda a, b: _image.threshold_mean(a, b, 4, 5, b), ValueError, "block = 4"),
+        (lambda a, b: _image.threshold_mean(a, b, 257, 5, b), ValueError, "block = 257"),
+        (lambda a, b: _image.threshold_mean(a, b, 5, 5, b[1:]), ValueError, "mask: must have the shape"),
+        (lambda a, b: _image.shrink(np.empty((9, 9), np.uint8), b), ValueError, "res: must be square"),
+        (lambda a, b: _image.shrink(np.empty((2, 3), np.uint8), b), ValueError, "res: must be square"),
+    ],
+)
+def test_what_the_c_functions_cannot_use_is_refused(call, error, message):
+    with pytest.raises(error, match=message):
+        call(np.zeros((8, 8), np.uint8), np.zeros((8, 8), np.uint8))

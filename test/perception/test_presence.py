@@ -1,5 +1,6 @@
 """Contact presence on simulated images and under noise."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,6 +8,7 @@ from tactile_drivers.sim.surfaces import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 from tactile_filter.settings import SettingError
+from tactile_perception import _image
 from tactile_perception.preprocessing import Preprocessor
 from tactile_perception.presence import ContactPresence, PresenceSettings
 
@@ -116,3 +118,28 @@ def test_a_new_window_needs_a_new_reference_and_new_thresholds_do_not(presence):
     assert presence.ready
     presence.configure(PresenceSettings(window=9))
     assert not presence.ready
+
+
+@pytest.mark.parametrize("window", [1, 2, 16, 17, 128, 129])
+@pytest.mark.parametrize("shape", [(128, 128), (64, 64), (1, 7), (33, 5)])
+def test_change_is_the_largest_mean_over_a_window(window, shape):
+    rng = np.random.default_rng(window)
+    image, reference = rng.random((2, *shape), dtype=np.float32)
+    noise = 0.3 * rng.random(shape, dtype=np.float32)
+    excess = np.maximum(np.abs(image - reference) - noise, 0.0)
+    expected = cv2.blur(excess, (window, window), borderType=cv2.BORDER_REFLECT_101).max()
+    assert _image.largest_change(image, reference, noise, window) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("window", [0, 130])
+def test_a_window_of_another_size_is_refused(window):
+    image = np.zeros((8, 8), np.float32)
+    with pytest.raises(ValueError, match=f"window = {window}: must be 1 to 129"):
+        _image.largest_change(image, image, image, window)
+
+
+def test_images_of_another_type_or_shape_are_refused():
+    image = np.zeros((8, 8), np.float32)
+    for other in (image.astype(np.float64), image[1:], image[:, ::2], image[0]):
+        with pytest.raises(TypeError, match="float32 of one shape"):
+            _image.largest_change(image, other, image, 3)

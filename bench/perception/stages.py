@@ -1,0 +1,154 @@
+"""What each stage of an estimate costs on one core, image after image and with the pauses of a camera.
+
+    python bench/perception/stages.py [--model FILE] [--images 400] [--rate 60] [--opencv]
+
+A node at 60 Hz sleeps 14 of 16 ms and finds its caches taken by others and its core slowed down: the second
+column is what it pays. Images are simulated. `--opencv` adds the same pre-processing by OpenCV's functions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_drivers.sim.surfaces import Plane
+from tactile_drivers.sim.tactip import TacTip
+from tactile_filter import se3
+from tactile_perception.estimator import Estimator, pose_gaussian
+from tactile_perception.preprocessing import PreprocessingSettings, as_input
+from tactile_perception.presence import ContactPresence, PresenceSettings
+
+_CAPTURED = 10
+
+
+def main() -> None:
+    arguments = _arguments()
+    images = simulated_images(24)
+    stages = Stages(Estimator(arguments.model or "", arguments.threads), images)
+    rows: dict[str, Callable[[NDArray], object]] = dict(stages.steps)
+    if arguments.opencv:
+        rows["pre-processing, OpenCV"] = OpenCvPreprocessing(stages.estimator.preprocessor.settings)
+    print(f"{'ms: p50 / p99':26s}{'one after another':>20s}{f'at {arguments.rate:g} Hz':>20s}")
+    warm = {name: times(step, images, arguments.images) for name, step in rows.items()}
+    cold = paced_times(list(rows.values()), images, arguments.images, arguments.rate)
+    for (name, values), paced in zip(warm.items(), cold, strict=True):
+        print(f"{name:26s}{_percentiles(values):>20s}{_percentiles(paced):>20s}")
+
+
+class Stages:
+    """The steps of the estimator node's work on an image, each by itself, over what the last left."""
+
+    def __init__(self, estimator: Estimator, images: NDArray[np.uint8]) -> None:
+        self.estimator = estimator
+        self.presence = ContactPresence(PresenceSettings(reference_frames=_CAPTURED))
+        for image in images[:_CAPTURED]:
+            self.presence.update(estimator.preprocessor(image))
+        self.prepared = estimator.preprocessor(images[-1])
+        self.answer = estimator.infer(self.prepared)
+        self.steps: dict[str, Callable[[NDArray], object]] = {
+            "pre-processing": self._prepare,
+            "presence": lambda _: self.presence.update(self.prepared),
+            "network": self._infer,
+            "conversion": lambda _: pose_gaussian(*self.answer),
+            "all": self._all,
+        }
+
+    def _prepare(self, image: NDArray) -> None:
+        self.prepared = self.estimator.preprocessor(image)
+
+    def _infer(self, _: NDArray) -> None:
+        self.answer = self.estimator.infer(self.prepared)
+
+    def _all(self, image: NDArray) -> None:
+        prepared = self.estimator.preprocessor(image)
+        self.presence.update(prepared)
+        self.estimator.estimate_prepared(prepared)
+
+
+class OpenCvPreprocessing:
+    """The same steps by OpenCV, for comparison."""
+
+    def __init__(self, settings: PreprocessingSettings) -> None:
+        self.settings = settings
+        self.mask = np.zeros(settings.crop_shape, np.uint8)
+        center = (settings.crop_shape[1] // 2, settings.crop_shape[0] // 2)
+        cv2.circle(self.mask, center, settings.circle_mask_radius or 10**4, 255, thickness=-1)
+
+    def __call__(self, image: NDArray) -> NDArray[np.float32]:
+        settings = self.settings
+        x0, y0, x1, y1 = settings.bbox
+        smooth = cv2.medianBlur(image[y0:y1, x0:x1], settings.median)
+        binary = cv2.adaptiveThreshold(
+            smooth,
+            255,
+            cv2.ADAPTIVE_THRESH_MEAN_C,
+            cv2.THRESH_BINARY,
+            settings.threshold_block,
+            settings.threshold_offset,
+        )
+        binary = cv2.bitwise_and(binary, self.mask)
+        return as_input(cv2.resize(binary, (settings.size, settings.size), interpolation=cv2.INTER_AREA))
+
+
+def simulated_images(count: int, seed: int = 0) -> NDArray[np.uint8]:
+    """Images (count, 480, 640): ten without contact, then contacts of 0.5 to 5 mm at up to 23 degrees."""
+    sensor, rng, images = TacTip(seed=seed), np.random.default_rng(seed), []
+    for number in range(count):
+        sensor.reset()
+        tilts, depth = rng.uniform(-0.4, 0.4, 2), rng.uniform(0.5e-3, 5e-3)
+        for height in (0.0205, 0.020 - depth) if number >= _CAPTURED else (0.0205,):
+            sensor.advance(Plane(), se3.pose_from_euler([0, 0, height, np.pi + tilts[0], tilts[1], 0]))
+        images.append(sensor.image().copy())
+    return np.array(images)
+
+
+def times(step: Callable[[NDArray], object], images: NDArray, count: int) -> NDArray[np.float64]:
+    """Seconds of `count` calls, one after another."""
+    result = np.empty(count)
+    for number in range(count):
+        image = images[number % len(images)]
+        started = time.perf_counter()
+        step(image)
+        result[number] = time.perf_counter() - started
+    return result
+
+
+def paced_times(
+    steps: list[Callable[[NDArray], object]], images: NDArray, count: int, rate: float
+) -> NDArray[np.float64]:
+    """Seconds (steps, count) of calls that begin `rate` times a second: all steps in turn, then a pause."""
+    result = np.empty((len(steps), count))
+    due = time.perf_counter()
+    for number in range(count):
+        due += 1.0 / rate
+        time.sleep(max(0.0, due - time.perf_counter()))
+        image = images[number % len(images)].copy()  # as if it had just arrived
+        for index, step in enumerate(steps):
+            started = time.perf_counter()
+            step(image)
+            result[index, number] = time.perf_counter() - started
+    return result
+
+
+def _percentiles(seconds: NDArray[np.float64]) -> str:
+    return " / ".join(f"{np.percentile(seconds * 1e3, q):.3f}" for q in (50, 99))
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--model", type=Path, help="ONNX model (default: the shipped one)")
+    parser.add_argument("--threads", type=int, default=1, help="threads of the network")
+    parser.add_argument("--images", type=int, default=400)
+    parser.add_argument("--rate", type=float, default=60.0, help="images a second")
+    parser.add_argument("--opencv", action="store_true", help="add OpenCV's pre-processing")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
