@@ -23,6 +23,7 @@ NODES = {
     "filter": "tactile_filter.filter_node",
     "controller": "tactile_control.controller_node",
     "sim": "tactile_drivers.sim_node",
+    "collector": "tactile_bringup.collector_node",
     "recorder": "tactile_bringup.recorder_node",
 }
 

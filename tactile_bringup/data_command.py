@@ -1,129 +1,15 @@
-"""The command `tactile data generate`: labelled images of the simulated sensor in the public layout."""
+"""`tactile data`: makes data sets, simulated or with an arm, and checks them."""
 
 from __future__ import annotations
 
-import argparse
-import dataclasses
-import json
-from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import track
-
-from tactile_drivers.sampling import VALIDATION_START
-from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
-from tactile_drivers.sim.tactip import TacTipSettings
-from tactile_filter.yaml_file import read_yaml
-from tactile_perception.command_settings import name_and_value
-from tactile_perception.dataset_layout import DatasetError
-from tactile_perception.dataset_writer import DatasetWriter, write_processed
-from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
-
-PARAMETERS_NAME = "collect_params.json"
+from tactile_bringup import collect_command, generate_command
 
 
 def register(subparsers: Any) -> None:
-    """Add `data` with its subcommand `generate` to argparse subparsers."""
-    data = subparsers.add_parser("data", help="make data sets")
+    """Add `data` with its subcommands to argparse subparsers."""
+    data = subparsers.add_parser("data", help="make and check data sets")
     commands = data.add_subparsers(dest="data_command", metavar="COMMAND", required=True)
-    parser = commands.add_parser(
-        "generate",
-        help="labelled images of the simulated TacTip",
-        description="Press and shear the simulated TacTip as the paper does; write OUT/train and OUT/val. "
-        "The same command goes on after an interruption; a sample depends on seed and number only.",
-    )
-    parser.add_argument("out", type=Path, help="folder for train/ and val/")
-    parser.add_argument("--train", type=int, default=6000, metavar="N", help="training samples (6000)")
-    parser.add_argument("--val", type=int, default=2000, metavar="N", help="validation samples (2000)")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=2, help="processes to spread over (2)")
-    parser.add_argument("--config", type=Path, help="YAML file with collection settings (SI)")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="change one of them"
-    )
-    parser.set_defaults(run=run_generate)
-
-
-def run_generate(arguments: argparse.Namespace) -> int:
-    """`tactile data generate`: returns the exit status."""
-    console = Console(stderr=True)
-    try:
-        settings = _settings(arguments)
-        for name, count, start in (("train", arguments.train, 0), ("val", arguments.val, VALIDATION_START)):
-            if count > 0:
-                _generate_split(arguments, settings, name, count, start, console)
-    except (ValueError, OSError) as error:
-        console.print(f"tactile data generate: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
-    except KeyboardInterrupt:
-        console.print("interrupted; the same command goes on from here")
-        return 130
-    return 0
-
-
-def _settings(arguments: argparse.Namespace) -> CollectionSettings:
-    """Collection settings from the file and the command line."""
-    settings = CollectionSettings()
-    if arguments.config:
-        root = read_yaml(arguments.config)
-        settings = root.checked(CollectionSettings, root.values)
-    changes = dict(name_and_value(change, "cap_angle=0.3") for change in arguments.changes)
-    return settings.replaced(**changes)
-
-
-def _generate_split(
-    arguments: argparse.Namespace,
-    settings: CollectionSettings,
-    name: str,
-    count: int,
-    start: int,
-    console: Console,
-) -> None:
-    """Generate what is missing of one split."""
-    folder = arguments.out / name
-    preprocessing = PreprocessingSettings()
-    sensor = dataclasses.asdict(TacTipSettings())
-    _check_same_run(
-        folder, {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings), "sensor": sensor}
-    )
-    writer = DatasetWriter(folder, preprocessing)
-    missing = sorted(set(range(1, count + 1)) - writer.done)
-    store = StoreSample(folder, preprocessing, start)
-    samples = generate(
-        settings, arguments.seed, [start + number - 1 for number in missing],
-        processes=arguments.processes, each=store,
-    )  # fmt: skip
-    text = f"{name}: {len(missing)} of {count} samples"
-    for number, euler in track(samples, text, len(missing), console=console, disable=not console.is_terminal):
-        writer.add_row(number, euler)
-    path = writer.finish()
-    console.print(f"{path}: {len(writer.done)} samples, {len(missing)} new", highlight=False, soft_wrap=True)
-
-
-def _check_same_run(folder: Path, parameters: dict[str, Any]) -> None:
-    """Write the parameters beside the data; refuse to add to data that were made with other ones."""
-    path = folder / PARAMETERS_NAME
-    parameters = json.loads(json.dumps(parameters))
-    if path.exists():
-        found = json.loads(path.read_text())
-        if found != parameters:
-            names = parameters.keys() | found.keys()
-            other = ", ".join(sorted(name for name in names if parameters.get(name) != found.get(name)))
-            raise DatasetError(f"{folder}: was made with another {other}; remove it or choose another folder")
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(parameters, indent=2) + "\n")
-
-
-class StoreSample:
-    """Pre-processes and stores a sample's image in the process that made it; gives its number and label."""
-
-    def __init__(self, folder: Path, preprocessing: PreprocessingSettings, start: int) -> None:
-        self.folder, self.start = folder, start
-        self._preprocessor = Preprocessor(preprocessing)
-
-    def __call__(self, sample: Sample) -> tuple[int, list[float]]:
-        number = sample.index - self.start + 1
-        write_processed(self.folder, number, self._preprocessor.binary(sample.image))
-        return number, sample.euler_mm_deg.tolist()
+    for module in (generate_command, collect_command):
+        module.register(commands)

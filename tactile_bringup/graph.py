@@ -199,6 +199,33 @@ def build_graph(
     return Graph(task, scene.name, tuple(arm.name for arm in feeling), tuple(nodes), topics)
 
 
+def build_collection_graph(
+    task: str,
+    scene: SceneOutline,
+    arm: str,
+    collector: Mapping[str, Any],
+    options: GraphOptions | None = None,
+    simulate: bool = True,
+) -> Graph:
+    """The graph that collects a data set with one arm of a scene.
+
+    Parameters
+    ----------
+    collector : mapping
+        Parameter -> value, for the collector.
+    simulate : bool
+        Whether the simulated cell is part of it; without, driver and camera run already.
+    """
+    options = options or GraphOptions()
+    nodes = [_simulator(scene, options)] if simulate else []
+    module, name = "tactile_bringup.collector_node", "collector"
+    nodes.append(NodeProcess(name, f"/{arm}", module, name, collector))
+    topics = tuple(_topics([outline for outline in scene.arms if outline.name == arm]))
+    if options.record is not None:
+        nodes.insert(0, _recorder(task, scene, (), topics, nodes, options))
+    return Graph(task, scene.name, (arm,), tuple(nodes), topics)
+
+
 def _topics(arms: Sequence[ArmOutline]) -> list[Topic]:
     """What the arms of the scene publish; one without a sensor publishes no more than where it is."""
     below = []

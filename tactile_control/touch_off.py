@@ -71,7 +71,8 @@ class TouchOff:
             self._go(OVER, now_ns)
         place = self._places[min(len(self.touches), len(self._places) - 1)]
         if self._step == UP:
-            return TouchMove(at(*self.touches[-1][:2], -search), slowly=False)
+            x, y, _ = self.touches[-1]
+            return TouchMove(at(x, y, -search), slowly=False)
         over = at(*place, -search)
         fresh = stamp_ns >= self._since_ns
         if not self.done and np.linalg.norm(X_fs[:3, 3] - over[:3, 3]) <= _NEAR and fresh:

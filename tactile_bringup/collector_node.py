@@ -1,0 +1,405 @@
+"""Collector node: a labelled data set from an arm that takes twists, when a goal of `run_task` asks for it.
+
+The arithmetic is `DataCollection`. Inputs are `tactile/image` and TF; `command/twist` is what the controller
+would send too. Each sample is an image at rest, labelled with the pose that TF gives at its exposure, in the
+public layout (`DatasetWriter`); an image without contact is kept as number 0. A goal goes on where the folder
+ends. Without a goal the twist is zero, and so is the last one when the node is deactivated or shut down.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import TwistStamped
+from numpy.typing import NDArray
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.duration import Duration
+from sensor_msgs.msg import Image
+
+from tactile_bringup.collector_messages import ZERO, feedback_message, status_message
+from tactile_bringup.ros.conversions import MessageError, twist_stamped
+from tactile_bringup.ros.image_bytes import image_from_bytes
+from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode
+from tactile_bringup.ros.managed_node import run as run_node
+from tactile_bringup.ros.parameters import SettingsParameters
+from tactile_bringup.ros.qos import COMMAND, IMAGE, STATE
+from tactile_bringup.ros.stamps import SECOND_NS, duration_from_ns
+from tactile_bringup.ros.transforms import TransformListener
+from tactile_bringup.sample_store import SampleStore
+from tactile_control.collection import DataCollection
+from tactile_control.collection_settings import (
+    CollectionMotionSettings,
+    CollectionWatchdogSettings,
+    DataCollectionSettings,
+    TouchSettings,
+)
+from tactile_control.collection_types import (
+    REFERENCE,
+    ROTATE,
+    TOUCH,
+    CollectionCommand,
+    CollectionInputs,
+    Exposure,
+    Target,
+)
+from tactile_control.limiter import LimiterSettings
+from tactile_control.task import StampedPose
+from tactile_drivers.sampling import SamplingSettings, pose_of
+from tactile_filter import se3
+from tactile_filter.settings import Settings, setting
+from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
+from tactile_msgs.action import RunTask
+from tactile_msgs.msg import ControllerStatus
+from tactile_perception.dataset_layout import DatasetError
+from tactile_perception.dataset_writer import IMAGE_KINDS
+from tactile_perception.preprocessing import ImageError, PreprocessingSettings, Preprocessor
+from tactile_perception.presence import ContactPresence, PresenceSettings
+
+TASK = "data_collection"
+
+
+@dataclass(frozen=True)
+class CollectorSettings(Settings):
+    """What to collect, where to, and over which surface."""
+
+    folder: str = setting("", doc="data folder, made if it is not there; one with samples is gone on with")
+    samples: int = setting(6000, lower=1, doc="samples that the folder is to hold")
+    seed: int = setting(0, lower=0, doc="of the poses; a sample's pose depends on seed and number only")
+    first: int = setting(0, lower=0, doc="index of the folder's first sample in the seed's sequence")
+    images: str = setting(
+        "both", choices=IMAGE_KINDS, doc="processed (cropped, thresholded), raw (camera images), or both"
+    )
+    frame: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), length=6, lower=-10.0, upper=10.0, unit="m, rad",
+        doc="contact frame {f} in the arm's base, Euler (x, y, z, alpha, beta, gamma): z into the surface, "
+        "origin where the sensor's centre is at first touch",
+    )  # fmt: skip
+    step_period: float = setting(
+        0.008, lower=0.001, upper=0.05, unit="s", doc="time between two twists of a running collection"
+    )
+    idle_period: float = setting(0.1, lower=0.01, upper=1.0, unit="s", doc="and without one")
+    feedback_period: float = setting(0.1, lower=0.01, upper=10.0, unit="s", doc="of the action's feedback")
+
+
+@dataclass
+class Run:
+    """One accepted goal."""
+
+    handle: Any
+    task: DataCollection
+    store: SampleStore
+    before: int
+    started_ns: int
+    phase: str = ""
+    feedback_ns: int = 0
+    last: CollectionCommand | None = None
+
+
+class CollectorNode(ManagedNode):
+    """See the module's text."""
+
+    def __init__(self) -> None:
+        super().__init__("collector")
+        names = [item.name for item in dataclasses.fields(CollectorSettings)]
+        self.settings = SettingsParameters(self, CollectorSettings(), read_only=names)
+        self.sampling = SettingsParameters(self, SamplingSettings(), prefix="sampling")
+        self.preprocessing = SettingsParameters(self, PreprocessingSettings(), prefix="preprocessing")
+        self.presence_settings = SettingsParameters(self, PresenceSettings(), prefix="presence")
+        defaults: dict[str, Settings] = {
+            "motion": CollectionMotionSettings(),
+            "touch": TouchSettings(),
+            "limiter": LimiterSettings(),
+            "watchdog": CollectionWatchdogSettings(),
+        }
+        self.groups = {
+            name: SettingsParameters(self, default, prefix=name, on_change=self._configure_task)
+            for name, default in defaults.items()
+        }
+        self.run: Run | None = None
+        self._clear()
+
+    # ---- lifecycle ----
+
+    def configure(self) -> None:
+        """Create publishers, subscriptions and the action."""
+        if not self.settings.value.folder:
+            raise ConfigurationError("parameter folder: must name the folder of the data set")
+        self.preprocessor = Preprocessor(self.preprocessing.value)
+        self.presence = ContactPresence(self.presence_settings.value)
+        self.twist_out = self.publisher(TwistStamped, "command/twist", COMMAND)
+        self.status_out = self.publisher(ControllerStatus, "controller/status", STATE)
+        self.transforms = TransformListener(self, on_update=self._match_image, on_jump=self._jumped)
+        age = self.task_settings().watchdog.image_age
+        self.subscribe(Image, "tactile/image", self._take_image, IMAGE, age, raw=True)
+        self.timer(self.settings.value.step_period, self._tick)
+        action = ActionServer(
+            self,
+            RunTask,
+            "run_task",
+            execute_callback=_nothing_to_execute,
+            goal_callback=self._consider_goal,
+            handle_accepted_callback=self._accept_goal,
+            cancel_callback=self._cancel,
+        )
+        self.release_later(ActionServer.destroy, action)
+
+    def activate(self) -> None:
+        """Forget old inputs and be idle."""
+        self._clear()
+
+    def deactivate(self) -> None:
+        """Abort what runs and leave a zero twist as the last word."""
+        if self.run is not None:
+            self._finish("the collector was deactivated", succeeded=False)
+        self.twist_out.publish(twist_stamped(self.now_ns(), self.sensor_frame, ZERO))
+        self.twist_out.wait_for_all_acked(Duration(seconds=0.2))
+
+    def _clear(self) -> None:
+        self.pending: tuple[int, NDArray[np.uint8]] | None = None
+        self.exposure: Exposure | None = None
+        self.image: NDArray[np.uint8] | None = None
+        self.last_step_ns = 0
+
+    # ---- inputs ----
+
+    def _take_image(self, data: bytes) -> None:
+        """Keep the newest image until the arm's pose at its exposure is known."""
+        received = image_from_bytes(data)
+        try:
+            image = received.array().copy()
+        except MessageError as error:
+            self._refuse_image(str(error))
+            return
+        if self.pending is not None:
+            self.count("images without a pose in time")
+        self.pending = received.stamp_ns, image
+        self._match_image()
+
+    def _match_image(self) -> None:
+        """Make an exposure of the waiting image if the pose at its stamp has come."""
+        if self.pending is None:
+            return
+        stamp_ns, image = self.pending
+        try:
+            T = self.transforms.lookup(self.base_frame, self.sensor_frame, stamp_ns)
+        except TransformInFuture:
+            return
+        except TransformUnavailable as error:
+            self.pending = None
+            self.count("images without a pose")
+            self.warn("pose", f"image left out: {error}")
+            return
+        self.pending = None
+        try:
+            self.exposure = Exposure(stamp_ns, T, self._contact(image))
+        except (ImageError, ValueError) as error:
+            self._refuse_image(str(error))
+            return
+        self.image = image
+        self._step()
+
+    def _contact(self, image: NDArray[np.uint8]) -> bool | None:
+        """Whether the image shows contact; None before the reference is taken, off the surface at rest."""
+        phase = self.run.phase if self.run is not None else ""
+        if phase != REFERENCE and not self.presence.ready:
+            return None
+        return self.presence.update(self.preprocessor(image)).in_contact
+
+    def _refuse_image(self, reason: str) -> None:
+        self.count("images refused")
+        self.warn("image", f"tactile/image refused: {reason}")
+
+    def _sensor_pose(self) -> StampedPose | None:
+        try:
+            return StampedPose(*self.transforms.newest(self.base_frame, self.sensor_frame))
+        except TransformUnavailable as error:
+            if self.run is not None:
+                self.warn("pose", f"no sensor pose: {error}")
+            return None
+
+    def _jumped(self, seconds: float) -> None:
+        self._clear()
+        if self.run is not None:
+            self.run.task.stop(f"time jumped back by {seconds:.3f} s")
+
+    # ---- steps ----
+
+    def _tick(self) -> None:
+        settings = self.settings.value
+        period = settings.step_period if self.run is not None else settings.idle_period
+        if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
+            self._step()
+
+    def _step(self) -> None:
+        now_ns = self.now_ns()
+        self.last_step_ns = now_ns
+        if self.run is None:
+            self.twist_out.publish(twist_stamped(now_ns, self.sensor_frame, ZERO))
+            self._publish_status(now_ns, None)
+            return
+        command = self.run.task.step(now_ns, CollectionInputs(self._sensor_pose(), self.exposure))
+        self.twist_out.publish(twist_stamped(self.now_ns(), self.sensor_frame, command.twist))
+        self._publish_status(now_ns, command)
+        self._after(now_ns, command)
+
+    def _after(self, now_ns: int, command: CollectionCommand) -> None:
+        """What is kept, feedback, complaints, and the end of the run."""
+        run = self.run
+        assert run is not None
+        before, run.phase, run.last = run.phase, command.phase, command
+        if before != REFERENCE and command.phase == REFERENCE:
+            self.presence.reset()
+        self._keep(run, before, command)
+        if command.reason and not command.done:
+            self.report.complain("collection", command.reason)
+        if command.done:
+            self._finish(command.reason, command.succeeded)
+        elif now_ns - run.feedback_ns >= self.settings.value.feedback_period * SECOND_NS:
+            run.feedback_ns = now_ns
+            run.handle.publish_feedback(self._feedback(run, command))
+
+    # ---- what is kept ----
+
+    def _keep(self, run: Run, before: str, command: CollectionCommand) -> None:
+        """Store what this step has given; what cannot be written ends the run, off the surface."""
+        image, capture = self.image, command.capture
+        try:
+            if image is not None and before == REFERENCE and command.phase in (TOUCH, ROTATE):
+                run.store.keep_reference(image)
+            if before == TOUCH and command.phase == ROTATE:
+                touches = len(run.task.touch.touches)
+                text = run.store.keep_surface(run.task.T_base_f, self._assumed_frame(), touches)
+                self.get_logger().info(text)
+            if image is not None and capture is not None:
+                run.store.keep(capture, image)
+                self.count("samples")
+        except (OSError, ImageError) as error:
+            run.task.stop(f"cannot write to {run.store.folder}: {error}")
+
+    # ---- messages ----
+
+    def _feedback(self, run: Run, command: CollectionCommand) -> RunTask.Feedback:
+        pose = self._sensor_pose()
+        X_fs = None if pose is None else se3.inverse(run.task.T_base_f) @ pose.T
+        return feedback_message(command, run.before, X_fs)
+
+    def _publish_status(self, now_ns: int, command: CollectionCommand | None) -> None:
+        self.status_out.publish(status_message(now_ns, self.sensor_frame, command))
+
+    # ---- parameters ----
+
+    def task_settings(self) -> DataCollectionSettings:
+        """The parameters in force."""
+        values: dict[str, Any] = {name: group.value for name, group in self.groups.items()}
+        return DataCollectionSettings(**values)
+
+    def _configure_task(self, changed: Settings) -> None:
+        if self.run is not None:
+            self.run.task.configure(self.task_settings())
+
+    # ---- the action ----
+
+    def _consider_goal(self, goal: RunTask.Goal) -> GoalResponse:
+        reason = ""
+        if not self.active:
+            reason = "the collector is not active"
+        elif self.run is not None:
+            reason = "a collection is running; cancel it first"
+        elif goal.task != TASK:
+            reason = f"task is '{goal.task}', must be '{TASK}'"
+        if not reason:
+            return GoalResponse.ACCEPT
+        self.count("goals refused")
+        self.warn("goal", f"goal refused: {reason}", period=0.0)
+        return GoalResponse.REJECT
+
+    def _accept_goal(self, handle: Any) -> None:
+        try:
+            self._start(handle)
+        except (DatasetError, OSError) as error:
+            self.warn("collection", str(error), period=0.0)
+            _conclude(handle, RunTask.Result(success=False, reason=str(error)))
+
+    def _start(self, handle: Any) -> None:
+        settings = self.settings.value
+        store = SampleStore(settings.folder, self.preprocessing.value, settings.images)
+        targets = [
+            Target(number, pose_of(self.sampling.value, settings.seed, settings.first + number - 1))
+            for number in store.missing(settings.samples)
+        ]
+        self.get_logger().info(f"{len(targets)} of {settings.samples} samples to collect")
+        if not targets:
+            store.finish()
+            _conclude(handle, RunTask.Result(success=True, reason="every sample is there"))
+            return
+        self.presence.reset()
+        found = store.surface()
+        task_settings = self.task_settings()
+        if found is not None:
+            task_settings = task_settings.replaced(touch=task_settings.touch.replaced(points=0))
+        frame = self._assumed_frame() if found is None else found
+        task = DataCollection(task_settings, targets, frame)
+        self.run = Run(handle, task, store, settings.samples - len(targets), self.now_ns())
+
+    def _assumed_frame(self) -> NDArray[np.float64]:
+        """T_base_f (4, 4) as the parameter says."""
+        return se3.pose_from_euler(self.settings.value.frame)
+
+    def _cancel(self, handle: Any) -> CancelResponse:
+        if self.run is None or handle.goal_id != self.run.handle.goal_id:
+            return CancelResponse.REJECT
+        self.run.task.stop("cancelled")
+        return CancelResponse.ACCEPT
+
+    def _finish(self, reason: str, succeeded: bool) -> None:
+        """Make the table whole and end the run with the state that its goal is to have."""
+        assert self.run is not None
+        run, self.run = self.run, None
+        try:
+            run.store.finish()
+        except OSError as error:
+            reason, succeeded = f"{reason}; cannot write to {run.store.folder}: {error}".lstrip("; "), False
+        if not succeeded:
+            self.warn("collection", f"collection failed: {reason}", period=0.0)
+        result = RunTask.Result(
+            success=succeeded,
+            reason=reason,
+            path_length=run.last.travelled if run.last else 0.0,
+            duration=duration_from_ns(self.now_ns() - run.started_ns),
+        )
+        _conclude(run.handle, result)
+
+
+def _conclude(handle: Any, result: RunTask.Result) -> None:
+    """End a goal with the state that the result says."""
+
+    def conclude(handle: Any) -> RunTask.Result:
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif result.success:
+            handle.succeed()
+        else:
+            handle.abort()
+        return result
+
+    execute: Callable[[Any], Any] = handle.execute
+    execute(conclude)
+
+
+def _nothing_to_execute(handle: Any) -> RunTask.Result:
+    """Stands in for the action server's callback: steps conclude goals (a waiting coroutine burns a core)."""
+    raise RuntimeError("goals of run_task are concluded by the collector's steps")
+
+
+def main() -> int:
+    """Run the node until a signal; returns the exit code."""
+    return run_node(CollectorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
