@@ -152,7 +152,14 @@ def evaluate(
         Also evaluate the moment-matched mixture of the models of each kind.
     calibration_data : EvaluationData, optional
         Calibrate on these instead of using the calibration in the model files.
+
+    Raises
+    ------
+    DatasetError
+        If a model was trained on the calibration data.
     """
+    if calibration_data is not None:
+        _check_calibration_data(data, models, calibration_data)
     predictions = [predict(model, data, progress) for model in models]
     held_back = [predict(model, calibration_data, progress) for model in models] if calibration_data else None
     results = []
@@ -166,6 +173,17 @@ def evaluate(
     if ensemble:
         results += _ensembles(data, models, predictions, results, calibration_data, held_back)
     return results
+
+
+def _check_calibration_data(data: EvaluationData, models: Sequence[Model], chosen: EvaluationData) -> None:
+    for model in models:
+        if model.metadata.training_data.get("sha256") == chosen.sha256:
+            raise DatasetError(
+                f"{chosen.folder}: {model.name} was trained on these data: its errors there are too small; "
+                "calibrate on data held back from training"
+            )
+    if chosen.sha256 == data.sha256:
+        data.notes.append("calibrated on the very data evaluated: shows what is possible, not what is true")
 
 
 def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:

@@ -26,7 +26,7 @@ from tactile_perception.evaluation.filtering import (
 )
 from tactile_perception.evaluation.plots import Row, best, draw_predicted_against_actual
 from tactile_perception.evaluation.predictions import Predictions
-from tactile_perception.evaluation.report import groups, spread, with_spread
+from tactile_perception.evaluation.report import groups, with_spread
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
@@ -162,7 +162,7 @@ def filter_tables(found: Sequence[FilterResult], goal: dict[float, Array] | None
 
     Parameters
     ----------
-    goal : MAE (6,) by sigma_psi; shown in brackets, with + where it is reached, - where not
+    goal : MAE (6,) by sigma_psi; shown in brackets with + where it is reached, else -
     """
     keys = dict.fromkeys((entry.kind, entry.state, entry.noise) for entry in found)
     tables = []
@@ -184,19 +184,20 @@ def _filter_table(entries: Sequence[FilterResult], name: str, goal: dict[float, 
     for component, (label, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
         cells = []
         for sigma in sigmas:
-            text = with_spread([entry.mae[component] for entry in by_sigma[sigma]])
-            if sigma in goal:
-                reached = (
-                    spread([entry.mae[component] for entry in by_sigma[sigma]])[0] <= goal[sigma][component]
-                )
-                text += f" {'<=' if reached else '> '} {goal[sigma][component]:.4f}"
-            cells.append(text)
+            values = [entry.mae[component] for entry in by_sigma[sigma]]
+            wanted = goal[sigma][component] if sigma in goal else None
+            cells.append(with_spread(values) + _compared(float(np.mean(values)), wanted))
         table.add_row(f"{label} ({unit})", *cells)
     table.add_section()
     for label, attribute in (("NEES / 6", "nees"), ("NIS / 6", "nis"), ("sigma_phi", "sigma_phi")):
         values = ([getattr(entry, attribute) for entry in by_sigma[sigma]] for sigma in sigmas)
         table.add_row(label, *("-" if not np.isfinite(v).all() else with_spread(v, 3) for v in values))
     return table
+
+
+def _compared(value: float, wanted: float | None) -> str:
+    """The number to compare with, of four digits as in the paper, and whether it is reached."""
+    return "" if wanted is None else f" ({'+' if round(value, 4) <= wanted else '-'}{wanted:.4f})"
 
 
 def write_filter_files(out: Path, found: Sequence[FilterResult]) -> None:

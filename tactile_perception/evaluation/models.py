@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+import string
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +19,19 @@ from tactile_perception.model_metadata import INPUT_NAME, MetadataError, ModelMe
 from tactile_perception.preprocessing import as_input
 
 MODEL_NAME = "model.onnx"
+#: What the heads that `tactile train` knows are called in tables.
+KINDS = {
+    "mse": "CNN",
+    "gaussian": "GDN",
+    "full_gaussian": "GDN with full covariance",
+    "mixture": "GDN of two Gaussians",
+}
 _BATCH = 50
-_MEAN, _INVERSE_SIGMA = "mu", "inverse_sigma"
+_MEAN, _INVERSE_SIGMA, _COVARIANCE = "mu", "inverse_sigma", "covariance"
+#: Settings in which models of one group may differ: chance, and what concerns speed only.
+_NOT_TOLD = ("training.seed", "training.threads", "training.max_minutes", "training.precision")
+#: More differences than these do not fit over a column.
+_MOST_TOLD = 2
 
 
 @dataclass(frozen=True)
@@ -28,7 +41,7 @@ class Model:
     Attributes
     ----------
     name : for tables and files, different for each model of an evaluation
-    kind : "CNN" for a network without uncertainty, "GDN" for one with a diagonal covariance
+    kind : which network it is; models of one kind differ by chance only and share a column of the tables
     """
 
     name: str
@@ -38,9 +51,15 @@ class Model:
     session: onnxruntime.InferenceSession
 
     @property
+    def outputs(self) -> list[str]:
+        """Names of what it gives: the mean and, if it has any, its uncertainty."""
+        names = [output.name for output in self.session.get_outputs()]
+        return [name for name in (_MEAN, _INVERSE_SIGMA, _COVARIANCE) if name in names]
+
+    @property
     def has_uncertainty(self) -> bool:
         """Whether it says how wrong it may be."""
-        return self.kind != "CNN"
+        return len(self.outputs) > 1
 
     def predict(
         self, images: NDArray[np.uint8], progress: Callable[[int], None] | None = None
@@ -50,25 +69,35 @@ class Model:
         Raises
         ------
         ModelError
-            If an answer is not finite, or has an inverse standard deviation that is not positive.
+            If an answer is not finite, or has no positive standard deviations.
         """
-        outputs = [_MEAN, _INVERSE_SIGMA] if self.has_uncertainty else [_MEAN]
         parts: list[list[NDArray[np.float32]]] = []
         for start in range(0, len(images), _BATCH):
             batch = as_input(images[start : start + _BATCH])
-            parts.append(self.session.run(outputs, {INPUT_NAME: batch}))
+            parts.append(self.session.run(self.outputs, {INPUT_NAME: batch}))
             if progress is not None:
                 progress(len(batch))
-        arrays = [np.concatenate(column).astype(np.float64) for column in zip(*parts, strict=True)]
-        for output, array in zip(outputs, arrays, strict=True):
-            wrong = ~np.isfinite(array) if output == _MEAN else ~(np.isfinite(array) & (array > 0.0))
-            if wrong.any():
-                row = int(np.flatnonzero(wrong.any(axis=1))[0])
-                raise ModelError(
-                    f"{self.path}: answers {output} = {array[row]} to image {row}; must be finite"
-                    + (" and positive" if output == _INVERSE_SIGMA else "")
-                )
-        return Predictions.from_inverse_sigma(*arrays) if self.has_uncertainty else Predictions(arrays[0])
+        columns = [np.concatenate(column).astype(np.float64) for column in zip(*parts, strict=True)]
+        answers = dict(zip(self.outputs, columns, strict=True))
+        if _INVERSE_SIGMA in answers:
+            self._check(answers[_INVERSE_SIGMA], _INVERSE_SIGMA, positive=True)
+            predictions = Predictions.from_inverse_sigma(answers[_MEAN], answers[_INVERSE_SIGMA])
+        else:
+            predictions = Predictions(answers[_MEAN], answers.get(_COVARIANCE))
+        self._check(predictions.mean, _MEAN)
+        if predictions.cov is not None:
+            eigenvalues = np.linalg.eigvalsh(predictions.cov).astype(np.float64)
+            self._check(eigenvalues, "eigenvalues of the covariance", positive=True)
+        return predictions
+
+    def _check(self, array: NDArray[np.float64], what: str, positive: bool = False) -> None:
+        usable = np.isfinite(array) & (array > 0.0) if positive else np.isfinite(array)
+        wrong = np.flatnonzero(~usable.all(axis=1))
+        if len(wrong):
+            raise ModelError(
+                f"{self.path}: {what} = {array[wrong[0]]} for image {wrong[0]} ({len(wrong)} such images); "
+                f"must be finite{' and positive' if positive else ''}"
+            )
 
 
 def open_models(runs: Sequence[Path | str], threads: int = 0) -> list[Model]:
@@ -86,7 +115,33 @@ def open_models(runs: Sequence[Path | str], threads: int = 0) -> list[Model]:
     """
     paths = [path for run in runs for path in _model_paths(Path(run))]
     names = _names(paths)
-    return [_open(path, name, threads) for path, name in zip(paths, names, strict=True)]
+    return _with_kinds([_open(path, name, threads) for path, name in zip(paths, names, strict=True)])
+
+
+def _with_kinds(models: list[Model]) -> list[Model]:
+    """Models of one head but other settings are different kinds, named after what differs, or A, B, C."""
+    found = []
+    for model in models:
+        settings = [_told_settings(other) for other in models if other.kind == model.kind]
+        mine = _told_settings(model)
+        differing = [key for key in mine if any(other.get(key, mine[key]) != mine[key] for other in settings)]
+        distinct = list(dict.fromkeys(tuple(other.get(key) for key in differing) for other in settings))
+        label = ", ".join(f"{key.split('.')[-1]} {mine[key]}" for key in differing)
+        if len(differing) > _MOST_TOLD:
+            label = string.ascii_uppercase[distinct.index(tuple(mine[key] for key in differing)) % 26]
+        found.append(dataclasses.replace(model, kind=f"{model.kind} ({label})" if label else model.kind))
+    return found
+
+
+def _told_settings(model: Model) -> dict[str, str]:
+    """Every setting of network and training in which models of one kind agree, as text."""
+    return {
+        f"{section}.{name}": str(value)
+        for section, values in model.metadata.training.items()
+        if isinstance(values, dict)
+        for name, value in values.items()
+        if f"{section}.{name}" not in _NOT_TOLD
+    }
 
 
 def _model_paths(run: Path) -> list[Path]:
@@ -122,7 +177,8 @@ def _open(path: Path, name: str, threads: int) -> Model:
         metadata = ModelMetadata.from_properties(session.get_modelmeta().custom_metadata_map)
     except MetadataError as error:
         raise ModelError(f"{path}: {error}") from error
-    outputs = [output.name for output in session.get_outputs()]
-    if _MEAN not in outputs:
-        raise ModelError(f"{path}: has the outputs {', '.join(outputs)}; must have {_MEAN}")
-    return Model(name, path, "GDN" if _INVERSE_SIGMA in outputs else "CNN", metadata, session)
+    names = [output.name for output in session.get_outputs()]
+    if _MEAN not in names:
+        raise ModelError(f"{path}: has the outputs {', '.join(names)}; must have {_MEAN}")
+    head = metadata.training.get("network", {}).get("head", "gaussian" if len(names) > 1 else "mse")
+    return Model(name, path, KINDS.get(head, head), metadata, session)

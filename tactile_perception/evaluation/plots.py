@@ -23,16 +23,16 @@ _DPI = 80
 
 def draw_all(out: Path, data: EvaluationData, results: Sequence[ModelResult]) -> list[Path]:
     """Every figure that the results allow, as PNG files in the folder `out`."""
-    best = [best(members) for members in groups(results).values()]
+    shown = [best(members) for members in groups(results).values()]
     rows: list[Row] = []
-    for result in best:
+    for result in shown:
         predictions = result.best.predictions
         sigma = None if predictions.cov is None else predictions.sigma
         rows.append((result.name, data.labels, predictions.mean, sigma))
     paths = [out / "predicted_against_actual.png", out / "error_by_depth_and_shear.png"]
     draw_predicted_against_actual(paths[0], rows, f"{data.folder.name}, {len(data)} images")
-    draw_by_depth_and_shear(paths[1], best)
-    uncertain = [result for result in best if result.raw.consistency is not None]
+    draw_by_depth_and_shear(paths[1], shown)
+    uncertain = [result for result in shown if result.raw.consistency is not None]
     if uncertain:
         paths += [out / "reliability.png", out / "error_by_sigma.png"]
         draw_reliability(paths[2], uncertain)
