@@ -7,32 +7,33 @@ left out, repaired or assumed is named and counted in a `DatasetReport`.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_filter.settings import SettingError
 from tactile_perception import lenient_json
+from tactile_perception.dataset_images import common_shape, list_images, read_image, resolve
 from tactile_perception.dataset_layout import (
-    IMAGE_COLUMNS,
+    CAMERA_PARAMS_NAMES,
+    IMAGE_FOLDERS,
     IMAGE_PARAMS_NAME,
+    IMAGE_PARAMS_NAMES,
     IMAGES_NAME,
-    POSE_COLUMNS,
-    RAW_IMAGES_NAME,
-    SHEAR_COLUMNS,
+    JOURNAL_NAME,
+    REFERENCE_NAME,
     TARGETS_NAME,
+    TARGETS_NAMES,
     DatasetError,
     DatasetReport,
 )
+from tactile_perception.dataset_table import Row, read_conventions, read_table
 from tactile_perception.dataset_writer import DatasetWriter
 from tactile_perception.labels import labels_from_euler
 from tactile_perception.preprocessing import Image, ImageError, PreprocessingSettings, Preprocessor
@@ -46,8 +47,6 @@ __all__ = [
     "open_folder",
     "read_dataset",
 ]
-
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 
 
 @dataclass
@@ -69,14 +68,20 @@ class TactileFolder:
     def image(self, index: int) -> Image:
         """Image `index` as stored, gray; `ImageError` if it cannot be read or has the wrong size."""
         path = self.image_folder / self.names[index]
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise ImageError(f"{path}: is not a readable image (truncated or of another format)")
+        image = read_image(path)
         expected = self.preprocessing.crop_shape if self.processed else self.preprocessing.raw_shape
         if image.shape != expected:
             found, right = f"{image.shape[1]}x{image.shape[0]}", f"{expected[1]}x{expected[0]}"
             raise ImageError(f"{path}: is {found}, must be {right}")
-        return np.asarray(image, np.uint8)
+        return image
+
+    def reference(self) -> Image | None:
+        """The image without contact, which tools keep as number 0; None where there is no usable one."""
+        path = self.image_folder / REFERENCE_NAME
+        try:
+            return read_image(path) if path.exists() else None
+        except ImageError:
+            return None
 
     def resized(self, index: int, preprocessor: Preprocessor) -> Image:
         """Image `index` pre-processed to uint8 (size, size)."""
@@ -125,22 +130,28 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
     """
     folder = Path(folder)
     report = DatasetReport(folder)
-    targets, image_folder = _find_parts(folder)
+    tables, image_folder = _find_parts(folder, report)
     parameters = _read_parameters(folder, report)
-    settings = preprocessing or _preprocessing(parameters.get(IMAGE_PARAMS_NAME), report)
-    rows = _read_rows(targets, report)
-    rows = _without_duplicates(rows, report)
+    conventions = read_conventions(folder, report)
+    processed = image_folder.name == IMAGES_NAME
+    rows = [row for table in tables for row in read_table(table, conventions, report)]
     rows = _with_images(rows, image_folder, report)
+    rows = _without_duplicates(rows, report)
     if not rows:
         raise DatasetError("\n".join([f"{folder}: no usable sample", *report.lines()]))
+    names = [name for name, _ in rows]
+    settings = preprocessing
+    if settings is None:
+        settings = _preprocessing(parameters, processed, report)
+        settings = _suited(settings, common_shape(image_folder, names), processed, report)
     report.samples = len(rows)
     return TactileFolder(
         folder=folder,
         image_folder=image_folder,
-        names=[name for name, _ in rows],
+        names=names,
         euler_mm_deg=np.array([euler for _, euler in rows]),
         preprocessing=settings,
-        processed=image_folder.name == IMAGES_NAME,
+        processed=processed,
         parameters=parameters,
         report=report,
     )
@@ -209,20 +220,22 @@ def _sample_key(name: str, euler: NDArray[np.float64], file_hash: str) -> bytes:
     return name.encode() + b"\0" + np.ascontiguousarray(euler, dtype="<f8").tobytes() + file_hash.encode()
 
 
-def _find_parts(folder: Path) -> tuple[Path, Path]:
-    """The label table and the image folder, or an error that says what the layout is."""
+def _find_parts(folder: Path, report: DatasetReport) -> tuple[list[Path], Path]:
+    """The label tables and the image folder, or an error that says what the layout is."""
     if not folder.is_dir():
         raise DatasetError(f"{folder}: is not a folder")
-    layout = f"a data folder holds {TARGETS_NAME} and {IMAGES_NAME}/ (or {RAW_IMAGES_NAME}/)"
-    targets = next(
-        (folder / name for name in (TARGETS_NAME, "targets.csv") if (folder / name).is_file()), None
-    )
-    if targets is None:
+    others = ", ".join(f"{name}/" for name in IMAGE_FOLDERS[1:])
+    layout = f"a data folder holds {TARGETS_NAME} and {IMAGES_NAME}/ (or {others})"
+    tables = [folder / name for name in TARGETS_NAMES if (folder / name).is_file()][:1]
+    if (folder / JOURNAL_NAME).is_file():
+        report.notes.append(f"{JOURNAL_NAME}: the collection of this folder was not finished; read as well")
+        tables.append(folder / JOURNAL_NAME)
+    if not tables:
         raise DatasetError(f"{folder}: has no {TARGETS_NAME}; {layout}")
-    for name in (IMAGES_NAME, RAW_IMAGES_NAME):
+    for name in IMAGE_FOLDERS:
         if (folder / name).is_dir():
-            return targets, folder / name
-    raise DatasetError(f"{folder}: has neither {IMAGES_NAME}/ nor {RAW_IMAGES_NAME}/; {layout}")
+            return tables, folder / name
+    raise DatasetError(f"{folder}: has neither {IMAGES_NAME}/ nor {others}; {layout}")
 
 
 def _read_parameters(folder: Path, report: DatasetReport) -> dict[str, Any]:
@@ -238,74 +251,57 @@ def _read_parameters(folder: Path, report: DatasetReport) -> dict[str, Any]:
     return parameters
 
 
-def _preprocessing(params: Any, report: DatasetReport) -> PreprocessingSettings:
-    """Pre-processing settings of a folder from its `processed_image_params.json`."""
-    if not isinstance(params, dict):
+def _preprocessing(
+    parameters: dict[str, Any], processed: bool, report: DatasetReport
+) -> PreprocessingSettings:
+    """Pre-processing settings of a folder from the JSON file that holds them."""
+    names = IMAGE_PARAMS_NAMES if processed else (*IMAGE_PARAMS_NAMES, *CAMERA_PARAMS_NAMES)
+    name = next((name for name in names if isinstance(parameters.get(name), dict)), None)
+    if name is None:
         report.notes.append(f"no {IMAGE_PARAMS_NAME}: assumed the default crop and threshold")
         return PreprocessingSettings()
+    params = parameters[name]
     values: dict[str, Any] = {}
     if params.get("bbox") is not None:
         values["bbox"] = params["bbox"]
     if params.get("thresh") is not None:
-        values["threshold_block"], offset = params["thresh"]
-        values["threshold_offset"] = float(offset)
+        block_and_offset = params["thresh"]
+        if not isinstance(block_and_offset, list) or len(block_and_offset) != 2:
+            raise DatasetError(
+                f"{report.folder}: {name}: thresh = {block_and_offset!r}: must be a block and an offset"
+            )
+        values["threshold_block"], values["threshold_offset"] = block_and_offset
     if params.get("circle_mask_radius") is not None:
         values["circle_mask_radius"] = params["circle_mask_radius"]
-    values.update({name: params[name] for name in ("median", "threshold_method") if name in params})
+    values.update({key: params[key] for key in ("median", "threshold_method") if key in params})
     try:
-        return PreprocessingSettings.from_mapping(values, where=IMAGE_PARAMS_NAME)
+        return PreprocessingSettings.from_mapping(values, where=name)
     except SettingError as error:
         raise DatasetError(f"{report.folder}: {error}") from error
 
 
-Row = tuple[str, NDArray[np.float64]]
-
-
-def _read_rows(targets: Path, report: DatasetReport) -> list[Row]:
-    """(image name, Euler pose) of each row with finite labels."""
-    rows: list[Row] = []
-    with targets.open(newline="") as file:
-        reader = csv.DictReader(file)
-        columns = list(reader.fieldnames or [])
-        image_column, label_columns = _columns(columns, targets, report)
-        for row in reader:
-            report.rows += 1
-            name = Path((row.get(image_column) or "").strip()).name
-            where = name or f"line {reader.line_num}"
-            try:
-                values = [float(row[column]) for column in label_columns]
-            except (TypeError, ValueError):
-                report.add("row with a label that is missing or not a number", where)
-                continue
-            if not all(map(math.isfinite, values)):
-                report.add("row with a non-finite label", where)
-            elif not name:
-                report.add("row without an image name", where)
-            else:
-                rows.append((name, np.array(values).reshape(-1, 6).sum(axis=0)))
-    return rows
-
-
-def _columns(columns: list[str], targets: Path, report: DatasetReport) -> tuple[str, tuple[str, ...]]:
-    """The image column, and the label columns in the order that sums over (pose, shear)."""
-    image_column = next((name for name in IMAGE_COLUMNS if name in columns), None)
-    missing = [name for name in POSE_COLUMNS if name not in columns]
-    if image_column is None:
-        missing.insert(0, " or ".join(IMAGE_COLUMNS))
-    if missing or image_column is None:
-        raise DatasetError(
-            f"{targets}: has no column {', '.join(missing)}; its columns: {', '.join(columns)}"
+def _suited(
+    settings: PreprocessingSettings, shape: tuple[int, int] | None, processed: bool, report: DatasetReport
+) -> PreprocessingSettings:
+    """Settings for the size that most images have, where that is another than the settings say."""
+    expected = settings.crop_shape if processed else settings.raw_shape
+    if shape is None or shape == expected:
+        return settings
+    rows, columns = shape
+    found, right = f"{columns}x{rows}", f"{expected[1]}x{expected[0]}"
+    if processed:
+        report.notes.append(
+            f"processed images are {found}, not {right} as their settings say: taken as they are; the crop "
+            "of the camera image is unknown"
         )
-    shear = [name for name in SHEAR_COLUMNS if name in columns]
-    if len(shear) == len(SHEAR_COLUMNS):
-        return image_column, POSE_COLUMNS + SHEAR_COLUMNS
-    if shear:
-        absent = [name for name in SHEAR_COLUMNS if name not in columns]
-        raise DatasetError(f"{targets}: has only some shear columns; missing {', '.join(absent)}")
-    report.notes.append(
-        f"{targets.name} has no shear_* columns: pose_* taken as the whole surface contact pose"
+    else:
+        report.notes.append(f"camera images are {found}, not {right}: taken whole, without a mask")
+    return settings.replaced(
+        bbox=(0, 0, columns, rows),
+        raw_width=columns if not processed else max(columns, settings.raw_width),
+        raw_height=rows if not processed else max(rows, settings.raw_height),
+        circle_mask_radius=settings.circle_mask_radius if processed else 0,
     )
-    return image_column, POSE_COLUMNS
 
 
 def _without_duplicates(rows: list[Row], report: DatasetReport) -> list[Row]:
@@ -325,13 +321,16 @@ def _without_duplicates(rows: list[Row], report: DatasetReport) -> list[Row]:
 
 
 def _with_images(rows: list[Row], image_folder: Path, report: DatasetReport) -> list[Row]:
-    """The rows that have an image, in the table's order."""
-    present = {path.name for path in image_folder.iterdir() if path.suffix.lower() in _IMAGE_SUFFIXES}
-    for name, _ in rows:
-        if name not in present:
-            report.add("row without its image", name)
-    with_rows = {name for name, _ in rows}
-    named = with_rows.union(*report.problems.values()) if report.problems else with_rows
-    for name in sorted(present - named):
+    """The rows that have an image, in the table's order, named after the file."""
+    present = list_images(image_folder)
+    found: list[Row] = []
+    for name, euler in rows:
+        file = resolve(image_folder, name, present)
+        if file is None:
+            report.add("row without its image", Path(name).name)
+        else:
+            found.append((file, euler))
+    named = {Path(name).name for name, _ in rows}.union(*report.problems.values())
+    for name in sorted(present - named - {REFERENCE_NAME}):
         report.add("image without its row", name)
-    return [row for row in rows if row[0] in present]
+    return found

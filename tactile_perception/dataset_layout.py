@@ -6,10 +6,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 TARGETS_NAME = "targets_images.csv"
+#: Names of the label table, the first that is there counts: tools write targets.csv with raw images.
+TARGETS_NAMES = (TARGETS_NAME, "targets.csv")
 JOURNAL_NAME = "targets_images.partial.csv"
 IMAGES_NAME = "processed_images"
 RAW_IMAGES_NAME = "images"
+IMAGE_FOLDERS = (IMAGES_NAME, RAW_IMAGES_NAME, "sensor_images")
 IMAGE_PARAMS_NAME = "processed_image_params.json"
+#: Where the settings of processed images and of the camera's may stand.
+IMAGE_PARAMS_NAMES = (IMAGE_PARAMS_NAME, "sensor_process_params.json", "image_params.json")
+CAMERA_PARAMS_NAMES = ("sensor_image_params.json", "sensor_params.json")
+#: The image without contact, which has no row.
+REFERENCE_NAME = "image_0.png"
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
 POSE_COLUMNS = tuple(f"pose_{axis}" for axis in AXES)
 SHEAR_COLUMNS = tuple(f"shear_{axis}" for axis in AXES)

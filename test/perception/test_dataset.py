@@ -226,3 +226,204 @@ def test_a_limit_takes_samples_from_the_whole_table(folder):
     data = read_dataset(folder, limit=2)
     assert data.names == ["image_1.png", "image_3.png"]
     assert any("took 2 of 3" in note for note in data.report.notes)
+
+
+# ---- what other labs' tools write ----
+
+
+def renamed(folder: Path, names: dict[str, str]) -> list[str]:
+    """Give the table's columns other names; returns them all."""
+    rows = [{names.get(key, key): value for key, value in row.items()} for row in table(folder)]
+    columns = [names.get(name, name) for name in COLUMNS]
+    write_table(folder, rows, columns)
+    return columns
+
+
+@pytest.mark.parametrize(
+    "pose, shear",
+    [
+        ([f"pose_{k}" for k in range(1, 7)], [f"move_{k}" for k in range(1, 7)]),
+        ([f"pose_{k}" for k in range(1, 7)], [f"shear_{k}" for k in range(1, 7)]),
+        (["x", "y", "z", "Rx", "Ry", "Rz"], ["dx", "dy", "dz", "dRx", "dRy", "dRz"]),
+    ],
+)
+def test_columns_of_other_generations_of_tools_are_read_and_said(folder, pose, shear):
+    renamed(folder, dict(zip(COLUMNS[1:], [*pose, *shear], strict=True)))
+    data = read_dataset(folder)
+    np.testing.assert_array_equal(data.euler_mm_deg, EULER)
+    assert any(f"labels read from {pose[0]}" in note and shear[5] in note for note in data.report.notes)
+
+
+def test_object_poses_and_forces_beside_the_label_do_not_disturb(folder):
+    rows = [{**row, "object_x": "-50", "Fx": "1.5", "speed": "3"} for row in table(folder)]
+    write_table(folder, rows, [*COLUMNS, "object_x", "Fx", "speed"])
+    data = read_dataset(folder)
+    np.testing.assert_array_equal(data.euler_mm_deg, EULER)
+    assert data.report.notes == ["targets_images.csv: columns not used: Fx, speed"]
+
+
+def test_a_table_without_the_components_that_never_change_is_read_and_said(folder):
+    names = ["sensor_image", "pose_z", "pose_Rx", "pose_Ry"]
+    write_table(folder, table(folder), names)
+    data = read_dataset(folder)
+    np.testing.assert_array_equal(data.euler_mm_deg[0], [0, 0, 3.0, 10.0, -12.0, 0])
+    assert any("no column pose_x, pose_y, pose_Rz: taken as 0" in note for note in data.report.notes)
+
+
+def test_components_in_both_pose_and_shear_are_said(folder):
+    rows = [{**row, "pose_x": str(k)} for k, row in enumerate(table(folder))]
+    write_table(folder, rows)
+    data = read_dataset(folder)
+    assert any("pose and shear both vary in x" in note for note in data.report.notes)
+    assert data.euler_mm_deg[2, 0] == EULER[2, 0] + 2
+
+
+def test_raw_images_with_their_own_table_are_read(folder):
+    (folder / "processed_images").rename(folder / "sensor_images")
+    (folder / "targets_images.csv").rename(folder / "targets.csv")
+    for number in (1, 2, 3):
+        cv2.imwrite(str(folder / "sensor_images" / f"image_{number}.png"), camera_image(number))
+    source = open_folder(folder)
+    assert not source.processed and len(source) == 3
+    assert source.image(0).shape == (480, 640)
+
+
+def test_images_elsewhere_are_found_by_the_path_in_the_table(folder):
+    (folder / "processed_images").rename(folder.parent / "elsewhere")
+    (folder / "processed_images").mkdir()
+    rows = [{**row, "sensor_image": f"../../elsewhere/{row['sensor_image']}"} for row in table(folder)]
+    write_table(folder, rows)
+    assert len(read_dataset(folder)) == 3
+
+
+def test_the_image_without_contact_is_no_stray_and_can_be_had(folder):
+    cv2.imwrite(str(folder / "processed_images" / "image_0.png"), np.zeros((440, 445), np.uint8))
+    source = open_folder(folder)
+    assert source.report.problems == {}
+    assert source.reference().shape == (440, 445)
+    assert open_folder(folder).names == ["image_1.png", "image_2.png", "image_3.png"]
+
+
+def test_processed_images_of_another_size_are_taken_as_they_are_and_said(folder):
+    for number in (1, 2, 3):
+        path = str(folder / "processed_images" / f"image_{number}.png")
+        cv2.imwrite(path, np.full((128, 120), 40 * number, np.uint8))
+    data = read_dataset(folder)
+    assert data.images.shape == (3, 128, 128)
+    assert any("processed images are 120x128, not 445x440" in note for note in data.report.notes)
+
+
+def test_camera_images_of_another_size_are_taken_whole_and_said(tmp_path, folder):
+    raw = tmp_path / "raw"
+    (raw / "images").mkdir(parents=True)
+    for number in (1, 2, 3):
+        cv2.imwrite(str(raw / "images" / f"image_{number}.png"), np.zeros((256, 256), np.uint8))
+    (raw / "targets.csv").write_bytes((folder / "targets_images.csv").read_bytes())
+    source = open_folder(raw)
+    assert source.preprocessing.raw_shape == source.preprocessing.crop_shape == (256, 256)
+    assert any("camera images are 256x256, not 640x480" in note for note in source.report.notes)
+
+
+@pytest.mark.parametrize(
+    "conventions, expected",
+    [
+        ({"flip": ["x", "gamma"]}, [-1.0, -2.0, 3.0, 10.0, -12.0, -4.0]),
+        ({"angle_unit": "rad"}, [1.0, -2.0, 3.0, *np.degrees([10.0, -12.0, 4.0])]),
+        ({"length_unit": "m"}, [1000.0, -2000.0, 3000.0, 10.0, -12.0, 4.0]),
+    ],
+)
+def test_a_folder_says_in_which_conventions_it_is_written(folder, conventions, expected):
+    (folder / "conventions.json").write_text(json.dumps(conventions))
+    data = read_dataset(folder)
+    np.testing.assert_allclose(data.euler_mm_deg[0], expected)
+    assert any("conventions.json" in note for note in data.report.notes)
+
+
+@pytest.mark.parametrize("text", ['{"flip": ["w"]}', '{"angle": "rad"}', "[1]", "{"])
+def test_conventions_that_cannot_be_understood_are_an_error(folder, text):
+    (folder / "conventions.json").write_text(text)
+    with pytest.raises(DatasetError, match=r"conventions\.json"):
+        open_folder(folder)
+
+
+# ---- what is damaged ----
+
+
+def test_a_table_cut_in_a_row_gives_the_rows_before_and_names_the_cut_one(folder):
+    path = folder / "targets_images.csv"
+    text = path.read_text()
+    path.write_text(text[: text.rstrip().rfind(",")])
+    data = read_dataset(folder)
+    assert data.names == ["image_1.png", "image_2.png"]
+    assert ["image_3.png"] in data.report.problems.values()
+
+
+def test_a_table_cut_within_the_last_number_does_not_give_a_wrong_label(folder):
+    path = folder / "targets_images.csv"
+    path.write_text(path.read_text().rstrip()[:-2])
+    data = read_dataset(folder)
+    assert data.names == ["image_1.png", "image_2.png"]
+    (problem,) = data.report.problems
+    assert "without a line end" in problem
+
+
+def test_an_unfinished_collection_is_read_as_far_as_it_got_and_said(tmp_path):
+    with DatasetWriter(tmp_path, PreprocessingSettings()) as writer:
+        for number in (1, 2):
+            writer.add(number, camera_image(number), EULER[number - 1])
+    data = read_dataset(tmp_path)
+    np.testing.assert_array_equal(data.euler_mm_deg, EULER[:2])
+    assert any("was not finished" in note for note in data.report.notes)
+
+
+@pytest.mark.parametrize("keep", [0, 30, 200, 0.5, 0.99])
+def test_a_cut_image_is_named_however_much_of_it_is_there(folder, keep):
+    path = folder / "processed_images" / "image_2.png"
+    data = path.read_bytes()
+    path.write_bytes(data[: keep if isinstance(keep, int) else int(keep * len(data))])
+    report = read_dataset(folder).report
+    assert "image_2.png: is not a readable image" in report.problems["unusable image"][0]
+    assert report.samples == 2
+
+
+def test_rows_run_together_are_named(folder):
+    path = folder / "targets_images.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], lines[1] + "," + lines[2], lines[3]]) + "\n")
+    report = read_dataset(folder).report
+    assert report.problems["row with more fields than there are columns"] == ["image_1.png"]
+    assert report.samples == 1
+
+
+def test_a_table_from_a_spreadsheet_with_a_byte_order_mark_is_read(folder):
+    path = folder / "targets_images.csv"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert len(read_dataset(folder)) == 3
+
+
+def test_zero_bytes_and_foreign_letters_in_a_table_are_survived(folder):
+    path = folder / "targets_images.csv"
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines[:2], b"\0" * 50 + b"\n", b"\xff\xfe,1,2\n", *lines[2:]]))
+    data = read_dataset(folder)
+    assert len(data) == 3 and data.report.rows == 4
+
+
+def test_an_empty_table_is_an_error_that_says_what_is_missing(folder):
+    (folder / "targets_images.csv").write_text("")
+    with pytest.raises(DatasetError, match="has no column sensor_image"):
+        open_folder(folder)
+
+
+@pytest.mark.parametrize("text", ['{"a": [1, 2}', '{"a": 1', '{"a": [1, 2]]}', '{"a": {"b": 1}'])
+def test_brackets_too_many_or_too_few_are_repaired_with_their_place(folder, text):
+    (folder / "meta.json").write_text(text)
+    source = open_folder(folder)
+    assert "a" in source.parameters["meta.json"]
+    assert any("meta.json: malformed JSON" in note for note in source.report.notes)
+
+
+def test_image_settings_of_the_wrong_kind_are_an_error(folder):
+    (folder / "processed_image_params.json").write_text(json.dumps({"thresh": 61}))
+    with pytest.raises(DatasetError, match="thresh = 61: must be a block and an offset"):
+        open_folder(folder)
