@@ -50,7 +50,7 @@ class ControllerTimingSettings(Settings):
     """When the controller acts without being asked by a belief."""
 
     watchdog_period: float = setting(
-        0.01,
+        0.02,
         lower=0.001,
         upper=0.05,
         unit="s",

@@ -58,7 +58,7 @@ class SimSettings(Settings):
         0.0, lower=0.0, upper=240.0, unit="Hz", doc="rate of all cameras; 0: as the scene says"
     )
     status_rate: float = setting(
-        60.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/pose, arm/status and command/twist_limited"
+        30.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/pose, arm/status and command/twist_limited"
     )
     longest_lag: float = setting(
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"

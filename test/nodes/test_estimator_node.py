@@ -129,7 +129,7 @@ def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_th
 
 def test_presence_compares_with_the_first_images_and_carries_the_stamp(camera):
     same, other = camera.send(dots()), camera.send()
-    assert camera.graph.wait(lambda: len(camera.presences) == 2, 2.0)
+    assert camera.graph.wait(lambda: other in [ns_from_time(m.header.stamp) for m in camera.presences], 2.0)
     by_stamp = {ns_from_time(m.header.stamp): m for m in camera.presences}
     assert not by_stamp[same].in_contact and by_stamp[same].score < by_stamp[other].score
     assert by_stamp[other].in_contact and by_stamp[other].score > by_stamp[other].threshold
@@ -139,8 +139,8 @@ def test_without_contact_there_is_no_estimate(camera):
     untouched, touched = camera.send(dots()), camera.send()
     assert camera.answered(touched)
     assert [ns_from_time(m.header.stamp) for m in camera.estimates] == [touched]
-    assert camera.graph.wait(lambda: len(camera.presences) == 2, 2.0)
-    assert [ns_from_time(m.header.stamp) for m in camera.presences] == [untouched, touched]
+    answered = {untouched, touched}
+    assert camera.graph.wait(lambda: answered <= {ns_from_time(m.header.stamp) for m in camera.presences}, 2.0)
 
 
 def test_nothing_is_published_before_the_reference_is_there_nor_while_a_new_one_is_taken(camera):
