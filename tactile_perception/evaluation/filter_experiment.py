@@ -190,8 +190,8 @@ def _filter_table(entries: Sequence[FilterResult], name: str, goal: dict[float, 
         table.add_row(f"{label} ({unit})", *cells)
     table.add_section()
     for label, attribute in (("NEES / 6", "nees"), ("NIS / 6", "nis"), ("sigma_phi", "sigma_phi")):
-        values = ([getattr(entry, attribute) for entry in by_sigma[sigma]] for sigma in sigmas)
-        table.add_row(label, *("-" if not np.isfinite(v).all() else with_spread(v, 3) for v in values))
+        columns = ([getattr(entry, attribute) for entry in by_sigma[sigma]] for sigma in sigmas)
+        table.add_row(label, *("-" if not np.isfinite(v).all() else with_spread(v, 3) for v in columns))
     return table
 
 
