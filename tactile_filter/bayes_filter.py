@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter import filter_arithmetic as arithmetic
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_filter.filter_settings import SECOND_NS, FilterSettings, Tuning, gate_threshold
 from tactile_filter.fusion import FusionError, FusionStatus, check_gaussian, fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.history import Entry, History, Key
+from tactile_filter.propagation import Innovation, innovation, predict, usable_pose
 from tactile_filter.robust import Spectrum, huber_inflation, student_t_inflation
 
 __all__ = [
@@ -44,6 +44,7 @@ _NOT_CONVERGED = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.NOT_CONVERGED
 _PREDICTED = BeliefFlag.PREDICTED_ONLY
 _GATED = BeliefFlag.PREDICTED_ONLY | BeliefFlag.GATED
 _INVALID = BeliefFlag.INVALID | BeliefFlag.PREDICTED_ONLY
+_OVERFLOW = "the prediction is beyond double precision"
 
 
 class _State(NamedTuple):
@@ -164,7 +165,7 @@ class ContactFilter:
             At `stamp_ns`; at the stamp of the last step if this one is not later.
         """
         stamp_ns = int(stamp_ns)
-        sensor = arithmetic.usable_pose(T_base_sensor)
+        sensor = usable_pose(T_base_sensor)
         if self._history.span_ns == 0:
             return self._step_in_order(stamp_ns, measurement, sensor)
         entry = Entry(Key(stamp_ns, source, sequence), measurement, sensor, self._tuning, self._memory())
@@ -215,7 +216,7 @@ class ContactFilter:
     def predict_to(self, stamp_ns: int, T_base_sensor: ArrayLike) -> Belief:
         """The belief moved on to a stamp without a measurement, to make up for latency; changes nothing."""
         stamp_ns = int(stamp_ns)
-        sensor = arithmetic.usable_pose(T_base_sensor)
+        sensor = usable_pose(T_base_sensor)
         if sensor is None:
             return self._invalid(stamp_ns, "the sensor's pose is not usable")
         if self._state is None:
@@ -224,7 +225,10 @@ class ContactFilter:
             return self._invalid(stamp_ns, f"the belief is of {self._state.stamp_ns} ns, which is later")
         if self._is_stale(self._state, stamp_ns):
             return self._invalid(stamp_ns, self._stale_text(self._state, stamp_ns))
-        return self._belief(self._predicted(self._state, stamp_ns, sensor), _PREDICTED)
+        predicted = self._predicted(self._state, stamp_ns, sensor)
+        if not _is_finite(predicted):
+            return self._invalid(stamp_ns, _OVERFLOW)
+        return self._belief(predicted, _PREDICTED)
 
     def _step_forward(
         self, stamp_ns: int, measurement: PoseGaussian, sensor: Array, restarted: str
@@ -238,15 +242,16 @@ class ContactFilter:
             return self._initialize(stamp_ns, measurement, sensor, restarted)
         if self._is_stale(self._state, stamp_ns):
             return self._initialize(stamp_ns, measurement, sensor, self._stale_text(self._state, stamp_ns))
-        predicted = self._predicted(self._state, stamp_ns, sensor)
-        innovation = arithmetic.innovation(measurement.mean, measurement.cov, predicted.mean, predicted.cov)
-        if not innovation.nis <= self._tuning.gate:
-            return self._refuse_outlier(measurement, predicted, innovation)
-        return self._correct(measurement, predicted, innovation)
+        try:
+            predicted = self._predicted(self._state, stamp_ns, sensor)
+            surprise = innovation(measurement.mean, measurement.cov, predicted.mean, predicted.cov)
+        except ValueError:
+            return self._initialize(stamp_ns, measurement, sensor, _OVERFLOW)
+        if not surprise.nis <= self._tuning.gate:
+            return self._refuse_outlier(measurement, predicted, surprise)
+        return self._correct(measurement, predicted, surprise)
 
-    def _correct(
-        self, measurement: PoseGaussian, predicted: _State, innovation: arithmetic.Innovation
-    ) -> Belief:
+    def _correct(self, measurement: PoseGaussian, predicted: _State, surprise: Innovation) -> Belief:
         tuning = self._tuning
         cov, inflation = measurement.cov, 1.0
         try:
@@ -258,13 +263,13 @@ class ContactFilter:
                 iterations=tuning.iterations, jacobian_order=tuning.jacobian_order,
             )  # fmt: skip
         except FusionError as error:
-            return self._refuse_predicted("not fusable", str(error), predicted, _PREDICTED, innovation)
+            return self._refuse_predicted("not fusable", str(error), predicted, _PREDICTED, surprise)
         self._refused_in_a_row = 0
         stamp_ns = predicted.stamp_ns
         state = _State(stamp_ns, result.mean, result.cov, predicted.T_base_sensor, stamp_ns)
         self._state = state
         flags = _FUSED if result.status == FusionStatus.CONVERGED else _NOT_CONVERGED
-        return self._belief(state, flags, "", innovation, inflation)
+        return self._belief(state, flags, "", surprise, inflation)
 
     def _inflation(self, measurement: PoseGaussian, predicted: _State) -> float:
         settings = self._tuning.settings
@@ -279,25 +284,23 @@ class ContactFilter:
         measurement: PoseGaussian,
         sensor: Array,
         reason: str,
-        innovation: arithmetic.Innovation | None = None,
+        surprise: Innovation | None = None,
     ) -> Belief:
         """Start from the measurement alone (the algorithm's initialization)."""
         self._refused_in_a_row = 0
         mean = se3.orthonormalized(measurement.mean)
         cov = 0.5 * (measurement.cov + measurement.cov.T)
         self._state = _State(stamp_ns, mean, cov, sensor, stamp_ns)
-        return self._belief(self._state, _STARTED, reason, innovation)
+        return self._belief(self._state, _STARTED, reason, surprise)
 
-    def _refuse_outlier(
-        self, measurement: PoseGaussian, predicted: _State, innovation: arithmetic.Innovation
-    ) -> Belief:
+    def _refuse_outlier(self, measurement: PoseGaussian, predicted: _State, surprise: Innovation) -> Belief:
         refused = self._refused_in_a_row
-        text = f"NIS {innovation.nis:.4g} is above the gate {self.gate:.4g}"
+        text = f"NIS {surprise.nis:.4g} is above the gate {self.gate:.4g}"
         if refused < self.settings.reinitialize_after:
-            return self._refuse_predicted("outlier", text, predicted, _GATED, innovation)
+            return self._refuse_predicted("outlier", text, predicted, _GATED, surprise)
         self._count_reset("outliers in a row")
         text = f"{text} after {refused} refused in a row"
-        return self._initialize(predicted.stamp_ns, measurement, predicted.T_base_sensor, text, innovation)
+        return self._initialize(predicted.stamp_ns, measurement, predicted.T_base_sensor, text, surprise)
 
     def _refuse_moved(self, reason: str, text: str, stamp_ns: int, sensor: Array) -> Belief:
         """Count the measurement as refused and let the step be a prediction: time has passed all the same."""
@@ -316,13 +319,16 @@ class ContactFilter:
         text: str,
         predicted: _State,
         flags: BeliefFlag,
-        innovation: arithmetic.Innovation | None = None,
+        surprise: Innovation | None = None,
     ) -> Belief:
         """Count the measurement as refused and believe what was predicted."""
         self._count_refused(reason)
         self._refused_in_a_row += 1
+        if not _is_finite(predicted):
+            self._state = None
+            return self._invalid(predicted.stamp_ns, f"{text}; {_OVERFLOW}")
         self._state = predicted
-        return self._belief(predicted, flags, text, innovation)
+        return self._belief(predicted, flags, text, surprise)
 
     def _refuse_unmoved(self, reason: str, text: str, stamp_ns: int) -> Belief:
         """Count the measurement as refused where nothing can be predicted; the belief stays what it is."""
@@ -350,7 +356,7 @@ class ContactFilter:
     def _predicted(self, state: _State, stamp_ns: int, sensor: Array) -> _State:
         """The algorithm's prediction step."""
         variances = self._tuning.noise_since(stamp_ns - state.stamp_ns)
-        mean, cov = arithmetic.predict(state.mean, state.cov, state.T_base_sensor, sensor, variances)
+        mean, cov = predict(state.mean, state.cov, state.T_base_sensor, sensor, variances)
         return _State(stamp_ns, mean, cov, sensor, state.corrected_ns)
 
     def _is_stale(self, state: _State, stamp_ns: int) -> bool:
@@ -365,16 +371,16 @@ class ContactFilter:
         state: _State,
         flags: BeliefFlag,
         reason: str = "",
-        innovation: arithmetic.Innovation | None = None,
+        surprise: Innovation | None = None,
         inflation: float = 1.0,
     ) -> Belief:
-        if innovation is None:
+        if surprise is None:
             return Belief(
                 state.stamp_ns, state.mean, state.cov, flags=flags, reason=reason, rejected=self.rejected
             )
-        nis, whitened = innovation
+        nis, whitened, dof = surprise
         mean, cov = state.mean, state.cov
-        return Belief(state.stamp_ns, mean, cov, nis, DOF, flags, reason, self.rejected, whitened, inflation)
+        return Belief(state.stamp_ns, mean, cov, nis, dof, flags, reason, self.rejected, whitened, inflation)
 
     def _invalid(self, stamp_ns: int, reason: str) -> Belief:
         mean, cov = np.full((4, 4), math.nan), np.full((DOF, DOF), math.nan)
@@ -382,5 +388,9 @@ class ContactFilter:
 
 
 def normalized_innovation_squared(measurement: PoseGaussian, mean: Array, cov: Array) -> float:
-    """NIS of a measurement against a predicted Gaussian; see `filter_arithmetic.innovation`."""
-    return arithmetic.innovation(measurement.mean, measurement.cov, mean, cov).nis
+    """NIS of a measurement against a predicted Gaussian; see `propagation.innovation`."""
+    return innovation(measurement.mean, measurement.cov, mean, cov).nis
+
+
+def _is_finite(state: _State) -> bool:
+    return bool(np.isfinite(state.mean).all() and np.isfinite(state.cov).all())

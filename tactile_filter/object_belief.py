@@ -23,11 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import filter_arithmetic as arithmetic
 from tactile_filter import se3
 from tactile_filter.filter_settings import gate_threshold
 from tactile_filter.fusion import fuse
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.propagation import innovation
 from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ def object_from_contact(contact: Contact, correlated_share: float = 0.0) -> Spli
     """
     T_ws = contact.T_world_sensor
     mean = T_ws @ contact.belief.mean @ se3.inverse(contact.T_object_feature.mean)
-    mean = arithmetic.renormalized(mean)
+    mean = se3.orthonormalized(mean)
     own = _moved(T_ws, contact.belief.cov)
     place = _moved(mean, contact.T_object_feature.cov)
     return SplitGaussian(mean, (1.0 - correlated_share) * own, correlated_share * own + place)
@@ -175,7 +175,7 @@ def contact_from_object(
     T_sw = se3.inverse(T_world_sensor)
     mean = T_sw @ pose.mean @ T_object_feature.mean
     cov = _moved(T_sw, pose.cov + _moved(pose.mean, T_object_feature.cov))
-    return PoseGaussian(arithmetic.renormalized(mean), cov)
+    return PoseGaussian(se3.orthonormalized(mean), cov)
 
 
 def estimate_feature(pose: PoseGaussian, belief: PoseGaussian, T_world_sensor: Array) -> PoseGaussian:
@@ -187,7 +187,7 @@ def estimate_feature(pose: PoseGaussian, belief: PoseGaussian, T_world_sensor: A
     T_ow = se3.inverse(pose.mean)
     mean = T_ow @ T_world_sensor @ belief.mean
     cov = _moved(T_ow, pose.cov + _moved(T_world_sensor, belief.cov))
-    return PoseGaussian(arithmetic.renormalized(mean), cov)
+    return PoseGaussian(se3.orthonormalized(mean), cov)
 
 
 def fuse_split(a: SplitGaussian, b: SplitGaussian, weight: float | None = None) -> SplitGaussian:
@@ -236,7 +236,7 @@ def intersection_weight(a: SplitGaussian, b: SplitGaussian) -> float:
 
 def _disagreement(a: SplitGaussian, b: SplitGaussian, weight: float) -> float:
     """NIS of b against a, with covariances that hold whatever the correlation of the two."""
-    return arithmetic.innovation(b.mean, b.weighted(1.0 - weight), a.mean, a.weighted(weight)).nis
+    return innovation(b.mean, b.weighted(1.0 - weight), a.mean, a.weighted(weight)).nis
 
 
 def _moved(T: Array, cov: Array) -> Array:

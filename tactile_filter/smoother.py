@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from tactile_filter import filter_arithmetic as arithmetic
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_filter.filter_settings import FilterSettings, Tuning
-from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.propagation import predict
 
 Array = NDArray[np.float64]
 
@@ -89,10 +88,10 @@ def _backward(
     belief: Belief, following: Belief, T_now: Array, T_next: Array, variances: Array
 ) -> tuple[Array, Array]:
     """Mean and covariance of the step before the one that is smoothed already."""
-    prediction = PoseGaussian(*arithmetic.predict(belief.mean, belief.cov, T_now, T_next, variances))
-    adjoint = se3.adjoint(arithmetic.between(T_next, T_now))
-    gain = cho_solve(cho_factor(prediction.cov, lower=True), adjoint @ belief.cov).T
-    delta = se3.log(following.mean @ se3.inverse(prediction.mean))
+    mean, cov = predict(belief.mean, belief.cov, T_now, T_next, variances)
+    adjoint = se3.adjoint(se3.inverse(T_next) @ T_now)
+    gain = cho_solve(cho_factor(cov, lower=True), adjoint @ belief.cov).T
+    delta = se3.log(following.mean @ se3.inverse(mean))
     shift = gain @ delta
     kept = _IDENTITY - gain @ adjoint
     carried = gain @ se3.inverse_left_jacobian(delta)

@@ -17,9 +17,9 @@ from scipy.optimize import minimize_scalar
 
 from tactile_filter import se3
 from tactile_filter.bayes_filter import FilterSettings
-from tactile_filter.filter_arithmetic import predict
 from tactile_filter.fusion import fuse
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.propagation import predict
 from tactile_perception.evaluation.evaluate import EvaluationData
 from tactile_perception.evaluation.metrics import squared_mahalanobis
 from tactile_perception.evaluation.predictions import Predictions
