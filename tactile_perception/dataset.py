@@ -8,8 +8,11 @@ left out, repaired or assumed is named and counted in a `DatasetReport`.
 from __future__ import annotations
 
 import hashlib
+import os
+import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -182,19 +185,16 @@ def read_dataset(
     if limit is not None and limit < len(source):
         chosen = np.linspace(0, len(source) - 1, limit).round().astype(int)
         source.report.notes.append(f"took {limit} of {len(source)} samples, spread over the table")
-    preprocessor = Preprocessor(source.preprocessing)
     kept: list[int] = []
     images: list[Image] = []
     content = Counter[str]()
     digest = hashlib.sha256()
-    for count, index in enumerate(chosen.tolist()):
-        try:
-            images.append(source.resized(index, preprocessor))
-        except ImageError as error:
-            source.report.add("unusable image", str(error))
+    for count, (index, image, file_hash) in enumerate(_loaded(source, chosen.tolist())):
+        if isinstance(image, ImageError):
+            source.report.add("unusable image", str(image))
             continue
+        images.append(image)
         kept.append(index)
-        file_hash = hashlib.sha256((source.image_folder / source.names[index]).read_bytes()).hexdigest()
         content[file_hash] += 1
         if content[file_hash] > 1:
             source.report.add("image identical to an earlier one (kept)", source.names[index])
@@ -214,6 +214,24 @@ def read_dataset(
         sha256=digest.hexdigest(),
         report=source.report,
     )
+
+
+def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Image | ImageError, str]]:
+    """(index, pre-processed image or what is wrong with it, SHA-256 of its file), on all cores, in order."""
+    own = threading.local()
+
+    def load(index: int) -> tuple[int, Image | ImageError, str]:
+        if not hasattr(own, "preprocessor"):
+            own.preprocessor = Preprocessor(source.preprocessing)
+        try:
+            image = source.resized(index, own.preprocessor)
+        except ImageError as error:
+            return index, error, ""
+        file = (source.image_folder / source.names[index]).read_bytes()
+        return index, image, hashlib.sha256(file).hexdigest()
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield from pool.map(load, chosen)
 
 
 def _sample_key(name: str, euler: NDArray[np.float64], file_hash: str) -> bytes:
