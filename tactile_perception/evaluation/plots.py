@@ -12,13 +12,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
-from tactile_perception.evaluation.metrics import CURVE
+from tactile_perception.evaluation.metrics import CURVE, shear_of
 from tactile_perception.evaluation.report import groups
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
 Row = tuple[str, Array, Array, Array | None]
 _DPI = 80
+#: Cells with fewer samples stay empty.
+_FEWEST = 5
 
 
 def draw_all(out: Path, data: EvaluationData, results: Sequence[ModelResult]) -> list[Path]:
@@ -29,14 +31,15 @@ def draw_all(out: Path, data: EvaluationData, results: Sequence[ModelResult]) ->
         predictions = result.best.predictions
         sigma = None if predictions.cov is None else predictions.sigma
         rows.append((result.name, data.labels, predictions.mean, sigma))
-    paths = [out / "predicted_against_actual.png", out / "error_by_depth_and_shear.png"]
+    paths = [out / f"{name}.png" for name in ("predicted_against_actual", "error_by_depth_and_shear", "slip")]
     draw_predicted_against_actual(paths[0], rows, f"{data.folder.name}, {len(data)} images")
     draw_by_depth_and_shear(paths[1], shown)
+    draw_slip(paths[2], data, shown)
     uncertain = [result for result in shown if result.raw.consistency is not None]
     if uncertain:
         paths += [out / "reliability.png", out / "error_by_sigma.png"]
-        draw_reliability(paths[2], uncertain)
-        draw_error_by_sigma(paths[3], uncertain)
+        draw_reliability(paths[3], uncertain)
+        draw_error_by_sigma(paths[4], uncertain)
     return paths
 
 
@@ -150,6 +153,25 @@ def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
             axes.grid(alpha=0.3)
         axes_row[0].set_ylabel("mean absolute error")
     grid[0][0].legend(fontsize=7)
+    figure.savefig(path, dpi=_DPI)
+
+
+def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) -> None:
+    """Mean absolute error over depth and tangential displacement: it shows where the tip slips."""
+    depth, shear = data.euler_mm_deg[:, 2], shear_of(data.euler_mm_deg)
+    edges = (np.linspace(0.0, depth.max(), 9), np.linspace(0.0, shear.max(), 9))
+    count = np.histogram2d(depth, shear, edges)[0]
+    figure, grid = _grid(len(results), 6, 3.2)
+    for axes_row, result in zip(grid, results, strict=True):
+        error = np.abs(result.raw.predictions.mean - data.labels)
+        for component, axes in enumerate(axes_row):
+            total = np.histogram2d(depth, shear, edges, weights=error[:, component])[0]
+            mean = np.where(count >= _FEWEST, total / np.maximum(count, 1.0), np.nan)
+            picture = axes.pcolormesh(edges[1], edges[0], mean, cmap="viridis", vmin=0.0)
+            figure.colorbar(picture, ax=axes, pad=0.01)
+            axes.set_title(f"{COMPONENTS[component]} ({NETWORK_UNITS[component]}), {result.name}", fontsize=9)
+            axes.set(xlabel="shear (mm)", ylabel="depth (mm)")
+    figure.suptitle("mean absolute error")
     figure.savefig(path, dpi=_DPI)
 
 

@@ -200,7 +200,13 @@ def test_command_writes_tables_and_figures(folder, constant_model, tmp_path, cap
     assert rows["joint NEES / 6", ""] == pytest.approx(
         plain["models"][0]["raw"]["consistency"]["joint"], 1e-5
     )
-    for name in ("predicted_against_actual", "reliability", "error_by_sigma", "error_by_depth_and_shear"):
+    for name in (
+        "predicted_against_actual",
+        "reliability",
+        "error_by_sigma",
+        "error_by_depth_and_shear",
+        "slip",
+    ):
         assert (out / f"{name}.png").stat().st_size > 10_000
     assert len((out / "predictions_1.csv").read_text().splitlines()) == SAMPLES + 2
 
