@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from tactile_bringup.euler_poses import euler_poses, euler_sigmas
 from tactile_bringup.metrics import COMMAND_STAGE, inverses, normal_angle
-from tactile_bringup.run_record import FOLLOW, GaussianSeries, RunRecord
-from tactile_filter import se3
+from tactile_bringup.run_record import FOLLOW, RunRecord
 
 Array = NDArray[Any]
 
@@ -72,7 +72,7 @@ def write_figures(record: RunRecord, folder: str | Path) -> list[Path]:
     }
     paths = []
     for name, draw in pictures.items():
-        with _style():
+        with style():
             figure = draw(record)
             figure.savefig(folder / name)
             plt.close(figure)
@@ -81,7 +81,8 @@ def write_figures(record: RunRecord, folder: str | Path) -> list[Path]:
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def style() -> Iterator[None]:
+    """The look of all pictures."""
     with plt.rc_context(STYLE):
         yield
 
@@ -370,16 +371,16 @@ def _draw_component(axes: Any, record: RunRecord, clock: _ContactClock, name: st
     belief = record.belief.rows(at)
     mean = euler_poses(inverses(belief.mean))[:, column] * factor
     sigma = euler_sigmas(belief)[:, column] * factor
-    t, (mean, sigma) = _with_gaps(t, mean, sigma)
+    t, (mean, sigma) = with_gaps(t, mean, sigma)
     axes.fill_between(
         t, mean - 2 * sigma, mean + 2 * sigma, color=BELIEF, alpha=0.22, lw=0, label="belief ± 2σ"
     )
     axes.plot(t, mean, color=BELIEF, lw=1.3, label="belief", zorder=3)
     t, at = _by_time(clock, record.truth.stamp_ns)
-    t, (true,) = _with_gaps(t, euler_poses(record.truth.T_fs[at])[:, column] * factor)
+    t, (true,) = with_gaps(t, euler_poses(record.truth.T_fs[at])[:, column] * factor)
     axes.plot(t, true, color=TRUTH, lw=1.2, label="truth", zorder=4)
     axes.set(ylabel=f"{what} [{unit}]")
-    axes.set_ylim(*_range(mean, true))
+    axes.set_ylim(*range_of(mean, true))
 
 
 def _by_time(clock: _ContactClock, stamp_ns: Array) -> tuple[Array, Array]:
@@ -389,13 +390,13 @@ def _by_time(clock: _ContactClock, stamp_ns: Array) -> tuple[Array, Array]:
     return t[at], at
 
 
-def _with_gaps(t: Array, *values: Array) -> tuple[Array, list[Array]]:
-    """The series with a NaN wherever time jumps, so that lines do not bridge gaps."""
-    jumps = np.flatnonzero(np.diff(t) > 0.2) + 1
+def with_gaps(t: Array, *values: Array, gap: float = 0.2) -> tuple[Array, list[Array]]:
+    """The series with a NaN wherever time jumps by more than `gap`, so that lines do not bridge it."""
+    jumps = np.flatnonzero(np.diff(t) > gap) + 1
     return np.insert(t, jumps, np.nan), [np.insert(value, jumps, np.nan) for value in values]
 
 
-def _range(*series: Array) -> tuple[float, float]:
+def range_of(*series: Array) -> tuple[float, float]:
     """Limits that hold nearly all of the series: the first moments of a contact may lie outside."""
     values = np.concatenate([value[np.isfinite(value)] for value in series])
     if len(values) == 0:
@@ -403,44 +404,6 @@ def _range(*series: Array) -> tuple[float, float]:
     low, high = np.percentile(values, [0.5, 99.5])
     margin = max(0.2 * (high - low), 0.3)
     return float(low - margin), float(high + margin)
-
-
-def euler_poses(T: Array) -> Array:
-    """Euler contact poses (N, 6) of (N, 4, 4), m and rad; NaN where the pose is."""
-    good = np.isfinite(T).all(axis=(1, 2))
-    result = np.full((len(T), 6), np.nan)
-    for k in np.flatnonzero(good):
-        result[k] = se3.euler_from_pose(T[k])
-    return result
-
-
-def euler_sigmas(series: GaussianSeries) -> Array:
-    """Standard deviations (N, 6) of the Euler contact pose of X_fs = X_sf^-1, to first order.
-
-    With X_fs = mean^-1 exp(-eps^), the position moves by -R_fs rho, and the orientation by the rotation
-    -R_fs phi in {f}; extrinsic xyz Euler angles turn about z, about y turned by gamma, and about x turned by
-    both.
-    """
-    X_fs = inverses(series.mean)
-    result = np.zeros((len(X_fs), 6))
-    for k, (T, cov) in enumerate(zip(X_fs, series.cov, strict=True)):
-        R = T[:3, :3]
-        position, rotation = R @ cov[:3, :3] @ R.T, R @ cov[3:, 3:] @ R.T
-        rates = np.linalg.inv(_rotation_of_euler_rates(se3.euler_from_pose(T)))
-        result[k] = np.sqrt(np.r_[np.diag(position), np.diag(rates @ rotation @ rates.T)])
-    return result
-
-
-def _rotation_of_euler_rates(euler: Array) -> Array:
-    """Columns: the axes in {f} about which alpha, beta and gamma turn."""
-    beta, gamma = euler[4], euler[5]
-    return np.array(
-        [
-            [np.cos(beta) * np.cos(gamma), -np.sin(gamma), 0.0],
-            [np.cos(beta) * np.sin(gamma), np.cos(gamma), 0.0],
-            [-np.sin(beta), 0.0, 1.0],
-        ]
-    )
 
 
 # ---- twists ----

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -24,10 +25,11 @@ def message_definition(type_name: str, prefixes: Sequence[Path] | None = None) -
     """The .msg text of a type with all types that it uses, as MCAP wants it (`ros2msg`).
 
     Read from `share/<package>/msg` under the prefixes, by default those of
-    AMENT_PREFIX_PATH, then the Python environment. Raises `DefinitionMissing`
-    where a file is missing.
+    AMENT_PREFIX_PATH, then the Python environment; without `prefixes`, what is nowhere there comes from our
+    source tree and from the common packages that `rosbags` brings. Raises `DefinitionMissing` where a file is
+    missing.
     """
-    roots = _ament_prefixes() if prefixes is None else list(prefixes)
+    roots = None if prefixes is None else list(prefixes)
     texts: dict[str, str] = {}
     _collect_definitions(type_name, roots, texts)
     first, *others = texts.items()
@@ -35,7 +37,7 @@ def message_definition(type_name: str, prefixes: Sequence[Path] | None = None) -
     return "\n".join(parts)
 
 
-def _collect_definitions(type_name: str, roots: Sequence[Path], texts: dict[str, str]) -> None:
+def _collect_definitions(type_name: str, roots: Sequence[Path] | None, texts: dict[str, str]) -> None:
     if type_name in texts:
         return
     texts[type_name] = _read_definition(type_name, roots)
@@ -46,16 +48,30 @@ def _collect_definitions(type_name: str, roots: Sequence[Path], texts: dict[str,
             _collect_definitions(_full(match[1], package), roots, texts)
 
 
-def _read_definition(type_name: str, roots: Sequence[Path]) -> str:
+def _read_definition(type_name: str, roots: Sequence[Path] | None) -> str:
     package, _, name = type_name.split("/")
-    for root in roots:
-        path = root / "share" / package / "msg" / f"{name}.msg"
+    prefixes = _ament_prefixes() if roots is None else roots
+    files = [prefix / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
+    if roots is None:
+        files.append(Path(__file__).parents[1] / package / "msg" / f"{name}.msg")
+    for path in files:
         if path.is_file():
             return path.read_text()
-    where = ", ".join(map(str, roots))
+    known = _known_definition(type_name) if roots is None else ""
+    if known:
+        return known
+    where = ", ".join(map(str, prefixes))
     raise DefinitionMissing(
         f"no definition of {type_name}: share/{package}/msg/{name}.msg is under none of {where}"
     )
+
+
+def _known_definition(type_name: str) -> str:
+    """The text of a type, without those that it uses, of those that `rosbags` knows; empty for others."""
+    store = get_typestore(Stores.LATEST)
+    if type_name not in store.fielddefs:
+        return ""
+    return str(store.generate_msgdef(type_name, ros_version=2)[0].split(_SEPARATOR)[0])
 
 
 def _ament_prefixes() -> list[Path]:
@@ -78,3 +94,17 @@ def type_hash(type_name: str, text: str) -> str:
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(text, type_name))
     return store.hash_rihs01(type_name)
+
+
+def type_fields(definitions: Mapping[str, str], type_name: str) -> Any:
+    """Type -> (constants, fields) of a type and all that it uses, as `rosbags` has them.
+
+    Parameters
+    ----------
+    definitions : mapping
+        Type -> definition, as a bag brings them; for a type that is not there its installed definition.
+    """
+    text = definitions.get(type_name) or message_definition(type_name)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, type_name))
+    return store.fielddefs

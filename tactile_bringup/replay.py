@@ -1,0 +1,257 @@
+"""Runs the events of a bag through the filter, as the live node does, and encodes what it would publish.
+
+The same bag, settings and program give the same bytes, however often and on however many cores.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_bringup.message_columns import Layout, blank_layout, stamps_ns
+from tactile_bringup.message_definitions import type_fields
+from tactile_bringup.replay_inputs import UNUSABLE, ArmInputs, LiveStates, Measurement
+from tactile_bringup.run_record import BeliefSeries
+from tactile_filter import se3
+from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
+from tactile_filter.pose_covariance import ros_from_left
+from tactile_filter.smoother import smooth
+
+Array = NDArray[Any]
+
+SECOND_NS = 1_000_000_000
+STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
+NOT_A_NUMBER = np.full(6, np.nan)
+NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
+
+
+@dataclass
+class ArmRun:
+    """One arm's run of the filter.
+
+    Attributes
+    ----------
+    measurements : list of Measurement
+        Those that were taken; `beliefs` has one for each, `smoothed` as well after `smooth_run`.
+    left_out : int
+        Events that are no part of what the live filter took.
+    resets, rejections : Counter
+        Of the filter over the whole run, by reason.
+    """
+
+    inputs: ArmInputs
+    settings: FilterSettings
+    measurements: list[Measurement] = field(default_factory=list)
+    beliefs: list[Belief] = field(default_factory=list)
+    smoothed: list[Belief] = field(default_factory=list)
+    left_out: int = 0
+    resets: Counter[str] = field(default_factory=Counter)
+    rejections: Counter[str] = field(default_factory=Counter)
+
+
+def series_of(beliefs: Sequence[Belief]) -> BeliefSeries:
+    """The beliefs that are valid, as arrays."""
+    valid = [belief for belief in beliefs if belief.valid]
+    refused = BeliefFlag.GATED | BeliefFlag.PREDICTED_ONLY
+    if not valid:
+        return BeliefSeries()
+    return BeliefSeries(
+        np.array([belief.stamp_ns for belief in valid]),
+        np.array([belief.mean for belief in valid]),
+        np.array([belief.cov for belief in valid]),
+        np.array([belief.nis for belief in valid]),
+        np.array([belief.nis_dof for belief in valid]),
+        np.array([not belief.flags & refused for belief in valid]),
+    )
+
+
+def run_filter(inputs: ArmInputs, settings: FilterSettings, as_recorded: bool = True) -> ArmRun:
+    """Run one arm's events through the filter.
+
+    Parameters
+    ----------
+    as_recorded : bool
+        Take the events that the live filter took, where the bag tells which these were; else all that there
+        are. The live filter drops an event whose parts come too late, and takes none before it is active.
+    """
+    run = ArmRun(inputs, settings)
+    taken = _taken_live(inputs) if as_recorded else None
+    contact_filter, epoch = ContactFilter(settings), 0
+    for measurement in inputs.measurements:
+        if taken is not None and not taken(measurement.stamp_ns):
+            run.left_out += 1
+            continue
+        if measurement.epoch != epoch:
+            epoch = measurement.epoch
+            _reset(contact_filter, "time jumped back", run)
+        run.measurements.append(measurement)
+        run.beliefs.append(_step(contact_filter, measurement, run))
+    run.rejections.update(contact_filter.rejections)
+    run.resets = contact_filter.resets
+    return run
+
+
+def smooth_run(run: ArmRun) -> None:
+    """Add what each belief would have been if all that came later had been known."""
+    poses = [UNUSABLE.mean if m.T_base_sensor is None else m.T_base_sensor for m in run.measurements]
+    run.smoothed = smooth(run.beliefs, poses, run.settings)
+
+
+def _taken_live(inputs: ArmInputs) -> Any:
+    """Whether the live filter took the event of a stamp; all count as taken after its last message.
+
+    None where the bag does not tell.
+    """
+    if inputs.live is None or not len(inputs.live.stamps_ns):
+        return None
+    stamps, last = set(inputs.live.stamps_ns.tolist()), int(inputs.live.stamps_ns.max())
+    return lambda stamp_ns: stamp_ns in stamps or stamp_ns > last
+
+
+def _step(contact_filter: ContactFilter, measurement: Measurement, run: ArmRun) -> Belief:
+    """What the live node does with an event."""
+    if measurement.estimate is None:
+        if contact_filter.has_belief:
+            _reset(contact_filter, "no contact", run)
+        return nothing(measurement.stamp_ns, contact_filter.rejected)
+    assert measurement.T_base_sensor is not None
+    return contact_filter.step(measurement.stamp_ns, measurement.estimate, measurement.T_base_sensor)
+
+
+def _reset(contact_filter: ContactFilter, reason: str, run: ArmRun) -> None:
+    run.rejections.update(contact_filter.rejections)
+    contact_filter.reset(reason)
+
+
+def nothing(stamp_ns: int, rejected: int) -> Belief:
+    """The belief without contact: none."""
+    flags = BeliefFlag.NO_CONTACT | BeliefFlag.INVALID
+    return Belief(stamp_ns, UNUSABLE.mean, UNUSABLE.cov, flags=flags, rejected=rejected)
+
+
+# ---- messages ----
+
+
+def state_rows(run: ArmRun) -> Array:
+    """The ContactState messages of a run, as structured array; latency is 0."""
+    layout = _layout(STATE_TYPE, run.inputs.sensor_frame)
+    rows = _blank(layout, len(run.beliefs))
+    valid = [belief.valid for belief in run.beliefs]
+    xi = [se3.log(b.mean) if v else NOT_A_NUMBER for b, v in zip(run.beliefs, valid, strict=True)]
+    euler = [
+        se3.euler_from_pose(se3.inverse(b.mean)) if v else NOT_A_NUMBER
+        for b, v in zip(run.beliefs, valid, strict=True)
+    ]
+    _set_stamps(rows, [belief.stamp_ns for belief in run.beliefs])
+    if len(rows):
+        rows["xi"], rows["euler"] = np.array(xi), np.array(euler)
+        rows["covariance"] = np.array([belief.cov for belief in run.beliefs]).reshape(-1, 36)
+    rows["nis"] = [belief.nis for belief in run.beliefs]
+    rows["nis_dof"] = [belief.nis_dof for belief in run.beliefs]
+    rows["flags"] = [int(belief.flags) for belief in run.beliefs]
+    rows["rejected"] = [belief.rejected for belief in run.beliefs]
+    return rows
+
+
+def belief_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
+    """The PoseWithCovarianceStamped messages of beliefs that are valid, as structured array."""
+    layout = _layout(BELIEF_TYPE, sensor_frame)
+    rows = _blank(layout, len(beliefs))
+    _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
+    if len(rows):
+        numbers = np.array([(*b.mean[:3, 3], *se3.quaternion_from_rotation(b.mean[:3, :3])) for b in beliefs])
+        for column, name in enumerate(
+            (*(f"position.{a}" for a in "xyz"), *(f"orientation.{a}" for a in "xyzw"))
+        ):
+            rows[f"pose.pose.{name}"] = numbers[:, column]
+        covs = np.array([ros_from_left(belief.cov, belief.mean[:3, 3]) for belief in beliefs])
+        rows["pose.covariance"] = covs.reshape(-1, 36)
+    return rows
+
+
+_LAYOUTS: dict[tuple[str, str], Layout] = {}
+
+
+def _layout(type_name: str, frame_id: str) -> Layout:
+    if (type_name, frame_id) not in _LAYOUTS:
+        texts = {"header.frame_id": frame_id}
+        _LAYOUTS[type_name, frame_id] = blank_layout(type_fields({}, type_name), type_name, texts)
+    return _LAYOUTS[type_name, frame_id]
+
+
+def _blank(layout: Layout, count: int) -> Array:
+    return np.frombuffer(bytearray(layout.template * count), layout.dtype)
+
+
+def _set_stamps(rows: Array, stamps_ns: list[int]) -> None:
+    seconds, rest = np.divmod(np.array(stamps_ns, np.int64), SECOND_NS)
+    rows["header.stamp.sec"], rows["header.stamp.nanosec"] = seconds, rest
+
+
+# ---- agreement with what was live ----
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a run compares with what the live filter published.
+
+    Attributes
+    ----------
+    common : int
+        Stamps that both have.
+    identical : int
+        Of these, messages that are the same to the bit (latency aside).
+    only_live, only_replayed : int
+        Stamps that only one of them has.
+    first_difference : str
+        Where they first differ, and in what; empty where they do not.
+    """
+
+    common: int
+    identical: int
+    only_live: int
+    only_replayed: int
+    first_difference: str = ""
+
+
+def agreement(rows: Array, live: LiveStates) -> Agreement:
+    """Compare `state_rows` with what the live filter published."""
+    stamps = stamps_ns(rows, "header.stamp")
+    places = {int(stamp): place for place, stamp in enumerate(live.stamps_ns)}
+    pairs = [(row, places[int(stamp)]) for row, stamp in enumerate(stamps) if int(stamp) in places]
+    mine, theirs = (np.array([pair[k] for pair in pairs], np.int64) for k in (0, 1))
+    names = [
+        n for n in rows.dtype.names or () if n in (live.values.dtype.names or ()) and n not in NOT_COMPARED
+    ]
+    same = np.ones(len(pairs), bool)
+    differing = np.full(len(pairs), "", object)
+    for name in names:
+        a = np.ascontiguousarray(rows[name][mine]).reshape(len(pairs), -1).view(np.uint8)
+        b = np.ascontiguousarray(live.values[name][theirs]).reshape(len(pairs), -1).view(np.uint8)
+        equal = (a == b).all(axis=1) if a.shape == b.shape else np.zeros(len(pairs), bool)
+        differing[same & ~equal] = name
+        same &= equal
+    first = ""
+    if not same.all():
+        at = int(np.argmin(same))
+        first = f"{differing[at]} at {int(stamps[mine[at]])} ns"
+    return Agreement(
+        len(pairs), int(same.sum()), len(live.stamps_ns) - len(pairs), len(rows) - len(pairs), first
+    )
+
+
+def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any], list[str]]:
+    """Settings with which the filter of a recording ran, and the names among them that are no settings now.
+
+    Empty where the recording does not tell.
+    """
+    parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
+    names = {item.name for item in FilterSettings.__dataclass_fields__.values()}
+    own = {name: value for name, value in parameters.items() if "." not in name}
+    return {n: v for n, v in own.items() if n in names}, sorted(n for n in own if n not in names)

@@ -1,0 +1,92 @@
+"""Where the clock of a recording jumps back, and which messages belong to the time before and after.
+
+A clock that is set back, a bag that was recorded from a looped one, a simulation that starts anew: from there
+on stamps repeat. Every run of stamps between two jumps is an epoch; events are in the order of (epoch, stamp,
+source, sequence). A message of one source may be recorded before the jump shows in another, so that each
+source's own stamps decide to which epoch its messages belong, not their place in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+JUMP_NS = (
+    100_000_000  # as the live nodes have it: older than its source's newest stamp by this is a jump back
+)
+
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Stamps (N,) of one source's messages, ns, and their places (N,) in the recording."""
+
+    stamps_ns: Stamps
+    order: Stamps
+
+
+@dataclass(frozen=True)
+class Jump:
+    """The clock went back: by how much, and the newest stamp before it."""
+
+    source: str
+    seconds: float
+    before_ns: int
+
+
+def epochs(sources: Mapping[str, Timeline]) -> tuple[dict[str, Stamps], list[Jump]]:
+    """The epoch (N,) of each message of each source, and the jumps between epochs."""
+    if not any(_jumps(timeline.stamps_ns) for timeline in sources.values()):
+        return {name: np.zeros(len(t.stamps_ns), np.int64) for name, t in sources.items()}, []
+    return _Epochs(sources).assigned()
+
+
+def _jumps(stamps_ns: Stamps) -> bool:
+    return bool((stamps_ns < np.maximum.accumulate(stamps_ns) - JUMP_NS).any())
+
+
+class _Epochs:
+    """Goes through all messages in the order of the recording."""
+
+    def __init__(self, sources: Mapping[str, Timeline]) -> None:
+        self.sources = sources
+        self.newest: dict[str, int] = {}  # stamp by source, within its epoch
+        self.epoch: dict[str, int] = {}
+        self.newest_of_epoch = [0]
+        self.found: list[Jump] = []
+
+    def assigned(self) -> tuple[dict[str, Stamps], list[Jump]]:
+        result = {name: np.zeros(len(t.stamps_ns), np.int64) for name, t in self.sources.items()}
+        rows = [
+            (int(order), name, row, int(stamp_ns))
+            for name, timeline in self.sources.items()
+            for row, (order, stamp_ns) in enumerate(zip(timeline.order, timeline.stamps_ns, strict=True))
+        ]
+        for _, name, row, stamp_ns in sorted(rows):
+            result[name][row] = self._take(name, stamp_ns)
+        return result, self.found
+
+    def _take(self, name: str, stamp_ns: int) -> int:
+        current = len(self.newest_of_epoch) - 1
+        epoch = self.epoch.get(name, current)
+        newest_ns = self.newest.get(name, stamp_ns)
+        if stamp_ns < newest_ns - JUMP_NS:
+            if epoch == current:
+                self.found.append(Jump(name, (newest_ns - stamp_ns) * 1e-9, newest_ns))
+                self.newest_of_epoch.append(stamp_ns)
+            epoch = len(self.newest_of_epoch) - 1
+            newest_ns = stamp_ns
+        elif epoch < current and self._is_nearer(stamp_ns, current, epoch):
+            epoch, newest_ns = current, stamp_ns
+        self.epoch[name], self.newest[name] = epoch, max(newest_ns, stamp_ns)
+        self.newest_of_epoch[epoch] = max(self.newest_of_epoch[epoch], stamp_ns)
+        return epoch
+
+    def _is_nearer(self, stamp_ns: int, one: int, other: int) -> bool:
+        """A source that was silent over the jump shows no jump of its own."""
+        newest = self.newest_of_epoch
+        return abs(stamp_ns - newest[one]) < abs(stamp_ns - newest[other])

@@ -1,0 +1,212 @@
+"""`tactile replay`: a recording through the filter again, with other settings, as fast as it goes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tactile_bringup.replay_inputs import Inputs
+    from tactile_bringup.replay_report import RunResult
+    from tactile_bringup.replay_sweep import Plan
+
+EXIT_OK, EXIT_DIFFERS, EXIT_USAGE = 0, 1, 2
+REPORT = "report.json"
+WIDTH = 130  # columns of the table where there is no terminal
+
+
+def register(subparsers: Any) -> None:
+    """Add `replay`."""
+    parser = subparsers.add_parser(
+        "replay",
+        help="run a recorded bag through the filter again, with other settings",
+        description="Runs the estimates and transforms of a bag (MCAP or sqlite3, ours or of `ros2 bag`) "
+        "through the filter and writes a bag, a table and a picture that compares the runs.",
+        epilog="Exit codes: 0 done, 1 with --check where beliefs are not the recorded ones, 2 nothing done.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a bag, or one of its files")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting of the filter"
+    )
+    parser.add_argument(
+        "--sweep", action="append", default=[], metavar="NAME=A,B,C", help="one run for each value; more "
+        "than once: for each combination",
+    )  # fmt: skip
+    parser.add_argument(
+        "--profile",
+        metavar="NAME|FILE",
+        help="settings of the filter from a file, in place of the recorded ones",
+    )
+    parser.add_argument("--out", type=Path, help="folder for the results (default: out/replay/BAG)")
+    parser.add_argument("--smooth", action="store_true", help="add beliefs that know what came later")
+    parser.add_argument(
+        "--all-events", action="store_true", help="take what the live filter had dropped, too"
+    )
+    parser.add_argument(
+        "--copy", choices=("inputs", "all"), help="put the filter's inputs, or all topics, into the new bag"
+    )
+    parser.add_argument("--check", action="store_true", help="fail unless the beliefs are the recorded ones")
+    parser.add_argument("--jobs", type=int, default=0, help="processes for a sweep (default: one a core)")
+    parser.add_argument("--no-plot", action="store_true", help="draw no pictures")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code."""
+    from tactile_bringup.bag_contents import BagError
+    from tactile_bringup.message_definitions import DefinitionMissing
+    from tactile_bringup.replay_inputs import ReplayError
+    from tactile_filter.settings import SettingError
+
+    try:
+        return _replay(arguments)
+    except (BagError, ReplayError, SettingError, DefinitionMissing, OSError) as error:
+        print(f"tactile replay: {error}", file=sys.stderr)
+        return EXIT_USAGE
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from tactile_bringup.replay_inputs import read_inputs
+    from tactile_bringup.replay_sweep import base_settings, make_plans, run_plans
+
+    folder = arguments.out or Path("out") / "replay" / arguments.bag.resolve().stem
+    started = time.perf_counter()
+    inputs = read_inputs(arguments.bag)
+    base = base_settings(inputs, _profile(arguments.profile))
+    plans = make_plans(base, arguments.set, arguments.sweep, folder)
+    _make_room(folder, plans)
+    results = run_plans(plans, inputs, _options(arguments, inputs), arguments.jobs)
+    seconds = time.perf_counter() - started
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    agree = _deliver(arguments, folder, inputs, plans, results, console)
+    speed = inputs.span_s * len(plans) / seconds if seconds else 0.0
+    times = f"{inputs.span_s:.1f} s recorded, {len(plans)} run{'s' * (len(plans) > 1)} in {seconds:.2f} s"
+    console.print(f"{times}: {speed:.0f} times real time", highlight=False, soft_wrap=True)
+    return EXIT_OK if agree or not arguments.check else EXIT_DIFFERS
+
+
+def _profile(name: str | None) -> Path | None:
+    from tactile_filter.config_paths import named_file
+
+    return None if name is None else named_file("filter", name)
+
+
+def _options(arguments: argparse.Namespace, inputs: Inputs) -> Any:
+    from tactile_bringup.bag import read_bag
+    from tactile_bringup.replay_sweep import Options
+
+    copies = {"inputs": lambda: inputs.bag.messages, "all": lambda: read_bag(arguments.bag).messages}
+    chosen = copies[arguments.copy]() if arguments.copy else ()
+    return Options(not arguments.all_events, arguments.smooth, chosen)
+
+
+def _make_room(folder: Path, plans: list[Plan]) -> None:
+    """Remove bags of former replays that are in the way, and only those."""
+    import shutil
+
+    from tactile_bringup.bag import Bag, read_bag
+    from tactile_bringup.bag_contents import BagError
+
+    for plan in plans:
+        if not plan.bag.exists():
+            continue
+        old: Bag = read_bag(plan.bag, lambda topic, type_name: False)
+        if "replay" not in old.note:
+            raise BagError(
+                f"{plan.bag} exists and was not written by a replay; remove it or use --out elsewhere"
+            )
+        shutil.rmtree(plan.bag)
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def _deliver(
+    arguments: argparse.Namespace,
+    folder: Path,
+    inputs: Inputs,
+    plans: list[Plan],
+    results: list[list[RunResult]],
+    console: Console,
+) -> bool:
+    """Tables, pictures and report; returns whether all beliefs are the recorded ones."""
+    from tactile_bringup.replay_report import numbers, write_report
+
+    for remark in inputs.remarks:
+        console.print(f"note: {remark}", style="yellow", highlight=False, soft_wrap=True)
+    report: dict[str, Any] = {"bag": str(inputs.bag.folder), "remarks": inputs.remarks, "arms": {}}
+    agree, paths = True, []
+    for arm in inputs.arms:
+        mine = [result for run in results for result in run if result.arm == arm.name]
+        values = {result.name: numbers(result, arm.truth) for result in mine}
+        report["arms"][arm.name] = {"remarks": arm.remarks, "runs": values}
+        for remark in arm.remarks:
+            console.print(f"note: {arm.name}: {remark}", style="yellow", highlight=False, soft_wrap=True)
+        _print_table(console, arm.name, mine, values)
+        agree &= _tell_agreement(console, inputs, arm, plans, mine)
+        if not arguments.no_plot:
+            from tactile_bringup.replay_figures import compare
+
+            paths.append(folder / (f"{arm.name}.png" if len(inputs.arms) > 1 else "replay.png"))
+            compare(arm, mine, f"{inputs.bag.folder.name}, {arm.name}", paths[-1])
+    write_report(folder / REPORT, report)
+    for path in (folder / REPORT, *paths, *(plan.bag for plan in plans)):
+        console.print(str(path), highlight=False, soft_wrap=True)
+    return agree
+
+
+def _print_table(console: Console, arm: str, results: list[RunResult], values: dict[str, Any]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from tactile_bringup.replay_report import TABLE, table_row
+
+    title = f"{arm}: RMS errors against the truth (mm, deg), consistency, agreement with what was live"
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
+    for name in TABLE:
+        first = name == TABLE[0]
+        table.add_column(name, justify="left" if first else "right", no_wrap=True)
+    for result in results:
+        table.add_row(*table_row(result, values[result.name]))
+    console.print(table)
+
+
+def _tell_agreement(
+    console: Console, inputs: Inputs, arm: Any, plans: list[Plan], results: list[RunResult]
+) -> bool:
+    """Say where a run with the recorded settings differs from what was live; whether none does."""
+    from tactile_bringup.replay_sweep import same_settings
+
+    agree = arm.live is not None
+    for plan in plans:
+        result = next(r for r in results if r.name == plan.name)
+        found = result.agreement
+        if found is None or not same_settings(plan, inputs, arm):
+            agree = agree and found is not None and found.identical == found.common
+            continue
+        if found.identical < found.common:
+            agree = False
+            text = f"{found.common - found.identical} of {found.common} beliefs differ from the live ones"
+            console.print(
+                f"note: {arm.name}: {text}, first in {found.first_difference}",
+                style="yellow",
+                highlight=False,
+            )
+        else:
+            console.print(
+                f"{arm.name}: all {found.common} beliefs are those of the live filter, to the bit",
+                highlight=False,
+            )
+        if result.left_out:
+            text = f"{result.left_out} events were not taken, as the live filter did not take them either"
+            console.print(
+                f"note: {arm.name}: {text} (--all-events takes them)", style="yellow", highlight=False
+            )
+    return agree
