@@ -50,6 +50,14 @@ class CalibrationSettings(Settings):
         lower=0.0,
         doc="weight, in samples, that holds the logarithms of neighboring knots' factors together",
     )
+    margin: tuple[float, ...] = setting(
+        (1.0,) * OUTPUTS,
+        lower=0.1,
+        upper=10.0,
+        length=OUTPUTS,
+        doc="further factors on the deviations, for what samples of one session cannot show: friction, "
+        "the sensor's seat and the surface's place are others next time",
+    )
     min_samples: int = setting(100, lower=20, doc="refuse to fit fewer samples than this")
 
 
@@ -162,7 +170,7 @@ def fit_calibration(
             squared[:, j], _hats(log_sigma[:, j], knots), depth_basis, settings.stiffness
         )
         sigma_knots.append(knots)
-        sigma_values.append(values)
+        sigma_values.append(values + np.log(settings.margin[j]))
         depth_values.append(depth_part)
     fitted = Calibration(
         sigma_knots=tuple(map(tuple, sigma_knots)),

@@ -92,6 +92,14 @@ def test_the_fit_is_the_maximum_of_the_penalized_likelihood():
     np.testing.assert_allclose(fitted.sigma_values[0], best.x, atol=1e-4)
 
 
+def test_a_margin_widens_what_the_data_ask_for():
+    data = generator(400, lambda mean, sigma: 2.0)
+    margin = (1.5, 1.0, 1.0, 1.0, 1.0, 1.2)
+    fitted, wide = fit_calibration(*data), fit_calibration(*data, CalibrationSettings(margin=margin))
+    ratio = wide.factors(data[1], data[2]) / fitted.factors(data[1], data[2])
+    np.testing.assert_allclose(ratio, np.tile(margin, (400, 1)))
+
+
 def test_correlated_errors_give_a_joint_nees_of_one():
     labels, mean, sigma = generator(4000, lambda mean, sigma: 1.0, seed=5)
     mixing = np.eye(6)
