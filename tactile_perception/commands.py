@@ -1,4 +1,4 @@
-"""The commands `tactile train` and `tactile estimate`."""
+"""The command `tactile estimate`."""
 
 from __future__ import annotations
 
@@ -24,37 +24,7 @@ from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 
 def register(subparsers: Any) -> None:
-    """Add `train` and `estimate` to argparse subparsers; each sets `run`, a callable of the arguments."""
-    _register_train(subparsers)
-    _register_estimate(subparsers)
-
-
-def _register_train(subparsers: Any) -> None:
-    parser = subparsers.add_parser(
-        "train",
-        help="train a Gaussian density network on a data folder",
-        description="Train a Gaussian density network (needs PyTorch, the extra 'train').",
-    )
-    parser.add_argument("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
-    parser.add_argument("--val", type=Path, help="validation data folder (default: DATA/val)")
-    parser.add_argument("--out", type=Path, required=True, help="new folder for the run")
-    parser.add_argument("--config", type=Path, help="YAML file with the sections network and training")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.NAME=VALUE",
-        dest="changes",
-        help="change one setting",
-    )
-    parser.add_argument("--limit", type=int, metavar="N", help="use only N training samples")
-    parser.add_argument(
-        "--install", type=Path, metavar="FILE", help="copy the exported model to FILE at the end"
-    )
-    parser.set_defaults(run=run_train)
-
-
-def _register_estimate(subparsers: Any) -> None:
+    """Add `estimate` to argparse subparsers; it sets `run`, a callable of the arguments."""
     parser = subparsers.add_parser(
         "estimate",
         help="run images through estimator and filter, without ROS",
@@ -77,60 +47,6 @@ def _register_estimate(subparsers: Any) -> None:
     )
     parser.add_argument("--threads", type=int, default=1, help="CPU threads of the estimator")
     parser.set_defaults(run=run_estimate)
-
-
-def run_train(arguments: argparse.Namespace) -> int:
-    """`tactile train`: returns the exit status."""
-    console = Console(stderr=True)
-    try:
-        from tactile_perception.training import train as training
-    except ModuleNotFoundError as error:
-        if error.name not in ("torch", "onnx"):
-            raise
-        console.print(
-            f"tactile train needs {error.name}: pip install 'tactile_servoing[train]'", markup=False
-        )
-        return 2
-    from tactile_perception.training.console import TrainingProgress
-
-    try:
-        config = (
-            training.TrainConfig.from_file(arguments.config) if arguments.config else training.TrainConfig()
-        )
-        config = config.changed(arguments.changes)
-        with TrainingProgress() as progress:
-            result = training.train(
-                arguments.data,
-                arguments.out,
-                config,
-                arguments.val,
-                arguments.limit,
-                progress,
-                progress.loading,
-            )
-    except (ValueError, OSError, FloatingPointError) as error:
-        console.print(f"tactile train: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
-    if arguments.install:
-        arguments.install.write_bytes(result.model_path.read_bytes())
-    _print_train_summary(Console(), result, arguments.out)
-    return 0
-
-
-def _print_train_summary(console: Console, result: Any, out: Path) -> None:
-    best = result.best
-    table = Table(
-        title=f"epoch {best.number + 1} of {len(result.epochs)}: mean NLL {best.validation_loss:.3f}"
-    )
-    table.add_column("component")
-    table.add_column("MAE", justify="right")
-    for name, unit, value in zip(COMPONENTS, NETWORK_UNITS, best.mae, strict=True):
-        table.add_row(name, f"{value:.4f} {unit}")
-    console.print(table)
-    console.print(
-        f"{result.minutes:.1f} min; stopped: {result.stopped}\nmodel: {result.model_path}", highlight=False
-    )
-    console.print(f"run: {out} (config.yaml, data.txt, epochs.csv, curves.png, best.pt)", highlight=False)
 
 
 def run_estimate(arguments: argparse.Namespace) -> int:

@@ -14,7 +14,15 @@ from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import Settings, setting
 from tactile_perception.labels import NETWORK_SCALE, pose_from_network
-from tactile_perception.model_metadata import INPUT_NAME, OUTPUT_NAMES, MetadataError, ModelMetadata
+from tactile_perception.model_metadata import (
+    COVARIANCE,
+    INPUT_NAME,
+    INVERSE_SIGMA,
+    MEAN,
+    OUTPUT_SHAPES,
+    MetadataError,
+    ModelMetadata,
+)
 from tactile_perception.preprocessing import Image, Preprocessor
 
 Array = NDArray[np.float64]
@@ -26,7 +34,7 @@ class ModelError(ValueError):
 
 
 class EstimateError(ValueError):
-    """An answer of the network that is not a Gaussian (NaN, infinite, or without a positive 1/sigma)."""
+    """An answer of the network that is no Gaussian: NaN, infinite, or without a positive (co)variance."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +92,11 @@ class Estimator:
             raise ModelError(f"{self.path}: {error}") from error
         side = self.metadata.preprocessing.size
         _check_tensors(self.path, "input", self._session.get_inputs(), {INPUT_NAME: (1, side, side)})
-        _check_tensors(self.path, "output", self._session.get_outputs(), dict.fromkeys(OUTPUT_NAMES, (6,)))
+        outputs = self._session.get_outputs()
+        #: The second output: of standard deviations, or a whole covariance.
+        self._uncertainty = next((o.name for o in outputs if o.name == COVARIANCE), INVERSE_SIGMA)
+        self._outputs = [MEAN, self._uncertainty]
+        _check_tensors(self.path, "output", outputs, {name: OUTPUT_SHAPES[name] for name in self._outputs})
         self.preprocessor = Preprocessor(self.metadata.preprocessing)
         self.times = StageTimes()
         self.warm_up()
@@ -113,47 +125,79 @@ class Estimator:
         """The same for the preprocessor's output (1, 1, size, size), where that is needed elsewhere too."""
         return self._estimate(prepared, 0.0)
 
-    def infer(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
-        """Mean xi_sf (6,) and inverse standard deviations (6,), in mm and rad, of a prepared image."""
-        mean, inverse_sigma = self._session.run(OUTPUT_NAMES, {INPUT_NAME: prepared})
-        return mean[0].astype(np.float64), inverse_sigma[0].astype(np.float64)
+    def predict(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
+        """Many prepared images (N, 1, size, size) -> mean xi_sf (N, 6), calibrated covariance (N, 6, 6).
+
+        In the tangent space, mm and rad, unchecked: for evaluation.
+        """
+        mean, covariance = self.predict_uncalibrated(prepared)
+        return mean, self.metadata.calibration.covariance(mean, covariance)
+
+    def predict_uncalibrated(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
+        """The same as the network says it, without the calibration in the model file."""
+        mean, uncertainty = self._session.run(self._outputs, {INPUT_NAME: prepared})
+        return mean.astype(np.float64), _covariances(uncertainty.astype(np.float64))
 
     def warm_up(self, runs: int = _WARM_UP_RUNS) -> None:
         """Run black images through all stages; the first runs allocate memory."""
         black = np.zeros(self.metadata.preprocessing.raw_shape, np.uint8)
         for _ in range(runs):
-            self.infer(self.preprocessor(black))
+            self.predict(self.preprocessor(black))
 
     def _estimate(self, prepared: NDArray[np.float32], preprocess: float) -> PoseGaussian:
         started = time.perf_counter()
-        mean, inverse_sigma = self.infer(prepared)
+        mean, uncertainty = self._session.run(self._outputs, {INPUT_NAME: prepared})
         inferred = time.perf_counter()
-        gaussian = pose_gaussian(mean, inverse_sigma)
+        gaussian = self._gaussian(mean[0].astype(np.float64), uncertainty[0].astype(np.float64))
         self.times = StageTimes(preprocess, inferred - started, time.perf_counter() - inferred)
         return gaussian
 
+    def _gaussian(self, mean: Array, uncertainty: Array) -> PoseGaussian:
+        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(uncertainty))):
+            raise EstimateError(
+                f"the network answered with NaN or infinity: mu {mean}, {self._uncertainty} {uncertainty}"
+            )
+        if self._uncertainty == INVERSE_SIGMA and not np.all(uncertainty > 0.0):
+            raise EstimateError(f"the network answered with 1/sigma that is not positive: {uncertainty}")
+        covariance = _covariances(uncertainty[np.newaxis])[0]
+        return pose_gaussian(mean, self.metadata.calibration.covariance(mean, covariance))
 
-def pose_gaussian(mean: Array, inverse_sigma: Array) -> PoseGaussian:
+
+def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
     """Network answer -> X_sf = exp(eps^) exp(mean^), eps ~ N(0, J(mean) Sigma J(mean)^T), in SI.
 
-    Paper, eq. left_perturbation_cov: the network's diagonal Gaussian lives around its mean in the global
-    tangent space; the left Jacobian carries it to the perturbation on the left of the mean.
+    Paper, eq. left_perturbation_cov: the network's Gaussian lives around its mean in the global tangent
+    space; the left Jacobian carries it to the perturbation on the left of the mean.
 
     Parameters
     ----------
-    mean, inverse_sigma : (6,) xi_sf and inverse standard deviations, in mm and rad.
+    mean, covariance : (6,) xi_sf and (6, 6), in mm and rad.
 
     Raises
     ------
     EstimateError
+        If the covariance is not positive definite.
     """
-    if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(inverse_sigma))):
-        raise EstimateError(f"the network answered with NaN or infinity: mu {mean}, 1/sigma {inverse_sigma}")
-    if not np.all(inverse_sigma > 0.0):
-        raise EstimateError(f"the network answered with 1/sigma that is not positive: {inverse_sigma}")
-    jacobian = se3.left_jacobian(mean * NETWORK_SCALE)
-    root = jacobian * (NETWORK_SCALE / inverse_sigma)
+    scale = np.sqrt(np.abs(np.diagonal(covariance)))
+    try:
+        # Of the correlations, so that units and sizes do not decide what is still positive.
+        root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
+    except np.linalg.LinAlgError as error:
+        raise EstimateError(
+            f"the network answered with a covariance that is not positive definite: {covariance}"
+        ) from error
+    root = se3.left_jacobian(mean * NETWORK_SCALE) @ (NETWORK_SCALE[:, None] * root)
     return PoseGaussian(pose_from_network(mean), root @ root.T)
+
+
+def _covariances(uncertainty: Array) -> Array:
+    """Inverse standard deviations (N, 6) or covariances (N, 6, 6) -> covariances (N, 6, 6)."""
+    if uncertainty.ndim == 3:
+        return uncertainty
+    result = np.zeros((len(uncertainty), 6, 6))
+    with np.errstate(divide="ignore"):  # a 1/sigma of 0 is refused where an estimate is made of it
+        result[:, range(6), range(6)] = uncertainty**-2.0
+    return result
 
 
 def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:

@@ -1,22 +1,33 @@
-"""Settings of network and training; defaults are the paper's, where the paper gives a value."""
+"""Settings of network, training and augmentation; defaults are the paper's GDN, where it gives a value."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from tactile_filter.settings import SettingError, Settings, setting
 
+HEADS = ("mse", "gaussian", "full_gaussian", "mixture")
+
 
 @dataclass(frozen=True)
-class GdnSettings(Settings):
-    """The Gaussian density network of the paper's "Gaussian Density Networks"."""
+class NetworkSettings(Settings):
+    """Convolutional base and head; the defaults are the paper's "Gaussian Density Networks"."""
 
     image_size: int = setting(128, unit="px", lower=16, upper=512, doc="side of the square input image")
+    first_stride: int = setting(
+        1, lower=1, upper=4, doc="stride s of the first convolution, whose kernel is 3s x 3s; the paper's: 1"
+    )
     channels: tuple[int, ...] = setting(
         (16, 32, 64, 128, 256), lower=1, doc="features of each block: convolution, batch norm, ReLU, max-pool"
     )
     batch_norm_momentum: float = setting(
         0.01, lower=1e-4, upper=1.0, doc="weight of a batch in the running statistics (0.01: Keras's default)"
+    )
+    head: str = setting(
+        "gaussian",
+        choices=HEADS,
+        doc="mse: the paper's CNN; gaussian: its GDN; full_gaussian: correlated; mixture: two Gaussians",
     )
     head_gain: float = setting(
         0.1, lower=1e-4, upper=1.0, doc="factor on the features before the output layer; the paper's: 1"
@@ -27,8 +38,17 @@ class GdnSettings(Settings):
     dropout_inverse_sigma: tuple[float, ...] = setting(
         (0.1, 0.1, 0.0, 0.0, 0.0, 0.05), lower=0.0, upper=0.99, length=6, doc="dropout of each 1/sigma output"
     )
+    dropout_correlation: float = setting(
+        0.05, lower=0.0, upper=0.99, doc="dropout of what full_gaussian and mixture add to these"
+    )
     inverse_sigma_bounds: tuple[float, ...] = setting(
         (1e-6, 1e6), lower=1e-12, length=2, doc="softbound of the inverse standard deviations (1/mm, 1/rad)"
+    )
+    mse_weights: tuple[float, ...] = setting(
+        (1.0, 1.0, 1.0, 100.0, 100.0, 100.0),
+        lower=0.0,
+        length=6,
+        doc="weights of the components in the loss of the head mse (paper, eq. mse_loss_def)",
     )
 
 
@@ -42,10 +62,25 @@ class TrainingSettings(Settings):
     learning_rate_end: float = setting(1e-7, lower=0.0, doc="learning rate at the end of the decay")
     rise_epochs: float = setting(3.0, lower=0.0, doc="length of the linear rise")
     hold_epochs: float = setting(1.0, lower=0.0, doc="time at the peak")
-    decay_epochs: float = setting(50.0, lower=0.0, doc="length of the polynomial decay")
-    decay_power: float = setting(0.5, lower=0.0, doc="exponent of (1 - e / decay_epochs)")
+    decay_epochs: float = setting(50.0, lower=0.0, doc="length of the decay")
+    decay: str = setting(
+        "polynomial", choices=("polynomial", "cosine"), doc="form of the decay; the paper's: polynomial"
+    )
+    decay_power: float = setting(0.5, lower=0.0, doc="exponent of (1 - e / decay_epochs), if polynomial")
     patience: int = setting(25, lower=1, doc="epochs without a better validation loss before stopping early")
-    seed: int = setting(0, lower=0, doc="seed of weights, shuffling and dropout")
+    average_decay: float = setting(
+        0.0,
+        lower=0.0,
+        upper=0.99999,
+        doc="average the weights over steps: weight of the old average; 0: no averaging",
+    )
+    holdback: float = setting(
+        0.0,
+        lower=0.0,
+        upper=0.5,
+        doc="part of the training data kept out of training to calibrate the uncertainty on at the end",
+    )
+    seed: int = setting(0, lower=0, doc="seed of weights, shuffling, dropout and augmentation")
     precision: str = setting("bf16", choices=("fp32", "bf16"), doc="arithmetic of the convolutional base")
     channels_last: bool = setting(True, doc="memory layout that CPU kernels prefer")
     threads: int = setting(0, lower=0, doc="CPU threads; 0: PyTorch's choice")
@@ -66,8 +101,60 @@ class TrainingSettings(Settings):
         return round(self.rise_epochs + self.hold_epochs + self.decay_epochs)
 
 
+@dataclass(frozen=True)
+class AugmentationSettings(Settings):
+    """Changes of the training images for which the right label is known; the defaults change nothing.
+
+    Lengths are in pixels of the cropped image before it is resized.
+    """
+
+    symmetry: int = setting(
+        1, lower=1, upper=12, doc="turn by a random multiple of 1/n of a circle; the TacTip's markers: 6"
+    )
+    symmetry_center: tuple[float, ...] = setting(
+        (), unit="px", lower=0.0, doc="x, y of the markers' center in the crop; []: found in the images"
+    )
+    symmetry_radius: float = setting(
+        209.0, unit="px", lower=1.0, doc="only the disk of this radius turns; what is outside stays"
+    )
+    symmetry_sense: int = setting(
+        1, choices=(-1, 1), doc="1: a turn from x to y in the image is one from x to y of the sensor"
+    )
+    symmetry_axis: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0, 0.0),
+        length=4,
+        doc="axis of the symmetry in {s}: x, y (mm) and tilt about x, y (rad); where training starts from",
+    )
+    symmetry_axis_rate: float = setting(
+        3.0, lower=0.0, doc="learning rate of the axis (in mm and 1/50 rad) by that of the weights; 0: fixed"
+    )
+    shift: float = setting(0.0, unit="px", lower=0.0, upper=50.0, doc="standard deviation of a shift in x, y")
+    turn: float = setting(0.0, unit="deg", lower=0.0, upper=10.0, doc="standard deviation of a small turn")
+    marker_dropout: float = setting(
+        0.0, lower=0.0, upper=0.5, doc="probability that a marker is painted over"
+    )
+    growth: float = setting(
+        0.0,
+        lower=0.0,
+        upper=1.0,
+        doc="probability that markers grow or shrink, as with brightness",
+    )
+    plain_epochs: float = setting(0.0, lower=0.0, doc="last epochs without any of this")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.symmetry_center) not in (0, 2):
+            raise SettingError(f"symmetry_center = {self.symmetry_center}: must be [] or [x, y]")
+
+    @property
+    def active(self) -> bool:
+        """Whether any image is changed."""
+        chances = (self.shift, self.turn, self.marker_dropout, self.growth)
+        return self.symmetry > 1 or any(chance > 0.0 for chance in chances)
+
+
 def learning_rate(epoch: float, settings: TrainingSettings) -> float:
-    """Linear rise, polynomial decay (the paper's LRPD) at a fractional epoch counted from 0."""
+    """Linear rise, then decay (the paper's LRPD, if polynomial) at a fractional epoch counted from 0."""
     start, peak, end = settings.learning_rate_start, settings.learning_rate_peak, settings.learning_rate_end
     if epoch < settings.rise_epochs:
         return start + (peak - start) * epoch / settings.rise_epochs
@@ -76,4 +163,7 @@ def learning_rate(epoch: float, settings: TrainingSettings) -> float:
         return peak
     if decayed >= settings.decay_epochs:
         return end
-    return end + (peak - end) * (1.0 - decayed / settings.decay_epochs) ** settings.decay_power
+    left = 1.0 - decayed / settings.decay_epochs
+    if settings.decay == "cosine":
+        return end + (peak - end) * 0.5 * (1.0 - math.cos(math.pi * left))
+    return end + (peak - end) * left**settings.decay_power

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_perception.dataset import DatasetWriter
 from tactile_perception.model_metadata import FRAMES, ModelMetadata
 from tactile_perception.preprocessing import PreprocessingSettings
 
@@ -57,3 +58,32 @@ def constant_model(tmp_path: Path, model_metadata) -> Callable[..., Path]:
         return path
 
     return write
+
+
+def dot_image(euler: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A camera image whose one large blob tells x, y (place) and z (size)."""
+    rows, columns = np.mgrid[:480, :640]
+    distance = np.hypot(columns - 327 - 15 * euler[0], rows - 240 - 15 * euler[1])
+    image = 40.0 + 160.0 * (distance < 20 + 12 * euler[2])
+    grid = (rows % 24 < 6) & (columns % 24 < 6)
+    return np.clip(image + 60.0 * grid + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="session")
+def dots() -> Callable[..., np.ndarray]:
+    """`dot_image`, for tests that need new images of the kind in `training_data`."""
+    return dot_image
+
+
+@pytest.fixture(scope="session")
+def training_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with 96 training and 32 validation samples of `dot_image`."""
+    folder = tmp_path_factory.mktemp("training_data")
+    rng = np.random.default_rng(0)
+    for name, count in (("train", 96), ("val", 32)):
+        writer = DatasetWriter(folder / name, PreprocessingSettings())
+        for number in range(1, count + 1):
+            euler = rng.uniform([-4, -4, 0.5, -1, -1, -1], [4, 4, 6, 1, 1, 1])
+            writer.add(number, dot_image(euler, rng), euler)
+        writer.finish()
+    return folder

@@ -1,5 +1,6 @@
 """The estimator: faulty models and answers, and the covariance of the left perturbation."""
 
+import dataclasses
 import json
 import time
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, logm
 
+from tactile_perception.calibration import Calibration
 from tactile_perception.estimator import EstimateError, Estimator, ModelError, pose_gaussian, shipped_model
 from tactile_perception.labels import NETWORK_SCALE
 from tactile_perception.preprocessing import ImageError
@@ -39,14 +41,14 @@ def test_covariance_is_that_of_the_left_perturbation():
         forward = left_perturbation(mean + step * deviation, mean)
         columns.append((forward - left_perturbation(mean - step * deviation, mean)) / (2.0 * step))
     expected = np.array(columns).T @ np.array(columns)
-    gaussian = pose_gaussian(MEAN, INVERSE_SIGMA)
+    gaussian = pose_gaussian(MEAN, np.diag(INVERSE_SIGMA**-2))
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(gaussian.cov / scale, expected / scale, rtol=0, atol=1e-6)
     np.testing.assert_allclose(gaussian.mean, expm(hat(mean)), atol=1e-12)
 
 
 def test_answer_is_in_si_units():
-    gaussian = pose_gaussian(np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]), np.full(6, 2.0))
+    gaussian = pose_gaussian(np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]), 0.25 * np.eye(6))
     assert gaussian.mean[2, 3] == pytest.approx(-0.003)
     assert gaussian.cov[2, 2] == pytest.approx(0.0005**2)
     assert gaussian.cov[5, 5] == pytest.approx(0.5**2)
@@ -54,29 +56,73 @@ def test_answer_is_in_si_units():
 
 @pytest.mark.parametrize("inverse_sigma", [np.full(6, 1e-6), np.full(6, 1e6)])
 def test_covariance_is_symmetric_and_positive_at_the_bounds_of_sigma(inverse_sigma):
-    cov = pose_gaussian(MEAN, inverse_sigma).cov
+    cov = pose_gaussian(MEAN, np.diag(inverse_sigma**-2)).cov
     np.testing.assert_array_equal(cov, cov.T)
     assert np.all(np.linalg.eigvalsh(cov) > 0.0)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("where", ["mean", "inverse_sigma"])
-def test_nan_and_infinity_are_no_estimate(bad, where):
-    values = {"mean": MEAN.copy(), "inverse_sigma": INVERSE_SIGMA.copy()}
+@pytest.mark.parametrize("where", ["mu", "inverse_sigma"])
+def test_nan_and_infinity_are_no_estimate(constant_model, bad, where):
+    values = {"mu": MEAN.copy(), "inverse_sigma": INVERSE_SIGMA.copy()}
     values[where][3] = bad
     with pytest.raises(EstimateError, match="NaN or infinity"):
-        pose_gaussian(**values)
+        Estimator(constant_model(**values)).estimate(IMAGE)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0])
-def test_a_sigma_without_an_inverse_is_no_estimate(bad):
+def test_a_sigma_without_an_inverse_is_no_estimate(constant_model, bad):
     with pytest.raises(EstimateError, match="not positive"):
-        pose_gaussian(MEAN, np.array([1.0, 1.0, bad, 1.0, 1.0, 1.0]))
+        Estimator(constant_model(inverse_sigma=[1.0, 1.0, bad, 1.0, 1.0, 1.0])).estimate(IMAGE)
+
+
+@pytest.mark.parametrize("eigenvalue", [0.0, -0.1])
+def test_a_covariance_that_is_not_positive_definite_is_no_estimate(eigenvalue):
+    covariance = np.eye(6)
+    covariance[:2, :2] = [[1.0, 1.0 - eigenvalue], [1.0 - eigenvalue, 1.0]]
+    with pytest.raises(EstimateError, match="not positive definite"):
+        pose_gaussian(MEAN, covariance)
+
+
+def test_correlations_reach_the_covariance_of_the_pose():
+    """By samples of the network's Gaussian, as left perturbations."""
+    rng = np.random.default_rng(3)
+    root = np.diag(1.0 / INVERSE_SIGMA) @ np.tril(rng.normal(size=(6, 6)) * 0.4 + np.eye(6))
+    mean = MEAN * NETWORK_SCALE
+    samples = 1e-3 * rng.normal(size=(400, 6)) @ root.T * NETWORK_SCALE
+    expected = np.cov(np.array([left_perturbation(mean + sample, mean) for sample in samples]).T)
+    given = np.cov((samples / NETWORK_SCALE).T)
+    gaussian = pose_gaussian(MEAN, given)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(gaussian.cov / scale, expected / scale, atol=1e-3)
+
+
+def test_calibration_in_the_model_file_is_applied(constant_model, model_metadata):
+    calibration = Calibration(sigma_values=tuple((np.log(factor),) for factor in (2, 3, 4, 5, 6, 7)))
+    metadata = dataclasses.replace(model_metadata(), calibration=calibration)
+    path = constant_model(MEAN, INVERSE_SIGMA, properties=metadata.to_properties())
+    estimator = Estimator(path)
+    factors = np.arange(2.0, 8.0)
+    expected = pose_gaussian(MEAN, np.diag((factors / INVERSE_SIGMA) ** 2))
+    np.testing.assert_allclose(estimator.estimate(IMAGE).cov, expected.cov, rtol=1e-5, atol=1e-12)
+    prepared = estimator.preprocessor(IMAGE)
+    ratio = (
+        estimator.predict(prepared)[1]
+        / np.eye(6).clip(1e-9)
+        / estimator.predict_uncalibrated(prepared)[1].clip(1e-9)
+    )
+    np.testing.assert_allclose(np.diag(ratio[0]), factors**2, rtol=1e-5)
+
+
+def test_a_damaged_calibration_is_refused(constant_model, model_metadata):
+    properties = model_metadata().to_properties() | {"calibration": '{"format": "other"}'}
+    with pytest.raises(ModelError, match="calibration: format is 'other'"):
+        Estimator(constant_model(properties=properties))
 
 
 def test_model_answers_reach_the_pose(constant_model):
     gaussian = Estimator(constant_model(MEAN, INVERSE_SIGMA)).estimate(IMAGE)
-    expected = pose_gaussian(MEAN, INVERSE_SIGMA)
+    expected = pose_gaussian(MEAN, np.diag(INVERSE_SIGMA**-2))
     np.testing.assert_allclose(gaussian.mean, expected.mean, atol=1e-7)
     np.testing.assert_allclose(gaussian.cov, expected.cov, rtol=1e-5, atol=1e-12)
 

@@ -61,11 +61,11 @@ def test_a_short_training_on_them_gives_a_working_estimator(tmp_path):
     pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
     pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
     from tactile_perception.estimator import Estimator
-    from tactile_perception.training.settings import GdnSettings, TrainingSettings
+    from tactile_perception.training.settings import NetworkSettings, TrainingSettings
     from tactile_perception.training.train import TrainConfig, train
 
     config = TrainConfig(
-        GdnSettings(image_size=64, channels=(8, 16, 32, 64), batch_norm_momentum=0.1),
+        NetworkSettings(image_size=64, channels=(8, 16, 32, 64), batch_norm_momentum=0.1),
         TrainingSettings(batch_size=10, rise_epochs=1, hold_epochs=3, decay_epochs=4, threads=1),
     )
     validation = open_folder(TACTIP / "val")

@@ -1,0 +1,219 @@
+"""The commands `tactile train` and `tactile ensemble`."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+
+
+def register(subparsers: Any) -> None:
+    """Add `train` and `ensemble` to argparse subparsers; each sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "train",
+        help="train a pose network on a data folder",
+        description="Train a pose network (needs PyTorch, the extra 'train'). A run that was interrupted "
+        "goes on when the same command is given again.",
+    )
+    parser.add_argument("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
+    parser.add_argument("--val", type=Path, help="validation data folder (default: DATA/val)")
+    parser.add_argument("--out", type=Path, required=True, help="new folder for the run")
+    parser.add_argument(
+        "--config", type=Path, help="YAML file with the sections network, training and augmentation"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", dest="changes",
+        help="change one setting",
+    )  # fmt: skip
+    parser.add_argument("--limit", type=int, metavar="N", help="use only N training samples")
+    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
+    parser.add_argument(
+        "--repeat", type=int, metavar="N", help="train N networks from different seeds, in OUT/seed_0 and on"
+    )
+    parser.add_argument(
+        "--processes", type=int, default=1, metavar="P", help="with --repeat: so many runs at a time"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="with --repeat: run on the workers of this Dask scheduler"
+    )
+    parser.set_defaults(run=run_train)
+    _register_ensemble(subparsers)
+
+
+def _register_ensemble(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "ensemble",
+        help="join trained networks into one model file",
+        description="Write one ONNX model that gives the mean and covariance of the mixture of several "
+        "networks. It costs as much time as all of them.",
+    )
+    parser.add_argument("runs", nargs="+", type=Path, help="run folders of `tactile train`, or ONNX files")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the ONNX file to write")
+    parser.add_argument(
+        "--data", type=Path, help="training data (as of the runs): calibrate on what the runs held back"
+    )
+    parser.set_defaults(run=run_ensemble)
+
+
+def run_train(arguments: argparse.Namespace) -> int:
+    """`tactile train`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.jobs import JobError
+    except ModuleNotFoundError as error:
+        return _missing_package(error, console)
+    try:
+        if arguments.repeat is None:
+            return _train_one(arguments)
+        return _train_many(arguments, console)
+    except (ValueError, OSError, FloatingPointError, JobError) as error:
+        console.print(f"tactile train: {error}", markup=False, style="red", soft_wrap=True)
+        return 1
+
+
+def _missing_package(error: ModuleNotFoundError, console: Console) -> int:
+    if error.name not in ("torch", "onnx"):
+        raise error
+    console.print(f"needs {error.name}: pip install 'tactile_servoing[train]'", markup=False)
+    return 2
+
+
+def _config(arguments: argparse.Namespace) -> Any:
+    from tactile_perception.training.config import TrainConfig
+
+    config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
+    return config.changed(arguments.changes)
+
+
+def _train_one(arguments: argparse.Namespace) -> int:
+    from tactile_perception.training.console import TrainingProgress
+    from tactile_perception.training.train import train
+
+    if arguments.scheduler or arguments.processes != 1:
+        raise ValueError("--processes and --scheduler spread many runs: they need --repeat N")
+    config = _config(arguments)
+    with TrainingProgress() as progress:
+        result = train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
+    if arguments.install:
+        arguments.install.write_bytes(result.model_path.read_bytes())
+    _print_result(Console(), arguments.out, result.stopped)
+    return 0
+
+
+def _print_result(console: Console, out: Path, stopped: str) -> None:
+    from tactile_perception.training.run_folder import MODEL_NAME, RunFolder
+
+    result = RunFolder(out).result()
+    table = Table(
+        title=f"epoch {result['best_epoch']} of {result['epochs']}: "
+        f"{result['loss']} {result['validation_loss']:.3f}"
+    )
+    table.add_column("component")
+    table.add_column("MAE", justify="right")
+    for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True):
+        table.add_row(name, f"{result['mae'][name]:.4f} {unit}")
+    console.print(table)
+    console.print(f"{result['minutes']:.1f} min; stopped: {stopped}", highlight=False)
+    console.print(f"run: {out} (model: {out / MODEL_NAME})", highlight=False, soft_wrap=True)
+
+
+def _train_many(arguments: argparse.Namespace, console: Console) -> int:
+    from tactile_perception.training import jobs
+
+    if arguments.repeat < 1 or arguments.processes < 1:
+        raise ValueError("--repeat and --processes must be at least 1")
+    if arguments.install:
+        raise ValueError("--install takes the model of one run: leave out --repeat")
+    runs = jobs.seed_jobs(
+        arguments.data, arguments.out, _config(arguments), arguments.repeat, arguments.val, arguments.limit
+    )
+    waiting = jobs.unfinished(runs)
+    if len(waiting) < len(runs):
+        console.print(f"{len(runs) - len(waiting)} of {len(runs)} runs are already there", highlight=False)
+    errors: list[str] = []
+
+    def tell(job: jobs.Job, error: str) -> None:
+        errors.extend([error] if error else [])
+        console.print(
+            f"{job.name}: {error}" if error else _line(job.name, job.folder.result()),
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+            style="red" if error else None,
+        )
+
+    if arguments.scheduler:
+        jobs.run_cluster(waiting, arguments.scheduler, tell)
+    elif arguments.processes > 1:
+        jobs.run_processes(waiting, arguments.processes, tell)
+    else:
+        for job in waiting:
+            _train_in_sight(job, console)
+            tell(job, "")
+    _print_repeat(Console(), arguments.out, runs)
+    return 1 if errors else 0
+
+
+def _train_in_sight(job: Any, console: Console) -> None:
+    """One of many runs, in this process and with its progress."""
+    from tactile_perception.training.console import TrainingProgress
+    from tactile_perception.training.train import train
+
+    console.print(f"{job.name}", highlight=False)
+    with TrainingProgress() as progress:
+        train(job.data, job.out, job.config, job.validation, job.limit, progress)
+
+
+def _line(name: str, result: dict[str, Any]) -> str:
+    mae = " ".join(f"{result['mae'][component]:.4f}" for component in COMPONENTS)
+    return f"{name}: {result['loss']} {result['validation_loss']:.3f}  MAE {mae}  {result['minutes']:.1f} min"
+
+
+def _print_repeat(console: Console, out: Path, runs: Sequence[Any]) -> None:
+    """Means and deviations over the finished runs, as in the paper's table, and `repeat.csv` with each."""
+    results = {job.name: job.folder.result() for job in runs if job.folder.finished}
+    if not results:
+        return
+    rows = {
+        name: [result["validation_loss"], *(result["mae"][component] for component in COMPONENTS)]
+        for name, result in results.items()
+    }
+    loss = next(iter(results.values()))["loss"]
+    units = [f"MAE {name} ({unit})" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
+    with (out / "repeat.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["run", loss, *units])
+        writer.writerows([name, *values] for name, values in rows.items())
+    values = np.array(list(rows.values()))
+    deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)
+    table = Table(title=f"{len(values)} of {len(runs)} networks, on validation data")
+    for column in ("", "mean", "deviation", "best"):
+        table.add_column(column, justify="left" if not column else "right")
+    for name, column, spread in zip([loss, *units], values.T, deviation, strict=True):
+        table.add_row(name, f"{column.mean():.4f}", f"{spread:.4f}", f"{column.min():.4f}")
+    console.print(table)
+    console.print(f"table: {out / 'repeat.csv'}", highlight=False, soft_wrap=True)
+
+
+def run_ensemble(arguments: argparse.Namespace) -> int:
+    """`tactile ensemble`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.ensemble import write_ensemble
+    except ModuleNotFoundError as error:
+        return _missing_package(error, console)
+    try:
+        path = write_ensemble(arguments.runs, arguments.out, arguments.data)
+    except (ValueError, OSError) as error:
+        console.print(f"tactile ensemble: {error}", markup=False, style="red", soft_wrap=True)
+        return 1
+    print(f"model: {path} ({len(arguments.runs)} networks, {path.stat().st_size / 1e6:.1f} MB)")
+    return 0

@@ -1,0 +1,127 @@
+"""Data of a training run in memory: training, held-back and validation samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_perception.dataset import DatasetError, TactileDataset, read_dataset
+from tactile_perception.preprocessing import Image, PreprocessingSettings
+from tactile_perception.training.augmentation import SCALE
+from tactile_perception.training.config import TrainConfig
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Images uint8 (N, size, size) and labels float64 (N, 6) in mm and rad."""
+
+    images: Image
+    labels: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def taken(self, chosen: NDArray[np.int64]) -> Samples:
+        return Samples(self.images[chosen], self.labels[chosen])
+
+
+@dataclass(frozen=True)
+class RunData:
+    """All that a run reads.
+
+    Attributes
+    ----------
+    training, held_back, validation : at the network's input size; `held_back` may be empty
+    large : the training images at SCALE times that size, for augmentation; None without it
+    preprocessing : how images become inputs of the network
+    facts : number of samples and hashes, for the model's metadata
+    report : lines on what was found in the folders
+    """
+
+    training: Samples
+    held_back: Samples
+    validation: Samples
+    large: Image | None
+    preprocessing: PreprocessingSettings
+    facts: dict[str, Any]
+    report: list[str]
+
+
+def load_data(
+    data_dir: Path,
+    validation_dir: Path | str | None,
+    config: TrainConfig,
+    limit: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> RunData:
+    """Read the folders; `DatasetError` if they cannot be used or do not fit together."""
+    train_dir, validation_dir = data_folders(data_dir, validation_dir)
+    size = config.network.image_size
+    scale = SCALE if config.augmentation.active else 1
+    training = read_dataset(train_dir, size=scale * size, limit=limit, progress=progress)
+    validation = read_dataset(validation_dir, size=size, progress=progress)
+    preprocessing = training.preprocessing.replaced(size=size)
+    if preprocessing != validation.preprocessing:
+        raise DatasetError(
+            f"{train_dir} and {validation_dir} were pre-processed differently: "
+            f"{preprocessing} and {validation.preprocessing}"
+        )
+    return arrange(training, validation, config, preprocessing)
+
+
+def arrange(
+    training: TactileDataset,
+    validation: TactileDataset,
+    config: TrainConfig,
+    preprocessing: PreprocessingSettings,
+) -> RunData:
+    """Hold samples back and reduce images to the network's size where that is still to be done."""
+    kept, held_back = split_holdback(len(training), config.training.holdback)
+    large = training.images[kept] if config.augmentation.active else None
+    samples = Samples(_reduced(training.images, preprocessing.size), training.labels)
+    facts = {
+        "samples": len(kept),
+        "held_back": len(held_back),
+        "sha256": training.sha256,
+        "validation_samples": len(validation),
+        "validation_sha256": validation.sha256,
+    }
+    return RunData(
+        training=samples.taken(kept),
+        held_back=samples.taken(held_back),
+        validation=Samples(validation.images, validation.labels),
+        large=large,
+        preprocessing=preprocessing,
+        facts=facts,
+        report=training.report.lines() + validation.report.lines(),
+    )
+
+
+def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows to train on, and rows held back; the same for every seed, so that ensembles share them."""
+    order = np.random.default_rng(0).permutation(count)
+    number = round(part * count)
+    return np.sort(order[number:]), np.sort(order[:number])
+
+
+def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Path, Path]:
+    """Training and validation folder."""
+    train_dir = data_dir / "train" if (data_dir / "train").is_dir() else data_dir
+    if validation_dir is not None:
+        return train_dir, Path(validation_dir)
+    if (data_dir / "train").is_dir() and (data_dir / "val").is_dir():
+        return train_dir, data_dir / "val"
+    raise DatasetError(f"{data_dir}: holds no train/ and val/; name the validation data with --val")
+
+
+def _reduced(images: Image, size: int) -> Image:
+    if images.shape[1] == size:
+        return images
+    shape = (size, size)
+    return np.stack([cv2.resize(image, shape, interpolation=cv2.INTER_AREA) for image in images])

@@ -1,0 +1,154 @@
+"""A deep ensemble as one model file: the Gaussian with mean and covariance of the networks' mixture."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import helper
+
+from tactile_perception.calibration import fit_calibration
+from tactile_perception.dataset import read_dataset
+from tactile_perception.estimator import Estimator
+from tactile_perception.model_metadata import (
+    COVARIANCE,
+    INPUT_NAME,
+    INVERSE_SIGMA,
+    MEAN,
+    ModelMetadata,
+)
+from tactile_perception.preprocessing import as_input
+from tactile_perception.training.data import split_holdback
+from tactile_perception.training.graph_writer import GraphWriter
+from tactile_perception.training.run_folder import MODEL_NAME
+
+
+class EnsembleError(ValueError):
+    """Networks that cannot be joined."""
+
+
+def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | str | None = None) -> Path:
+    """Join the models of run folders or ONNX files in one file with outputs `mu` and `covariance`.
+
+    mean = average of the means; covariance = average of the covariances + covariance of the means.
+
+    Parameters
+    ----------
+    data : path, optional
+        The training data of the runs; the ensemble is calibrated on what all of them held back. Without it
+        the ensemble has no calibration: those of its members do not hold for their mixture.
+
+    Raises
+    ------
+    EnsembleError, ModelError
+        Fewer than two networks, or networks of other sizes, pre-processing or data.
+    """
+    files = [Path(run) / MODEL_NAME if Path(run).is_dir() else Path(run) for run in runs]
+    if len(files) < 2:
+        raise EnsembleError("an ensemble needs at least two networks")
+    estimators = [Estimator(file) for file in files]
+    metadata = _joined_metadata(files, [estimator.metadata for estimator in estimators])
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _write(files, path, metadata)
+    if data is not None:
+        held_back = [estimator.metadata for estimator in estimators]
+        metadata = _calibrated(path, metadata, _common_holdback(files, held_back), Path(data))
+        _write(files, path, metadata)
+    return path
+
+
+def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) -> ModelMetadata:
+    first = members[0]
+    for file, member in zip(files, members, strict=True):
+        if member.preprocessing != first.preprocessing:
+            raise EnsembleError(
+                f"{file}: prepares images otherwise than {files[0]}: "
+                f"{member.preprocessing}, not {first.preprocessing}"
+            )
+    facts = [{"validation": member.validation, **member.training} for member in members]
+    return ModelMetadata(
+        preprocessing=first.preprocessing,
+        training_data=first.training_data,
+        validation={},
+        training={"members": facts},
+    )
+
+
+def _write(files: Sequence[Path], path: Path, metadata: ModelMetadata) -> None:
+    graph = GraphWriter()
+    means, covariances = [], []
+    for index, file in enumerate(files):
+        mean, covariance = _add_member(graph, onnx.load(str(file)), f"member{index}")
+        means.append(mean)
+        covariances.append(covariance)
+    count = graph.constant("members", float(len(files)))
+    graph.node("Div", [graph.node("Sum", means, "means.sum"), count], MEAN)
+    spreads = []
+    for index, mean in enumerate(means):
+        difference = graph.node("Sub", [mean, MEAN], f"difference{index}")
+        spreads.append(graph.outer(difference, difference, f"spread{index}"))
+    total = graph.node("Sum", covariances + spreads, "covariances.sum")
+    graph.node("Div", [total, count], COVARIANCE)
+    model = graph.model(metadata.preprocessing.size, (MEAN, COVARIANCE))
+    helper.set_model_props(model, metadata.to_properties())
+    onnx.checker.check_model(model)
+    temporary = path.with_suffix(".tmp")
+    onnx.save_model(model, str(temporary))
+    temporary.replace(path)
+
+
+def _add_member(graph: GraphWriter, model: onnx.ModelProto, prefix: str) -> tuple[str, str]:
+    """Add a model's nodes under new names; names of its mean and of its covariance (N, 6, 6)."""
+
+    def renamed(name: str) -> str:
+        return name if name in ("", INPUT_NAME) else f"{prefix}.{name}"
+
+    for constant in model.graph.initializer:
+        constant.name = renamed(constant.name)
+        graph.constants.append(constant)
+    for node in model.graph.node:
+        node.name = renamed(node.name)
+        node.input[:] = [renamed(name) for name in node.input]
+        node.output[:] = [renamed(name) for name in node.output]
+        graph.nodes.append(node)
+    outputs = [output.name for output in model.graph.output]
+    if COVARIANCE in outputs:
+        return renamed(MEAN), renamed(COVARIANCE)
+    inverse = renamed(INVERSE_SIGMA)
+    squared = graph.node("Mul", [inverse, inverse], f"{prefix}.precision")
+    variance = graph.node("Reciprocal", [squared], f"{prefix}.variance")
+    return renamed(MEAN), graph.diagonal(variance, f"{prefix}.diagonal")
+
+
+def _common_holdback(files: Sequence[Path], members: Sequence[ModelMetadata]) -> float:
+    """The part of the training data that none of the members has seen."""
+    parts = []
+    for file, member in zip(files, members, strict=True):
+        part = member.training.get("training", {}).get("holdback", 0.0)
+        if part == 0.0:
+            raise EnsembleError(
+                f"{file}: was trained on all of its data, so that nothing is left to calibrate on; "
+                "train with training.holdback, or leave out --data"
+            )
+        if member.training_data.get("sha256") != members[0].training_data.get("sha256"):
+            raise EnsembleError(f"{file}: was trained on other data than {files[0]}")
+        parts.append(float(part))
+    # The held-back samples of a smaller part are among those of a larger one.
+    return min(parts)
+
+
+def _calibrated(path: Path, metadata: ModelMetadata, holdback: float, data: Path) -> ModelMetadata:
+    train_dir = data / "train" if (data / "train").is_dir() else data
+    samples = read_dataset(train_dir, size=metadata.preprocessing.size)
+    if samples.sha256 != metadata.training_data.get("sha256"):
+        raise EnsembleError(f"{train_dir}: is not what the networks were trained on")
+    _, chosen = split_holdback(len(samples), holdback)
+    estimator = Estimator(path)
+    answers = [estimator.predict_uncalibrated(as_input(samples.images[i])) for i in chosen]
+    mean, covariance = (np.concatenate(parts) for parts in zip(*answers, strict=True))
+    calibration = fit_calibration(samples.labels[chosen], mean, covariance)
+    return dataclasses.replace(metadata, calibration=calibration)

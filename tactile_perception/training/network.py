@@ -1,0 +1,157 @@
+"""The pose networks: a convolutional base and a head of single outputs with a dropout each."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from tactile_perception.training.heads import Head, make_head
+from tactile_perception.training.settings import NetworkSettings
+
+
+class ConvBlock(nn.Sequential):
+    """3x3 convolution, batch normalization, ReLU, 2x2 max-pooling: halves the image's side.
+
+    The maximum commutes with ReLU, so pooling comes first and ReLU works on a quarter of the values. The
+    normalization makes a bias of the convolution redundant.
+    """
+
+    def __init__(self, inputs: int, outputs: int, momentum: float) -> None:
+        super().__init__(
+            nn.Conv2d(inputs, outputs, kernel_size=3, padding=1, bias=False),
+            nn.BatchNorm2d(outputs, momentum=momentum),
+            nn.MaxPool2d(2),
+            nn.ReLU(inplace=True),
+        )
+
+
+class FirstBlock(ConvBlock):
+    """A ConvBlock on the image that normalizes without touching its largest feature map.
+
+    Mean and variance of a convolution's output follow from mean and covariance of the patches of its input:
+    with one channel in, far less work than from the output. The normalization then is part of the
+    convolution's weights: the same numbers and gradients. A stride s convolves with 3s x 3s pixels.
+    """
+
+    def __init__(self, stride: int, outputs: int, momentum: float) -> None:
+        super().__init__(stride * stride, outputs, momentum)
+        self.stride = stride
+
+    def forward(self, images: Tensor) -> Tensor:
+        if self.stride > 1:
+            images = functional.pixel_unshuffle(images, self.stride)
+        if not self.training:
+            return super().forward(images)
+        convolution, norm = self[0], self[1]
+        assert isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d)
+        with torch.autocast(images.device.type, enabled=False):
+            kernels = convolution.weight.flatten(1)
+            mean, covariance = patch_moments(images)
+            output_mean = kernels @ mean
+            output_variance = ((kernels @ covariance) * kernels).sum(dim=1)
+            count = images.numel() // images.shape[1]
+            _update_statistics(norm, output_mean, output_variance, count)
+            scale = norm.weight * torch.rsqrt(output_variance + norm.eps)
+            weight = convolution.weight * scale[:, None, None, None]
+            bias = norm.bias - output_mean * scale
+        pooled = self[2](functional.conv2d(images, weight, bias, padding=1))
+        result: Tensor = self[3](pooled)
+        return result
+
+
+@torch.no_grad()
+def patch_moments(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (9 C,) and covariance (9 C, 9 C) of the zero-padded 3x3 patches of images (N, C, H, W).
+
+    The order within a patch is that of a convolution's flattened weights.
+    """
+    rows, columns = images.shape[2:]
+    padded = functional.pad(images, (1, 1, 1, 1))
+    patches = torch.stack(
+        [
+            padded[:, channel, i : i + rows, j : j + columns].reshape(-1)
+            for channel in range(images.shape[1])
+            for i in range(3)
+            for j in range(3)
+        ]
+    )
+    mean = patches.mean(dim=1)
+    second = patches @ patches.T / patches.shape[1]
+    return mean, second - torch.outer(mean, mean)
+
+
+@torch.no_grad()
+def _update_statistics(norm: nn.BatchNorm2d, mean: Tensor, variance: Tensor, count: int) -> None:
+    assert norm.running_mean is not None and norm.running_var is not None and norm.momentum is not None
+    norm.running_mean.lerp_(mean, norm.momentum)
+    norm.running_var.lerp_(variance * (count / (count - 1.0)), norm.momentum)
+    assert norm.num_batches_tracked is not None
+    norm.num_batches_tracked += 1
+
+
+class MultiDropoutLinear(nn.Module):
+    """One dropout layer and one single-output linear layer per output (the paper's multi-dropout).
+
+    The layer computes gain * weight x + bias. One step of Adam moves every weight by the learning rate, and
+    with thousands of positive features the outputs by several millimeters; the gain takes that back, and the
+    weights start from zero, so that training does not have to recover from its first steps.
+    """
+
+    def __init__(self, features: int, dropouts: tuple[float, ...], gain: float = 1.0) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.zeros(len(dropouts), features))
+        self.bias = nn.Parameter(torch.zeros(len(dropouts)))
+        self.dropouts = dropouts
+        self.gain = gain
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(N, features) -> (N, outputs)."""
+        if not self.training:
+            return functional.linear(features, self.gain * self.weight, self.bias)
+        features = self.gain * features
+        outputs = [
+            functional.dropout(features, p) @ self.weight[j] if p > 0.0 else features @ self.weight[j]
+            for j, p in enumerate(self.dropouts)
+        ]
+        return torch.stack(outputs, dim=1) + self.bias
+
+
+class PoseNetwork(nn.Module):
+    """Image -> what the head needs to tell mean and covariance of xi_sf (mm, rad).
+
+    `forward` takes float (N, 1, size, size) in [0, 1] and returns float32 (N, head.outputs).
+    """
+
+    def __init__(self, settings: NetworkSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        self.distribution: Head = make_head(settings)
+        momentum = settings.batch_norm_momentum
+        blocks = [ConvBlock(a, b, momentum) for a, b in pairwise(settings.channels)]
+        self.base = nn.Sequential(FirstBlock(settings.first_stride, settings.channels[0], momentum), *blocks)
+        side = settings.image_size // settings.first_stride // 2 ** len(settings.channels)
+        if side < 1:
+            raise ValueError(
+                f"{len(settings.channels)} blocks halve an image of {settings.image_size} pixels to nothing"
+            )
+        if settings.image_size % settings.first_stride:
+            raise ValueError(
+                f"image_size = {settings.image_size}: must be a multiple of "
+                f"first_stride = {settings.first_stride}"
+            )
+        features = settings.channels[-1] * side * side
+        self.head = MultiDropoutLinear(features, self.distribution.dropouts, settings.head_gain)
+
+    def start_from(self, labels: Tensor) -> None:
+        """Let the untrained network answer with the labels' own mean and deviation; labels (N, 6)."""
+        with torch.no_grad():
+            self.head.bias.copy_(self.distribution.start(labels.mean(dim=0), labels.std(dim=0)))
+
+    def forward(self, images: Tensor) -> Tensor:
+        features = self.base(images).flatten(1)
+        with torch.autocast(features.device.type, enabled=False):
+            outputs: Tensor = self.head(features.float())
+            return outputs

@@ -1,0 +1,196 @@
+"""The folder of a training run: configuration, table and curves of the epochs, state, result."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import yaml
+from numpy.typing import NDArray
+
+from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.training.config import TrainConfig
+
+CONFIG_NAME = "config.yaml"
+DATA_NAME = "data.txt"
+FACTS_NAME = "data.json"
+EPOCHS_NAME = "epochs.csv"
+CURVES_NAME = "curves.png"
+BEST_NAME = "best.pt"
+STATE_NAME = "state.pt"
+MODEL_NAME = "model.onnx"
+RESULT_NAME = "result.json"
+#: Settings that may change when a run is resumed.
+_NO_RESULT = {"threads", "max_minutes"}
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """Result of one epoch; `mae` (6,) in mm and rad on the validation data.
+
+    `seconds_left` is what the rest of the schedule was then expected to take.
+    """
+
+    number: int
+    learning_rate: float
+    train_loss: float
+    validation_loss: float
+    mae: NDArray[np.float64]
+    seconds: float
+    best: bool
+    seconds_left: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """Result of a run: the best epoch's model and what became of each epoch."""
+
+    model_path: Path
+    best: Epoch
+    epochs: list[Epoch]
+    stopped: str
+    minutes: float
+
+
+class RunFolder:
+    """Reads and writes the files of one run. Each is whole at any moment: a kill loses at most an epoch."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+
+    def file(self, name: str) -> Path:
+        return self.path / name
+
+    @property
+    def finished(self) -> bool:
+        return self.file(RESULT_NAME).exists()
+
+    def open(self, config: TrainConfig, data: dict[str, Any]) -> bool:
+        """Make the folder, or find in it a run of the same configuration and data; True: it can be resumed.
+
+        Raises
+        ------
+        FileExistsError
+            If it holds a finished run, or one that was started differently.
+        """
+        if self.finished:
+            raise FileExistsError(f"{self.path}: holds another run; remove it or choose another folder")
+        self.path.mkdir(parents=True, exist_ok=True)
+        if self.file(CONFIG_NAME).exists():
+            self.check_same(config, data)
+            return self.file(STATE_NAME).exists()
+        _write(self.file(FACTS_NAME), json.dumps(data, indent=2) + "\n")
+        _write(self.file(CONFIG_NAME), yaml.safe_dump(config.plain(), sort_keys=False))
+        return False
+
+    def check_same(self, config: TrainConfig, data: dict[str, Any] | None = None) -> None:
+        """`FileExistsError` unless the run here was started with this configuration (and these data)."""
+        found, wanted = yaml.safe_load(self.file(CONFIG_NAME).read_text()), config.plain()
+        if data is not None and isinstance(found, dict):
+            found["data"], wanted["data"] = json.loads(self.file(FACTS_NAME).read_text()), data
+        difference = _difference(found, wanted)
+        if difference:
+            raise FileExistsError(
+                f"{self.path}: holds another run that was started with {difference}; "
+                "remove it, choose another folder, or ask for the same to resume it"
+            )
+
+    def save_state(self, state: dict[str, Any]) -> None:
+        """Keep what a resumed run needs."""
+        _save(self.file(STATE_NAME), state)
+
+    def load_state(self) -> dict[str, Any]:
+        state: dict[str, Any] = torch.load(self.file(STATE_NAME), map_location="cpu", weights_only=False)
+        return state
+
+    def save_best(self, weights: dict[str, torch.Tensor]) -> None:
+        _save(self.file(BEST_NAME), weights)
+
+    def load_best(self) -> dict[str, torch.Tensor]:
+        weights: dict[str, torch.Tensor] = torch.load(
+            self.file(BEST_NAME), map_location="cpu", weights_only=True
+        )
+        return weights
+
+    def write_epochs(self, epochs: list[Epoch], loss_name: str) -> None:
+        """`epochs.csv`: one line an epoch."""
+        units = [f"mae_{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
+        loss = loss_name.replace(" ", "_")
+        head = ["epoch", "learning_rate", f"train_{loss}", f"validation_{loss}", *units, "seconds"]
+        lines = [",".join([*head, "seconds_left"])]
+        for epoch in epochs:
+            values = [epoch.learning_rate, epoch.train_loss, epoch.validation_loss, *epoch.mae]
+            values += [epoch.seconds, epoch.seconds_left]
+            lines.append(",".join([str(epoch.number + 1), *(f"{value:.6g}" for value in values)]))
+        _write(self.file(EPOCHS_NAME), "\n".join(lines) + "\n")
+
+    def finish(self, result: TrainResult, loss_name: str, validation: dict[str, Any]) -> None:
+        """Curves and `result.json`, whose presence says that the run is complete."""
+        draw_curves(self.file(CURVES_NAME), result.epochs, loss_name)
+        values = {
+            "best_epoch": result.best.number + 1,
+            "epochs": len(result.epochs),
+            "loss": loss_name,
+            **validation,
+            "stopped": result.stopped,
+            "minutes": result.minutes,
+        }
+        _write(self.file(RESULT_NAME), json.dumps(values, indent=2) + "\n")
+        self.file(STATE_NAME).unlink(missing_ok=True)
+
+    def result(self) -> dict[str, Any]:
+        """`result.json` of a finished run."""
+        values: dict[str, Any] = json.loads(self.file(RESULT_NAME).read_text())
+        return values
+
+
+def _difference(found: Any, wanted: dict[str, dict[str, Any]]) -> str:
+    """The first value that differs, in words; empty if none does."""
+    if not isinstance(found, dict):
+        return "an unreadable configuration"
+    for section, values in wanted.items():
+        old = found.get(section) or {}
+        for name in sorted({*old, *values} - _NO_RESULT):
+            if old.get(name) != values.get(name):
+                return f"{section}.{name} = {old.get(name)}, not {values.get(name)}"
+    return ""
+
+
+def _save(path: Path, value: Any) -> None:
+    temporary = path.with_suffix(".tmp")
+    torch.save(value, temporary)
+    temporary.replace(path)
+
+
+def _write(path: Path, text: str) -> None:
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(text)
+    temporary.replace(path)
+
+
+def draw_curves(path: Path, epochs: list[Epoch], loss_name: str) -> None:
+    """Loss and MAE over the epochs."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    loss, translation, rotation = figure.subplots(1, 3)
+    number = [epoch.number + 1 for epoch in epochs]
+    loss.plot(number, [epoch.train_loss for epoch in epochs], label="training (with dropout)")
+    loss.plot(number, [epoch.validation_loss for epoch in epochs], label="validation")
+    loss.set(xlabel="epoch", ylabel=loss_name)
+    mae = np.array([epoch.mae for epoch in epochs])
+    for component, name in enumerate(COMPONENTS):
+        axes = translation if component < 3 else rotation
+        axes.plot(number, mae[:, component], label=name)
+    translation.set(xlabel="epoch", ylabel="validation MAE (mm)", yscale="log")
+    rotation.set(xlabel="epoch", ylabel="validation MAE (rad)", yscale="log")
+    for axes in (loss, translation, rotation):
+        axes.legend()
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
