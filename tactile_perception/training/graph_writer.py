@@ -148,8 +148,8 @@ def _write_full(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:
     for even, name in ((second, "inverse.2"), (fourth, "inverse.4")):
         factor = graph.node("Add", [identity, even], f"{name}.factor")
         first = graph.node("MatMul", [first, factor], name)
-    column = graph.reshape(inverse_sigma, (-1, OUTPUTS, 1), "conditional.column")
-    root = graph.node("Div", [first, column], "root")
+    scale = graph.reshape(inverse_sigma, (-1, OUTPUTS, 1), "conditional.column")
+    root = graph.node("Div", [first, scale], "root")
     transposed = graph.node("Transpose", [root], "root.transposed", perm=[0, 2, 1])
     return graph.node("MatMul", [root, transposed], COVARIANCE)
 
