@@ -167,8 +167,8 @@ def evaluate(
         calibration, source = Calibration(), ""
         if model.has_uncertainty and calibration_data is not None and held_back is not None:
             calibration, source = _fitted(calibration_data, held_back[index])
-        elif model.has_uncertainty and not stored_calibration(model).is_identity:
-            calibration, source = stored_calibration(model), "model file"
+        elif model.has_uncertainty:
+            calibration, source = model.metadata.calibration, "model file"
         results.append(assess(model.name, model.kind, data, predictions[index], calibration, source))
     if ensemble:
         results += _ensembles(data, models, predictions, results, calibration_data, held_back)
@@ -189,11 +189,6 @@ def _check_calibration_data(data: EvaluationData, models: Sequence[Model], chose
 def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:
     """A model's own predictions for all samples of the data."""
     return model.predict(data.images[model.metadata.preprocessing], progress)
-
-
-def stored_calibration(model: Model) -> Calibration:
-    """The calibration in the model file; the identity if there is none."""
-    return getattr(model.metadata, "calibration", None) or Calibration()
 
 
 def assess(

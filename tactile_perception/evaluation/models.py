@@ -8,14 +8,14 @@ import string
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
-from tactile_perception.estimator import ModelError
+from tactile_perception.estimator import Estimator, ModelError
 from tactile_perception.evaluation.predictions import Predictions
-from tactile_perception.model_metadata import INPUT_NAME, MetadataError, ModelMetadata
+from tactile_perception.model_metadata import ModelMetadata
 from tactile_perception.preprocessing import as_input
 
 MODEL_NAME = "model.onnx"
@@ -25,9 +25,9 @@ KINDS = {
     "gaussian": "GDN",
     "full_gaussian": "GDN with full covariance",
     "mixture": "GDN of two Gaussians",
+    "ensemble": "ensemble",
 }
 _BATCH = 50
-_MEAN, _INVERSE_SIGMA, _COVARIANCE = "mu", "inverse_sigma", "covariance"
 #: Settings in which models of one group may differ: chance, and what concerns speed only.
 _NOT_TOLD = ("training.seed", "training.threads", "training.max_minutes", "training.precision")
 #: More differences than these do not fit over a column.
@@ -45,21 +45,18 @@ class Model:
     """
 
     name: str
-    path: Path
     kind: str
-    metadata: ModelMetadata
-    session: onnxruntime.InferenceSession
+    estimator: Estimator
 
     @property
-    def outputs(self) -> list[str]:
-        """Names of what it gives: the mean and, if it has any, its uncertainty."""
-        names = [output.name for output in self.session.get_outputs()]
-        return [name for name in (_MEAN, _INVERSE_SIGMA, _COVARIANCE) if name in names]
+    def metadata(self) -> ModelMetadata:
+        """What the model file says about itself."""
+        return self.estimator.metadata
 
     @property
     def has_uncertainty(self) -> bool:
-        """Whether it says how wrong it may be."""
-        return len(self.outputs) > 1
+        """Whether it says of each image how wrong it may be."""
+        return self.metadata.head != "mse"
 
     def predict(
         self, images: NDArray[np.uint8], progress: Callable[[int], None] | None = None
@@ -69,34 +66,27 @@ class Model:
         Raises
         ------
         ModelError
-            If an answer is not finite, or has no positive standard deviations.
+            If an answer is not finite, or has no positive definite covariance.
         """
-        parts: list[list[NDArray[np.float32]]] = []
+        parts = []
         for start in range(0, len(images), _BATCH):
             batch = as_input(images[start : start + _BATCH])
-            parts.append(self.session.run(self.outputs, {INPUT_NAME: batch}))
+            parts.append(self.estimator.predict_uncalibrated(batch))
             if progress is not None:
                 progress(len(batch))
-        columns = [np.concatenate(column).astype(np.float64) for column in zip(*parts, strict=True)]
-        answers = dict(zip(self.outputs, columns, strict=True))
-        if _INVERSE_SIGMA in answers:
-            self._check(answers[_INVERSE_SIGMA], _INVERSE_SIGMA, positive=True)
-            predictions = Predictions.from_inverse_sigma(answers[_MEAN], answers[_INVERSE_SIGMA])
-        else:
-            predictions = Predictions(answers[_MEAN], answers.get(_COVARIANCE))
-        self._check(predictions.mean, _MEAN)
-        if predictions.cov is not None:
-            eigenvalues = np.linalg.eigvalsh(predictions.cov).astype(np.float64)
-            self._check(eigenvalues, "eigenvalues of the covariance", positive=True)
-        return predictions
+        mean, cov = (np.concatenate(column) for column in zip(*parts, strict=True))
+        self._check(mean, "mu")
+        self._check(cov.reshape(len(cov), -1), "covariance")
+        self._check(np.linalg.eigvalsh(cov), "eigenvalues of the covariance", positive=True)
+        return Predictions(mean, cov if self.has_uncertainty else None)
 
-    def _check(self, array: NDArray[np.float64], what: str, positive: bool = False) -> None:
+    def _check(self, array: NDArray[Any], what: str, positive: bool = False) -> None:
         usable = np.isfinite(array) & (array > 0.0) if positive else np.isfinite(array)
         wrong = np.flatnonzero(~usable.all(axis=1))
         if len(wrong):
             raise ModelError(
-                f"{self.path}: {what} = {array[wrong[0]]} for image {wrong[0]} ({len(wrong)} such images); "
-                f"must be finite{' and positive' if positive else ''}"
+                f"{self.estimator.path}: {what} = {array[wrong[0]]} for image {wrong[0]} "
+                f"({len(wrong)} such images); must be finite{' and positive' if positive else ''}"
             )
 
 
@@ -114,8 +104,9 @@ def open_models(runs: Sequence[Path | str], threads: int = 0) -> list[Model]:
         Naming the file or folder, what is wrong and what would be right.
     """
     paths = [path for run in runs for path in _model_paths(Path(run))]
-    names = _names(paths)
-    return _with_kinds([_open(path, name, threads) for path, name in zip(paths, names, strict=True)])
+    opened = [Estimator(path, threads or os.cpu_count() or 1) for path in paths]
+    kinds = [KINDS.get(estimator.metadata.head, estimator.metadata.head) for estimator in opened]
+    return _with_kinds([Model(*parts) for parts in zip(_names(paths), kinds, opened, strict=True)])
 
 
 def _with_kinds(models: list[Model]) -> list[Model]:
@@ -163,22 +154,3 @@ def _names(paths: Sequence[Path]) -> list[str]:
     """Short names that tell the models apart: of the run's folder, else of the file, else the whole path."""
     short = [path.parent.name if path.name == MODEL_NAME else path.stem for path in map(Path.absolute, paths)]
     return [name if short.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
-
-
-def _open(path: Path, name: str, threads: int) -> Model:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads or os.cpu_count() or 1
-    options.log_severity_level = 3
-    try:
-        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions share no base class of their own
-        raise ModelError(f"{path}: is not a usable ONNX model: {error}") from error
-    try:
-        metadata = ModelMetadata.from_properties(session.get_modelmeta().custom_metadata_map)
-    except MetadataError as error:
-        raise ModelError(f"{path}: {error}") from error
-    names = [output.name for output in session.get_outputs()]
-    if _MEAN not in names:
-        raise ModelError(f"{path}: has the outputs {', '.join(names)}; must have {_MEAN}")
-    head = metadata.training.get("network", {}).get("head", "gaussian" if len(names) > 1 else "mse")
-    return Model(name, path, KINDS.get(head, head), metadata, session)
