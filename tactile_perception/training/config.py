@@ -10,6 +10,7 @@ from typing import Any
 
 from tactile_filter.settings import SettingError, Settings, unknown_name
 from tactile_filter.yaml_file import read_yaml
+from tactile_perception.calibration import CalibrationSettings
 from tactile_perception.command_settings import name_and_value
 from tactile_perception.training.settings import AugmentationSettings, NetworkSettings, TrainingSettings
 
@@ -17,6 +18,7 @@ SECTIONS: dict[str, type[Settings]] = {
     "network": NetworkSettings,
     "training": TrainingSettings,
     "augmentation": AugmentationSettings,
+    "calibration": CalibrationSettings,
 }
 
 
@@ -27,6 +29,7 @@ class TrainConfig:
     network: NetworkSettings = field(default_factory=NetworkSettings)
     training: TrainingSettings = field(default_factory=TrainingSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
 
     @classmethod
     def from_file(cls, path: Path | str) -> TrainConfig:
@@ -37,6 +40,7 @@ class TrainConfig:
             network=root.settings("network", NetworkSettings),
             training=root.settings("training", TrainingSettings),
             augmentation=root.settings("augmentation", AugmentationSettings),
+            calibration=root.settings("calibration", CalibrationSettings),
         )
 
     @classmethod

@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 from onnx import helper
 
-from tactile_perception.calibration import fit_calibration
+from tactile_perception.calibration import CalibrationSettings, fit_calibration
 from tactile_perception.dataset import read_dataset
 from tactile_perception.estimator import Estimator
 from tactile_perception.model_metadata import (
@@ -56,7 +56,9 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
     _write(files, path, metadata)
     if data is not None:
         held_back = [estimator.metadata for estimator in estimators]
-        metadata = _calibrated(path, metadata, _common_holdback(files, held_back), Path(data))
+        holdback = _common_holdback(files, held_back)
+        settings = CalibrationSettings.from_mapping(held_back[0].training.get("calibration", {}))
+        metadata = _calibrated(path, metadata, holdback, Path(data), settings)
         _write(files, path, metadata)
     return path
 
@@ -141,7 +143,9 @@ def _common_holdback(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
     return min(parts)
 
 
-def _calibrated(path: Path, metadata: ModelMetadata, holdback: float, data: Path) -> ModelMetadata:
+def _calibrated(
+    path: Path, metadata: ModelMetadata, holdback: float, data: Path, settings: CalibrationSettings
+) -> ModelMetadata:
     train_dir = data / "train" if (data / "train").is_dir() else data
     samples = read_dataset(train_dir, size=metadata.preprocessing.size)
     if samples.sha256 != metadata.training_data.get("sha256"):
@@ -150,5 +154,5 @@ def _calibrated(path: Path, metadata: ModelMetadata, holdback: float, data: Path
     estimator = Estimator(path)
     answers = [estimator.predict_uncalibrated(as_input(samples.images[i])) for i in chosen]
     mean, covariance = (np.concatenate(parts) for parts in zip(*answers, strict=True))
-    calibration = fit_calibration(samples.labels[chosen], mean, covariance)
+    calibration = fit_calibration(samples.labels[chosen], mean, covariance, settings)
     return dataclasses.replace(metadata, calibration=calibration)

@@ -230,7 +230,7 @@ class _Run:
         raw = self.answers(held_back)
         head = self.network.distribution
         mean, covariance = head.mean(raw).double().numpy(), head.covariance(raw).double().numpy()
-        return fit_calibration(held_back.labels, mean, covariance)
+        return fit_calibration(held_back.labels, mean, covariance, self.config.calibration)
 
     def _constant_sigma(self) -> NDArray[np.float64] | None:
         """RMS errors (6,) of a network without uncertainty, on held-back or else on validation data."""
