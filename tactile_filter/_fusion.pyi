@@ -1,7 +1,10 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_filter.fusion_result import FusionResult
+
 Array = NDArray[np.float64]
+AnyArray = NDArray[np.floating]
 
 def exp(xi: ArrayLike, /) -> Array: ...
 def log(T: ArrayLike, /) -> Array: ...
@@ -26,5 +29,21 @@ def fuse(
     iterations: int,
     order: int,
     /,
-) -> tuple | int: ...
+) -> FusionResult | int: ...
 def check(mean: ArrayLike, cov: ArrayLike, /) -> int: ...
+def fuse_batch(
+    mean_1: AnyArray,
+    cov_1: AnyArray,
+    mean_2: AnyArray,
+    cov_2: AnyArray,
+    mean: AnyArray,
+    cov: AnyArray,
+    factor: AnyArray,
+    step: AnyArray,
+    status: NDArray[np.int32],
+    iterations: int,
+    order: int,
+    /,
+) -> tuple[int, int] | None: ...
+def set_result_type(result: type, statuses: tuple, /) -> None: ...
+def instruction_set(name: str = ..., /) -> str: ...

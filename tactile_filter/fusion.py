@@ -9,18 +9,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter.fusion_result import FusionError, FusionResult, FusionStatus
+from tactile_filter.fusion_result import FusionBatch, FusionError, FusionResult, FusionStatus
 from tactile_filter.native import _fusion
 from tactile_filter.settings import unknown_name
 
 __all__ = [
     "JACOBIAN_ORDERS",
     "MODES",
+    "FusionBatch",
     "FusionError",
     "FusionResult",
     "FusionStatus",
     "check_gaussian",
     "fuse",
+    "fuse_batch",
 ]
 
 # Mode -> its number of iterations and its Jacobian order.
@@ -28,7 +30,6 @@ MODES: dict[str, tuple[int, int | str]] = {"paper": (5, 2), "fast": (3, "exact")
 JACOBIAN_ORDERS: dict[int | str, int] = {2: 2, 4: 4, "exact": 0}
 
 _TO_CONVERGENCE = -1
-_STATUS = tuple(FusionStatus)
 _INPUTS = ("mean_1", "cov_1", "mean_2", "cov_2")
 
 
@@ -76,8 +77,50 @@ def fuse(
     answer = _fusion.fuse(mean_1, cov_1, mean_2, cov_2, count, order)
     if isinstance(answer, int):
         raise FusionError(_fault(answer, (mean_1, cov_1, mean_2, cov_2)))
-    mean, cov, factor, taken, status, step = answer
-    return FusionResult(mean, cov, factor, taken, _STATUS[status], step)
+    return answer
+
+
+def fuse_batch(
+    mean_1: ArrayLike,
+    cov_1: ArrayLike,
+    mean_2: ArrayLike,
+    cov_2: ArrayLike,
+    mode: str = "paper",
+    *,
+    iterations: int | None = None,
+    jacobian_order: int | str | None = None,
+) -> FusionBatch:
+    """As `fuse`, for N pairs side by side: several times faster than one by one, and the same to the bit.
+
+    Parameters
+    ----------
+    mean_1, mean_2 : (N, 4, 4)
+    cov_1, cov_2 : (N, 6, 6)
+        All four float32: the fusion works with that precision. Otherwise with float64.
+
+    Raises
+    ------
+    FusionError
+        Naming the first pair that cannot be fused, as ``cov_2[17]: ...``; none is answered then.
+    ValueError
+        If an array has the wrong shape or an option is unknown.
+    """
+    count, order = _plan(mode, iterations, jacobian_order)
+    arrays = [np.asarray(value) for value in (mean_1, cov_1, mean_2, cov_2)]
+    dtype = np.float32 if all(array.dtype == np.float32 for array in arrays) else np.float64
+    number = len(arrays[0]) if arrays[0].ndim else 0
+    for array, name, size in zip(arrays, _INPUTS, (4, 6, 4, 6), strict=True):
+        if array.shape != (number, size, size):
+            raise ValueError(f"{name}: must have shape ({number}, {size}, {size}), has {array.shape}")
+    X_1, S_1, X_2, S_2 = (np.ascontiguousarray(array, dtype=dtype) for array in arrays)
+    mean, cov, factor, step = (np.empty((number, *shape), dtype) for shape in ((4, 4), (6, 6), (6, 6), ()))
+    status = np.empty(number, dtype=np.int32)
+    fault = _fusion.fuse_batch(X_1, S_1, X_2, S_2, mean, cov, factor, step, status, count, order)
+    if fault is not None:
+        at, code = fault
+        names = tuple(f"{name}[{at}]" for name in _INPUTS)
+        raise FusionError(_fault(code, tuple(array[at] for array in arrays), names, f"pair {at}: "))
+    return FusionBatch(mean, cov, factor, status, step)
 
 
 def check_gaussian(mean: ArrayLike, cov: ArrayLike, name: str) -> None:
@@ -105,16 +148,17 @@ def _plan(mode: str, iterations: int | None, jacobian_order: int | str | None) -
     return count, JACOBIAN_ORDERS[order]
 
 
+_fusion.set_result_type(FusionResult, tuple(FusionStatus))
 _PLANS = {mode: _plan(mode, None, None) for mode in MODES}
 
 
-def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _INPUTS) -> str:
+def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _INPUTS, pair: str = "") -> str:
     """What is wrong with the argument that `_fusion.fuse` has refused."""
     index, lack = divmod(code, 16)
     if lack == 5:
         return (
-            "the two covariances cannot be combined in double precision: their ratio, or the separation of "
-            "the means in standard deviations, is too large"
+            f"{pair}the two covariances cannot be combined in double precision: their ratio, or the "
+            "separation of the means in standard deviations, is too large"
         )
     name, matrix = names[index], np.asarray(inputs[index], dtype=np.float64)
     return f"{name}: {_covariance_fault(matrix) if lack == 4 else _pose_fault(matrix)}"

@@ -58,3 +58,23 @@ class FusionResult(NamedTuple):
     iterations: int
     status: FusionStatus
     step: float
+
+
+class FusionBatch(NamedTuple):
+    """Many fused Gaussians, one a row.
+
+    Attributes
+    ----------
+    mean : (N, 4, 4) poses
+    cov, factor : (N, 6, 6)
+        As in `FusionResult`.
+    status : (N,) int32
+        Values of `FusionStatus`.
+    step : (N,)
+    """
+
+    mean: NDArray[np.floating]
+    cov: NDArray[np.floating]
+    factor: NDArray[np.floating]
+    status: NDArray[np.int32]
+    step: NDArray[np.floating]

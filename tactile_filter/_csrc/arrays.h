@@ -62,6 +62,20 @@ static inline int read_array(double* res, PyObject* arg, npy_intp rows, npy_intp
 }
 
 
+// the elements of an argument of this shape: where they lie, or in the buffer if it has to be converted; valid as
+// long as the argument; NULL with an error set
+static inline const double* borrow_array(double* buffer, PyObject* arg, npy_intp rows, npy_intp columns,
+                                         const char* name) {
+  if (PyArray_CheckExact(arg)) {
+    PyArrayObject* array = (PyArrayObject*)arg;
+    if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array) && has_shape(array, rows, columns)) {
+      return PyArray_DATA(array);
+    }
+  }
+  return read_array(buffer, arg, rows, columns, name) ? buffer : NULL;
+}
+
+
 // as read_array; not finite is an error, too
 static inline int read_finite(double* res, PyObject* arg, npy_intp rows, npy_intp columns, const char* name) {
   if (!read_array(res, arg, rows, columns, name)) {

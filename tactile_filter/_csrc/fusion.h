@@ -3,27 +3,30 @@
 #ifndef TACTILE_FUSION_H_
 #define TACTILE_FUSION_H_
 
-#include "se3.h"
+#include <stdint.h>
 
-// how a fusion ended (FusionStatus in fusion_result.py), or what an input lacks
+// order of the inverse Jacobian's series; EXACT is the closed form, TO_CONVERGENCE that and the mode "exact"
+enum { TO_CONVERGENCE = -1, JACOBIAN_EXACT = 0, JACOBIAN_ORDER_2 = 2, JACOBIAN_ORDER_4 = 4 };
+
+// how a fusion ended (FusionStatus in fusion_result.py)
+enum { FUSION_CONVERGED = 0, FUSION_NOT_CONVERGED = 1, FUSION_STALLED = 2 };
+
+// why there is none: 16*k + one of these for argument k of mean_1, cov_1, mean_2, cov_2
 enum {
-  FUSION_CONVERGED = 0,
-  FUSION_NOT_CONVERGED = 1,
-  FUSION_STALLED = 2,
   FUSION_NO_POSE = 3,        // not finite, last row not 0 0 0 1, or rotation not orthonormal
   FUSION_NO_COVARIANCE = 4,  // not finite, asymmetric or not positive definite
-  FUSION_NO_INFORMATION = 5  // normal equations not positive definite or not finite: out of range
+  FUSION_NO_INFORMATION = 5  // the two together are out of the range of doubles
 };
 
-// one of the two: its mean and what whitens its errors, the upper triangular [[ul, ur], [0, lr]] with
-// covariance^-1 = upper' * upper; ul and lr are upper triangular and hold 00, 01, 02, 11, 12, 22
-typedef struct {
-  Pose mean;
-  double ul[6], ur[9], lr[6];
-} FusionInput;
+// as in fusion_result.py and se3.py
+#define CONVERGED_STEP 1e-3
+#define ROTATION_TOLERANCE 1e-6
+
+// largest difference of a covariance and its transpose, relative to the standard deviations
+#define SYMMETRY_TOLERANCE 1e-8
 
 typedef struct {
-  Pose mean;
+  double mean[16];
   double cov[36];
   double factor[36];  // lower, cov = factor * factor'
   double step;        // length of the last step in posterior standard deviations
@@ -31,16 +34,27 @@ typedef struct {
   int status;
 } FusionOutput;
 
-// mean from a homogeneous matrix; returns 0 or FUSION_NO_POSE
-int fusion_set_mean(FusionInput* input, const double mat[16]);
+// one of the two as the caller has it
+typedef struct {
+  const double* mean;  // homogeneous matrix
+  const double* cov;
+} FusionInput;
 
-// whitening from a covariance; returns 0 or FUSION_NO_COVARIANCE
-int fusion_set_covariance(FusionInput* input, const double cov[36]);
+// what a Gaussian lacks, of FUSION_NO_POSE and FUSION_NO_COVARIANCE, or 0; definiteness is not looked at
+int fusion_lack(const double mean[16], const double cov[36]);
 
-// fixed number of iterations, covariance as evaluated before the last update; returns the status
-int fusion_fixed(FusionOutput* res, const FusionInput input[2], int iterations, int order);
-
-// Gauss-Newton with line search to convergence, at most this many iterations; returns the status
-int fusion_exact(FusionOutput* res, const FusionInput input[2], int iterations);
+// many at a time, of doubles or of floats, the matrices one after the other
+typedef struct {
+  int64_t count;
+  int iterations;
+  int order;
+  const void* input_mean[2];  // 16 elements each
+  const void* input_cov[2];   // 36
+  void* mean;
+  void* cov;
+  void* factor;
+  void* step;                 // 1
+  int* status;
+} FusionBatch;
 
 #endif  // TACTILE_FUSION_H_

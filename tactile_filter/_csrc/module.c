@@ -1,30 +1,23 @@
-// Python module tactile_filter._fusion: the interface is tactile_filter/fusion.py.
+// Python module tactile_filter._fusion: the interface is tactile_filter/fusion.py, se3.py and propagation.py.
 #define TACTILE_IMPORTS_NUMPY
 #include "arrays.h"
 #include "fusion.h"
 #include "module_se3.h"
 
 #define MAX_ITERATIONS 100000
+#define MAX_STATUS 3
+
+// the class of results, a tuple with these six: mean, cov, factor, iterations, status, step
+static PyTypeObject* result_type = NULL;
+static PyObject* statuses[MAX_STATUS] = {NULL};
 
 
-static PyObject* new_pose(const Pose* pose) {
-  double mat[16] = {0};
-  for (int i = 0; i < 3; i++) {
-    memcpy(mat + 4*i, pose->rot + 3*i, 3 * sizeof(double));
-    mat[4*i+3] = pose->pos[i];
-  }
-  mat[15] = 1;
-  return new_array(mat, 4, 4);
-}
-
-
-// mean, cov, factor, iterations, status, step
 static PyObject* new_result(const FusionOutput* output) {
   PyObject* items[6] = {
-    new_pose(&output->mean), new_array(output->cov, 6, 6), new_array(output->factor, 6, 6),
-    PyLong_FromLong(output->iterations), PyLong_FromLong(output->status),
-    PyFloat_FromDouble(output->step)};
-  PyObject* res = PyTuple_New(6);
+    new_array(output->mean, 4, 4), new_array(output->cov, 6, 6), new_array(output->factor, 6, 6),
+    PyLong_FromLong(output->iterations), statuses[output->status], PyFloat_FromDouble(output->step)};
+  Py_XINCREF(items[4]);
+  PyObject* res = result_type->tp_alloc(result_type, 6);
   for (int i = 0; i < 6; i++) {
     if (!items[i] || !res) {
       for (int j = i; j < 6; j++) {
@@ -39,53 +32,55 @@ static PyObject* new_result(const FusionOutput* output) {
 }
 
 
-// read one of the Gaussians; returns 0, or -1 with an error set, or 16 * (index of the argument) + what it lacks
-static int read_input(FusionInput* input, PyObject* const* args, int index) {
+// mean and covariance of one of the Gaussians; the buffers are used where an argument has to be converted
+static int read_input(FusionInput* input, double mean[16], double cov[36], PyObject* const* args, int index) {
   static const char* const names[4] = {"mean_1", "cov_1", "mean_2", "cov_2"};
-  double mean[16], cov[36];
-  if (!read_array(mean, args[0], 4, 4, names[2*index])
-      || !read_array(cov, args[1], 6, 6, names[2*index+1])) {
-    return -1;
+  input->mean = borrow_array(mean, args[0], 4, 4, names[2*index]);
+  input->cov = input->mean ? borrow_array(cov, args[1], 6, 6, names[2*index+1]) : NULL;
+  return input->cov != NULL;
+}
+
+
+// number of iterations and order; returns 0 with an error set
+static int read_plan(int* iterations, int* order, PyObject* const* args) {
+  long count = PyLong_AsLong(args[0]), kind = PyLong_AsLong(args[1]);
+  if (PyErr_Occurred()) {
+    return 0;
   }
-  int lack = fusion_set_mean(input, mean);
-  if (lack) {
-    return 32*index + lack;
+  if (count < 1 || count > MAX_ITERATIONS || kind < -1 || kind > 4 || kind == 1 || kind == 3) {
+    PyErr_Format(PyExc_ValueError, "iterations = %ld, order = %ld: out of range", count, kind);
+    return 0;
   }
-  lack = fusion_set_covariance(input, cov);
-  return lack ? 32*index + 16 + lack : 0;
+  *iterations = (int)count;
+  *order = (int)kind;
+  return 1;
 }
 
 
 static const char fuse_doc[] =
   "fuse(mean_1, cov_1, mean_2, cov_2, iterations, order, /)\n--\n\n"
-  "The tuple (mean, cov, factor, iterations, status, step), or an int if the inputs cannot be fused:\n"
-  "16 * (index of the argument at fault) + what it lacks. order: 2, 4, 0 for the exact Jacobian, or -1\n"
-  "for iterations to convergence, `iterations` at most.";
+  "The FusionResult, or an int if the inputs cannot be fused: 16 * (index of the argument at fault) + what it\n"
+  "lacks. order: 2, 4, 0 for the exact Jacobian, or -1 for iterations to convergence, `iterations` at most.";
 
 static PyObject* fuse(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
+  int iterations, order;
   if (nargs != 6) {
     return PyErr_Format(PyExc_TypeError, "fuse takes 6 arguments, got %zd", nargs);
   }
-  long iterations = PyLong_AsLong(args[4]), order = PyLong_AsLong(args[5]);
-  if (PyErr_Occurred()) {
+  if (!result_type) {
+    PyErr_SetString(PyExc_RuntimeError, "set_result_type has not been called");
     return NULL;
   }
-  if (iterations < 1 || iterations > MAX_ITERATIONS || order < -1 || order > 4 || order == 1 || order == 3) {
-    return PyErr_Format(PyExc_ValueError, "iterations = %ld, order = %ld: out of range", iterations, order);
-  }
-
+  double mean[2][16], cov[2][36];
   FusionInput input[2];
-  for (int i = 0; i < 2; i++) {
-    int lack = read_input(input + i, args + 2*i, i);
-    if (lack) {
-      return lack < 0 ? NULL : PyLong_FromLong(lack);
-    }
+  if (!read_plan(&iterations, &order, args + 4) || !read_input(input, mean[0], cov[0], args, 0)
+      || !read_input(input + 1, mean[1], cov[1], args + 2, 1)) {
+    return NULL;
   }
   FusionOutput output;
-  int status = order < 0 ? fusion_exact(&output, input, (int)iterations)
-                         : fusion_fixed(&output, input, (int)iterations, (int)order);
-  return status == FUSION_NO_INFORMATION ? PyLong_FromLong(status) : new_result(&output);
+  int fault = module_routines->fuse(&output, input, iterations, order);
+  return fault ? PyLong_FromLong(fault) : new_result(&output);
 }
 
 
@@ -94,24 +89,136 @@ static const char check_doc[] =
 
 static PyObject* check(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
+  double mean[16], cov[36];
+  FusionInput input;
   if (nargs != 2) {
     return PyErr_Format(PyExc_TypeError, "check takes 2 arguments, got %zd", nargs);
   }
-  FusionInput input;
-  int lack = read_input(&input, args, 0);
-  return lack < 0 ? NULL : PyLong_FromLong(lack);
+  return read_input(&input, mean, cov, args, 0) ? PyLong_FromLong(module_routines->check(&input)) : NULL;
 }
 
 
+// data of an array of this type and number of elements, contiguous; NULL with an error set
+static void* batch_data(PyObject* arg, int type, npy_intp size) {
+  if (PyArray_Check(arg) && PyArray_TYPE((PyArrayObject*)arg) == type && PyArray_ISCARRAY_RO((PyArrayObject*)arg)
+      && PyArray_SIZE((PyArrayObject*)arg) == size) {
+    return PyArray_DATA((PyArrayObject*)arg);
+  }
+  PyErr_Format(PyExc_ValueError, "fuse_batch: needs contiguous arrays of one type, %zd elements here", size);
+  return NULL;
+}
+
+
+static const char fuse_batch_doc[] =
+  "fuse_batch(mean_1, cov_1, mean_2, cov_2, mean, cov, factor, step, status, iterations, order, /)\n--\n\n"
+  "Arrays (N, 4, 4), (N, 6, 6), (N,) of float64 or of float32, status int32. None, or (fusion, fault).";
+
+static PyObject* fuse_batch(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  FusionBatch batch;
+  if (nargs != 11) {
+    return PyErr_Format(PyExc_TypeError, "fuse_batch takes 11 arguments, got %zd", nargs);
+  }
+  if (!read_plan(&batch.iterations, &batch.order, args + 9)) {
+    return NULL;
+  }
+  if (!PyArray_Check(args[8])) {
+    PyErr_SetString(PyExc_TypeError, "fuse_batch: status must be an array");
+    return NULL;
+  }
+  int type = PyArray_Check(args[0]) ? PyArray_TYPE((PyArrayObject*)args[0]) : NPY_DOUBLE;
+  if (type != NPY_FLOAT) {
+    type = NPY_DOUBLE;
+  }
+  npy_intp count = PyArray_SIZE((PyArrayObject*)args[8]);
+  static const int sizes[8] = {16, 36, 16, 36, 16, 36, 36, 1};
+  void* data[8];
+  for (int i = 0; i < 8; i++) {
+    data[i] = batch_data(args[i], type, sizes[i]*count);
+    if (!data[i]) {
+      return NULL;
+    }
+  }
+  batch.status = batch_data(args[8], NPY_INT32, count);
+  if (!batch.status) {
+    return NULL;
+  }
+  batch.count = count;
+  batch.input_mean[0] = data[0];
+  batch.input_cov[0] = data[1];
+  batch.input_mean[1] = data[2];
+  batch.input_cov[1] = data[3];
+  batch.mean = data[4];
+  batch.cov = data[5];
+  batch.factor = data[6];
+  batch.step = data[7];
+
+  int64_t at = 0;
+  int fault;
+  Py_BEGIN_ALLOW_THREADS
+  fault = (type == NPY_FLOAT ? module_routines->fuse_batch_float : module_routines->fuse_batch)(&batch, &at);
+  Py_END_ALLOW_THREADS
+  if (fault) {
+    return Py_BuildValue("Li", (long long)at, fault);
+  }
+  Py_RETURN_NONE;
+}
+
+
+static const char set_result_type_doc[] =
+  "set_result_type(type, statuses, /)\n--\n\nThe class of results, a named tuple of six, and its statuses.";
+
+static PyObject* set_result_type(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  if (nargs != 2 || !PyType_Check(args[0]) || !PyType_IsSubtype((PyTypeObject*)args[0], &PyTuple_Type)
+      || !PyTuple_Check(args[1]) || PyTuple_GET_SIZE(args[1]) != MAX_STATUS) {
+    PyErr_SetString(PyExc_TypeError, "set_result_type takes a class of tuples and a tuple of three statuses");
+    return NULL;
+  }
+  Py_INCREF(args[0]);
+  Py_XSETREF(result_type, (PyTypeObject*)args[0]);
+  for (int i = 0; i < MAX_STATUS; i++) {
+    PyObject* status = PyTuple_GET_ITEM(args[1], i);
+    Py_INCREF(status);
+    Py_XSETREF(statuses[i], status);
+  }
+  Py_RETURN_NONE;
+}
+
+
+static const char instruction_set_doc[] =
+  "instruction_set(name=None, /)\n--\n\n"
+  "Use the routines for this instruction set: base, and on x86-64 avx2 or avx512. Answers the one in use.";
+
+static PyObject* instruction_set(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  if (nargs > 1) {
+    return PyErr_Format(PyExc_TypeError, "instruction_set takes at most 1 argument, got %zd", nargs);
+  }
+  if (nargs == 1) {
+    const char* name = PyUnicode_AsUTF8(args[0]);
+    if (!name || !module_se3_select(name)) {
+      return NULL;
+    }
+  }
+  return PyUnicode_FromString(module_routines->name);
+}
+
+
+#define METHOD(name) {#name, (PyCFunction)(void(*)(void))name, METH_FASTCALL, name##_doc}
+
 static PyMethodDef methods[] = {
-  {"check", (PyCFunction)(void(*)(void))check, METH_FASTCALL, check_doc},
-  {"fuse", (PyCFunction)(void(*)(void))fuse, METH_FASTCALL, fuse_doc},
+  METHOD(check),
+  METHOD(fuse),
+  METHOD(fuse_batch),
+  METHOD(instruction_set),
+  METHOD(set_result_type),
   MODULE_SE3_METHODS
   {NULL, NULL, 0, NULL}
 };
 
 static struct PyModuleDef definition = {
-  PyModuleDef_HEAD_INIT, "_fusion", "Fusion of Gaussians over SE(3) in C.", -1, methods,
+  PyModuleDef_HEAD_INIT, "_fusion", "SE(3) and fusion of Gaussians over it, in C.", -1, methods,
   NULL, NULL, NULL, NULL
 };
 

@@ -6,9 +6,6 @@
 #include "propagate.h"
 #include "se3.h"
 
-// as in se3.py
-#define ROTATION_TOLERANCE 1e-6
-
 // a rotation off by less is as orthonormal as doubles are
 #define ORTHONORMAL 1e-15
 

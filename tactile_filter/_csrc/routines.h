@@ -2,6 +2,8 @@
 #ifndef TACTILE_ROUTINES_H_
 #define TACTILE_ROUTINES_H_
 
+#include "fusion.h"
+
 typedef struct {
   const char* name;  // of the instruction set
 
@@ -11,6 +13,16 @@ typedef struct {
   void (*adjoint)(double res[36], const double mat[16]);
   void (*left_jacobian)(double res[36], const double xi[6]);
   void (*inverse_left_jacobian)(double res[36], const double xi[6]);
+
+  // one fusion; returns 0 or a fault. `order` is a Jacobian's or TO_CONVERGENCE, with `iterations` at most
+  int (*fuse)(FusionOutput* res, const FusionInput input[2], int iterations, int order);
+
+  // returns 0 or the fault that one of the two would be, as argument 0 (mean) or 1 (covariance)
+  int (*check)(const FusionInput* input);
+
+  // many; returns 0 or the fault of the fusion *at
+  int (*fuse_batch)(const FusionBatch* batch, int64_t* at);
+  int (*fuse_batch_float)(const FusionBatch* batch, int64_t* at);
 } Routines;
 
 extern const Routines routines_base;

@@ -7,6 +7,8 @@
 #endif
 
 #define ROUTINES routines_avx2
+#define VECTOR_BYTES 32
+#define HAS_FMA 1
 #define ROUTINES_NAME "avx2"
 #include "routines_table.h"
 

@@ -8,6 +8,8 @@
 #endif
 
 #define ROUTINES routines_avx512
+#define VECTOR_BYTES 64
+#define HAS_FMA 1
 #define ROUTINES_NAME "avx512"
 #include "routines_table.h"
 

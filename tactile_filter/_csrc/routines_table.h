@@ -1,7 +1,77 @@
-// Included by routines_*.c, which define ROUTINES and ROUTINES_NAME.
-#include "routines.h"
+// Included by routines_*.c, which define ROUTINES, ROUTINES_NAME, VECTOR_BYTES and HAS_FMA, and set the target.
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
 
+#if defined(__x86_64__)
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+
+#include "fusion.h"
+#include "routines.h"
+#include "se3.h"
+
+#if defined(__clang__)
+#define UNROLL _Pragma("unroll")
+#else
+#define UNROLL _Pragma("GCC unroll 36")
+#endif
+
+// below this fraction of its diagonal element a pivot in twice the precision is rounding
+#define SMALLEST_PIVOT 1e-28
+
+#define TWO_PI 6.283185307179586
+#define FOUR_PI_SQUARED 39.47841760435743
+
+#include "coefficients.h"
+#include "dd.h"
+#include "fusion_pair.h"
 #include "se3_exact.h"
+#include "fusion_robust.h"
+#include "fusion_exact.h"
+
+#define ELEM_BYTES 8
+#define LANES (VECTOR_BYTES/8)
+#define SUFFIX wide
+#include "lanes_begin.h"
+#include "fusion_lanes.h"
+#include "fusion_batch.h"
+#include "lanes_end.h"
+
+#define ELEM_BYTES 4
+#define LANES (VECTOR_BYTES/4)
+#define SUFFIX wide_float
+#include "lanes_begin.h"
+#include "fusion_lanes.h"
+#include "fusion_batch.h"
+#include "lanes_end.h"
+
+
+static int fuse(FusionOutput* res, const FusionInput input[2], int iterations, int order) {
+  if (order == TO_CONVERGENCE) {
+    return fuse_exactly(res, input, iterations);
+  }
+  return pair_fixed(res, input, iterations, order) ? 0 : robust_fixed(res, input, iterations, order);
+}
+
+
+static int check(const FusionInput* input) {
+  int lack = fusion_lack(input->mean, input->cov);
+  if (lack) {
+    return lack == FUSION_NO_POSE ? lack : 16 + lack;
+  }
+  double packed[21];
+  Factor_d1 factor;
+  int poor = 0;
+  symmetric_part_d1(packed, input->cov, &poor);
+  factorize_d1(&factor, packed, &poor);
+  Dd lower[36];
+  return !poor || dd_whitening(lower, input->cov) ? 0 : 16 + FUSION_NO_COVARIANCE;
+}
+
 
 const Routines ROUTINES = {
   .name = ROUTINES_NAME,
@@ -10,4 +80,8 @@ const Routines ROUTINES = {
   .adjoint = se3_exact_adjoint,
   .left_jacobian = se3_exact_left_jacobian,
   .inverse_left_jacobian = se3_exact_inverse_left_jacobian,
+  .fuse = fuse,
+  .check = check,
+  .fuse_batch = fuse_batch_wide,
+  .fuse_batch_float = fuse_batch_wide_float,
 };

@@ -29,8 +29,7 @@ static void cross3(double res[3], const double a[3], const double b[3]) {
 }
 
 
-// sin(t)/t, (1 - cos(t))/t^2, (t - sin(t))/t^3 of t^2 = x <= pi^2
-static void exp_coefficients(double res[3], double x) {
+void se3_exp_coefficients(double res[3], double x) {
   static const double a[] = {
     1, -1.0/6, 1.0/120, -1.0/5040, 1.0/362880, -1.0/39916800, 1.0/6227020800,
     -1.0/1307674368000, 1.0/355687428096000};
@@ -61,9 +60,8 @@ static void exp_coefficients(double res[3], double x) {
 }
 
 
-// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x <= pi^2: two poles and the
-// rest as a power series; de may be null
-static void inverse_coefficients(double* e, double* de, double x) {
+// two poles and the rest as a power series
+void se3_inverse_coefficients(double res[2], double x) {
   static const double coef[] = {
     0.020007593556872226, 2.5438120688625627e-05, 5.584568390494416e-08, 1.4088241574761053e-10,
     3.7567162002157994e-13, 1.0280125375360467e-15, 2.8500221292137926e-18,
@@ -78,15 +76,13 @@ static void inverse_coefficients(double* e, double* de, double x) {
   double scale = 1 / (first*second);
   double to_first = second*scale, to_second = first*scale;
   int n = x <= 1 ? 7 : 12;
-  *e = 2*(to_first + to_second) + polynomial(coef, n, x);
-  if (de) {
-    *de = 4*(to_first*to_first + to_second*to_second) + polynomial(derivative, n - 1, x);
-  }
+  res[0] = 2*(to_first + to_second) + polynomial(coef, n, x);
+  res[1] = 4*(to_first*to_first + to_second*to_second) + polynomial(derivative, n - 1, x);
 }
 
 
 // rotation vector through the quaternion that has its largest component computed without cancellation
-static void rotation_vector(double res[3], const double r[9]) {
+void se3_rotation_vector(double res[3], const double r[9]) {
   double q[4], trace = r[0] + r[4] + r[8];
   if (trace >= r[0] && trace >= r[4] && trace >= r[8]) {
     q[0] = r[7] - r[5];
@@ -122,50 +118,16 @@ static void rotation_vector(double res[3], const double r[9]) {
 
 
 void se3_log(double res[6], const Pose* pose) {
-  double e, turned[3], twice[3];
+  double e[2], turned[3], twice[3];
   double* phi = res + 3;
-  rotation_vector(phi, pose->rot);
-  inverse_coefficients(&e, 0, dot3(phi, phi));
+  se3_rotation_vector(phi, pose->rot);
+  se3_inverse_coefficients(e, dot3(phi, phi));
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
   cross3(turned, phi, pose->pos);
   cross3(twice, phi, turned);
   for (int i = 0; i < 3; i++) {
-    res[i] = pose->pos[i] - 0.5*turned[i] + e*twice[i];
-  }
-}
-
-
-void se3_perturb(Pose* pose, const double xi[6]) {
-  const double *rho = xi, *phi = xi + 3;
-  double c[3], turned[3], twice[3], rot[9], pos[3];
-  exp_coefficients(c, dot3(phi, phi));
-
-  // rotation: I + c0 phi^ + c1 phi^ phi^
-  double x = phi[0], y = phi[1], z = phi[2];
-  double ax = c[0]*x, ay = c[0]*y, az = c[0]*z;
-  double bxy = c[1]*x*y, bxz = c[1]*x*z, byz = c[1]*y*z;
-  double turn[9] = {
-    1 - c[1]*(y*y + z*z), bxy - az, bxz + ay,
-    bxy + az, 1 - c[1]*(x*x + z*z), byz - ax,
-    bxz - ay, byz + ax, 1 - c[1]*(x*x + y*y)};
-
-  // translation: rho + c1 phi x rho + c2 phi x (phi x rho)
-  cross3(turned, phi, rho);
-  cross3(twice, phi, turned);
-  for (int i = 0; i < 3; i++) {
-    pos[i] = rho[i] + c[1]*turned[i] + c[2]*twice[i] + dot3(turn + 3*i, pose->pos);
-  }
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      rot[3*i+j] = turn[3*i]*pose->rot[j] + turn[3*i+1]*pose->rot[3+j] + turn[3*i+2]*pose->rot[6+j];
-    }
-  }
-  for (int i = 0; i < 9; i++) {
-    pose->rot[i] = rot[i];
-  }
-  for (int i = 0; i < 3; i++) {
-    pose->pos[i] = pos[i];
+    res[i] = pose->pos[i] - 0.5*turned[i] + e[0]*twice[i];
   }
 }
 
@@ -212,41 +174,6 @@ void se3_inverse_product(Pose* res, const Pose* a, const Pose* b) {
       res->rot[3*i+j] = a->rot[i]*b->rot[j] + a->rot[3+i]*b->rot[3+j] + a->rot[6+i]*b->rot[6+j];
       res->pos[i] += a->rot[3*j+i] * (b->pos[j] - a->pos[j]);
     }
-  }
-}
-
-
-void se3_inverse_jacobian(InverseJacobian* res, const double xi[6], int order) {
-  const double *r = xi, *p = xi + 3;
-  double e = 1.0/12, de = 0, x = dot3(p, p), along = dot3(p, r);
-  if (order == JACOBIAN_ORDER_4) {
-    e += x/720;
-    de = 1.0/360;
-  } else if (order == JACOBIAN_EXACT) {
-    inverse_coefficients(&e, &de, x);
-  }
-
-  // diag = I - P/2 + e P P, corner = -R/2 + e (P R + R P) + de (p.r) P P,
-  // with P P = p p' - (p.p) I and P R + R P = p r' + r p' - 2 (p.r) I
-  double scale = de*along;
-  double diag = 1 - e*x, corner = -2*e*along - scale*x;
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      double pp = p[i]*p[j];
-      res->diag[3*i+j] = e*pp;
-      res->corner[3*i+j] = e*(p[i]*r[j] + r[i]*p[j]) + scale*pp;
-    }
-    res->diag[4*i] += diag;
-    res->corner[4*i] += corner;
-  }
-
-  // the skew parts
-  static const int at[3] = {7, 2, 3}, opposite[3] = {5, 6, 1};
-  for (int i = 0; i < 3; i++) {
-    res->diag[at[i]] -= 0.5*p[i];
-    res->diag[opposite[i]] += 0.5*p[i];
-    res->corner[at[i]] -= 0.5*r[i];
-    res->corner[opposite[i]] += 0.5*r[i];
   }
 }
 

@@ -8,20 +8,17 @@ typedef struct {
   double pos[3];
 } Pose;
 
-// order of the inverse Jacobian's series; EXACT is the closed form
-enum { JACOBIAN_EXACT = 0, JACOBIAN_ORDER_2 = 2, JACOBIAN_ORDER_4 = 4 };
-
-// blocks of the inverse left Jacobian [[diag, corner], [0, diag]]
-typedef struct {
-  double diag[9];
-  double corner[9];
-} InverseJacobian;
-
 // res = logarithm of pose
 void se3_log(double res[6], const Pose* pose);
 
-// pose = exp(xi^) * pose
-void se3_perturb(Pose* pose, const double xi[6]);
+// rotation vector, |phi| <= pi
+void se3_rotation_vector(double res[3], const double rot[9]);
+
+// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x <= pi^2
+void se3_inverse_coefficients(double res[2], double x);
+
+// sin(t)/t, (1 - cos(t))/t^2, (t - sin(t))/t^3 of t^2 = x
+void se3_exp_coefficients(double res[3], double x);
 
 // res = a * b, res not among them
 void se3_product(Pose* res, const Pose* a, const Pose* b);
@@ -35,10 +32,7 @@ void se3_inverse(Pose* res, const Pose* pose);
 // res = a^-1 * b, res not among them
 void se3_inverse_product(Pose* res, const Pose* a, const Pose* b);
 
-// inverse left Jacobian at xi, |phi| <= pi
-void se3_inverse_jacobian(InverseJacobian* res, const double xi[6], int order);
-
-// one Newton step towards the nearest rotation
+// replace the rotation by the nearest one, which is near
 void se3_orthonormalize(Pose* pose);
 
 // largest deviation of rot' * rot from the identity

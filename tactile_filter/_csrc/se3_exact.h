@@ -8,6 +8,7 @@
 
 #include "coefficients.h"
 #include "dd.h"
+#include "fusion.h"
 
 // beyond this t^2, a little over a full turn, the series are left for trigonometric functions
 #define SERIES_LIMIT 40.0
@@ -77,56 +78,67 @@ static void exp_beyond(double res[16], const double xi[6]) {
 }
 
 
-static void se3_exact_exp(double res[16], const double xi[6]) {
-  res[12] = res[13] = res[14] = 0;
-  res[15] = 1;
-  Dd rho[3], phi[3], turned[3], twice[3];
-  to_dd3(rho, xi);
-  to_dd3(phi, xi + 3);
-  Argument arg = argument(phi);
-  if (!(arg.x.hi <= SERIES_LIMIT)) {
-    exp_beyond(res, xi);
-    return;
-  }
-  Dd a = series(SIN, &arg), b = series(COS, &arg), c = series(CUBIC, &arg);
+// rotation and translation of exp([rho, phi]), for angles within the series
+static void exact_exp(Dd rot[9], Dd pos[3], const Dd rho[3], const Dd phi[3], const Argument* arg) {
+  Dd a = series(SIN, arg), b = series(COS, arg), c = series(CUBIC, arg), turned[3], twice[3];
 
   // rotation: I + a phi^ + b phi^ phi^
-  Dd diagonal = dd_sub(dd_from(1), dd_mul(b, arg.x));
+  Dd diagonal = dd_sub(dd_from(1), dd_mul(b, arg->x));
   for (int i = 0; i < 3; i++) {
     int j = (i + 1) % 3, k = (i + 2) % 3;
     Dd product = dd_mul(b, dd_mul(phi[i], phi[j])), sine = dd_mul(a, phi[k]);
-    res[5*i] = dd_round(dd_add(diagonal, dd_mul(b, dd_mul(phi[i], phi[i]))));
-    res[4*i+j] = dd_round(dd_sub(product, sine));
-    res[4*j+i] = dd_round(dd_add(product, sine));
+    rot[4*i] = dd_add(diagonal, dd_mul(b, dd_mul(phi[i], phi[i])));
+    rot[3*i+j] = dd_sub(product, sine);
+    rot[3*j+i] = dd_add(product, sine);
   }
 
   // translation: rho + b phi x rho + c phi x (phi x rho)
   dd_cross3(turned, phi, rho);
   dd_cross3(twice, phi, turned);
   for (int i = 0; i < 3; i++) {
-    res[4*i+3] = dd_round(dd_add(dd_add(rho[i], dd_mul(b, turned[i])), dd_mul(c, twice[i])));
+    pos[i] = dd_add(dd_add(rho[i], dd_mul(b, turned[i])), dd_mul(c, twice[i]));
+  }
+}
+
+
+static void se3_exact_exp(double res[16], const double xi[6]) {
+  Dd rot[9], pos[3], rho[3], phi[3];
+  to_dd3(rho, xi);
+  to_dd3(phi, xi + 3);
+  res[12] = res[13] = res[14] = 0;
+  res[15] = 1;
+  Argument arg = argument(phi);
+  if (!(arg.x.hi <= SERIES_LIMIT)) {
+    exp_beyond(res, xi);
+    return;
+  }
+  exact_exp(rot, pos, rho, phi, &arg);
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      res[4*i+j] = dd_round(rot[3*i+j]);
+    }
+    res[4*i+3] = dd_round(pos[i]);
   }
 }
 
 
 // quaternion (x, y, z, w), not normalized, that has its largest component computed without cancellation
-static void quaternion(Dd res[4], const double mat[16]) {
-  const double *r0 = mat, *r1 = mat + 4, *r2 = mat + 8;
-  double trace = r0[0] + r1[1] + r2[2], diagonal[3] = {r0[0], r1[1], r2[2]};
-  int i = diagonal[1] > diagonal[0];
-  i = diagonal[2] > diagonal[i] ? 2 : i;
-  if (trace >= diagonal[i]) {
-    res[0] = dd_sum(r2[1], -r1[2]);
-    res[1] = dd_sum(r0[2], -r2[0]);
-    res[2] = dd_sum(r1[0], -r0[1]);
-    res[3] = dd_add(dd_sum(1, r0[0]), dd_sum(r1[1], r2[2]));
+static void quaternion(Dd res[4], const Dd rot[9]) {
+  Dd trace = dd_add(dd_add(rot[0], rot[4]), rot[8]);
+  int i = rot[4].hi > rot[0].hi;
+  i = rot[8].hi > rot[4*i].hi ? 2 : i;
+  if (trace.hi >= rot[4*i].hi) {
+    res[0] = dd_sub(rot[7], rot[5]);
+    res[1] = dd_sub(rot[2], rot[6]);
+    res[2] = dd_sub(rot[3], rot[1]);
+    res[3] = dd_add(dd_from(1), trace);
     return;
   }
   int j = (i + 1) % 3, k = (i + 2) % 3;
-  res[i] = dd_add(dd_sum(1, mat[5*i]), dd_sum(-mat[5*j], -mat[5*k]));
-  res[j] = dd_sum(mat[4*j+i], mat[4*i+j]);
-  res[k] = dd_sum(mat[4*k+i], mat[4*i+k]);
-  res[3] = dd_sum(mat[4*k+j], -mat[4*j+k]);
+  res[i] = dd_sub(dd_add(dd_from(1), rot[4*i]), dd_add(rot[4*j], rot[4*k]));
+  res[j] = dd_add(rot[3*j+i], rot[3*i+j]);
+  res[k] = dd_add(rot[3*k+i], rot[3*i+k]);
+  res[3] = dd_sub(rot[3*k+j], rot[3*j+k]);
 }
 
 
@@ -159,9 +171,9 @@ static Dd arctangent(Dd s, Dd w) {
 
 
 // rotation vector; returns 0 if the matrix has no direction
-static int rotation_vector(Dd res[3], const double mat[16]) {
+static int rotation_vector(Dd res[3], const Dd rot[9]) {
   Dd q[4], scale;
-  quaternion(q, mat);
+  quaternion(q, rot);
   normalize_sign(q);
   Dd square = dd_dot3(q, q);
   if (square.hi <= 1e-12*q[3].hi*q[3].hi) {
@@ -200,23 +212,38 @@ static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
 }
 
 
-// |phi| <= pi; at a half turn the first component of phi that is not zero is positive; returns 0 if the
-// matrix is no rotation at all
-static int se3_exact_log(double res[6], const double mat[16]) {
-  double pos[3] = {mat[3], mat[7], mat[11]};
-  Dd phi[3], t[3], turned[3], twice[3], e, de;
-  if (!rotation_vector(phi, mat)) {
+// logarithm [rho, phi] of a rotation and a position; returns 0 if the matrix is no rotation at all
+static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
+  Dd turned[3], twice[3], e, de;
+  if (!rotation_vector(phi, rot)) {
     return 0;
   }
   Argument arg = argument(phi);
   inverse_coefficients(&e, &de, &arg);
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
-  to_dd3(t, pos);
-  dd_cross3(turned, phi, t);
+  dd_cross3(turned, phi, pos);
   dd_cross3(twice, phi, turned);
   for (int i = 0; i < 3; i++) {
-    res[i] = dd_round(dd_add(dd_sub(t[i], dd_scale(turned[i], 0.5)), dd_mul(e, twice[i])));
+    rho[i] = dd_add(dd_sub(pos[i], dd_scale(turned[i], 0.5)), dd_mul(e, twice[i]));
+  }
+  return 1;
+}
+
+
+// |phi| <= pi; at a half turn the first component of phi that is not zero is positive; returns 0 if the
+// matrix is no rotation at all
+static int se3_exact_log(double res[6], const double mat[16]) {
+  Dd rot[9], pos[3], rho[3], phi[3];
+  for (int i = 0; i < 3; i++) {
+    to_dd3(rot + 3*i, mat + 4*i);
+    pos[i] = dd_from(mat[4*i+3]);
+  }
+  if (!exact_log(rho, phi, rot, pos)) {
+    return 0;
+  }
+  for (int i = 0; i < 3; i++) {
+    res[i] = dd_round(rho[i]);
     res[3+i] = dd_round(phi[i]);
   }
   return 1;
@@ -224,7 +251,7 @@ static int se3_exact_log(double res[6], const double mat[16]) {
 
 
 // res = [[diag, corner], [0, diag]]
-static void fill_blocks(double res[36], Dd diag[9], Dd corner[9]) {
+static void fill_blocks(double res[36], const Dd diag[9], const Dd corner[9]) {
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
       res[6*i+j] = res[6*(3+i)+3+j] = dd_round(diag[3*i+j]);
@@ -254,13 +281,13 @@ static void se3_exact_adjoint(double res[36], const double mat[16]) {
 
 // I + b ad + c ad^2 with ad the curly hat of xi; db and dc are (db/dt)/t and (dc/dt)/t: the upper right block
 // is the derivative of the others along rho
-static void polynomial_of_ad(double res[36], const Dd rho[3], const Dd phi[3], Dd x, const Dd coef[4]) {
+static void polynomial_of_ad(Dd diag[9], Dd corner[9], const Dd rho[3], const Dd phi[3], Dd x,
+                             const Dd coef[4]) {
   Dd b = coef[0], c = coef[1], db = coef[2], dc = coef[3];
   Dd along = dd_dot3(phi, rho);
   Dd skew = dd_mul(db, along), square = dd_mul(dc, along);
   Dd on_diag = dd_sub(dd_from(1), dd_mul(c, x));
   Dd on_corner = dd_neg(dd_add(dd_scale(dd_mul(c, along), 2), dd_mul(square, x)));
-  Dd diag[9], corner[9];
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
       Dd product = dd_mul(phi[i], phi[j]);
@@ -281,12 +308,11 @@ static void polynomial_of_ad(double res[36], const Dd rho[3], const Dd phi[3], D
     corner[at] = dd_add(corner[at], shift);
     corner[opposite] = dd_sub(corner[opposite], shift);
   }
-  fill_blocks(res, diag, corner);
 }
 
 
 static void se3_exact_left_jacobian(double res[36], const double xi[6]) {
-  Dd rho[3], phi[3], coef[4];
+  Dd rho[3], phi[3], coef[4], diag[9], corner[9];
   to_dd3(rho, xi);
   to_dd3(phi, xi + 3);
   Argument arg = argument(phi);
@@ -302,19 +328,33 @@ static void se3_exact_left_jacobian(double res[36], const double xi[6]) {
     coef[2] = dd_from((sine - 4*half*half)/x);
     coef[3] = dd_from((3*sine - 2 - cos(t))/(x*x));
   }
-  polynomial_of_ad(res, rho, phi, arg.x, coef);
+  polynomial_of_ad(diag, corner, rho, phi, arg.x, coef);
+  fill_blocks(res, diag, corner);
+}
+
+
+// blocks of the inverse left Jacobian [[diag, corner], [0, diag]]; `order` as of the fusion
+static void exact_inverse_jacobian(Dd diag[9], Dd corner[9], const Dd rho[3], const Dd phi[3], int order) {
+  static const Dd twelfth = {0.08333333333333333, 4.625929269271485e-18};
+  Argument arg = argument(phi);
+  Dd coef[4] = {{-0.5, 0}, twelfth, {0, 0}, {0, 0}};
+  if (order == JACOBIAN_ORDER_4) {
+    coef[1] = dd_add(twelfth, dd_div(arg.x, dd_from(720)));
+    coef[3] = dd_div(dd_from(1), dd_from(360));
+  } else if (order == JACOBIAN_EXACT) {
+    inverse_coefficients(coef + 1, coef + 3, &arg);
+  }
+  polynomial_of_ad(diag, corner, rho, phi, arg.x, coef);
 }
 
 
 // not at |phi| = 2 pi n, n > 0
 static void se3_exact_inverse_left_jacobian(double res[36], const double xi[6]) {
-  Dd rho[3], phi[3];
+  Dd rho[3], phi[3], diag[9], corner[9];
   to_dd3(rho, xi);
   to_dd3(phi, xi + 3);
-  Argument arg = argument(phi);
-  Dd coef[4] = {{-0.5, 0}, {0, 0}, {0, 0}, {0, 0}};
-  inverse_coefficients(coef + 1, coef + 3, &arg);
-  polynomial_of_ad(res, rho, phi, arg.x, coef);
+  exact_inverse_jacobian(diag, corner, rho, phi, JACOBIAN_EXACT);
+  fill_blocks(res, diag, corner);
 }
 
 #endif  // TACTILE_SE3_EXACT_H_

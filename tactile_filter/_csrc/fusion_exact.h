@@ -1,0 +1,444 @@
+// The fusion to convergence: Gauss-Newton with a line search, Newton's method where that is slow or goes in circles,
+// from several starts where the means are far apart. Plain or, where the pivots ask for it, robust arithmetic.
+
+#define EXACT_TOLERANCE 1e-13  // step, relative to 1 + the whitened residual: where rounding takes over
+#define FLOOR_TOLERANCE 1e-9   // below this, a step that no longer shrinks is rounding, too
+#define SLOW 0.02              // a step longer than this fraction of the last one: Newton's method from here on
+#define ARMIJO 1e-4            // fraction of the predicted decrease that a step has to bring
+#define SEARCH_FROM 1e-3       // shorter steps are taken whole: they change the cost by less than its rounding
+#define SLACK 1e-12            // differences of costs below this fraction are rounding
+#define SHORTEST_STEP (1.0/1073741824)
+
+typedef struct {
+  Pair pair;        // rounded from `robust` if that is used
+  Robust robust;
+  int is_robust;
+} Problem;
+
+typedef struct {
+  Pose_d1 y;
+  DdPose y_robust;
+} Motion;
+
+typedef struct {
+  PairModel pair;
+  RobustModel robust;
+  double factor[36];  // lower, of the covariance
+  double descent[6];  // in posterior standard deviations: step = factor * descent
+  double step[6];
+  double square, cost;
+} Model;
+
+
+static void round_motion(Motion* motion) {
+  for (int i = 0; i < 9; i++) {
+    motion->y.rot[i] = dd_round(motion->y_robust.rot[i]);
+  }
+  for (int i = 0; i < 3; i++) {
+    motion->y.pos[i] = dd_round(motion->y_robust.pos[i]);
+  }
+}
+
+
+static void problem_perturb(const Problem* problem, Motion* motion, const double step[6]) {
+  if (problem->is_robust) {
+    robust_perturb(&motion->y_robust, step);
+    round_motion(motion);
+  } else {
+    perturb_d1(&motion->y, step);
+  }
+}
+
+
+static int problem_model(Model* model, const Problem* problem, const Motion* motion) {
+  if (problem->is_robust) {
+    if (!robust_model(&model->robust, &problem->robust, &motion->y_robust, JACOBIAN_EXACT)) {
+      return 0;
+    }
+    for (int i = 0; i < 36; i++) {
+      model->factor[i] = dd_round(model->robust.factor[i]);
+    }
+    memcpy(model->step, model->robust.step, sizeof(model->step));
+    memcpy(model->descent, model->robust.y, sizeof(model->descent));
+    model->square = model->robust.square;
+    model->cost = model->robust.cost;
+    return 1;
+  }
+
+  if (!pair_model(&model->pair, &problem->pair, &motion->y, JACOBIAN_EXACT)) {
+    return 0;
+  }
+  double packed[21];
+  inverse_factor_d1(packed, &model->pair.information);
+  memset(model->factor, 0, sizeof(model->factor));
+  memcpy(model->step, model->pair.step, sizeof(model->step));
+  model->square = model->pair.square;
+  model->cost = model->pair.cost;
+
+  // descent = factor^-1 * step
+  for (int i = 0; i < 6; i++) {
+    double rest = model->step[i];
+    for (int j = 0; j <= i; j++) {
+      model->factor[6*i+j] = packed[i*(i+1)/2+j];
+      rest -= j < i ? packed[i*(i+1)/2+j]*model->descent[j] : 0;
+    }
+    model->descent[i] = rest/model->factor[7*i];
+  }
+  return 1;
+}
+
+
+static double problem_cost(const Problem* problem, const Motion* motion) {
+  if (problem->is_robust) {
+    double cost = 0;
+    for (int k = 0; k < 2; k++) {
+      Dd rows[6][7];
+      robust_rows(rows, &motion->y_robust, problem->robust.side + k, JACOBIAN_EXACT);
+      for (int i = 0; i < 6; i++) {
+        cost += dd_round(dd_mul(rows[i][6], rows[i][6]));
+      }
+    }
+    return cost;
+  }
+  Pose_d2 both, difference;
+  Vec_d2 xi[6], residual[6], e, de;
+  spread_d2(&both, &motion->y);
+  product_d2(&difference, &both, &problem->pair.side.relative);
+  log_d2(xi, &e, &de, &difference);
+  Vec_d2 cost = whitened_residual_d2(residual, xi, &problem->pair.side);
+  return cost[0] + cost[1];
+}
+
+
+static double dot3(const double a[3], const double b[3]) {
+  return a[0]*b[0] + a[1]*b[1] + a[2]*b[2];
+}
+
+
+// w' (A B + B A) c for the hats of a and b
+static double mixed_form(const double a[3], const double b[3], const double w[3], const double c[3]) {
+  return dot3(w, a)*dot3(b, c) + dot3(w, b)*dot3(a, c) - 2*dot3(a, b)*dot3(w, c);
+}
+
+
+// what the inverse Jacobian's second derivative needs: e(x) and its derivatives over the angle, each over it
+typedef struct {
+  double phi[3], e, de, dde;
+} Bend;
+
+
+// w' D(r) c, where D(r) is the derivative along r of the 3x3 inverse Jacobian
+static double first_form(const Bend* bend, const double r[3], const double w[3], const double c[3]) {
+  const double* p = bend->phi;
+  double turn = w[0]*(r[1]*c[2] - r[2]*c[1]) + w[1]*(r[2]*c[0] - r[0]*c[2]) + w[2]*(r[0]*c[1] - r[1]*c[0]);
+  return -0.5*turn + bend->e*mixed_form(p, r, w, c) + 0.5*bend->de*dot3(p, r)*mixed_form(p, p, w, c);
+}
+
+
+// the same of the second derivative, along r and q
+static double second_form(const Bend* bend, const double r[3], const double q[3], const double w[3],
+                          const double c[3]) {
+  const double* p = bend->phi;
+  double pr = dot3(p, r), pq = dot3(p, q);
+  return bend->e*mixed_form(r, q, w, c) + bend->de*(pq*mixed_form(p, r, w, c) + pr*mixed_form(p, q, w, c))
+         + 0.5*(bend->de*dot3(q, r) + bend->dde*pr*pq)*mixed_form(p, p, w, c);
+}
+
+
+// what the curvature of the logarithm of one input adds to the cost's half Hessian
+static void add_curvature(double hessian[36], const Problem* problem, const Motion* motion, int k) {
+  Pose_d1 difference, relative;
+  Side_d1 side;
+  double xi[6], residual[6], weighted[6], diag[9], corner[9], directions[6][6] = {{0}};
+  for (int i = 0; i < 9; i++) {
+    relative.rot[i] = problem->pair.side.relative.rot[i][k];
+    side.ur[i] = problem->pair.side.ur[i][k];
+  }
+  for (int i = 0; i < 6; i++) {
+    side.ul[i] = problem->pair.side.ul[i][k];
+    side.lr[i] = problem->pair.side.lr[i][k];
+  }
+  for (int i = 0; i < 3; i++) {
+    relative.pos[i] = problem->pair.side.relative.pos[i][k];
+  }
+  Bend bend;
+  product_d1(&difference, &motion->y, &relative);
+  log_d1(xi, &bend.e, &bend.de, &difference);
+  whitened_residual_d1(residual, xi, &side);
+  inverse_jacobian_d1(diag, corner, xi, bend.e, bend.de);
+  memcpy(bend.phi, xi + 3, sizeof(bend.phi));
+  bend.dde = 0;
+  for (int n = 1; n <= 20; n++) {
+    double pole = 1/(n*n*FOUR_PI_SQUARED - dot3(bend.phi, bend.phi));
+    bend.dde += 16*pole*pole*pole;
+  }
+
+  // covariance^-1 * xi = upper' * residual, and where a unit step takes xi
+  for (int j = 0; j < 3; j++) {
+    weighted[j] = weighted[3+j] = 0;
+    for (int i = 0; i < 3; i++) {
+      int n = i*(5-i)/2 + j;
+      weighted[j] += i <= j ? side.ul[n]*residual[i] : 0;
+      weighted[3+j] += side.ur[3*i+j]*residual[i] + (i <= j ? side.lr[n]*residual[3+i] : 0);
+      directions[j][i] = directions[3+j][3+i] = diag[3*i+j];
+      directions[3+j][i] = corner[3*i+j];
+    }
+  }
+  for (int i = 0; i < 6; i++) {
+    const double *shift = directions[i], *turn = directions[i] + 3;
+    for (int j = 0; j < 6; j++) {
+      double axis[3] = {j % 3 == 0, j % 3 == 1, j % 3 == 2}, value;
+      if (j < 3) {
+        value = first_form(&bend, turn, weighted, axis);
+      } else {
+        value = first_form(&bend, shift, weighted, axis) + second_form(&bend, xi, turn, weighted, axis)
+                + first_form(&bend, turn, weighted + 3, axis);
+      }
+      hessian[6*i+j] += 0.5*value;
+      hessian[6*j+i] += 0.5*value;
+    }
+  }
+}
+
+
+// Newton's step instead of Gauss-Newton's, if the Hessian is positive definite; returns whether it is
+static int newton(Model* model, const Problem* problem, const Motion* motion) {
+  double hessian[36] = {0}, product[36], packed[21], direction[6];
+  add_curvature(hessian, problem, motion, 0);
+  add_curvature(hessian, problem, motion, 1);
+
+  // in posterior standard deviations: I + factor' * hessian * factor
+  for (int i = 0; i < 6; i++) {
+    for (int j = 0; j < 6; j++) {
+      product[6*i+j] = 0;
+      for (int k = j; k < 6; k++) {
+        product[6*i+j] += hessian[6*i+k]*model->factor[6*k+j];
+      }
+    }
+  }
+  for (int i = 0; i < 6; i++) {
+    for (int j = 0; j <= i; j++) {
+      double sum = i == j;
+      for (int k = i; k < 6; k++) {
+        sum += model->factor[6*k+i]*product[6*k+j];
+      }
+      packed[i*(i+1)/2+j] = sum;
+    }
+    direction[i] = model->descent[i];
+  }
+  Factor_d1 factor;
+  int poor = 0;
+  factorize_d1(&factor, packed, &poor);
+  if (poor) {
+    return 0;
+  }
+  solve_transposed_d1(direction, &factor);
+  for (int i = 0; i < 6; i++) {
+    direction[i] *= factor.inverse[i];
+  }
+  solve_d1(direction, &factor);
+  model->square = 0;
+  for (int i = 0; i < 6; i++) {
+    model->square += model->descent[i]*direction[i];
+    model->step[i] = 0;
+    for (int j = 0; j <= i; j++) {
+      model->step[i] += model->factor[6*i+j]*direction[j];
+    }
+  }
+  return 1;
+}
+
+
+// move by the longest of step, step/2, step/4, ... that lowers the cost enough; returns 0 if none does
+static int line_search(Motion* motion, const Model* model, const Problem* problem) {
+  if (model->square <= SEARCH_FROM*SEARCH_FROM) {
+    problem_perturb(problem, motion, model->step);
+    return 1;
+  }
+  for (double fraction = 1; fraction >= SHORTEST_STEP; fraction *= 0.5) {
+    double step[6];
+    Motion moved = *motion;
+    for (int i = 0; i < 6; i++) {
+      step[i] = fraction*model->step[i];
+    }
+    problem_perturb(problem, &moved, step);
+    double predicted = 2*ARMIJO * fraction * model->square;
+    if (problem_cost(problem, &moved) <= model->cost*(1 + SLACK) - predicted) {
+      *motion = moved;
+      return 1;
+    }
+  }
+  return 0;
+}
+
+
+// descend from a start; returns 0, or -1 if the plain arithmetic does not suffice, or a fault
+static int descend(FusionOutput* res, double* cost, Motion* motion, const Problem* problem, int iterations) {
+  Model model;
+  double previous = HUGE_VAL;
+  int use_newton = 0;
+  res->status = FUSION_NOT_CONVERGED;
+  for (res->iterations = 1; ; res->iterations++) {
+    if (!problem_model(&model, problem, motion)) {
+      return problem->is_robust ? FUSION_NO_INFORMATION : -1;
+    }
+    res->step = sqrt(model.square);
+
+    // converged: the step is rounding, or is small and no longer shrinks; it is still taken
+    double scale = 1 + sqrt(model.cost);
+    int at_floor = res->step <= FLOOR_TOLERANCE*scale && res->step > 0.5*previous;
+    if (res->step <= EXACT_TOLERANCE*scale || at_floor) {
+      res->status = FUSION_CONVERGED;
+      problem_perturb(problem, motion, model.step);
+      break;
+    }
+    use_newton |= res->iterations > 1 && res->step > SLOW*previous;
+    previous = res->step;
+    if (res->iterations == iterations) {
+      problem_perturb(problem, motion, model.step);
+      break;
+    }
+    if (use_newton && newton(&model, problem, motion) && line_search(motion, &model, problem)) {
+      continue;
+    }
+    if (use_newton && !problem_model(&model, problem, motion)) {
+      return problem->is_robust ? FUSION_NO_INFORMATION : -1;
+    }
+    if (!line_search(motion, &model, problem)) {
+      res->status = FUSION_STALLED;
+      break;
+    }
+  }
+  *cost = problem_cost(problem, motion);
+  if (problem->is_robust) {
+    robust_finish(res, &problem->robust, &motion->y_robust, &model.robust);
+  } else {
+    pair_finish(res, &problem->pair, &motion->y, &model.pair.information);
+  }
+  return 0;
+}
+
+
+// the motions to start from: the first mean; where the second is far, that, too, and half the way on both sides
+static int starts(Motion start[4], const Problem* problem) {
+  Pose_d1 relative, second;
+  double xi[6], e, de;
+  for (int i = 0; i < 9; i++) {
+    relative.rot[i] = problem->pair.side.relative.rot[i][1];
+  }
+  for (int i = 0; i < 3; i++) {
+    relative.pos[i] = problem->pair.side.relative.pos[i][1];
+  }
+  for (int n = 0; n < 4; n++) {
+    set_identity_d1(&start[n].y);
+  }
+  double versine = 0.5*(3 - relative.rot[0] - relative.rot[4] - relative.rot[8]);
+  if (versine <= REGULAR_VERSINE) {
+    return 1;
+  }
+
+  // X_2 X_1^-1 and its logarithms, the short and the long way round
+  for (int i = 0; i < 3; i++) {
+    second.pos[i] = 0;
+    for (int j = 0; j < 3; j++) {
+      second.rot[3*i+j] = relative.rot[3*j+i];
+      second.pos[i] -= relative.rot[3*j+i]*relative.pos[j];
+    }
+  }
+  start[1].y = second;
+  log_d1(xi, &e, &de, &second);
+  double angle = sqrt(dot3(xi + 3, xi + 3));
+  for (int n = 2; n < 4; n++) {
+    double half[6], turn = n == 2 ? 1 : 1 - TWO_PI/angle;
+    double jac[36], around[6] = {0, 0, 0, turn*xi[3], turn*xi[4], turn*xi[5]};
+    se3_exact_inverse_left_jacobian(jac, around);
+    for (int i = 0; i < 3; i++) {
+      half[i] = 0.5*(jac[6*i]*second.pos[0] + jac[6*i+1]*second.pos[1] + jac[6*i+2]*second.pos[2]);
+      half[3+i] = 0.5*around[3+i];
+    }
+    perturb_d1(&start[n].y, half);
+  }
+  return 4;
+}
+
+
+static void make_robust(Motion* motion) {
+  for (int i = 0; i < 9; i++) {
+    motion->y_robust.rot[i] = dd_from(motion->y.rot[i]);
+  }
+  for (int i = 0; i < 3; i++) {
+    motion->y_robust.pos[i] = dd_from(motion->y.pos[i]);
+  }
+  double mat[16];
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      mat[4*i+j] = motion->y.rot[3*i+j];
+    }
+    mat[4*i+3] = motion->y.pos[i];
+  }
+  dd_set_pose(&motion->y_robust, mat);
+}
+
+
+// the plain sides from the robust ones
+static void round_sides(Problem* problem) {
+  Side_d2* plain = &problem->pair.side;
+  for (int k = 0; k < 2; k++) {
+    const RobustSide* side = problem->robust.side + k;
+    for (int i = 0; i < 3; i++) {
+      plain->relative.pos[i][k] = dd_round(side->relative.pos[i]);
+      for (int j = 0; j < 3; j++) {
+        plain->relative.rot[3*i+j][k] = dd_round(side->relative.rot[3*i+j]);
+        plain->ur[3*i+j][k] = dd_round(side->lower[6*(3+j)+i]);
+        if (j >= i) {
+          plain->ul[i*(5-i)/2+j][k] = dd_round(side->lower[6*j+i]);
+          plain->lr[i*(5-i)/2+j][k] = dd_round(side->lower[6*(3+j)+3+i]);
+        }
+      }
+    }
+  }
+}
+
+
+// returns 0, -1 if the plain arithmetic does not suffice, or a fault
+static int exact_from_all_starts(FusionOutput* res, const Problem* problem, int iterations) {
+  Motion start[4];
+  double lowest = HUGE_VAL;
+  int count = starts(start, problem), best = FUSION_STALLED;
+  for (int n = 0; n < count; n++) {
+    FusionOutput found;
+    double cost;
+    make_robust(start + n);
+    int fault = descend(&found, &cost, start + n, problem, iterations);
+    if (fault) {
+      return fault;
+    }
+
+    // a lower cost wins, but not by rounding
+    if (n == 0 || cost < lowest - 1e-9*(1 + lowest) || (best != FUSION_CONVERGED && found.status == FUSION_CONVERGED
+                                                        && cost <= lowest + 1e-9*(1 + lowest))) {
+      *res = found;
+      lowest = cost;
+      best = found.status;
+    }
+  }
+  return 0;
+}
+
+
+// returns 0 or a fault
+static int fuse_exactly(FusionOutput* res, const FusionInput input[2], int iterations) {
+  Problem problem;
+  problem.is_robust = !pair_set(&problem.pair, input);
+  int fault = problem.is_robust ? -1 : exact_from_all_starts(res, &problem, iterations);
+  if (fault == -1) {
+    problem.is_robust = 1;
+    fault = robust_set(&problem.robust, input);
+    if (fault) {
+      return fault;
+    }
+    round_sides(&problem);
+    fault = exact_from_all_starts(res, &problem, iterations);
+  }
+  return fault;
+}

@@ -1,0 +1,507 @@
+// The arithmetic of the fusion on LANES fusions side by side, one in each lane of a vector. A template: included
+// once for each kind of vector, which lanes_begin.h describes. Each lane gets the same bits whatever their number.
+//
+// All poses are relative to the first mean: Y = X X_1^-1, Z_k = X_1 X_k^-1, so that xi_k = log(Y Z_k), and what is
+// sought is a small motion known to its own last digit. Packed lower triangles hold 00, 10, 11, 20, ...
+
+typedef struct {
+  V rot[9], pos[3];
+} NAME(Pose);
+
+// one of the two inputs: Z_k, and what whitens its errors, the upper triangular [[ul, ur], [0, lr]] with
+// covariance^-1 = upper' * upper; ul and lr are upper triangular and hold 00, 01, 02, 11, 12, 22
+typedef struct {
+  NAME(Pose) relative;
+  V ul[6], ur[9], lr[6];
+} NAME(Side);
+
+// mat = unit' * diag(pivot) * unit with unit lower triangular of which the strictly lower part is held
+typedef struct {
+  V unit[15], inverse[6];
+} NAME(Factor);
+
+
+// polynomial of even degree, its even and odd powers apart
+static inline V NAME(polynomial)(const double* coef, int degree, V x) {
+  V square = x*x, even = SPLAT(coef[degree]), odd = SPLAT(coef[degree-1]);
+  UNROLL
+  for (int i = degree - 2; i > 0; i -= 2) {
+    even = FMA(even, square, SPLAT(coef[i]));
+    odd = FMA(odd, square, SPLAT(coef[i-1]));
+  }
+  return FMA(odd, x, FMA(even, square, SPLAT(coef[0])));
+}
+
+
+static inline V NAME(dot3)(const V a[3], const V b[3]) {
+  return FMA(a[2], b[2], FMA(a[1], b[1], a[0]*b[0]));
+}
+
+
+// res = a * b
+static inline void NAME(product)(NAME(Pose)* res, const NAME(Pose)* a, const NAME(Pose)* b) {
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    const V* row = a->rot + 3*i;
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      res->rot[3*i+j] = FMA(row[2], b->rot[6+j], FMA(row[1], b->rot[3+j], row[0]*b->rot[j]));
+    }
+    res->pos[i] = FMA(row[2], b->pos[2], FMA(row[1], b->pos[1], FMA(row[0], b->pos[0], a->pos[i])));
+  }
+}
+
+
+// replace the rotation by the nearest one, which is near
+static inline void NAME(orthonormalize)(V rot[9]) {
+  V excess[9], factor[9], res[9];
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j <= i; j++) {
+      V sum = FMA(rot[6+i], rot[6+j], FMA(rot[3+i], rot[3+j], rot[i]*rot[j]));
+      excess[3*i+j] = excess[3*j+i] = i == j ? sum - SPLAT(1) : sum;
+    }
+  }
+
+  // rot * (I + excess)^(-1/2); the next term of the series is below rounding
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      V square = FMA(excess[3*i+2], excess[6+j],
+                     FMA(excess[3*i+1], excess[3+j], excess[3*i]*excess[j]));
+      factor[3*i+j] = FMA(SPLAT(-0.375), square, SPLAT(0.5)*excess[3*i+j]);
+    }
+  }
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    const V* row = rot + 3*i;
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      res[3*i+j] = row[j] - FMA(row[2], factor[6+j], FMA(row[1], factor[3+j], row[0]*factor[j]));
+    }
+  }
+  UNROLL
+  for (int i = 0; i < 9; i++) {
+    rot[i] = res[i];
+  }
+}
+
+
+// factorize a packed matrix from its last row up; `poor` gets the lanes whose pivots are not well above rounding
+static inline void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poor) {
+  V left[21];
+  UNROLL
+  for (int i = 0; i < 21; i++) {
+    left[i] = packed[i];
+  }
+  UNROLL
+  for (int i = 5; i >= 0; i--) {
+    V *row = left + i*(i+1)/2, pivot = row[i];
+    V inverse = SPLAT(1) / pivot;
+    *poor |= NOT(pivot > SPLAT(POOR_PIVOT)*packed[i*(i+1)/2+i]) | NOT(pivot <= SPLAT(LARGEST));
+    res->inverse[i] = inverse;
+    UNROLL
+    for (int j = 0; j < i; j++) {
+      V scaled = row[j]*inverse;
+      res->unit[i*(i-1)/2+j] = scaled;
+      UNROLL
+      for (int k = j; k < i; k++) {
+        left[k*(k+1)/2+j] = FMA(-row[k], scaled, left[k*(k+1)/2+j]);
+      }
+    }
+  }
+}
+
+
+// vec = unit^-T vec
+static inline void NAME(solve_transposed)(V vec[6], const NAME(Factor)* factor) {
+  UNROLL
+  for (int i = 5; i > 0; i--) {
+    UNROLL
+    for (int j = 0; j < i; j++) {
+      vec[j] = FMA(-factor->unit[i*(i-1)/2+j], vec[i], vec[j]);
+    }
+  }
+}
+
+
+// vec = unit^-1 vec
+static inline void NAME(solve)(V vec[6], const NAME(Factor)* factor) {
+  UNROLL
+  for (int j = 0; j < 5; j++) {
+    UNROLL
+    for (int i = j + 1; i < 6; i++) {
+      vec[i] = FMA(-factor->unit[i*(i-1)/2+j], vec[j], vec[i]);
+    }
+  }
+}
+
+
+// packed lower factor of the inverse: mat^-1 = res * res'
+static inline void NAME(inverse_factor)(V res[21], const NAME(Factor)* factor) {
+  UNROLL
+  for (int j = 0; j < 6; j++) {
+    V column[6];
+    column[j] = SQRT(factor->inverse[j]);
+    UNROLL
+    for (int i = j + 1; i < 6; i++) {
+      column[i] = -factor->unit[i*(i-1)/2+j]*column[j];
+    }
+    UNROLL
+    for (int k = j + 1; k < 5; k++) {
+      UNROLL
+      for (int i = k + 1; i < 6; i++) {
+        column[i] = FMA(-factor->unit[i*(i-1)/2+k], column[k], column[i]);
+      }
+    }
+    UNROLL
+    for (int i = j; i < 6; i++) {
+      res[i*(i+1)/2+j] = column[i];
+    }
+  }
+}
+
+
+// res = mat * mat', both packed, mat lower triangular
+static inline void NAME(square_lower)(V res[21], const V mat[21]) {
+  UNROLL
+  for (int i = 0; i < 6; i++) {
+    UNROLL
+    for (int j = 0; j <= i; j++) {
+      V sum = mat[i*(i+1)/2] * mat[j*(j+1)/2];
+      UNROLL
+      for (int k = 1; k <= j; k++) {
+        sum = FMA(mat[i*(i+1)/2+k], mat[j*(j+1)/2+k], sum);
+      }
+      res[i*(i+1)/2+j] = sum;
+    }
+  }
+}
+
+
+// packed symmetric part of a covariance; `bad` gets the lanes that are not symmetric or not finite
+static inline void NAME(symmetric_part)(V res[21], const V cov[36], M* bad) {
+  UNROLL
+  for (int i = 0; i < 6; i++) {
+    UNROLL
+    for (int j = 0; j <= i; j++) {
+      V difference = cov[6*i+j] - cov[6*j+i];
+      V scale = SPLAT(SYMMETRY_TOLERANCE*SYMMETRY_TOLERANCE) * (cov[7*i]*cov[7*j]);
+      *bad |= NOT(difference*difference <= scale);
+      res[i*(i+1)/2+j] = FMA(SPLAT(0.5), cov[6*i+j], SPLAT(0.5)*cov[6*j+i]);
+    }
+  }
+}
+
+
+// `bad` gets the lanes whose pose is none
+static inline void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
+  const V *r = pose->rot, *p = pose->pos;
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j <= i; j++) {
+      V error = FMA(r[6+i], r[6+j], FMA(r[3+i], r[3+j], r[i]*r[j])) - SPLAT(i == j ? 1 : 0);
+      *bad |= NOT(error*error <= SPLAT(ROTATION_TOLERANCE*ROTATION_TOLERANCE));
+    }
+  }
+  V det = (r[0]*r[4] - r[1]*r[3])*r[8] + (r[1]*r[5] - r[2]*r[4])*r[6] + (r[2]*r[3] - r[0]*r[5])*r[7];
+  V zero = SPLAT(0)*p[0] + SPLAT(0)*p[1] + SPLAT(0)*p[2];
+  *bad |= NOT(det > SPLAT(0)) | NOT(zero == SPLAT(0));
+}
+
+
+// whitening of an input from its packed covariance
+static inline void NAME(set_whitening)(NAME(Side)* side, const V packed[21], M* poor) {
+  NAME(Factor) factor;
+  V lower[21];
+  NAME(factorize)(&factor, packed, poor);
+
+  // the transpose of the inverse's lower factor, by blocks
+  NAME(inverse_factor)(lower, &factor);
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = i; j < 3; j++) {
+      int n = i*(5-i)/2 + j;
+      side->ul[n] = lower[j*(j+1)/2+i];
+      side->lr[n] = lower[(3+j)*(4+j)/2+3+i];
+    }
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      side->ur[3*i+j] = lower[(3+j)*(4+j)/2+i];
+    }
+  }
+}
+
+
+// res = X_1 X_2^-1, its rotation made orthonormal
+static inline void NAME(set_relative)(NAME(Pose)* res, const NAME(Pose)* first, const NAME(Pose)* second) {
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      res->rot[3*i+j] = NAME(dot3)(first->rot + 3*i, second->rot + 3*j);
+    }
+  }
+  NAME(orthonormalize)(res->rot);
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    res->pos[i] = first->pos[i] - NAME(dot3)(res->rot + 3*i, second->pos);
+  }
+}
+
+
+static inline void NAME(set_identity)(NAME(Pose)* res) {
+  UNROLL
+  for (int i = 0; i < 9; i++) {
+    res->rot[i] = SPLAT(i % 4 == 0 ? 1 : 0);
+  }
+  res->pos[0] = res->pos[1] = res->pos[2] = SPLAT(0);
+}
+
+
+// the lanes whose angle is too large for the polynomials, one after another
+static __attribute__((noinline, cold, unused)) void NAME(log_irregular)(V phi[3], V* e, V* de,
+                                                                       const NAME(Pose)* pose, M irregular) {
+  for (int lane = 0; lane < LANES; lane++) {
+    if (LANE(irregular, lane)) {
+      double rot[9], vec[3], coef[2];
+      for (int i = 0; i < 9; i++) {
+        rot[i] = LANE(pose->rot[i], lane);
+      }
+      se3_rotation_vector(vec, rot);
+      se3_inverse_coefficients(coef, vec[0]*vec[0] + vec[1]*vec[1] + vec[2]*vec[2]);
+      for (int i = 0; i < 3; i++) {
+        LANE(phi[i], lane) = (ELEM)vec[i];
+      }
+      LANE(*e, lane) = (ELEM)coef[0];
+      LANE(*de, lane) = (ELEM)coef[1];
+    }
+  }
+}
+
+
+// xi = log(pose), with the coefficients of the inverse Jacobian at xi
+static inline void NAME(log)(V xi[6], V* e, V* de, const NAME(Pose)* pose) {
+  const V *r = pose->rot, *t = pose->pos;
+  V* phi = xi + 3;
+  V versine = SPLAT(0.5)*(((SPLAT(1) - r[0]) + (SPLAT(1) - r[4])) + (SPLAT(1) - r[8]));
+  V half_turn = SPLAT(0.5)*NAME(polynomial)(FIT_TURN, 12, versine);
+  phi[0] = half_turn*(r[7] - r[5]);
+  phi[1] = half_turn*(r[2] - r[6]);
+  phi[2] = half_turn*(r[3] - r[1]);
+  V x = NAME(dot3)(phi, phi);
+  *e = NAME(polynomial)(FIT_COT, 6, x);
+  *de = NAME(polynomial)(FIT_D_COT, 6, x);
+  M irregular = NOT(versine <= SPLAT(REGULAR_VERSINE));
+  if (NAME(any)(irregular)) {
+    NAME(log_irregular)(phi, e, de, pose, irregular);
+  }
+
+  // rho = t - phi x t / 2 + e phi x (phi x t)
+  V turned[3], twice[3];
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    turned[i] = FMA(phi[j], t[k], -(phi[k]*t[j]));
+  }
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    twice[i] = FMA(phi[j], turned[k], -(phi[k]*turned[j]));
+    xi[i] = FMA(*e, twice[i], FMA(SPLAT(-0.5), turned[i], t[i]));
+  }
+}
+
+
+// blocks of the inverse left Jacobian [[diag, corner], [0, diag]] with its coefficients e and de
+static inline void NAME(inverse_jacobian)(V diag[9], V corner[9], const V xi[6], V e, V de) {
+  const V *r = xi, *p = xi + 3;
+  V along = NAME(dot3)(p, r), scale = de*along;
+
+  // I - P/2 + e P P and -R/2 + e (P R + R P) + de (p.r) P P,
+  // with P P = p p' - (p.p) I and P R + R P = p r' + r p' - 2 (p.r) I
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    V squares = FMA(p[j], p[j], p[k]*p[k]);
+    diag[4*i] = FMA(-e, squares, SPLAT(1));
+    V mixed = FMA(p[j], r[j], p[k]*r[k]);
+    corner[4*i] = FMA(SPLAT(-2)*e, mixed, -(scale*squares));
+
+    V ep = e*p[i], product = ep*p[j];
+    V other = FMA(scale*p[i], p[j], FMA(ep, r[j], (e*r[i])*p[j]));
+    diag[3*i+j] = FMA(SPLAT(0.5), p[k], product);
+    diag[3*j+i] = FMA(SPLAT(-0.5), p[k], product);
+    corner[3*i+j] = FMA(SPLAT(0.5), r[k], other);
+    corner[3*j+i] = FMA(SPLAT(-0.5), r[k], other);
+  }
+}
+
+
+// residual of one input, whitened; returns its squared norm
+static inline V NAME(whitened_residual)(V res[6], const V xi[6], const NAME(Side)* side) {
+  const V *ul = side->ul, *ur = side->ur, *lr = side->lr, *rho = xi, *phi = xi + 3;
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    V upper = NAME(dot3)(ur + 3*i, phi), lower = SPLAT(0);
+    UNROLL
+    for (int j = i; j < 3; j++) {
+      int n = i*(5-i)/2 + j;
+      upper = FMA(ul[n], rho[j], upper);
+      lower = j == i ? lr[n]*phi[j] : FMA(lr[n], phi[j], lower);
+    }
+    res[i] = upper;
+    res[3+i] = lower;
+  }
+  return NAME(dot3)(res, res) + NAME(dot3)(res + 3, res + 3);
+}
+
+
+// res = upper * mat, upper triangular as in Side
+static inline void NAME(multiply_upper)(V res[9], const V upper[6], const V mat[9]) {
+  UNROLL
+  for (int j = 0; j < 3; j++) {
+    res[j] = FMA(upper[2], mat[6+j], FMA(upper[1], mat[3+j], upper[0]*mat[j]));
+    res[3+j] = FMA(upper[4], mat[6+j], upper[3]*mat[3+j]);
+    res[6+j] = upper[5]*mat[6+j];
+  }
+}
+
+
+// res += a' * b, of a symmetric one the lower half
+static inline void NAME(add_transposed_product)(V res[9], const V a[9], const V b[9], int symmetric) {
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      if (!symmetric || j <= i) {
+        res[3*i+j] = FMA(a[6+i], b[6+j], FMA(a[3+i], b[3+j], FMA(a[i], b[j], res[3*i+j])));
+      }
+    }
+  }
+}
+
+
+// what one input adds to the information (packed) and the gradient at the motion y; returns its squared residual
+static inline V NAME(contribution)(V information[21], V gradient[6], const NAME(Pose)* y,
+                                   const NAME(Side)* side, int order) {
+  NAME(Pose) difference;
+  V xi[6], residual[6], e, de, diag[9], corner[9];
+  NAME(product)(&difference, y, &side->relative);
+  NAME(log)(xi, &e, &de, &difference);
+  V cost = NAME(whitened_residual)(residual, xi, side);
+  if (order == JACOBIAN_ORDER_2) {
+    e = SPLAT(1.0/12);
+    de = SPLAT(0);
+  } else if (order == JACOBIAN_ORDER_4) {
+    e = FMA(NAME(dot3)(xi + 3, xi + 3), SPLAT(1.0/720), SPLAT(1.0/12));
+    de = SPLAT(1.0/360);
+  }
+  NAME(inverse_jacobian)(diag, corner, xi, e, de);
+
+  // whitened Jacobian [[ul, ur], [0, lr]]
+  V ul[9], ur[9], lr[9];
+  NAME(multiply_upper)(ul, side->ul, diag);
+  NAME(multiply_upper)(lr, side->lr, diag);
+  NAME(multiply_upper)(ur, side->ul, corner);
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    const V* row = side->ur + 3*i;
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      ur[3*i+j] = FMA(row[2], diag[6+j], FMA(row[1], diag[3+j], FMA(row[0], diag[j], ur[3*i+j])));
+    }
+  }
+
+  V block[3][9];
+  UNROLL
+  for (int i = 0; i < 9; i++) {
+    block[0][i] = block[1][i] = block[2][i] = SPLAT(0);
+  }
+  NAME(add_transposed_product)(block[0], ul, ul, 1);
+  NAME(add_transposed_product)(block[1], ur, ul, 0);
+  NAME(add_transposed_product)(block[2], ur, ur, 1);
+  NAME(add_transposed_product)(block[2], lr, lr, 1);
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      information[(3+i)*(4+i)/2+j] = block[1][3*i+j];
+      if (j <= i) {
+        information[i*(i+1)/2+j] = block[0][3*i+j];
+        information[(3+i)*(4+i)/2+3+j] = block[2][3*i+j];
+      }
+    }
+    V upper = FMA(ul[6+i], residual[2], FMA(ul[3+i], residual[1], ul[i]*residual[0]));
+    V lower = FMA(ur[6+i], residual[2], FMA(ur[3+i], residual[1], ur[i]*residual[0]));
+    lower = FMA(lr[6+i], residual[5], FMA(lr[3+i], residual[4], FMA(lr[i], residual[3], lower)));
+    gradient[i] = upper;
+    gradient[3+i] = lower;
+  }
+  return cost;
+}
+
+
+// gradient -> Gauss-Newton step by the information's factor; returns its squared length in standard deviations
+static inline V NAME(gauss_newton)(V step[6], V gradient[6], const NAME(Factor)* factor) {
+  NAME(solve_transposed)(gradient, factor);
+  V square = SPLAT(0);
+  UNROLL
+  for (int i = 0; i < 6; i++) {
+    step[i] = -gradient[i]*factor->inverse[i];
+    square = FMA(-gradient[i], step[i], square);
+  }
+  NAME(solve)(step, factor);
+  return square;
+}
+
+
+static __attribute__((noinline, cold, unused)) void NAME(exp_irregular)(V coef[3], V x, M irregular) {
+  for (int lane = 0; lane < LANES; lane++) {
+    if (LANE(irregular, lane)) {
+      double res[3];
+      se3_exp_coefficients(res, LANE(x, lane));
+      for (int i = 0; i < 3; i++) {
+        LANE(coef[i], lane) = (ELEM)res[i];
+      }
+    }
+  }
+}
+
+
+// y = exp(xi^) * y
+static inline void NAME(perturb)(NAME(Pose)* y, const V xi[6]) {
+  const V *rho = xi, *phi = xi + 3;
+  V x = NAME(dot3)(phi, phi), coef[3];
+  coef[0] = NAME(polynomial)(FIT_SIN, 6, x);
+  coef[1] = NAME(polynomial)(FIT_COS, 6, x);
+  coef[2] = NAME(polynomial)(FIT_CUBIC, 6, x);
+  M irregular = NOT(x <= SPLAT(REGULAR_SQUARE));
+  if (NAME(any)(irregular)) {
+    NAME(exp_irregular)(coef, x, irregular);
+  }
+
+  // rotation: I + c0 phi^ + c1 phi^ phi^; translation: rho + c1 phi x rho + c2 phi x (phi x rho)
+  NAME(Pose) motion, before = *y;
+  V turned[3];
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    V product = (coef[1]*phi[i])*phi[j];
+    motion.rot[4*i] = FMA(-coef[1], FMA(phi[j], phi[j], phi[k]*phi[k]), SPLAT(1));
+    motion.rot[3*i+j] = FMA(-coef[0], phi[k], product);
+    motion.rot[3*j+i] = FMA(coef[0], phi[k], product);
+    turned[i] = FMA(phi[j], rho[k], -(phi[k]*rho[j]));
+  }
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    V twice = FMA(phi[j], turned[k], -(phi[k]*turned[j]));
+    motion.pos[i] = FMA(coef[2], twice, FMA(coef[1], turned[i], rho[i]));
+  }
+  NAME(product)(y, &motion, &before);
+}

@@ -1,0 +1,21 @@
+// Takes back what lanes_begin.h defines, and its parameters.
+#undef JOIN_
+#undef JOIN
+#undef NAME
+#undef V
+#undef M
+#undef BYTES
+#undef ELEM
+#undef MASK_ELEM
+#undef LARGEST
+#undef POOR_PIVOT
+#undef SCALAR_FMA
+#undef SCALAR_SQRT
+#undef LANE
+#undef NOT
+#undef SPLAT
+#undef FMA
+#undef SQRT
+#undef ELEM_BYTES
+#undef LANES
+#undef SUFFIX
