@@ -1,0 +1,164 @@
+"""Symmetry of the marker pattern and augmentation: images and labels that belong together. Needs PyTorch."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.linalg import expm, logm
+
+torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
+
+from tactile_filter.settings import SettingError  # noqa: E402
+from tactile_perception.training.augmentation import (  # noqa: E402
+    AugmentationError,
+    Augmenter,
+    without_markers,
+)
+from tactile_perception.training.settings import AugmentationSettings  # noqa: E402
+from tactile_perception.training.symmetry import CropGeometry, SymmetryAxis, find_center  # noqa: E402
+
+SHAPE, SIDE = (440, 445), 256
+CENTER = np.array([226.3, 219.8])
+GEOMETRY = CropGeometry(SHAPE, SIDE)
+
+
+def rings(center: np.ndarray = CENTER, push: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """The TacTip's markers on the crop, those within 60 px of the center moved by `push`."""
+    crop = np.zeros(SHAPE, np.uint8)
+    for ring in range(1, 11):
+        for k in range(6 * ring):
+            angle = 2 * np.pi * k / (6 * ring) + 0.15 * ring
+            point = 20.0 * ring * np.array([np.cos(angle), np.sin(angle)])
+            point = point + center + (np.array(push) if ring < 4 else 0.0)
+            cv2.circle(crop, tuple(np.round(16 * point).astype(int)), 16 * 5, 255, -1, cv2.LINE_AA, 4)
+    return crop
+
+
+def square(crop: np.ndarray, side: int = SIDE) -> np.ndarray:
+    return cv2.resize(crop, (side, side), interpolation=cv2.INTER_AREA)
+
+
+def augmenter(images: np.ndarray, **settings) -> Augmenter:
+    given = AugmentationSettings(**{"symmetry": 6, **settings})
+    return Augmenter(images, np.arange(len(images), dtype=float), SHAPE, given)
+
+
+def hat(xi: np.ndarray) -> np.ndarray:
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = [[0, -xi[5], xi[4]], [xi[5], 0, -xi[3]], [-xi[4], xi[3], 0]]
+    matrix[:3, 3] = xi[:3]
+    return matrix
+
+
+def vector(matrix: np.ndarray) -> np.ndarray:
+    return np.array([*matrix[:3, 3], matrix[2, 1], matrix[0, 2], matrix[1, 0]])
+
+
+def test_center_of_the_markers_is_found_in_the_images():
+    images = np.stack([square(rings())] * 4)
+    center, correlation = find_center(images, np.arange(4.0), GEOMETRY, order=6, radius=200.0)
+    np.testing.assert_allclose(center, CENTER, atol=0.5)
+    assert correlation > 0.95
+
+
+def test_images_without_the_symmetry_are_refused():
+    crop = rings()
+    crop[:, : SHAPE[1] // 2] = 0
+    with pytest.raises(AugmentationError, match="do not look the same after a turn"):
+        augmenter(np.stack([square(crop)] * 2))
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_a_turned_image_is_that_of_the_turned_contact(k):
+    """The markers pushed in one direction, turned, against the markers pushed in the turned direction."""
+    push, angle = np.array([9.0, 4.0]), k * np.pi / 3
+    turned_push = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ push
+    images = np.stack([square(rings(push=tuple(push)))])
+    turned = augmenter(images, symmetry_center=CENTER.tolist()).turned(images[0], k)
+    expected = square(rings(push=tuple(turned_push)))
+    small = [square(image, 64).astype(float) for image in (turned, expected)]
+    assert np.corrcoef(small[0].ravel(), small[1].ravel())[0, 1] > 0.99
+    unturned = square(images[0], 64).astype(float)
+    assert k == 0 or np.corrcoef(small[1].ravel(), unturned.ravel())[0, 1] < 0.97
+
+
+def test_what_is_outside_of_the_disk_does_not_turn():
+    crop = rings()
+    crop[5:25, 5:60] = 255
+    turned = augmenter(np.stack([square(crop)] * 2), symmetry_center=CENTER.tolist()).turned(square(crop), 2)
+    outside = ~GEOMETRY.disk(CENTER, 209.0)
+    np.testing.assert_array_equal(turned[outside], square(crop)[outside])
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_labels_turn_as_poses_conjugated_by_a_turn_about_the_axis(sense):
+    start = (1.5, -2.0, 0.02, -0.03)
+    axis = SymmetryAxis(start, order=6, sense=sense)
+    rng = np.random.default_rng(0)
+    labels = rng.normal(size=(12, 6)) * [2, 2, 1, 0.2, 0.2, 0.05]
+    turns = np.arange(12) % 6
+    with torch.no_grad():
+        answer = axis(torch.tensor(labels, dtype=torch.float32), torch.from_numpy(turns)).numpy()
+    place = expm(hat(np.array([*start[:2], 0, 0, 0, 0]))) @ expm(hat(np.array([0, 0, 0, *start[2:], 0])))
+    for label, turn, found in zip(labels, turns, answer, strict=True):
+        about_z = expm(hat(np.array([0, 0, 0, 0, 0, sense * turn * np.pi / 3])))
+        move = place @ about_z @ np.linalg.inv(place)
+        expected = vector(logm(move @ expm(hat(label)) @ np.linalg.inv(move)).real)
+        np.testing.assert_allclose(found, expected, atol=2e-5)
+
+
+def test_labels_of_images_that_did_not_turn_stay_the_same_bits():
+    labels = torch.randn(5, 6)
+    axis = SymmetryAxis((1.0, 2.0, 0.1, 0.1), 6, 1)
+    torch.testing.assert_close(axis(labels, torch.zeros(5, dtype=torch.int64)), labels, rtol=0, atol=0)
+
+
+def test_axis_is_learned_from_labels_that_turn_about_another_one():
+    truth, axis = SymmetryAxis((2.5, -1.0, 0.01, 0.02), 6, 1), SymmetryAxis((0.0,) * 4, 6, 1)
+    optimizer = torch.optim.Adam(axis.parameters(), lr=0.05)
+    labels = torch.randn(200, 6) * torch.tensor([2.0, 2, 1, 0.2, 0.2, 0.05])
+    turns = torch.arange(200) % 6
+    expected = truth(labels, turns).detach()
+    for _ in range(300):
+        loss = (((axis(labels, turns) - expected) / labels.std(dim=0)) ** 2).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    np.testing.assert_allclose(axis.parameters_of_axis(), (2.5, -1.0, 0.01, 0.02), atol=2e-3)
+
+
+def test_batches_hold_the_turns_of_their_samples_and_repeat_with_the_seed():
+    images = np.stack([square(rings(push=(2.0 * n, 0.0))) for n in range(4)])
+    make = augmenter(images, symmetry_center=CENTER.tolist())
+    chosen = np.array([3, 0, 0, 2])
+    batch, turns = make(chosen, np.random.default_rng(1))
+    assert batch.shape == (4, 128, 128) and turns.shape == (4,)
+    for image, index, k in zip(batch, chosen, turns, strict=True):
+        np.testing.assert_array_equal(image, square(make.turned(images[index], k), 128))
+    again, _ = make(chosen, np.random.default_rng(1))
+    np.testing.assert_array_equal(batch, again)
+
+
+def test_marker_dropout_paints_over_whole_markers():
+    image = square(rings())
+    count = cv2.connectedComponents((image > 127).astype(np.uint8))[0] - 1
+    left = without_markers(image, 0.2, np.random.default_rng(0))
+    remaining = cv2.connectedComponents((left > 127).astype(np.uint8))[0] - 1
+    assert 0.7 * count < remaining < 0.9 * count
+    assert set(np.unique(left[left != image])) <= {0}
+
+
+def test_small_changes_shift_and_grow_the_markers():
+    image = square(rings())[np.newaxis]
+    shifted, _ = augmenter(image, symmetry=1, shift=6.0)(np.zeros(1, np.int64), np.random.default_rng(2))
+    assert abs(int(shifted.astype(int).sum()) - int(square(image[0], 128).astype(int).sum())) < 2e4
+    assert np.abs(shifted[0].astype(int) - square(image[0], 128)).mean() > 5.0
+    make = augmenter(image, symmetry=1, growth=1.0)
+    sums = [make(np.zeros(1, np.int64), np.random.default_rng(seed))[0].mean() for seed in range(6)]
+    plain = square(image[0], 128).mean()
+    assert min(sums) < 0.8 * plain and max(sums) > 1.2 * plain
+
+
+def test_a_center_is_two_numbers_or_none():
+    with pytest.raises(SettingError, match=r"must be \[\] or \[x, y\]"):
+        AugmentationSettings(symmetry_center=(1.0, 2.0, 3.0))
+    assert not AugmentationSettings().active and AugmentationSettings(symmetry=6).active
