@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -20,55 +20,71 @@ from numpy.typing import NDArray
 from tactile_drivers.sim.surfaces import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
-from tactile_perception.estimator import Estimator, pose_gaussian
+from tactile_perception.estimator import Estimator
 from tactile_perception.preprocessing import PreprocessingSettings, as_input
 from tactile_perception.presence import ContactPresence, PresenceSettings
 
+STAGES = ("pre-processing", "presence", "network", "conversion", "all")
 _CAPTURED = 10
 
 
 def main() -> None:
     arguments = _arguments()
     images = simulated_images(24)
-    stages = Stages(Estimator(arguments.model or "", arguments.threads), images)
-    rows: dict[str, Callable[[NDArray], object]] = dict(stages.steps)
-    if arguments.opencv:
-        rows["pre-processing, OpenCV"] = OpenCvPreprocessing(stages.estimator.preprocessor.settings)
+    estimator = Estimator(arguments.model or "", arguments.threads)
+    opencv = OpenCvPreprocessing(estimator.preprocessor.settings) if arguments.opencv else None
+    measured = [
+        stage_times(estimator, images, arguments.images, rate, opencv) for rate in (0, arguments.rate)
+    ]
+    print(f"{estimator.path.name}, {arguments.threads} thread(s)")
     print(f"{'ms: p50 / p99':26s}{'one after another':>20s}{f'at {arguments.rate:g} Hz':>20s}")
-    warm = {name: times(step, images, arguments.images) for name, step in rows.items()}
-    cold = paced_times(list(rows.values()), images, arguments.images, arguments.rate)
-    for (name, values), paced in zip(warm.items(), cold, strict=True):
-        print(f"{name:26s}{_percentiles(values):>20s}{_percentiles(paced):>20s}")
+    for name in measured[0]:
+        print(f"{name:26s}" + "".join(f"{_percentiles(times[name]):>20s}" for times in measured))
 
 
-class Stages:
-    """The steps of the estimator node's work on an image, each by itself, over what the last left."""
+def stage_times(
+    estimator: Estimator,
+    images: NDArray[np.uint8],
+    count: int,
+    rate: float = 0.0,
+    opencv: OpenCvPreprocessing | None = None,
+) -> dict[str, list[float]]:
+    """Seconds of each stage of the estimator node's work on `count` images.
 
-    def __init__(self, estimator: Estimator, images: NDArray[np.uint8]) -> None:
-        self.estimator = estimator
-        self.presence = ContactPresence(PresenceSettings(reference_frames=_CAPTURED))
-        for image in images[:_CAPTURED]:
-            self.presence.update(estimator.preprocessor(image))
-        self.prepared = estimator.preprocessor(images[-1])
-        self.answer = estimator.infer(self.prepared)
-        self.steps: dict[str, Callable[[NDArray], object]] = {
-            "pre-processing": self._prepare,
-            "presence": lambda _: self.presence.update(self.prepared),
-            "network": self._infer,
-            "conversion": lambda _: pose_gaussian(*self.answer),
-            "all": self._all,
-        }
-
-    def _prepare(self, image: NDArray) -> None:
-        self.prepared = self.estimator.preprocessor(image)
-
-    def _infer(self, _: NDArray) -> None:
-        self.answer = self.estimator.infer(self.prepared)
-
-    def _all(self, image: NDArray) -> None:
-        prepared = self.estimator.preprocessor(image)
-        self.presence.update(prepared)
-        self.estimator.estimate_prepared(prepared)
+    Parameters
+    ----------
+    images : (N, 480, 640), the first `_CAPTURED` without contact
+    rate : images a second; 0: one after another
+    """
+    presence = ContactPresence(PresenceSettings(reference_frames=_CAPTURED))
+    for image in images[:_CAPTURED]:
+        presence.update(estimator.preprocessor(image))
+    result: dict[str, list[float]] = {name: [] for name in STAGES + (("OpenCV",) if opencv else ())}
+    due = time.perf_counter()
+    for number in range(count):
+        due += 1.0 / rate if rate else 0.0
+        time.sleep(max(0.0, due - time.perf_counter()))
+        image = images[number % len(images)].copy()  # as if it had just arrived
+        started = time.perf_counter()
+        prepared = estimator.preprocessor(image)
+        prepared_at = time.perf_counter()
+        presence.update(prepared)
+        judged_at = time.perf_counter()
+        estimator.estimate_prepared(prepared)
+        ended = time.perf_counter()
+        stages = (
+            prepared_at - started,
+            judged_at - prepared_at,
+            estimator.times.infer,
+            estimator.times.convert,
+            ended - started,
+        )
+        for name, seconds in zip(STAGES, stages, strict=True):
+            result[name].append(seconds)
+        if opencv is not None:
+            opencv(image)
+            result["OpenCV"].append(time.perf_counter() - ended)
+    return result
 
 
 class OpenCvPreprocessing:
@@ -108,36 +124,8 @@ def simulated_images(count: int, seed: int = 0) -> NDArray[np.uint8]:
     return np.array(images)
 
 
-def times(step: Callable[[NDArray], object], images: NDArray, count: int) -> NDArray[np.float64]:
-    """Seconds of `count` calls, one after another."""
-    result = np.empty(count)
-    for number in range(count):
-        image = images[number % len(images)]
-        started = time.perf_counter()
-        step(image)
-        result[number] = time.perf_counter() - started
-    return result
-
-
-def paced_times(
-    steps: list[Callable[[NDArray], object]], images: NDArray, count: int, rate: float
-) -> NDArray[np.float64]:
-    """Seconds (steps, count) of calls that begin `rate` times a second: all steps in turn, then a pause."""
-    result = np.empty((len(steps), count))
-    due = time.perf_counter()
-    for number in range(count):
-        due += 1.0 / rate
-        time.sleep(max(0.0, due - time.perf_counter()))
-        image = images[number % len(images)].copy()  # as if it had just arrived
-        for index, step in enumerate(steps):
-            started = time.perf_counter()
-            step(image)
-            result[index, number] = time.perf_counter() - started
-    return result
-
-
-def _percentiles(seconds: NDArray[np.float64]) -> str:
-    return " / ".join(f"{np.percentile(seconds * 1e3, q):.3f}" for q in (50, 99))
+def _percentiles(seconds: Sequence[float]) -> str:
+    return " / ".join(f"{1e3 * np.percentile(seconds, q):.3f}" for q in (50, 99))
 
 
 def _arguments() -> argparse.Namespace:

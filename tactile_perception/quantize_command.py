@@ -1,0 +1,125 @@
+"""The command `tactile quantize`: a trained network in 8-bit integers, and what that costs and brings."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+
+MODEL_NAME, QUANTIZED_NAME = "model.onnx", "model_int8.onnx"
+_TIMED_RUNS = 200
+
+
+def register(subparsers: Any) -> None:
+    """Add `quantize` to argparse subparsers; sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "quantize",
+        help="write a trained network in 8-bit integers",
+        description="Write a trained network in 8-bit integers, which takes less than half the time, and "
+        "compare both on the validation data (needs onnx, of the extra 'train').",
+    )
+    parser.add_argument("model", type=Path, help="run folder of `tactile train`, or an ONNX file")
+    parser.add_argument(
+        "--data", type=Path, required=True,
+        help="training data, which give the ranges of the activations: a folder, or one with train/ in it",
+    )  # fmt: skip
+    parser.add_argument("--val", type=Path, help="data to compare both networks on (default: DATA/val)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model"
+    )
+    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="change one setting"
+    )  # fmt: skip
+    parser.set_defaults(run=run_quantize)
+
+
+def run_quantize(arguments: argparse.Namespace) -> int:
+    """`tactile quantize`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.quantization import QuantizationSettings, quantize
+    except ModuleNotFoundError as error:
+        if error.name != "onnx":
+            raise
+        console.print("tactile quantize needs onnx: pip install 'tactile_servoing[train]'", markup=False)
+        return 2
+    from tactile_perception.command_settings import name_and_value
+
+    try:
+        changes = dict(name_and_value(change, "images=300") for change in arguments.changes)
+        settings = QuantizationSettings().replaced(**changes)
+        source, out = _paths(arguments.model, arguments.out)
+        quantize(source, _training_images(arguments.data, source, settings.images), out, settings)
+        validation = arguments.val or (arguments.data / "val" if (arguments.data / "val").is_dir() else None)
+        _compare(Console(), [source, out], validation)
+    except (ValueError, OSError) as error:
+        console.print(f"tactile quantize: {error}", markup=False, style="red", soft_wrap=True)
+        return 1
+    if arguments.install:
+        arguments.install.write_bytes(out.read_bytes())
+    print(f"model: {out}")
+    return 0
+
+
+def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:
+    source = model / MODEL_NAME if model.is_dir() else model
+    out = out or source.with_name(QUANTIZED_NAME)
+    if out.resolve() == source.resolve():
+        raise ValueError(f"{out}: is the model itself; --out must name another file")
+    return source, out
+
+
+def _training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
+    """`count` images, spread over the folder's table, prepared as the model wants them."""
+    from tactile_perception.dataset import open_folder
+    from tactile_perception.estimator import Estimator
+    from tactile_perception.preprocessing import Preprocessor
+
+    preprocessing = Estimator(model).metadata.preprocessing
+    folder = folder / "train" if (folder / "train").is_dir() else folder
+    data, preprocessor = open_folder(folder, preprocessing), Preprocessor(preprocessing)
+    chosen = np.unique(np.linspace(0, len(data) - 1, count).round().astype(int))
+    return np.array([data.resized(int(index), preprocessor) for index in chosen])
+
+
+def _compare(console: Console, paths: Sequence[Path], validation: Path | None) -> None:
+    from tactile_perception.evaluation.evaluate import evaluate, load_data
+    from tactile_perception.evaluation.models import open_models
+
+    models = open_models(paths, threads=1)
+    names = ["size", "network, p50 / p99"]
+    columns = [[f"{model.path.stat().st_size / 1e6:.2f} MB", _milliseconds(model)] for model in models]
+    table = Table(title="on one core")
+    if validation is not None:
+        table.title = f"on one core; mean absolute error on {validation}"
+        for column, result in zip(columns, evaluate(load_data(validation, models), models), strict=True):
+            mae = zip(result.accuracy.mae, NETWORK_UNITS, strict=True)
+            column += [f"{value:.4f} {unit}" for value, unit in mae]
+        names += COMPONENTS
+    table.add_column("")
+    for path in paths:
+        table.add_column(path.name, justify="right")
+    for row in zip(names, *columns, strict=True):
+        table.add_row(*row)
+    console.print(table)
+
+
+def _milliseconds(model: Any) -> str:
+    side = model.metadata.preprocessing.size
+    image = np.zeros((1, 1, side, side), np.float32)
+    seconds = []
+    for _ in range(_TIMED_RUNS):
+        started = time.perf_counter()
+        model.session.run(None, {"image": image})
+        seconds.append(time.perf_counter() - started)
+    return " / ".join(f"{1e3 * np.percentile(seconds, q):.2f}" for q in (50, 99)) + " ms"
