@@ -118,14 +118,14 @@ def _until_interrupted(frames: Any) -> Any:
 
 
 def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
-    from tactile_perception.estimate_plots import draw_predicted_against_actual, draw_series
+    from tactile_perception.estimate_plots import draw_estimates, draw_series
 
     table_path = arguments.out / "estimates.csv"
     table.write_csv(table_path)
     title = f"{Path(arguments.source).name}, {len(table)} images"
     if table.has_labels:
         picture = arguments.out / "predicted_against_actual.png"
-        draw_predicted_against_actual(table, picture, title)
+        draw_estimates(table, picture, title)
     else:
         picture = arguments.out / "estimates.png"
         draw_series(table, picture, title)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,42 +11,63 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_perception.estimate_run import EstimateTable, Series
+from tactile_perception.estimate_run import EstimateTable
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
+Row = tuple[str, Array, Array, Array | None]
+DPI = 80
 
 
-def draw_predicted_against_actual(table: EstimateTable, path: Path, title: str) -> None:
+def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
     """The paper's figure: one row of plots for the network and, where there is one, one for the filter."""
-    rows = [("network", table.network)] + ([("with filter", table.filtered)] if table.has_filter else [])
-    figure = Figure(figsize=(21.0, 3.6 * len(rows) + 0.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes_grid = figure.subplots(len(rows), 6, squeeze=False)
-    for axes_row, (name, series) in zip(axes_grid, rows, strict=True):
-        error = table.mean_absolute_error(series)
+    series = [("network", table.network)] + ([("with filter", table.filtered)] if table.has_filter else [])
+    rows: list[Row] = [(name, table.labels, found.mean, found.sigma) for name, found in series]
+    draw_predicted_against_actual(path, rows, title)
+
+
+def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
+    """The paper's figure: predicted against actual, colored by precision, one row of plots for each entry.
+
+    Parameters
+    ----------
+    rows : sequence of (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad
+    """
+    figure, grid = plot_grid(len(rows), 6, 3.4)
+    for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):
         for component, axes in enumerate(axes_row):
-            _scatter(figure, axes, table.labels[:, component], series, component)
+            deviation = None if sigma is None else sigma[:, component]
+            _scatter(figure, axes, actual[:, component], predicted[:, component], deviation)
+            mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
             unit = NETWORK_UNITS[component]
-            axes.set_title(f"{COMPONENTS[component]}, {name}: MAE {error[component]:.4g} {unit}", fontsize=10)
+            axes.set_title(f"{COMPONENTS[component]}, {name}: MAE {mae:.4g} {unit}", fontsize=9)
+            axes.set(xlabel=f"actual ({unit})", ylabel="predicted")
     figure.suptitle(title)
-    figure.savefig(path, dpi=90)
+    figure.savefig(path, dpi=DPI)
 
 
-def _scatter(figure: Figure, axes: Any, actual: Array, series: Series, component: int) -> None:
-    predicted, sigma = series.mean[:, component], series.sigma[:, component]
-    usable = np.isfinite(predicted) & np.isfinite(actual)
-    # Precise points on top, as they are the ones to trust.
-    order = np.flatnonzero(usable)[np.argsort(-sigma[usable])]
-    precision = sigma[order] ** -2
-    low, high = np.percentile(precision, [2.0, 98.0])
-    points = axes.scatter(
-        actual[order], predicted[order], c=precision, cmap="jet", s=4, vmin=low, vmax=max(high, low * 1.001)
-    )
-    figure.colorbar(points, ax=axes, label="precision", pad=0.01)
-    limits = [actual[order].min(), actual[order].max()]
-    axes.plot(limits, limits, color="black", linewidth=0.8)
-    axes.set(xlabel=f"actual ({NETWORK_UNITS[component]})", ylabel="predicted")
+def plot_grid(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
+    """A figure and its axes (rows, columns); height of a row in inches."""
+    figure = Figure(figsize=(3.3 * columns, height * rows + 0.3), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _scatter(figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: Array | None) -> None:
+    """One plot of the figure; without sigma in one color."""
+    usable = np.flatnonzero(np.isfinite(predicted) & np.isfinite(actual))
+    if sigma is None:
+        axes.scatter(actual[usable], predicted[usable], s=3, color="tab:gray")
+    else:
+        # Precise points on top, as they are the ones to trust.
+        order = usable[np.argsort(-sigma[usable])]
+        precision = sigma[order] ** -2
+        low, high = np.percentile(precision, [2.0, 98.0])
+        range_shown = {"vmin": low, "vmax": max(high, low * 1.001)}
+        points = axes.scatter(actual[order], predicted[order], c=precision, cmap="jet", s=3, **range_shown)
+        figure.colorbar(points, ax=axes, label="precision", pad=0.01)
+    ends = [actual[usable].min(), actual[usable].max()]
+    axes.plot(ends, ends, color="black", linewidth=0.8)
 
 
 def draw_series(table: EstimateTable, path: Path, title: str) -> None:

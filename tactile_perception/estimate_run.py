@@ -22,7 +22,6 @@ from tactile_perception.labels import (
     NETWORK_UNITS,
     euler_from_label,
     label_from_euler,
-    network_from_pose,
 )
 from tactile_perception.sources import Frame
 
@@ -139,13 +138,19 @@ def run_estimates(
 
 
 def network_row(gaussian: PoseGaussian) -> tuple[Array, Array]:
-    """Mean and standard deviations (6,) of xi_sf in mm and rad of a left-perturbation Gaussian (SI).
+    """Mean and standard deviations (6,) of xi_sf in mm and rad of a left-perturbation Gaussian (SI)."""
+    mean, cov = tangent_gaussian(gaussian)
+    return mean, np.sqrt(np.diag(cov))
+
+
+def tangent_gaussian(gaussian: PoseGaussian) -> tuple[Array, Array]:
+    """Mean (6,) and covariance (6, 6) of xi_sf in mm and rad of a left-perturbation Gaussian (SI).
 
     The reverse of the estimator's conversion: xi ~ N(mu, J^-1 Sigma J^-T), eq. glob_tangent_space_pdf.
     """
-    inverse_jacobian = se3.inverse_left_jacobian(se3.log(gaussian.mean))
-    variance = np.diag(inverse_jacobian @ gaussian.cov @ inverse_jacobian.T)
-    return network_from_pose(gaussian.mean), np.sqrt(variance) / NETWORK_SCALE
+    xi = se3.log(gaussian.mean)
+    inverse_jacobian = se3.inverse_left_jacobian(xi) / NETWORK_SCALE[:, None]
+    return xi / NETWORK_SCALE, inverse_jacobian @ gaussian.cov @ inverse_jacobian.T
 
 
 _NOTHING = (np.full(6, np.nan), np.full(6, np.nan))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from tactile_filter.bayes_filter import FilterSettings
+from tactile_perception.estimate_plots import Row, draw_predicted_against_actual
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
 from tactile_perception.evaluation.filtering import (
     ContactSequence,
@@ -24,7 +25,7 @@ from tactile_perception.evaluation.filtering import (
     run_filter,
     unfiltered,
 )
-from tactile_perception.evaluation.plots import Row, best, draw_predicted_against_actual
+from tactile_perception.evaluation.plots import best
 from tactile_perception.evaluation.predictions import Predictions
 from tactile_perception.evaluation.report import groups, with_spread
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS

@@ -20,10 +20,12 @@ from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.fusion import fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import predict
+from tactile_perception.estimate_run import tangent_gaussian
+from tactile_perception.estimator import pose_gaussian
 from tactile_perception.evaluation.evaluate import EvaluationData
 from tactile_perception.evaluation.metrics import squared_mahalanobis
 from tactile_perception.evaluation.predictions import Predictions
-from tactile_perception.labels import NETWORK_SCALE, surface_contact_pose
+from tactile_perception.labels import surface_contact_pose
 from tactile_perception.motion_noise import Drift, motion_covariance, motion_filter
 
 Array = NDArray[np.float64]
@@ -79,12 +81,7 @@ def pose_gaussians(predictions: Predictions) -> list[PoseGaussian]:
     """X_sf as left-perturbation Gaussians in SI (paper, eq. left_perturbation_cov)."""
     if predictions.cov is None:
         raise ValueError("a network without uncertainty has nothing that a filter could weigh")
-    scale = np.outer(NETWORK_SCALE, NETWORK_SCALE)
-    found = []
-    for mean, cov in zip(predictions.mean * NETWORK_SCALE, predictions.cov * scale, strict=True):
-        jacobian = se3.left_jacobian(mean)
-        found.append(PoseGaussian(se3.exp(mean), jacobian @ cov @ jacobian.T))
-    return found
+    return [pose_gaussian(mean, cov) for mean, cov in zip(predictions.mean, predictions.cov, strict=True)]
 
 
 def unfiltered(sequence: ContactSequence, predictions: Predictions) -> FilterRun:
@@ -120,16 +117,6 @@ def run_filter(
         covs.append(cov)
         nis.append(belief.nis)
     return _scored(sequence, Predictions(np.array(means), np.array(covs)), float(np.nanmean(nis)) / 6.0)
-
-
-def tangent_gaussian(gaussian: PoseGaussian) -> tuple[Array, Array]:
-    """Mean (6,) and covariance (6, 6) of xi_sf in mm and rad of a left-perturbation Gaussian in SI.
-
-    `estimate_run.network_row` with the whole covariance.
-    """
-    xi = se3.log(gaussian.mean)
-    inverse_jacobian = se3.inverse_left_jacobian(xi) / NETWORK_SCALE[:, None]
-    return xi / NETWORK_SCALE, inverse_jacobian @ gaussian.cov @ inverse_jacobian.T
 
 
 def _scored(sequence: ContactSequence, filtered: Predictions, nis: float) -> FilterRun:

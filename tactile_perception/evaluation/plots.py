@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tactile_perception.estimate_plots import DPI, Row, draw_predicted_against_actual, plot_grid
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import CURVE, shear_of
 from tactile_perception.evaluation.report import groups
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
-Row = tuple[str, Array, Array, Array | None]
-_DPI = 80
 #: Cells with fewer samples stay empty.
 _FEWEST = 5
 
@@ -53,46 +49,9 @@ def best(members: Sequence[ModelResult]) -> ModelResult:
     return min(members, key=loss)
 
 
-def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
-    """The paper's figure: predicted against actual, colored by precision, one row of plots for each entry.
-
-    Parameters
-    ----------
-    rows : sequence of (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad
-    """
-    figure, grid = _grid(len(rows), 6, 3.4)
-    for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):
-        for component, axes in enumerate(axes_row):
-            deviation = None if sigma is None else sigma[:, component]
-            scatter(figure, axes, actual[:, component], predicted[:, component], deviation)
-            mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
-            unit = NETWORK_UNITS[component]
-            axes.set_title(f"{COMPONENTS[component]}, {name}: MAE {mae:.4g} {unit}", fontsize=9)
-            axes.set(xlabel=f"actual ({unit})", ylabel="predicted")
-    figure.suptitle(title)
-    figure.savefig(path, dpi=_DPI)
-
-
-def scatter(figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: Array | None) -> None:
-    """One plot of the figure; without sigma in one color."""
-    usable = np.flatnonzero(np.isfinite(predicted) & np.isfinite(actual))
-    if sigma is None:
-        axes.scatter(actual[usable], predicted[usable], s=3, color="tab:gray")
-    else:
-        # Precise points on top, as they are the ones to trust.
-        order = usable[np.argsort(-sigma[usable])]
-        precision = sigma[order] ** -2
-        low, high = np.percentile(precision, [2.0, 98.0])
-        limits = {"vmin": low, "vmax": max(high, low * 1.001)}
-        points = axes.scatter(actual[order], predicted[order], c=precision, cmap="jet", s=3, **limits)
-        figure.colorbar(points, ax=axes, label="precision", pad=0.01)
-    limits_line = [actual[usable].min(), actual[usable].max()]
-    axes.plot(limits_line, limits_line, color="black", linewidth=0.8)
-
-
 def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
     """Coverage against the nominal level of central intervals, before and after calibration."""
-    figure, grid = _grid(1, 6, 3.6)
+    figure, grid = plot_grid(1, 6, 3.6)
     for component, axes in enumerate(grid[0]):
         axes.plot([0.0, 1.0], [0.0, 1.0], color="black", linewidth=0.8)
         for color, result in enumerate(results):
@@ -105,12 +64,12 @@ def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
         axes.grid(alpha=0.3)
     grid[0][0].set_ylabel("fraction of labels inside")
     grid[0][0].legend(fontsize=7)
-    figure.savefig(path, dpi=_DPI)
+    figure.savefig(path, dpi=DPI)
 
 
 def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
     """Root mean square error against predicted sigma in ten bins of as many samples each."""
-    figure, grid = _grid(1, 6, 3.6)
+    figure, grid = plot_grid(1, 6, 3.6)
     for component, axes in enumerate(grid[0]):
         reach = []
         for color, result in enumerate(results):
@@ -130,12 +89,12 @@ def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
         axes.grid(alpha=0.3, which="both")
     grid[0][0].set_ylabel("root mean square error")
     grid[0][0].legend(fontsize=7)
-    figure.savefig(path, dpi=_DPI)
+    figure.savefig(path, dpi=DPI)
 
 
 def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
     """Mean absolute error by depth and by tangential displacement, with the mean predicted sigma dashed."""
-    figure, grid = _grid(2, 6, 3.0)
+    figure, grid = plot_grid(2, 6, 3.0)
     for axes_row, which in zip(grid, ("by_depth", "by_shear"), strict=True):
         for component, axes in enumerate(axes_row):
             for color, result in enumerate(results):
@@ -153,7 +112,7 @@ def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
             axes.grid(alpha=0.3)
         axes_row[0].set_ylabel("mean absolute error")
     grid[0][0].legend(fontsize=7)
-    figure.savefig(path, dpi=_DPI)
+    figure.savefig(path, dpi=DPI)
 
 
 def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) -> None:
@@ -161,7 +120,7 @@ def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) 
     depth, shear = data.euler_mm_deg[:, 2], shear_of(data.euler_mm_deg)
     edges = (np.linspace(0.0, depth.max(), 9), np.linspace(0.0, shear.max(), 9))
     count = np.histogram2d(depth, shear, edges)[0]
-    figure, grid = _grid(len(results), 6, 3.2)
+    figure, grid = plot_grid(len(results), 6, 3.2)
     for axes_row, result in zip(grid, results, strict=True):
         error = np.abs(result.raw.predictions.mean - data.labels)
         for component, axes in enumerate(axes_row):
@@ -172,10 +131,4 @@ def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) 
             axes.set_title(f"{COMPONENTS[component]} ({NETWORK_UNITS[component]}), {result.name}", fontsize=9)
             axes.set(xlabel="shear (mm)", ylabel="depth (mm)")
     figure.suptitle("mean absolute error")
-    figure.savefig(path, dpi=_DPI)
-
-
-def _grid(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
-    figure = Figure(figsize=(3.3 * columns, height * rows + 0.3), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots(rows, columns, squeeze=False)
+    figure.savefig(path, dpi=DPI)

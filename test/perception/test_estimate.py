@@ -38,7 +38,7 @@ class NoisyEstimator:
         self.times = type("Times", (), {"preprocess": 0.0, "infer": 0.0, "convert": 0.0})()
 
     def estimate_processed(self, image: np.ndarray) -> PoseGaussian:
-        return pose_gaussian(next(self._answers), INVERSE_SIGMA)
+        return pose_gaussian(next(self._answers), np.diag(INVERSE_SIGMA**-2))
 
 
 def random_contacts(count: int, seed: int = 0) -> np.ndarray:
@@ -87,7 +87,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def test_deviations_survive_the_way_through_the_left_perturbation():
     mean = np.array([1.0, -2.0, -3.0, 0.3, -0.2, 0.1])
-    recovered, sigma = network_row(pose_gaussian(mean, INVERSE_SIGMA))
+    recovered, sigma = network_row(pose_gaussian(mean, np.diag(INVERSE_SIGMA**-2)))
     np.testing.assert_allclose(recovered, mean, atol=1e-9)
     np.testing.assert_allclose(sigma, 1.0 / INVERSE_SIGMA, rtol=1e-9)
 
