@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.calibration import Calibration, fit_calibration
+from tactile_perception.calibration import fit_calibration
 from tactile_perception.dataset import DatasetError, DatasetReport, read_dataset
 from tactile_perception.evaluation.metrics import (
     Accuracy,
@@ -161,18 +161,69 @@ def evaluate(
     if calibration_data is not None:
         _check_calibration_data(data, models, calibration_data)
     predictions = [predict(model, data, progress) for model in models]
-    held_back = [predict(model, calibration_data, progress) for model in models] if calibration_data else None
-    results = []
-    for index, model in enumerate(models):
-        calibration, source = Calibration(), ""
-        if model.has_uncertainty and calibration_data is not None and held_back is not None:
-            calibration, source = _fitted(calibration_data, held_back[index])
-        elif model.has_uncertainty:
-            calibration, source = model.metadata.calibration, "model file"
-        results.append(assess(model.name, model.kind, data, predictions[index], calibration, source))
-    if ensemble:
-        results += _ensembles(data, models, predictions, results, calibration_data, held_back)
+    if calibration_data is None:
+        calibrated = [_by_model_file(*pair) for pair in zip(models, predictions, strict=True)]
+    else:
+        held_back = [predict(model, calibration_data, progress) for model in models]
+        calibrated = [
+            _fitted(data, calibration_data, *pair) for pair in zip(predictions, held_back, strict=True)
+        ]
+    results = [
+        assess(model.name, model.kind, data, own, *better)
+        for model, own, better in zip(models, predictions, calibrated, strict=True)
+    ]
+    if not ensemble:
+        return results
+    for kind in dict.fromkeys(model.kind for model in models):
+        chosen = [index for index, model in enumerate(models) if model.kind == kind]
+        if len(chosen) < 2:
+            continue
+        mixture = moment_matched([predictions[index] for index in chosen])
+        if calibration_data is not None:
+            better = _fitted(
+                data, calibration_data, mixture, moment_matched([held_back[index] for index in chosen])
+            )
+        else:
+            better = _of_calibrated_members([calibrated[index][0] for index in chosen])
+        name = f"{ENSEMBLE} of {len(chosen)} {kind}"
+        results.append(assess(name, kind, data, mixture, *better, members=len(chosen)))
     return results
+
+
+Calibrated = tuple[Predictions | None, str]
+
+
+def _by_model_file(model: Model, predictions: Predictions) -> Calibrated:
+    """Predictions calibrated as the model file says; None without a calibration."""
+    calibration = model.metadata.calibration
+    if predictions.cov is None or calibration.is_identity:
+        return None, ""
+    return predictions.calibrated(calibration), f"model file, fitted on {calibration.samples} samples"
+
+
+def _fitted(
+    data: EvaluationData, calibration_data: EvaluationData, predictions: Predictions, held_back: Predictions
+) -> Calibrated:
+    """Predictions calibrated on other data; if those are the same, each half of them on the other half."""
+    if predictions.cov is None or held_back.cov is None:
+        return None, ""
+    if calibration_data.sha256 != data.sha256:
+        fitted = fit_calibration(calibration_data.labels, held_back.mean, held_back.cov)
+        source = f"fitted on {fitted.samples} samples of {calibration_data.folder}"
+        return predictions.calibrated(fitted), source
+    cov = np.empty_like(predictions.cov)
+    half = np.random.default_rng(0).permutation(len(data)) % 2 == 0
+    for fit, use in ((half, ~half), (~half, half)):
+        fitted = fit_calibration(data.labels[fit], predictions.mean[fit], predictions.cov[fit])
+        cov[use] = fitted.covariance(predictions.mean[use], predictions.cov[use])
+    return Predictions(predictions.mean, cov), "each half of the data fitted on the other half"
+
+
+def _of_calibrated_members(members: Sequence[Predictions | None]) -> Calibrated:
+    known = [member for member in members if member is not None]
+    if len(known) < len(members):
+        return None, ""
+    return moment_matched(known), "calibrated members"
 
 
 def _check_calibration_data(data: EvaluationData, models: Sequence[Model], chosen: EvaluationData) -> None:
@@ -183,7 +234,7 @@ def _check_calibration_data(data: EvaluationData, models: Sequence[Model], chose
                 "calibrate on data held back from training"
             )
     if chosen.sha256 == data.sha256:
-        data.notes.append("calibrated on the very data evaluated: shows what is possible, not what is true")
+        data.notes.append("calibrated on the data evaluated, each half on the other: as of the same session")
 
 
 def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:
@@ -196,20 +247,19 @@ def assess(
     kind: str,
     data: EvaluationData,
     predictions: Predictions,
-    calibration: Calibration | None = None,
+    calibrated: Predictions | None = None,
     source: str = "",
+    members: int = 1,
 ) -> ModelResult:
     """Everything about one set of predictions, before and after calibration."""
-    calibrated = None
-    if calibration is not None and not calibration.is_identity:
-        calibrated = _assessment(data, predictions.calibrated(calibration))
     return ModelResult(
         name=name,
         kind=kind,
         accuracy=accuracy(data.labels, data.euler_mm_deg, predictions),
         raw=_assessment(data, predictions),
-        calibrated=calibrated,
+        calibrated=None if calibrated is None else _assessment(data, calibrated),
         calibration_source=source,
+        members=members,
     )
 
 
@@ -223,41 +273,3 @@ def _assessment(data: EvaluationData, predictions: Predictions) -> Assessment:
         by_depth=binned(data.labels, predictions, depth, depth_edges(depth)),
         by_shear=binned(data.labels, predictions, shear, depth_edges(shear)),
     )
-
-
-def _fitted(data: EvaluationData, predictions: Predictions) -> tuple[Calibration, str]:
-    assert predictions.cov is not None
-    fitted = fit_calibration(data.labels, predictions.mean, predictions.cov)
-    return fitted, f"fitted on {fitted.samples} samples of {data.folder}"
-
-
-def _ensembles(
-    data: EvaluationData,
-    models: Sequence[Model],
-    predictions: Sequence[Predictions],
-    results: Sequence[ModelResult],
-    calibration_data: EvaluationData | None,
-    held_back: Sequence[Predictions] | None,
-) -> list[ModelResult]:
-    """One result for each kind of which there are at least two models.
-
-    Calibrated: fitted to the mixture itself where there are data for it, else the mixture of calibrated
-    members.
-    """
-    found = []
-    for kind in dict.fromkeys(model.kind for model in models):
-        chosen = [index for index, model in enumerate(models) if model.kind == kind]
-        if len(chosen) < 2:
-            continue
-        mixture = moment_matched([predictions[index] for index in chosen])
-        name = f"{ENSEMBLE} of {len(chosen)} {kind}"
-        result = assess(name, kind, data, mixture)
-        calibrated, source = None, ""
-        if mixture.cov is not None and calibration_data is not None and held_back is not None:
-            fitted, source = _fitted(calibration_data, moment_matched([held_back[index] for index in chosen]))
-            calibrated = _assessment(data, mixture.calibrated(fitted))
-        elif all(results[index].calibrated for index in chosen):
-            members = [results[index].best.predictions for index in chosen]
-            calibrated, source = _assessment(data, moment_matched(members)), "calibrated members"
-        found.append(ModelResult(name, kind, result.accuracy, result.raw, calibrated, source, len(chosen)))
-    return found

@@ -29,7 +29,7 @@ from tactile_perception.preprocessing import PreprocessingSettings
 
 MU = np.array([0.5, -1.0, -3.0, 0.1, -0.2, 0.03])
 SIGMA = np.array([0.5, 0.5, 0.1, 0.01, 0.01, 0.02])
-SAMPLES = 120
+SAMPLES = 240
 
 
 def labels_around(mean: np.ndarray, sigma: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
@@ -224,6 +224,17 @@ def test_calibration_data_turn_an_overconfident_model_honest(folder, constant_mo
     assert result["raw"]["consistency"]["joint"] == pytest.approx(9.0, rel=0.2)
     assert result["calibrated"]["consistency"]["joint"] == pytest.approx(1.0, abs=0.2)
     assert result["calibration"].startswith("fitted on 150 samples")
+
+
+def test_data_that_calibrate_themselves_do_so_half_by_half(folder, constant_model):
+    models = open_models([constant_model(MU, 3.0 / SIGMA)], threads=1)
+    data = load_data(folder, models)
+    [result] = evaluate(data, models, calibration_data=data)
+    assert len(np.unique(result.calibrated.predictions.sigma[:, 0].round(6))) == 2
+    for sigma in np.unique(result.calibrated.predictions.sigma[:, 0]):
+        other = result.calibrated.predictions.sigma[:, 0] != sigma
+        rms = np.sqrt(((data.labels[other, 0] - MU[0]) ** 2).mean())
+        assert sigma == pytest.approx(rms, rel=1e-4)
 
 
 def test_means_and_deviations_over_models_are_the_samples_own(constant_model, folder, tmp_path):
