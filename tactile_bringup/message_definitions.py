@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import sys
@@ -91,9 +92,7 @@ def _short(name: str) -> str:
 
 def type_hash(type_name: str, text: str) -> str:
     """The RIHS01 hash of a type, from its whole definition."""
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, type_name))
-    return store.hash_rihs01(type_name)
+    return str(_typestore(type_name, text).hash_rihs01(type_name))
 
 
 def type_fields(definitions: Mapping[str, str], type_name: str) -> Any:
@@ -104,7 +103,12 @@ def type_fields(definitions: Mapping[str, str], type_name: str) -> Any:
     definitions : mapping
         Type -> definition, as a bag brings them; for a type that is not there its installed definition.
     """
-    text = definitions.get(type_name) or message_definition(type_name)
+    return _typestore(type_name, definitions.get(type_name) or message_definition(type_name)).fielddefs
+
+
+@functools.lru_cache(maxsize=64)
+def _typestore(type_name: str, text: str) -> Any:
+    """The types of a definition; to understand one takes milliseconds."""
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(text, type_name))
-    return store.fielddefs
+    return store

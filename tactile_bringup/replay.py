@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from tactile_bringup.message_columns import Layout, blank_layout, stamps_ns
 from tactile_bringup.message_definitions import type_fields
 from tactile_bringup.replay_inputs import UNUSABLE, ArmInputs, LiveStates, Measurement
+from tactile_bringup.replay_numbers import ros_from_left
 from tactile_bringup.run_record import BeliefSeries
 from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.pose_covariance import ros_from_left
 from tactile_filter.smoother import smooth
 
 Array = NDArray[Any]
@@ -39,6 +39,8 @@ class ArmRun:
     ----------
     measurements : list of Measurement
         Those that were taken; `beliefs` has one for each, `smoothed` as well after `smooth_run`.
+    states : ndarray
+        The ContactState messages, as structured array.
     left_out : int
         Events that are no part of what the live filter took.
     resets, rejections : Counter
@@ -50,6 +52,7 @@ class ArmRun:
     measurements: list[Measurement] = field(default_factory=list)
     beliefs: list[Belief] = field(default_factory=list)
     smoothed: list[Belief] = field(default_factory=list)
+    states: Array = field(default_factory=lambda: np.zeros(0))
     left_out: int = 0
     resets: Counter[str] = field(default_factory=Counter)
     rejections: Counter[str] = field(default_factory=Counter)
@@ -94,6 +97,7 @@ def run_filter(inputs: ArmInputs, settings: FilterSettings, as_recorded: bool = 
         run.beliefs.append(_step(contact_filter, measurement, run))
     run.rejections.update(contact_filter.rejections)
     run.resets = contact_filter.resets
+    run.states = state_rows(run.beliefs, inputs.sensor_frame)
     return run
 
 
@@ -138,40 +142,40 @@ def nothing(stamp_ns: int, rejected: int) -> Belief:
 # ---- messages ----
 
 
-def state_rows(run: ArmRun) -> Array:
-    """The ContactState messages of a run, as structured array; latency is 0."""
-    layout = _layout(STATE_TYPE, run.inputs.sensor_frame)
-    rows = _blank(layout, len(run.beliefs))
-    valid = [belief.valid for belief in run.beliefs]
-    xi = [se3.log(b.mean) if v else NOT_A_NUMBER for b, v in zip(run.beliefs, valid, strict=True)]
-    euler = [
-        se3.euler_from_pose(se3.inverse(b.mean)) if v else NOT_A_NUMBER
-        for b, v in zip(run.beliefs, valid, strict=True)
+def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
+    """The ContactState messages of beliefs, as structured array; their latency is 0."""
+    rows = _blank(_layout(STATE_TYPE, sensor_frame), len(beliefs))
+    if not len(rows):
+        return rows
+    valid = [belief.valid for belief in beliefs]
+    means = [belief.mean for belief in beliefs]
+    _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
+    rows["xi"] = [se3.log(T) if v else NOT_A_NUMBER for T, v in zip(means, valid, strict=True)]
+    rows["euler"] = [
+        se3.euler_from_pose(se3.inverse(T)) if v else NOT_A_NUMBER for T, v in zip(means, valid, strict=True)
     ]
-    _set_stamps(rows, [belief.stamp_ns for belief in run.beliefs])
-    if len(rows):
-        rows["xi"], rows["euler"] = np.array(xi), np.array(euler)
-        rows["covariance"] = np.array([belief.cov for belief in run.beliefs]).reshape(-1, 36)
-    rows["nis"] = [belief.nis for belief in run.beliefs]
-    rows["nis_dof"] = [belief.nis_dof for belief in run.beliefs]
-    rows["flags"] = [int(belief.flags) for belief in run.beliefs]
-    rows["rejected"] = [belief.rejected for belief in run.beliefs]
+    rows["covariance"] = np.array([belief.cov for belief in beliefs]).reshape(-1, 36)
+    rows["nis"] = [belief.nis for belief in beliefs]
+    rows["nis_dof"] = [belief.nis_dof for belief in beliefs]
+    rows["flags"] = [int(belief.flags) for belief in beliefs]
+    rows["rejected"] = [belief.rejected for belief in beliefs]
     return rows
 
 
-def belief_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
-    """The PoseWithCovarianceStamped messages of beliefs that are valid, as structured array."""
-    layout = _layout(BELIEF_TYPE, sensor_frame)
-    rows = _blank(layout, len(beliefs))
-    _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
-    if len(rows):
-        numbers = np.array([(*b.mean[:3, 3], *se3.quaternion_from_rotation(b.mean[:3, :3])) for b in beliefs])
-        for column, name in enumerate(
-            (*(f"position.{a}" for a in "xyz"), *(f"orientation.{a}" for a in "xyzw"))
-        ):
-            rows[f"pose.pose.{name}"] = numbers[:, column]
-        covs = np.array([ros_from_left(belief.cov, belief.mean[:3, 3]) for belief in beliefs])
-        rows["pose.covariance"] = covs.reshape(-1, 36)
+def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> Array:
+    """PoseWithCovarianceStamped messages of Gaussians (stamp, mean, left covariance), as structured array."""
+    rows = _blank(_layout(BELIEF_TYPE, frame_id), len(gaussians))
+    if not len(rows):
+        return rows
+    _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])
+    means = np.array([mean for _, mean, _ in gaussians])
+    for column, axis in enumerate("xyz"):
+        rows[f"pose.pose.position.{axis}"] = means[:, column, 3]
+    quaternions = np.array([se3.quaternion_from_rotation(T[:3, :3]) for T in means])
+    for column, axis in enumerate("xyzw"):
+        rows[f"pose.pose.orientation.{axis}"] = quaternions[:, column]
+    covs = ros_from_left(np.array([cov for _, _, cov in gaussians]), means[:, :3, 3])
+    rows["pose.covariance"] = covs.reshape(-1, 36)
     return rows
 
 
@@ -189,8 +193,8 @@ def _blank(layout: Layout, count: int) -> Array:
     return np.frombuffer(bytearray(layout.template * count), layout.dtype)
 
 
-def _set_stamps(rows: Array, stamps_ns: list[int]) -> None:
-    seconds, rest = np.divmod(np.array(stamps_ns, np.int64), SECOND_NS)
+def _set_stamps(rows: Array, stamps: Sequence[int]) -> None:
+    seconds, rest = np.divmod(np.array(stamps, np.int64), SECOND_NS)
     rows["header.stamp.sec"], rows["header.stamp.nanosec"] = seconds, rest
 
 

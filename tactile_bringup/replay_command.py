@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 EXIT_OK, EXIT_DIFFERS, EXIT_USAGE = 0, 1, 2
 REPORT = "report.json"
-WIDTH = 130  # columns of the table where there is no terminal
+NEW_FROM_IMAGES = ("/contact/estimate", "/contact/presence")
+WIDTH = 140  # columns of the table where there is no terminal
 
 
 def register(subparsers: Any) -> None:
@@ -41,6 +42,21 @@ def register(subparsers: Any) -> None:
         "--profile",
         metavar="NAME|FILE",
         help="settings of the filter from a file, in place of the recorded ones",
+    )
+    parser.add_argument(
+        "--from", dest="source", choices=("estimates", "images"), default="estimates",
+        help="what the filter takes: the recorded estimates, or new ones from the recorded images",
+    )  # fmt: skip
+    parser.add_argument(
+        "--model",
+        type=Path,
+        help="with --from images: ONNX model (default: the recorded one, else the shipped)",
+    )
+    parser.add_argument(
+        "--base",
+        default="",
+        metavar="FRAME",
+        help="frame in which the surface stands still (default: ARM/base)",
     )
     parser.add_argument("--out", type=Path, help="folder for the results (default: out/replay/BAG)")
     parser.add_argument("--smooth", action="store_true", help="add beliefs that know what came later")
@@ -73,12 +89,11 @@ def run(arguments: argparse.Namespace) -> int:
 def _replay(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from tactile_bringup.replay_inputs import read_inputs
     from tactile_bringup.replay_sweep import base_settings, make_plans, run_plans
 
     folder = arguments.out or Path("out") / "replay" / arguments.bag.resolve().stem
     started = time.perf_counter()
-    inputs = read_inputs(arguments.bag)
+    inputs = _inputs(arguments)
     base = base_settings(inputs, _profile(arguments.profile))
     plans = make_plans(base, arguments.set, arguments.sweep, folder)
     _make_room(folder, plans)
@@ -94,6 +109,22 @@ def _replay(arguments: argparse.Namespace) -> int:
     return EXIT_OK if agree or not arguments.check else EXIT_DIFFERS
 
 
+def _inputs(arguments: argparse.Namespace) -> Inputs:
+    from tactile_bringup.bag import read_bag
+    from tactile_bringup.replay_inputs import ReplayError, inputs_of, read_inputs
+
+    if arguments.source == "estimates":
+        if arguments.model is not None:
+            raise ReplayError("--model needs --from images: recorded estimates are taken as they are")
+        return read_inputs(arguments.bag, arguments.base)
+    from tactile_bringup.replay_images import estimated, wanted_with_images
+
+    bag, remarks = estimated(read_bag(arguments.bag, wanted_with_images), arguments.model)
+    inputs = inputs_of(bag, arguments.base)
+    inputs.remarks += remarks
+    return inputs
+
+
 def _profile(name: str | None) -> Path | None:
     from tactile_filter.config_paths import named_file
 
@@ -104,9 +135,13 @@ def _options(arguments: argparse.Namespace, inputs: Inputs) -> Any:
     from tactile_bringup.bag import read_bag
     from tactile_bringup.replay_sweep import Options
 
-    copies = {"inputs": lambda: inputs.bag.messages, "all": lambda: read_bag(arguments.bag).messages}
-    chosen = copies[arguments.copy]() if arguments.copy else ()
-    return Options(not arguments.all_events, arguments.smooth, chosen)
+    used = inputs.bag.messages
+    if arguments.copy == "all":
+        topics = {message.topic for message in used}
+        used = used + [m for m in read_bag(arguments.bag).messages if m.topic not in topics]
+    elif arguments.copy is None:
+        used = [m for m in used if arguments.source == "images" and m.topic.endswith(NEW_FROM_IMAGES)]
+    return Options(not arguments.all_events, arguments.smooth, used)
 
 
 def _make_room(folder: Path, plans: list[Plan]) -> None:
@@ -204,6 +239,9 @@ def _tell_agreement(
                 f"{arm.name}: all {found.common} beliefs are those of the live filter, to the bit",
                 highlight=False,
             )
+        if found.only_live:
+            text = f"{found.only_live} live beliefs have no event here: what they were made from is not in the bag"
+            console.print(f"note: {arm.name}: {text}", style="yellow", highlight=False, soft_wrap=True)
         if result.left_out:
             text = f"{result.left_out} events were not taken, as the live filter did not take them either"
             console.print(

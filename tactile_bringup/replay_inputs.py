@@ -22,7 +22,7 @@ from tactile_bringup.message_columns import ColumnReader, Columns
 from tactile_bringup.message_definitions import type_fields
 from tactile_bringup.replay_clock import Jump, Timeline, epochs
 from tactile_bringup.replay_numbers import left_from_ros, poses_from_numbers, sound_poses
-from tactile_bringup.replay_transforms import Recording, poses_at, read_transforms
+from tactile_bringup.replay_transforms import Recording, connected, follow_pose, poses_at, read_transforms
 from tactile_bringup.run_record import TruthSeries
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
@@ -31,12 +31,15 @@ Array = NDArray[Any]
 
 TRANSFORMS = ("/tf", "/tf_static")
 ESTIMATE, PRESENCE, STATE, TRUTH = "contact/estimate", "contact/presence", "contact/state", "sim/truth"
-ARM_TOPICS = (ESTIMATE, PRESENCE, STATE, TRUTH)
+ARM_POSE = "arm/pose"
+ARM_TOPICS = (ESTIMATE, PRESENCE, STATE, TRUTH, ARM_POSE)
 SENSOR, BASE = "tactile_sensor", "base"
 UNUSABLE = PoseGaussian(np.full((4, 4), np.nan), np.full((6, 6), np.nan))
 POSE = tuple(f"pose.pose.{part}" for part in ("position.x", "position.y", "position.z")) + tuple(
     f"pose.pose.orientation.{axis}" for axis in "xyzw"
 )
+
+ARM_POSE_PARTS = tuple(part.removeprefix("pose.") for part in POSE)
 
 
 class ReplayError(ValueError):
@@ -147,8 +150,13 @@ def wanted_topics(topic: str, type_name: str) -> bool:
     return topic in TRANSFORMS or topic.endswith(tuple(f"/{name}" for name in ARM_TOPICS))
 
 
-def read_inputs(folder: Path) -> Inputs:
+def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
     """Read a bag for replay.
+
+    Parameters
+    ----------
+    base_frame : str
+        A frame in which the surface stands still; empty for each arm's own base.
 
     Raises
     ------
@@ -158,10 +166,10 @@ def read_inputs(folder: Path) -> Inputs:
         No arm of the bag can be replayed.
     """
     bag = read_bag(folder, wanted_topics)
-    return inputs_of(bag)
+    return inputs_of(bag, base_frame)
 
 
-def inputs_of(bag: Bag) -> Inputs:
+def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     """The same of a bag that was read before."""
     reader = _Reader(bag)
     remarks = [] if bag.complete else [f"bag not complete: {bag.problem}"]
@@ -169,8 +177,10 @@ def inputs_of(bag: Bag) -> Inputs:
     if not names:
         topics = ", ".join(sorted(bag.topics)) or "none"
         raise ReplayError(f"{bag.folder}: no messages on <arm>/{ESTIMATE}; topics with messages: {topics}")
-    tracks = {name: _Track(reader, name) for name in names}
+    tracks = {name: _Track(reader, name, base_frame) for name in names}
     recording = reader.transforms(ignore=[f"{track.arm.name}/contact" for track in tracks.values()])
+    for track in tracks.values():
+        track.find_the_sensor(recording)
     jumps = _assign_epochs(recording, tracks.values())
     remarks += _remarks_of(bag, recording, jumps)
     arms = []
@@ -231,8 +241,9 @@ class _Reader:
 class _Track:
     """One arm's topics on their way to measurements."""
 
-    def __init__(self, reader: _Reader, name: str) -> None:
-        self.arm = ArmInputs(name, "", "")
+    def __init__(self, reader: _Reader, name: str, base_frame: str) -> None:
+        self.arm = ArmInputs(name, base_frame, "")
+        self.reader = reader
         remarks = self.arm.remarks
         self.estimate = reader.topic(f"/{name}/{ESTIMATE}", remarks)
         self.presence = reader.topic(f"/{name}/{PRESENCE}", remarks)
@@ -241,6 +252,24 @@ class _Track:
         self.rows, self.gaussians = self._take_estimates()
         if not len(self.presence):
             remarks.append(f"no {PRESENCE}: every estimate counts as one in contact")
+
+    def find_the_sensor(self, recording: Recording) -> None:
+        """Where transforms do not connect the sensor with its base, take the arm's report of its pose."""
+        arm = self.arm
+        if connected(recording, arm.base_frame, arm.sensor_frame):
+            return
+        topic = self.reader.topic(f"/{arm.name}/{ARM_POSE}", arm.remarks)
+        frames = {group.layout.texts["header.frame_id"] for group in topic.columns}
+        if frames != {arm.base_frame}:
+            return
+        numbers = np.zeros((len(topic), 7))
+        for group in topic.columns:
+            numbers[group.indices] = group.stack(ARM_POSE_PARTS)
+        sensor, base = arm.sensor_frame, arm.base_frame
+        follow_pose(recording, topic.stamps_ns, topic.order, base, sensor, numbers)
+        arm.remarks.append(
+            f"no transforms between '{base}' and '{sensor}': the sensor's poses are those of {ARM_POSE}"
+        )
 
     def finished(self, recording: Recording) -> ArmInputs:
         """Join, look the sensor's poses up, and add what there is to compare with."""
@@ -259,7 +288,7 @@ class _Track:
             sizes[group.layout.texts["header.frame_id"]] += len(group.indices)
         sensor = max(sizes, key=lambda frame: sizes[frame])
         self.arm.sensor_frame = sensor
-        self.arm.base_frame = f"{sensor.rsplit('/', 1)[0]}/{BASE}" if "/" in sensor else BASE
+        self.arm.base_frame = self.arm.base_frame or "/".join([*sensor.split("/")[:-1], BASE])
         groups = [g for g in topic.columns if g.layout.texts["header.frame_id"] == sensor]
         rows = np.concatenate([group.indices for group in groups])
         poses = np.concatenate([group.stack(POSE) for group in groups])

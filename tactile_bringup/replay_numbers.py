@@ -35,6 +35,15 @@ def poses_from_numbers(numbers: Array) -> Array:
 
 def left_from_ros(covs: Array, positions: Array) -> Array:
     """Left covariances (N, 6, 6) from those of ROS poses at positions (N, 3)."""
+    return _transformed(covs, positions)
+
+
+def ros_from_left(covs: Array, positions: Array) -> Array:
+    """Covariances (N, 6, 6) of ROS poses at positions (N, 3) from left ones."""
+    return _transformed(covs, -1.0 * positions)
+
+
+def _transformed(covs: Array, positions: Array) -> Array:
     x, y, z = positions.T
     A = np.tile(np.eye(6), (len(covs), 1, 1))
     A[:, 0, 4], A[:, 0, 5] = -z, y

@@ -15,7 +15,7 @@ from tactile_bringup.bag_contents import Recorded
 from tactile_bringup.bag_writer import BagWriter, Topic
 from tactile_bringup.message_columns import rows_of
 from tactile_bringup.message_definitions import message_definition
-from tactile_bringup.replay import BELIEF_TYPE, STATE_TYPE, ArmRun, belief_rows, state_rows
+from tactile_bringup.replay import BELIEF_TYPE, STATE_TYPE, ArmRun, pose_rows
 from tactile_bringup.replay_inputs import STATE
 from tactile_filter.belief import Belief
 
@@ -64,7 +64,7 @@ def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[R
 def _messages(run: ArmRun) -> list[Recorded]:
     """What a run publishes."""
     received = [measurement.received_ns for measurement in run.measurements]
-    states = _recorded(run, STATE, STATE_TYPE, state_rows(run), received)
+    states = _recorded(run, STATE, STATE_TYPE, run.states, received)
     return states + _poses(run, BELIEF, run.beliefs) + _poses(run, SMOOTHED, run.smoothed)
 
 
@@ -73,7 +73,7 @@ def _poses(run: ArmRun, name: str, beliefs: Sequence[Belief]) -> list[Recorded]:
     valid = [
         (belief, m.received_ns) for belief, m in zip(beliefs, run.measurements, strict=False) if belief.valid
     ]
-    rows = belief_rows([belief for belief, _ in valid], run.inputs.sensor_frame)
+    rows = pose_rows([(b.stamp_ns, b.mean, b.cov) for b, _ in valid], run.inputs.sensor_frame)
     return _recorded(run, name, BELIEF_TYPE, rows, [received_ns for _, received_ns in valid])
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_bringup.bag_contents import Recorded
-from tactile_bringup.replay import agreement, recorded_settings, run_filter, series_of, smooth_run, state_rows
+from tactile_bringup.replay import agreement, recorded_settings, run_filter, series_of, smooth_run
 from tactile_bringup.replay_inputs import ArmInputs, Inputs
 from tactile_bringup.replay_output import write_bag
 from tactile_bringup.replay_report import RunResult
@@ -148,7 +148,7 @@ def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:
     results = []
     for run in runs:
         arm = run.inputs
-        compared = None if arm.live is None else agreement(state_rows(run), arm.live)
+        compared = None if arm.live is None else agreement(run.states, arm.live)
         results.append(
             RunResult(
                 plan.name,

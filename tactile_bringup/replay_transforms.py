@@ -167,6 +167,20 @@ def _put(buffer: TransformBuffer, child: str, link: Link, rows: list[int], stati
             continue
 
 
+def connected(recording: Recording, target: str, source: str) -> bool:
+    """Whether any chain of transforms, of whatever time, connects the two frames."""
+    return bool(_chain(recording, target) & _chain(recording, source))
+
+
+def follow_pose(
+    recording: Recording, stamps: Array, order: Array, base: str, sensor: str, numbers: Array
+) -> None:
+    """Take the sensor's poses (N, 7) in its base in the place of its transforms."""
+    recording.static.pop(sensor, None)
+    sound = np.flatnonzero(sound_poses(numbers))
+    recording.moving[sensor] = Link(stamps[sound], order[sound], [base] * len(sound), numbers[sound])
+
+
 def _chain(recording: Recording, frame: str) -> set[str]:
     """The frame and all that it has ever hung from."""
     chain, waiting = set(), [frame]
