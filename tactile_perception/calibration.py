@@ -14,7 +14,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -93,7 +97,7 @@ class Calibration:
         if self.correlation:
             _check_correlation(np.array(self.correlation))
 
-    @property
+    @cached_property
     def is_identity(self) -> bool:
         """Whether it changes nothing."""
         return not self.correlation and not np.any(self.sigma_values) and not np.any(self.depth_values)
@@ -101,6 +105,8 @@ class Calibration:
     def factors(self, mean: ArrayLike, sigma: ArrayLike) -> Array:
         """Factors on standard deviations: mean and sigma (6,) or (N, 6) in mm and rad -> the same shape."""
         mean, sigma = np.asarray(mean, np.float64), np.asarray(sigma, np.float64)
+        if mean.ndim == 1:
+            return self._factors_of_one(float(mean[DEPTH]), sigma.tolist())
         log_sigma, depth = np.log(sigma), mean[..., DEPTH]
         logs = [
             np.interp(log_sigma[..., j], self.sigma_knots[j], self.sigma_values[j])
@@ -108,6 +114,18 @@ class Calibration:
             for j in range(OUTPUTS)
         ]
         return np.exp(np.stack(logs, axis=-1))
+
+    def _factors_of_one(self, depth: float, sigma: list[float]) -> Array:
+        """The same for one image, without NumPy, whose calls cost more than they compute."""
+        return np.array(
+            [
+                math.exp(
+                    _interpolated(math.log(sigma[j]), self.sigma_knots[j], self.sigma_values[j])
+                    + _interpolated(depth, self.depth_knots, self.depth_values[j])
+                )
+                for j in range(OUTPUTS)
+            ]
+        )
 
     def covariance(self, mean: ArrayLike, cov: ArrayLike) -> Array:
         """Calibrated covariance around mu in the tangent space (mm, rad): (..., 6, 6) -> the same shape."""
@@ -139,6 +157,18 @@ class Calibration:
             return cls(**values)
         except (TypeError, ValueError) as error:
             raise CalibrationError(f"calibration: {error}") from error
+
+
+def _interpolated(x: float, knots: Sequence[float], values: Sequence[float]) -> float:
+    """`np.interp` of one number."""
+    right = bisect_right(knots, x)
+    if right == 0:
+        return values[0]
+    if right == len(knots):
+        return values[-1]
+    left = right - 1
+    part = (x - knots[left]) / (knots[right] - knots[left])
+    return values[left] + part * (values[right] - values[left])
 
 
 def fit_calibration(

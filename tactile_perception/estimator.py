@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import Settings, setting
-from tactile_perception.labels import NETWORK_SCALE, pose_from_network
+from tactile_perception.labels import NETWORK_SCALE
 from tactile_perception.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
@@ -23,7 +23,7 @@ from tactile_perception.model_metadata import (
     MetadataError,
     ModelMetadata,
 )
-from tactile_perception.preprocessing import Image, Preprocessor
+from tactile_perception.preprocessing import Image, ImageError, Preprocessor
 
 Array = NDArray[np.float64]
 _WARM_UP_RUNS = 5
@@ -97,6 +97,7 @@ class Estimator:
         self._uncertainty = next((o.name for o in outputs if o.name == COVARIANCE), INVERSE_SIGMA)
         self._outputs = [MEAN, self._uncertainty]
         _check_tensors(self.path, "output", outputs, {name: OUTPUT_SHAPES[name] for name in self._outputs})
+        self._one = _OneImage(self._session, side, self._outputs)
         self.preprocessor = Preprocessor(self.metadata.preprocessing)
         self.times = StageTimes()
         self.warm_up()
@@ -142,25 +143,54 @@ class Estimator:
         """Run black images through all stages; the first runs allocate memory."""
         black = np.zeros(self.metadata.preprocessing.raw_shape, np.uint8)
         for _ in range(runs):
-            self.predict(self.preprocessor(black))
+            self._one.run(self.preprocessor(black))
 
     def _estimate(self, prepared: NDArray[np.float32], preprocess: float) -> PoseGaussian:
         started = time.perf_counter()
-        mean, uncertainty = self._session.run(self._outputs, {INPUT_NAME: prepared})
+        mean, uncertainty = self._one.run(prepared)
         inferred = time.perf_counter()
-        gaussian = self._gaussian(mean[0].astype(np.float64), uncertainty[0].astype(np.float64))
+        gaussian = self._gaussian(mean, uncertainty)
         self.times = StageTimes(preprocess, inferred - started, time.perf_counter() - inferred)
         return gaussian
 
     def _gaussian(self, mean: Array, uncertainty: Array) -> PoseGaussian:
-        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(uncertainty))):
+        if not (np.isfinite(mean).all() and np.isfinite(uncertainty).all()):
             raise EstimateError(
                 f"the network answered with NaN or infinity: mu {mean}, {self._uncertainty} {uncertainty}"
             )
-        if self._uncertainty == INVERSE_SIGMA and not np.all(uncertainty > 0.0):
+        calibration = self.metadata.calibration
+        if self._uncertainty == COVARIANCE:
+            return pose_gaussian(mean, calibration.covariance(mean, uncertainty))
+        if not (uncertainty > 0.0).all():
             raise EstimateError(f"the network answered with 1/sigma that is not positive: {uncertainty}")
-        covariance = _covariances(uncertainty[np.newaxis])[0]
-        return pose_gaussian(mean, self.metadata.calibration.covariance(mean, covariance))
+        sigma = 1.0 / uncertainty
+        if calibration.correlation:
+            return pose_gaussian(mean, calibration.covariance(mean, np.diag(sigma**2)))
+        if not calibration.is_identity:
+            sigma *= calibration.factors(mean, sigma)
+        return _from_root(mean, sigma)
+
+
+class _OneImage:
+    """Runs a session on one image in memory that stays where it is, which saves a tenth of a millisecond."""
+
+    def __init__(self, session: onnxruntime.InferenceSession, side: int, outputs: list[str]) -> None:
+        self._session = session
+        self._binding = session.io_binding()
+        self._image = np.zeros((1, 1, side, side), np.float32)
+        self._answers = [np.zeros((1, *OUTPUT_SHAPES[name]), np.float32) for name in outputs]
+        self._binding.bind_cpu_input(INPUT_NAME, self._image)
+        for name, array in zip(outputs, self._answers, strict=True):
+            self._binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+
+    def run(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
+        """Prepared image (1, 1, side, side) -> mean (6,) and the other output, (6,) or (6, 6); mm and rad."""
+        if prepared.shape != self._image.shape:
+            raise ImageError(f"prepared image: has the shape {prepared.shape}, must be {self._image.shape}")
+        np.copyto(self._image, prepared)
+        self._session.run_with_iobinding(self._binding)
+        mean, uncertainty = (array[0].astype(np.float64) for array in self._answers)
+        return mean, uncertainty
 
 
 def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
@@ -186,8 +216,18 @@ def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
         raise EstimateError(
             f"the network answered with a covariance that is not positive definite: {covariance}"
         ) from error
-    root = se3.left_jacobian(mean * NETWORK_SCALE) @ (NETWORK_SCALE[:, None] * root)
-    return PoseGaussian(pose_from_network(mean), root @ root.T)
+    return _from_root(mean, root)
+
+
+def _from_root(mean: Array, root: Array) -> PoseGaussian:
+    """`pose_gaussian` with a root (6, 6) of the covariance, or the standard deviations (6,) of a diagonal."""
+    xi = mean * NETWORK_SCALE
+    jacobian = se3.left_jacobian(xi)
+    if root.ndim == 1:
+        root = jacobian * (NETWORK_SCALE * root)
+    else:
+        root = jacobian @ (NETWORK_SCALE[:, None] * root)
+    return PoseGaussian(se3.exp(xi), root @ root.T)
 
 
 def _covariances(uncertainty: Array) -> Array:

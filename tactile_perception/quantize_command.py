@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -98,7 +97,9 @@ def _compare(console: Console, paths: Sequence[Path], validation: Path | None) -
 
     models = open_models(paths, threads=1)
     names = ["size", "network, p50 / p99"]
-    columns = [[f"{model.path.stat().st_size / 1e6:.2f} MB", _milliseconds(model)] for model in models]
+    columns = [
+        [f"{model.estimator.path.stat().st_size / 1e6:.2f} MB", _milliseconds(model)] for model in models
+    ]
     table = Table(title="on one core")
     if validation is not None:
         table.title = f"on one core; mean absolute error on {validation}"
@@ -119,7 +120,6 @@ def _milliseconds(model: Any) -> str:
     image = np.zeros((1, 1, side, side), np.float32)
     seconds = []
     for _ in range(_TIMED_RUNS):
-        started = time.perf_counter()
-        model.session.run(None, {"image": image})
-        seconds.append(time.perf_counter() - started)
+        model.estimator.estimate_prepared(image)
+        seconds.append(model.estimator.times.infer)
     return " / ".join(f"{1e3 * np.percentile(seconds, q):.2f}" for q in (50, 99)) + " ms"

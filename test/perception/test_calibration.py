@@ -34,6 +34,16 @@ def test_without_arguments_nothing_changes():
     np.testing.assert_array_equal(Calibration().factors(np.zeros(6), SIGMA), np.ones(6))
 
 
+def test_one_image_gets_the_factors_of_many():
+    labels, mean, sigma = generator(800, lambda mean, sigma: 1.5 + 0.5 * (sigma > SIGMA))
+    settings = CalibrationSettings(depth_knots=3)
+    calibration = fit_calibration(labels, mean, sigma, settings)
+    beyond = sigma * np.geomspace(1e-3, 1e3, len(sigma))[:, None]
+    expected = calibration.factors(mean, beyond)
+    for row in range(0, len(mean), 40):
+        np.testing.assert_allclose(calibration.factors(mean[row], beyond[row]), expected[row], rtol=1e-13)
+
+
 def test_an_honest_network_is_left_as_it_is():
     data = generator(20_000, lambda mean, sigma: 1.0)
     fitted = fit_calibration(*data)

@@ -61,6 +61,40 @@ def test_covariance_is_symmetric_and_positive_at_the_bounds_of_sigma(inverse_sig
     assert np.all(np.linalg.eigvalsh(cov) > 0.0)
 
 
+@pytest.mark.parametrize("correlation", [(), tuple(map(tuple, np.eye(6) + 0.3 * (1 - np.eye(6))))])
+@pytest.mark.parametrize("factor", [1.0, 1.7])
+def test_the_estimate_of_an_image_is_the_calibrated_prediction(
+    constant_model, model_metadata, correlation, factor
+):
+    calibration = Calibration(sigma_values=((float(np.log(factor)),),) * 6, correlation=correlation)
+    metadata = dataclasses.replace(model_metadata(), calibration=calibration)
+    path = constant_model(mu=MEAN, inverse_sigma=INVERSE_SIGMA, properties=metadata.to_properties())
+    estimator = Estimator(path)
+    mean, covariance = estimator.predict(estimator.preprocessor(IMAGE))
+    np.testing.assert_allclose(np.diagonal(covariance[0]), (factor / INVERSE_SIGMA) ** 2, rtol=1e-6)
+    expected, estimate = pose_gaussian(mean[0], covariance[0]), estimator.estimate(IMAGE)
+    np.testing.assert_array_equal(estimate.mean, expected.mean)
+    variances = np.diagonal(expected.cov)
+    scale = np.sqrt(np.outer(variances, variances))
+    np.testing.assert_allclose(estimate.cov / scale, expected.cov / scale, rtol=0, atol=1e-12)
+
+
+def test_earlier_estimates_stay_as_they_were():
+    estimator = Estimator()
+    first = estimator.estimate(IMAGE)
+    kept = first.mean.copy(), first.cov.copy()
+    estimator.estimate(np.zeros((480, 640), np.uint8))
+    np.testing.assert_array_equal(first.mean, kept[0])
+    np.testing.assert_array_equal(first.cov, kept[1])
+
+
+def test_a_prepared_image_of_another_shape_is_refused():
+    estimator = Estimator()
+    for shape in ((2, 1, 128, 128), (1, 1, 1, 128), (128, 128)):
+        with pytest.raises(ImageError, match=r"must be \(1, 1, 128, 128\)"):
+            estimator.estimate_prepared(np.zeros(shape, np.float32))
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("where", ["mu", "inverse_sigma"])
 def test_nan_and_infinity_are_no_estimate(constant_model, bad, where):
