@@ -1,23 +1,32 @@
-"""Markers of a TacTip data folder, tracked by their rings: used by the comparisons of simulation and reality.
+"""Markers of a TacTip data folder, told apart and tracked: used by what compares simulation and reality.
 
-The images of the public layout are thresholded; markers are their blobs. Which blob is which marker follows
-from the rings at rest and, as contacts get deeper, from a regression of the marker positions on the labels
-that is refined from shallow to deep.
+`tactile_perception.markers` finds the markers of each image. Which is which follows from the rings at rest,
+from a regression of the marker positions on the labels, refined from shallow to deep contacts, and then from
+the neighbors: starting where the regression is right to a few pixels, each marker of an image is expected
+where its neighbors' displacements put it, so that the matching grows over the image and follows contacts that
+slipped as well as those that stuck.
+
+    PYTHONPATH=. python bench/real_markers.py DATA/train      # how many markers are found, by depth
 """
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
 from tactile_perception.dataset import TactileFolder, open_folder
+from tactile_perception.markers import detect
 
 RINGS = 10
 DEPTH_STEPS = (0.7, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.1, 6.1)  # mm
+NEIGHBORS = 18
+REACH = 6.0  # px, about a third of the distance between markers
+CONSISTENT = 4.0  # px between a marker and where its neighbors put it
+PASSES = 3  # of regression and growth
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,16 @@ class Tracked:
     positions: np.ndarray
     ring: np.ndarray
 
+    @property
+    def found(self) -> np.ndarray:
+        """Part of the markers found in each image (n,)."""
+        return np.isfinite(self.positions[..., 0]).mean(axis=1)
+
+    def some(self, count: int, seed: int, least_found: float = 0.96) -> np.ndarray:
+        """Random images (count,) in which nearly all markers were found."""
+        good = np.flatnonzero(self.found >= least_found)
+        return np.random.default_rng(seed).choice(good, min(count, len(good)), replace=False)
+
 
 def track(folder: Path, samples: int | None = None) -> Tracked:
     """Track the markers of up to `samples` images of a folder, chosen at random."""
@@ -49,24 +68,19 @@ def track(folder: Path, samples: int | None = None) -> Tracked:
     if samples is not None and samples < len(index):
         index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))
     labels = data.euler_mm_deg[index]
-    blobs = [blob_centres(data.image(i)) for i in index]
+    blobs = [detect(data.image(i)).centers for i in index]
     shallow = np.flatnonzero(labels[:, 2] < DEPTH_STEPS[0])
     template, ring = ring_template(blobs[shallow[np.argmin(np.hypot(*labels[shallow, :2].T))]])
-    positions = _refine(blobs, labels, template)
+    features = _features(labels / np.array([5, 5, 6, 25, 25, 5]))
+    positions = _refine(blobs, labels, features, template)
+    rest = np.nanmedian(positions[shallow], axis=0)
+    for _ in range(PASSES):
+        predicted = np.stack(
+            [_regressed(features, positions[:, m], np.arange(len(index))) for m in range(len(rest))], axis=1
+        )
+        positions = np.array([_grow(b, rest, p) for b, p in zip(blobs, predicted, strict=True)])
     offset = np.array(data.preprocessing.bbox[:2])
-    rest = np.nanmedian(positions[shallow], axis=0) + offset
-    return Tracked(data, index, labels, rest, positions + offset, ring)
-
-
-def blob_centres(binary: np.ndarray) -> np.ndarray:
-    """Centres (n, 2) of blobs of a marker's size."""
-    smooth = cv2.medianBlur(binary, 5)
-    _, _, stats, centres = cv2.connectedComponentsWithStats((smooth > 127).astype(np.uint8))
-    size = stats[:, cv2.CC_STAT_AREA]
-    wide = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
-    keep = (size > 40) & (size < 300) & (wide < 24)
-    keep[0] = False
-    return centres[keep]
+    return Tracked(data, index, labels, rest + offset, positions + offset, ring)
 
 
 def ring_template(centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -85,9 +99,10 @@ def ring_template(centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return middle + radius[ring, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1), ring
 
 
-def _refine(blobs: list[np.ndarray], labels: np.ndarray, template: np.ndarray) -> np.ndarray:
+def _refine(
+    blobs: list[np.ndarray], labels: np.ndarray, features: np.ndarray, template: np.ndarray
+) -> np.ndarray:
     """Assign blobs to markers from shallow to deep contacts."""
-    features = _features(labels / np.array([5, 5, 6, 25, 25, 5]))
     predicted = np.tile(template, (len(blobs), 1, 1))
     positions = np.full_like(predicted, np.nan)
     for step, depth in enumerate(DEPTH_STEPS):
@@ -96,11 +111,46 @@ def _refine(blobs: list[np.ndarray], labels: np.ndarray, template: np.ndarray) -
             positions[i] = _mutual_nearest(predicted[i], blobs[i], 12 if step == 0 else 9)
         basis = features if step > 1 else features[:, :1]
         for m in range(len(template)):
-            seen = chosen[np.isfinite(positions[chosen, m, 0])]
-            a = basis[seen]
-            ridge = 1e-2 * np.eye(a.shape[1])
-            predicted[:, m] = basis @ np.linalg.solve(a.T @ a + ridge, a.T @ positions[seen, m])
+            predicted[:, m] = _regressed(basis, positions[:, m], chosen)
     return positions
+
+
+def _regressed(basis: np.ndarray, positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Positions (n, 2) of one marker by ridge regression on those of the chosen images where it was found."""
+    seen = chosen[np.isfinite(positions[chosen, 0])]
+    a = basis[seen]
+    ridge = 1e-2 * np.eye(a.shape[1])
+    return basis @ np.linalg.solve(a.T @ a + ridge, a.T @ positions[seen])
+
+
+def _grow(blobs: np.ndarray, rest: np.ndarray, predicted: np.ndarray, rounds: int = 14) -> np.ndarray:
+    """Positions (331, 2) in one image, grown from where the prediction is right to a few pixels."""
+    near = cKDTree(rest).query(rest, k=NEIGHBORS + 1)[1][:, 1:]
+    found = np.full_like(rest, np.nan)
+    for _ in range(rounds):
+        found = _mutual_nearest(predicted, blobs, REACH)
+        expected = _from_neighbors(found - rest, rest, near)
+        found[np.linalg.norm(found - rest - expected, axis=1) > CONSISTENT] = np.nan
+        expected = rest + _from_neighbors(found - rest, rest, near)
+        expected = np.where(np.isfinite(expected), expected, predicted)
+        if np.abs(expected - predicted).max() < 0.05:
+            break
+        predicted = expected
+    return found
+
+
+def _from_neighbors(displacement: np.ndarray, rest: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Displacement (331, 2) by a local affine fit to the neighbors'; NaN with fewer than five of them."""
+    known = np.isfinite(displacement[near, 0])
+    offset = (rest[near] - rest[:, None]) / np.linalg.norm(rest[near[:, 0]] - rest, axis=1).mean()
+    weight = np.exp(-0.5 * (np.linalg.norm(offset, axis=2) / 1.2) ** 2) * known
+    basis = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
+    weighted = basis * weight[:, :, None]
+    normal = np.einsum("nki,nkj->nij", weighted, basis) + np.diag([1e-9, 0.02, 0.02])
+    right = np.einsum("nki,nkd->nid", weighted, np.where(known[:, :, None], displacement[near], 0.0))
+    out = np.linalg.solve(normal, right)[:, 0]
+    out[known.sum(axis=1) < 5] = np.nan
+    return out
 
 
 def _mutual_nearest(markers: np.ndarray, blobs: np.ndarray, reach: float) -> np.ndarray:
@@ -118,3 +168,21 @@ def _features(scaled: np.ndarray) -> np.ndarray:
     for p, q in ((x, x), (y, y), (x, y), (a, a), (b, b), (a, b), (x, a), (x, b), (y, a), (y, b)):
         columns += [p * q, p * q * z]
     return np.stack(columns, axis=1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--samples", type=int, default=800, help="images tracked (default 800)")
+    args = parser.parse_args()
+    tracked = track(args.data, args.samples)
+    print("depth mm   images   markers found %: inner 5 rings, outer 5 rings")
+    seen = np.isfinite(tracked.positions[..., 0])
+    for low in range(6):
+        chosen = (tracked.labels[:, 2] >= low) & (tracked.labels[:, 2] < low + 1)
+        inner, outer = seen[chosen][:, tracked.ring <= 5], seen[chosen][:, tracked.ring > 5]
+        print(f"{low}-{low + 1} {chosen.sum():13d} {100 * inner.mean():14.1f} {100 * outer.mean():14.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,11 +1,10 @@
-"""The simulated sensor beside a real one: same labels, marker by marker and picture by picture.
+"""A simulated sensor beside a real one: same labels, marker by marker and picture by picture.
 
-    PYTHONPATH=. python bench/simulator_vs_real.py DATA/train [--samples 800] [--out out/simulator_vs_real]
+    PYTHONPATH=. python bench/simulator_vs_real.py DATA/val --sensor tactip_franka [--before default]
 
-Prints and plots, by depth: how far markers are displaced and how far the simulated ones are off; and the
-gain of the simulated over the real shear response. `--depth-offset` (mm) is added to the labels' depth in
-simulation, because a real arm's zero of depth is where somebody set it. The picture with real images stays
-in the output folder.
+Prints and plots the distance between simulated and real markers, by depth and by shear, of one sensor file
+or of two ("default" is the built-in sensor); and the gain of the simulated over the real shear response.
+The picture with real images stays in the output folder.
 """
 
 from __future__ import annotations
@@ -18,37 +17,47 @@ import matplotlib
 import numpy as np
 from real_markers import Tracked, track
 
-from tactile_drivers.sim.collection import press_then_shear
+from tactile_drivers.sim.collection import Mounting, press_then_shear
+from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
-from tactile_perception.estimator import Estimator, shipped_model
 from tactile_perception.preprocessing import Preprocessor
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-BANDS = ((0.5, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6))  # mm
+DEPTHS = ((0.5, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6))  # mm
+SHEARS = ((0, 1), (1, 2), (2, 3), (3, 4), (4, 5))  # mm
 INNER_RINGS = 3
 
 
-def simulate(sensor: TacTip, label: np.ndarray, depth_offset: float) -> np.ndarray:
-    """Marker positions (331, 2) px in rings of the sensor's own order."""
-    pose = label * np.repeat([1e-3, np.pi / 180], 3)
-    pose[2] += 1e-3 * depth_offset
-    sensor.reset()
-    press_then_shear(sensor, pose)
-    return sensor.marker_pixels
+class Simulated:
+    """Simulated markers for the labels of tracked images, in the order of the real ones."""
+
+    def __init__(self, file: SensorFile, tracked: Tracked) -> None:
+        self._file, self._mounting = file, Mounting.of(file.collection)
+        self._sensor = TacTip(file.sensor, seed=1)
+        rest = self._sensor.marker_pixels
+        order = np.linalg.norm(tracked.rest[:, None] - rest[None], axis=2).argmin(axis=1)
+        if len(set(order)) != len(order):
+            raise SystemExit("the simulated markers at rest are too far from the real ones to be matched")
+        self.rest = rest[order]
+        self.positions = np.array([self.press(label).marker_pixels[order] for label in tracked.labels])
+
+    def press(self, label: np.ndarray) -> TacTip:
+        """The sensor at a label (6,) mm and degrees."""
+        pose = label * np.repeat([1e-3, np.pi / 180], 3)
+        pose[2] += self._file.collection.depth_offset
+        self._sensor.reset()
+        press_then_shear(self._sensor, pose, mounting=self._mounting)
+        return self._sensor
 
 
-def matched(sensor: TacTip, tracked: Tracked) -> np.ndarray:
-    """For each tracked marker the simulated one at the same place at rest."""
-    sensor.reset()
-    rest = sensor.marker_pixels
-    order = np.linalg.norm(tracked.rest[:, None] - rest[None], axis=2).argmin(axis=1)
-    if len(set(order)) != len(order):
-        raise RuntimeError("the simulated markers at rest are too far from the real ones to be matched")
-    print(f"at rest: median distance {np.median(np.linalg.norm(tracked.rest - rest[order], axis=1)):.2f} px")
-    return order
+def within(values: np.ndarray, band: tuple[float, float]) -> np.ndarray:
+    return (values >= band[0]) & (values < band[1])
+
+
+def rms(distance: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(distance**2))) if np.isfinite(distance).any() else np.nan
 
 
 def shear_gain(simulated: np.ndarray, real: np.ndarray) -> float:
@@ -56,67 +65,64 @@ def shear_gain(simulated: np.ndarray, real: np.ndarray) -> float:
     return float(np.nansum(simulated * real) / np.nansum(real * real))
 
 
-def statistics(tracked: Tracked, simulated: np.ndarray, rest: np.ndarray) -> list[tuple[float, ...]]:
-    rows = []
+def tell(name: str, tracked: Tracked, simulated: Simulated) -> np.ndarray:
+    """Print the errors of one sensor; gives the RMS (depths, 1 + shears) of all and by shear."""
+    at_rest = np.linalg.norm(simulated.rest - tracked.rest, axis=1)
+    error = np.linalg.norm(simulated.positions - tracked.positions, axis=2)
+    moved = np.linalg.norm(tracked.positions - tracked.rest, axis=2)
     inner = tracked.ring < INNER_RINGS
-    print("depth mm   samples  real shift px  error px: median  p95   gain of the shear response")
-    for low, high in BANDS:
-        chosen = (tracked.labels[:, 2] >= low) & (tracked.labels[:, 2] < high)
-        error = np.linalg.norm(simulated[chosen] - tracked.positions[chosen], axis=2)
-        moved = np.linalg.norm(tracked.positions[chosen] - tracked.rest, axis=2)
+    shear = np.hypot(*tracked.labels[:, :2].T)
+    print(
+        f"{name}: RMS {rms(error):.2f} px, median {np.nanmedian(error):.2f} px; at rest {rms(at_rest):.2f} px"
+    )
+    print("depth mm    n  real shift | error: median   RMS  95 % | gain of shear | RMS by shear "
+          + "  ".join(f"{a}-{b}" for a, b in SHEARS))  # fmt: skip
+    table = []
+    for band in DEPTHS:
+        deep = within(tracked.labels[:, 2], band)
         gain = shear_gain(
-            (simulated[chosen] - rest)[:, inner],
-            (tracked.positions[chosen] - tracked.rest)[:, inner],
+            (simulated.positions[deep] - simulated.rest)[:, inner],
+            (tracked.positions[deep] - tracked.rest)[:, inner],
         )
-        shift, median, worst = np.nanmedian(moved), np.nanmedian(error), np.nanpercentile(error, 95)
-        rows.append(((low + high) / 2, shift, median, worst, gain))
+        row = [rms(error[deep])] + [rms(error[deep & within(shear, one)]) for one in SHEARS]
+        table.append(row)
         print(
-            f"{low:3.1f}-{high:3.1f} {chosen.sum():11d} {shift:13.1f} {median:17.1f} {worst:7.1f} {gain:9.2f}"
+            f"{band[0]:3}-{band[1]} {deep.sum():6d} {rms(moved[deep]):10.1f} | "
+            f"{np.nanmedian(error[deep]):13.2f} {row[0]:5.2f} {np.nanpercentile(error[deep], 95):5.1f} | "
+            f"{gain:13.2f} |             " + " ".join(f"{value:5.2f}" for value in row[1:])
         )
-    return rows
+    return np.array(table)
 
 
-def plot(rows: list[tuple[float, ...]], path: Path) -> None:
-    depth, shift, median, high, gain = np.array(rows).T
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.5))
-    axes[0].plot(depth, shift, "k.-", label="displacement, real (median)")
-    axes[0].plot(depth, median, "C0.-", label="simulated - real (median)")
-    axes[0].plot(depth, high, "C0.:", label="simulated - real (95 %)")
-    axes[0].set(xlabel="depth (mm)", ylabel="px of 640 x 480")
+def plot(tables: dict[str, np.ndarray], path: Path) -> None:
+    """RMS by depth for each sensor, and by depth and shear for the last one."""
+    figure, axes = plt.subplots(
+        1, 1 + len(tables), figsize=(4 * (1 + len(tables)), 3.4), layout="constrained"
+    )
+    middle = [sum(band) / 2 for band in DEPTHS]
+    for name, table in tables.items():
+        axes[0].plot(middle, table[:, 0], ".-", label=name)
+    axes[0].set(xlabel="depth (mm)", ylabel="simulated - real markers, RMS (px)", ylim=(0, None))
     axes[0].legend()
-    axes[1].plot(depth, gain, "C1.-")
-    axes[1].axhline(1.0, color="k", lw=0.5)
-    axes[1].set(xlabel="depth (mm)", ylabel="simulated / real shear response")
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    top = max(np.nanmax(table) for table in tables.values())
+    for axis, (name, table) in zip(axes[1:], tables.items(), strict=True):
+        axis.imshow(table[:, 1:].T, origin="lower", vmin=0, vmax=top, cmap="magma_r", aspect="auto")
+        for (row, column), value in np.ndenumerate(table[:, 1:]):
+            dark = value > 0.6 * top
+            axis.text(row, column, f"{value:.1f}", ha="center", va="center", color="w" if dark else "k")
+        axis.set_xticks(range(len(DEPTHS)), [f"{a:g}-{b}" for a, b in DEPTHS])
+        axis.set_yticks(range(len(SHEARS)), [f"{a}-{b}" for a, b in SHEARS])
+        axis.set(xlabel="depth (mm)", ylabel="shear (mm)", title=f"{name}: RMS (px)")
+    figure.savefig(path, dpi=90)
 
 
-def transfer(tracked: Tracked, model: Path) -> None:
-    """Errors on the real images of a network that has seen simulated ones only."""
-    estimator = Estimator(model)
-    found = []
-    for i in tracked.index:
-        T_fs = se3.inverse(estimator.estimate_processed(tracked.folder.image(i)).mean)
-        found.append(se3.euler_from_pose(T_fs) / np.repeat([1e-3, np.pi / 180], 3))
-    error = np.array(found) - tracked.labels
-    correlation = [np.corrcoef(np.array(found)[:, k], tracked.labels[:, k])[0, 1] for k in range(6)]
-    print(f"{model.name} on the real images: x y z (mm) alpha beta gamma (deg)")
-    for name, values in (
-        ("mean error", error.mean(0)),
-        ("MAE", np.abs(error).mean(0)),
-        ("correlation", correlation),
-    ):
-        print(f"{name:12s}", *[f"{value:7.2f}" for value in values])
-
-
-def side_by_side(sensor: TacTip, tracked: Tracked, depth_offset: float, path: Path) -> None:
+def side_by_side(simulated: Simulated, tracked: Tracked, path: Path) -> None:
     """Real, simulated, and both laid over each other (real blue, simulated red), for eight contact poses."""
     preprocessor = Preprocessor(tracked.folder.preprocessing)
     rows = []
     for k in np.linspace(0, len(tracked.index) - 1, 8).astype(int):
-        simulate(sensor, tracked.labels[k], depth_offset)
         real = tracked.folder.image(tracked.index[k])
-        ours = preprocessor.binary(sensor.image())
+        ours = preprocessor.binary(simulated.press(tracked.labels[k]).image())
         overlay = np.dstack([real, np.zeros_like(real), ours])
         text = " ".join(f"{value:.1f}" for value in tracked.labels[k])
         panel = np.hstack(
@@ -131,24 +137,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--samples", type=int, default=800, help="images compared (default 800)")
-    parser.add_argument(
-        "--depth-offset", type=float, default=0.0, help="mm added to the labels' depth in simulation"
-    )
-    parser.add_argument(
-        "--model", type=Path, default=shipped_model(), help="network that is tried on real images"
-    )
+    parser.add_argument("--sensor", default="default", help="sensor name or file (default: the built-in one)")
+    parser.add_argument("--before", help="another one to compare with")
     parser.add_argument("--out", type=Path, default=Path("out/simulator_vs_real"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
 
     tracked = track(args.data, args.samples)
-    sensor = TacTip(seed=1)
-    order = matched(sensor, tracked)
-    rest = sensor.marker_pixels[order]
-    simulated = np.array([simulate(sensor, label, args.depth_offset)[order] for label in tracked.labels])
-    plot(statistics(tracked, simulated, rest), args.out / "simulator_vs_real.png")
-    transfer(tracked, args.model)
-    side_by_side(sensor, tracked, args.depth_offset, args.out / "side_by_side.png")
+    tables = {}
+    for name in filter(None, (args.before, args.sensor)):
+        simulated = Simulated(SensorFile() if name == "default" else load_sensor(name), tracked)
+        tables[Path(name).stem] = tell(name, tracked, simulated)
+    plot(tables, args.out / "simulator_vs_real.png")
+    side_by_side(simulated, tracked, args.out / "side_by_side.png")
     print(args.out / "simulator_vs_real.png", args.out / "side_by_side.png")
 
 

@@ -13,7 +13,7 @@ from rich.progress import track
 from tactile_bringup.data_parameters import check_same_run
 from tactile_drivers.sampling import VALIDATION_START
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
-from tactile_drivers.sim.tactip import TacTipSettings
+from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_filter.yaml_file import read_yaml
 from tactile_perception.command_settings import name_and_value
 from tactile_perception.dataset_writer import DatasetWriter, write_processed
@@ -33,6 +33,11 @@ def register(commands: Any) -> None:
     parser.add_argument("--val", type=int, default=2000, metavar="N", help="validation samples (2000)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2, help="processes to spread over (2)")
+    parser.add_argument(
+        "--sensor",
+        metavar="NAME",
+        help="sensor of config/sensors, or a sensor file (default: the built-in one)",
+    )
     parser.add_argument("--config", type=Path, help="YAML file with collection settings (SI)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="change one of them"
@@ -44,10 +49,11 @@ def run_generate(arguments: argparse.Namespace) -> int:
     """`tactile data generate`: returns the exit status."""
     console = Console(stderr=True)
     try:
-        settings = _settings(arguments)
+        sensor = load_sensor(arguments.sensor) if arguments.sensor else SensorFile()
+        settings = _settings(arguments, sensor.collection)
         for name, count, start in (("train", arguments.train, 0), ("val", arguments.val, VALIDATION_START)):
             if count > 0:
-                _generate_split(arguments, settings, name, count, start, console)
+                _generate_split(arguments, sensor, settings, name, count, start, console)
     except (ValueError, OSError) as error:
         console.print(f"tactile data generate: {error}", markup=False, style="red", soft_wrap=True)
         return 1
@@ -57,18 +63,18 @@ def run_generate(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _settings(arguments: argparse.Namespace) -> CollectionSettings:
-    """Collection settings from the file and the command line."""
-    settings = CollectionSettings()
+def _settings(arguments: argparse.Namespace, settings: CollectionSettings) -> CollectionSettings:
+    """Collection settings from the sensor's file, the given file and the command line, the last one first."""
     if arguments.config:
         root = read_yaml(arguments.config)
-        settings = root.checked(CollectionSettings, root.values)
+        settings = root.checked(CollectionSettings, {**dataclasses.asdict(settings), **root.values})
     changes = dict(name_and_value(change, "cap_angle=0.3") for change in arguments.changes)
     return settings.replaced(**changes)
 
 
 def _generate_split(
     arguments: argparse.Namespace,
+    sensor: SensorFile,
     settings: CollectionSettings,
     name: str,
     count: int,
@@ -78,16 +84,17 @@ def _generate_split(
     """Generate what is missing of one split."""
     folder = arguments.out / name
     preprocessing = PreprocessingSettings()
-    sensor = dataclasses.asdict(TacTipSettings())
-    check_same_run(
-        folder, {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings), "sensor": sensor}
-    )
+    parameters = {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings)}
+    parameters["sensor"] = dataclasses.asdict(sensor.sensor)
+    if sensor.variation is not None:
+        parameters["variation"] = dataclasses.asdict(sensor.variation)
+    check_same_run(folder, parameters)
     writer = DatasetWriter(folder, preprocessing)
     missing = sorted(set(range(1, count + 1)) - writer.done)
     store = StoreSample(folder, preprocessing, start)
     samples = generate(
-        settings, arguments.seed, [start + number - 1 for number in missing],
-        processes=arguments.processes, each=store,
+        settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
+        processes=arguments.processes, each=store, variation=sensor.variation,
     )  # fmt: skip
     text = f"{name}: {len(missing)} of {count} samples"
     for number, euler in track(samples, text, len(missing), console=console, disable=not console.is_terminal):

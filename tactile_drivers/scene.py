@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -244,13 +244,26 @@ def _sensor(section: Section, rate: int, surfaces: list[str]) -> SensorScene:
 
 
 def _image_model(section: Section) -> Any:
-    """`TacTipSettings` from the groups under `image`."""
-    default = _default_model("image")
+    """`TacTipSettings` from the sensor file and the groups under `image`."""
     groups = section.section("image")
-    names = [item.name for item in fields(default)]
-    groups.allow(*names)
-    changed = {name: groups.settings(name, type(getattr(default, name))) for name in groups.values}
-    return replace(default, **changed)
+    base = _from_sensor_file(groups) if "file" in groups.values else _default_model("image")
+    names = [item.name for item in fields(base)]
+    groups.allow("file", *names)
+    changed = {}
+    for name in names:
+        if name in groups.values:
+            group, settings = groups.section(name), getattr(base, name)
+            changed[name] = group.checked(type(settings), {**asdict(settings), **group.values})
+    return replace(base, **changed)
+
+
+def _from_sensor_file(groups: Section) -> Any:
+    from tactile_drivers.sim.sensor_file import load_sensor
+
+    try:
+        return load_sensor(groups.text("file")).sensor
+    except FileNotFoundError as error:
+        groups.fail(str(error), "file")
 
 
 def _default_model(fidelity: str) -> Any:

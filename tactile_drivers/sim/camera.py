@@ -33,6 +33,9 @@ class CameraSettings(Settings):
     )
     rotation_deg: float = setting(-52.9, unit="deg", doc="{s}'s x axis in the image, from right to down")
     marker_radius: float = setting(0.0005, unit="m", lower=0.0, doc="radius of a marker")
+    marker_perspective: float = setting(
+        1.0, lower=0.0, upper=1.0, doc="exponent of a marker's size over its scale: 1 as seen, 0 all alike"
+    )
     marker_gray: float = setting(190.0, lower=0.0, upper=255.0, doc="gray level of a marker in the middle")
     ground_gray: float = setting(6.0, lower=0.0, upper=255.0, doc="gray level between the markers there")
     vignette: float = setting(0.35, lower=0.0, upper=1.0, doc="part of the brightness lost in the corners")
@@ -73,7 +76,8 @@ class Camera:
         pixels, scale = self.project(points)
         blobs = np.empty((len(points), 4))
         blobs[:, :2] = pixels
-        blobs[:, 2] = settings.marker_radius * scale
+        middle = settings.focal_length / settings.distance
+        blobs[:, 2] = settings.marker_radius * middle * (scale / middle) ** settings.marker_perspective
         column, row = np.rint(pixels).astype(int).T
         shade = self._gain_at[row.clip(0, settings.height - 1), column.clip(0, settings.width - 1)]
         blobs[:, 3] = settings.gain * settings.marker_gray * shade

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from tactile_drivers.sampling import SamplingSettings, check_ordered, sample_pose, sample_rng
 from tactile_drivers.sim.tactip import ContactTruth, TacTip, TacTipSettings
+from tactile_drivers.sim.variation import VariationSettings, varied
 from tactile_filter import se3
 from tactile_filter.settings import setting
 
@@ -45,6 +46,17 @@ class CollectionSettings(SamplingSettings):
     )  # fmt: skip
     position_noise: float = setting(5e-5, unit="m", lower=0.0, doc="of the arm, per axis (1 sigma)")
     angle_noise: float = setting(2e-3, unit="rad", lower=0.0, doc="of the arm, per axis (1 sigma)")
+    depth_offset: float = setting(
+        0.0, unit="m", lower=-5e-3, upper=5e-3, doc="of the true depth over the label's: a zero set by hand"
+    )
+    surface_tilt: tuple[float, ...] = setting(
+        (0.0, 0.0), unit="rad", lower=-0.2, upper=0.2, length=2,
+        doc="of the true surface against the labels' plane, about its x and y through the contact",
+    )  # fmt: skip
+    tool_offset: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), unit="m", lower=-0.02, upper=0.02, length=3,
+        doc="of the tool centre point, about which the arm turns, from the dome's centre, in {s}",
+    )  # fmt: skip
     clearance: float = setting(1e-3, unit="m", lower=0.0, doc="gap from which the sensor starts")
     max_step: float = setting(2.5e-4, unit="m", lower=1e-6, doc="longest step of the motion")
 
@@ -95,32 +107,78 @@ class _Sphere:
         return sign * (distance - abs(self._radius)), sign * from_center / distance[:, None]
 
 
-def collect(sensor: TacTip, settings: CollectionSettings, seed: int, index: int) -> Sample:
+def collect(
+    sensor: TacTip, settings: CollectionSettings, seed: int, index: int,
+    variation: VariationSettings | None = None,
+) -> Sample:  # fmt: skip
     """Collect sample `index` with a sensor, whose contact history is forgotten first."""
     rng = sample_rng(seed, index)
     pose = sample_pose(settings, rng)
     noise = rng.normal(size=6) * np.repeat([settings.position_noise, settings.angle_noise], 3)
+    noise[2] += settings.depth_offset
     friction = rng.uniform(settings.friction[0], settings.friction[1])
     sensor.reset(seed=int(rng.integers(2**63)))
     sensor.friction = friction
     least, largest = settings.curvature
-    press_then_shear(sensor, pose + noise, settings.clearance, float(rng.uniform(least, largest)))
-    return Sample(index, sensor.image(), pose / _SCALE, sensor.truth(), friction)
+    press_then_shear(sensor, pose + noise, settings.clearance, float(rng.uniform(least, largest)),
+                     Mounting.of(settings))  # fmt: skip
+    image, truth = sensor.image(), sensor.truth()
+    if variation is not None:
+        image = varied(image, variation, truth.depth, rng)
+    return Sample(index, image, pose / _SCALE, truth, friction)
 
 
-def press_then_shear(sensor: TacTip, pose: Array, clearance: float = 1e-3, curvature: float = 0.0) -> None:
+@dataclass(frozen=True)
+class Mounting:
+    """Errors of a rig that are the same in all of its samples: what it calls the pose, and where it is.
+
+    Attributes
+    ----------
+    T_tilt : (4, 4)
+        Turns the sensor about the contact point, as a surface that is tilted the other way would.
+    T_center : (4, 4)
+        The dome's centre in the frame of the tool centre point.
+    """
+
+    T_tilt: Array
+    T_center: Array
+
+    @classmethod
+    def of(cls, settings: CollectionSettings) -> Mounting | None:
+        """From `surface_tilt` and `tool_offset`; None where both are zero."""
+        if not any((*settings.surface_tilt, *settings.tool_offset)):
+            return None
+        tilt = se3.pose_from_euler([0.0, 0.0, 0.0, *settings.surface_tilt, 0.0])
+        return cls(tilt, se3.pose_from_euler([*(-np.array(settings.tool_offset)), 0.0, 0.0, 0.0]))
+
+    def place(self, T_surface_tool: Array) -> Array:
+        """Where the sensor is (4, 4) when the arm means T; at no tilt the depth is as meant."""
+        T = T_surface_tool.copy()
+        T[2, 3] += self.T_center[2, 3]
+        return np.asarray(self.T_tilt @ T @ self.T_center)
+
+
+def press_then_shear(
+    sensor: TacTip, pose: Array, clearance: float = 1e-3, curvature: float = 0.0,
+    mounting: Mounting | None = None,
+) -> None:  # fmt: skip
     """Bring a sensor to a surface contact pose (6,), m and rad: turned, pressed, then sheared.
 
-    The surface is a plane, or a sphere of that `curvature` in 1/m, along which the shear then runs.
+    The surface is a plane, or a sphere of that `curvature` in 1/m, along which the shear then runs. With a
+    `mounting` the pose is what the arm means.
     """
     surface = _Plane() if abs(curvature) < _FLAT else _Sphere(curvature)
+
+    def move(T: Array) -> None:
+        sensor.advance(surface, T if mounting is None else mounting.place(T))
+
     x, y, z, alpha, beta, gamma = pose
     # {f} has z into the surface, and its origin at the dome's centre at first touch
     T_surface_f = se3.pose_from_euler([0.0, 0.0, sensor.settings.skin.radius, np.pi, 0.0, 0.0])
     for depth in (-clearance, z):
-        sensor.advance(surface, T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
+        move(T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
     turned = T_surface_f @ se3.pose_from_euler([0.0, 0.0, z, alpha, beta, gamma])
-    sensor.advance(surface, _along_surface(x, -y, curvature) @ turned)
+    move(_along_surface(x, -y, curvature) @ turned)
 
 
 def _along_surface(x: float, y: float, curvature: float) -> Array:
@@ -134,7 +192,7 @@ def _along_surface(x: float, y: float, curvature: float) -> Array:
 
 def generate(
     settings: CollectionSettings, seed: int, indices: Iterable[int], sensor: TacTipSettings | None = None,
-    processes: int = 1, each: Callable[[Sample], R] | None = None,
+    processes: int = 1, each: Callable[[Sample], R] | None = None, variation: VariationSettings | None = None,
 ) -> Iterator[R]:  # fmt: skip
     """Samples at `indices`, in that order, on any number of processes with the same result.
 
@@ -147,8 +205,11 @@ def generate(
     each
         Called on every sample in the process that made it (so it must be picklable for more than one), to
         store the image there or make it smaller; its results are yielded. Without it the samples are.
+    variation
+        How the images differ from those of an exactly known sensor; None: not at all.
     """
-    task = _Task(settings, seed, _with_step(sensor or TacTipSettings(), settings.max_step), each or _itself)
+    model = _with_step(sensor or TacTipSettings(), settings.max_step)
+    task = _Task(settings, seed, model, each or _itself, variation)
     if processes <= 1:
         _start(task)
         yield from map(_run, indices)
@@ -173,6 +234,7 @@ class _Task:
     seed: int
     sensor: TacTipSettings
     each: Callable[[Sample], object]
+    variation: VariationSettings | None
 
 
 def _itself(sample: Sample) -> Sample:
@@ -196,4 +258,4 @@ def _run(index: int):  # type: ignore[no-untyped-def]
     if _worker is None:
         raise RuntimeError("a worker was asked for a sample before it was started")
     task, sensor = _worker
-    return task.each(collect(sensor, task.settings, task.seed, index))
+    return task.each(collect(sensor, task.settings, task.seed, index, task.variation))

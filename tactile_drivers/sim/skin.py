@@ -13,7 +13,7 @@ it turns by 60 degrees, so a sixth of the columns is stored. To make the file ag
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,10 @@ class SkinSettings(Settings):
     gel_modulus: float = setting(8.0e3, unit="Pa", lower=1.0, upper=1e9, doc="Young's modulus of the gel")
     stiffness_ratio: float = setting(8.0, lower=0.1, upper=1e3, doc="modulus of the skin over the gel's")
     poisson_ratio: float = setting(0.3, lower=0.0, upper=0.49, doc="Poisson's ratio of gel and skin")
+    volume_retention: float = setting(
+        0.0, lower=0.0, upper=0.999,
+        doc="part of the volume change that pressure inside takes back: 1 for a gel that keeps its volume",
+    )  # fmt: skip
     rings: int = setting(14, lower=4, upper=24, doc="rings of skin nodes; the last is clamped")
     shells: tuple[float, ...] = setting(
         (0.875, 0.75, 0.6, 0.425, 0.225), lower=0.05, upper=0.95,
@@ -110,18 +114,18 @@ def build_skin(settings: SkinSettings) -> Skin:
     outer = _ring_index(settings.rings, 0)
     sextant = _sextant(settings.rings)
     columns = _condense(positions, tetrahedra, modulus, settings.poisson_ratio, outer, sextant)
-    return _assemble_skin(settings, columns.astype(np.float32))
+    return _hold_volume(_assemble_skin(settings, columns.astype(np.float32)), settings.volume_retention)
 
 
 def load_skin(settings: SkinSettings | None = None) -> Skin:
     """The skin for these settings: from the shipped file if they are the defaults, else built (seconds)."""
     settings = settings or SkinSettings()
-    if settings != SkinSettings():
+    if settings.replaced(volume_retention=0.0) != SkinSettings():
         return build_skin(settings)
     if not DATA_FILE.exists():
         raise FileNotFoundError(f"{DATA_FILE} is missing: run python -m tactile_drivers.sim.skin --write")
     with np.load(DATA_FILE) as data:
-        return _assemble_skin(settings, data["columns"])
+        return _hold_volume(_assemble_skin(settings, data["columns"]), settings.volume_retention)
 
 
 def _assemble_skin(settings: SkinSettings, columns: NDArray[np.float32]) -> Skin:
@@ -130,6 +134,32 @@ def _assemble_skin(settings: SkinSettings, columns: NDArray[np.float32]) -> Skin
     positions = settings.radius * directions
     outer = _ring_index(settings.rings, 0)
     return Skin(positions[:outer], triangles, positions[outer:], _unfold(columns, settings.rings))
+
+
+def _hold_volume(skin: Skin, retention: float) -> Skin:
+    """The skin with a part of the volume change under any force taken back by pressure inside.
+
+    With g the volume that a unit displacement of each node adds, a pressure p adds the forces p g. The one
+    that takes back the part `retention` of the change g^T C f gives C - retention C g (C g)^T / (g^T C g).
+    """
+    if retention == 0.0:
+        return skin
+    share = _volume_gradient(skin).astype(np.float32)
+    bulge = skin.compliance @ share
+    factor = np.float32(retention / float(share @ bulge))
+    held = skin.compliance - factor * np.outer(bulge, bulge)
+    return replace(skin, compliance=np.ascontiguousarray(held, dtype=np.float32))
+
+
+def _volume_gradient(skin: Skin) -> Array:
+    """Volume (3n,) m^3 that the tip gains per m of displacement of each skin node."""
+    points = np.concatenate([skin.nodes, skin.rim])
+    a, b, c = (points[skin.triangles[:, k]] for k in range(3))
+    third = np.cross(b - a, c - a) / 6
+    gradient = np.zeros_like(points)
+    for k in range(3):
+        np.add.at(gradient, skin.triangles[:, k], third)
+    return gradient[: len(skin.nodes)].ravel()
 
 
 def _sextant(rings: int) -> NDArray[np.intp]:

@@ -40,6 +40,10 @@ class ContactSettings(Settings):
     """Friction, and accuracy against time."""
 
     friction: float = setting(0.9, lower=0.0, upper=5.0, doc="Coulomb friction between skin and surface")
+    friction_load: float = setting(
+        0.0, unit="N", lower=0.0, upper=100.0,
+        doc="normal force at which friction has half its value, which it approaches with load; 0: always",
+    )  # fmt: skip
     max_step: float = setting(2e-4, unit="m", lower=1e-6, upper=2e-3, doc="longest motion solved in one step")
     max_sweeps: int = setting(30, lower=1, upper=10000, doc="Gauss-Seidel sweeps a step, at most")
     tolerance: float = setting(1e-6, unit="m", lower=1e-12, upper=1e-3, doc="motion that ends the sweeps")
@@ -189,6 +193,14 @@ class TacTip:
             raise RuntimeError("truth() before the first advance(): the sensor has no pose yet")
         return _truth(self._T, self._surface, self.settings.skin.radius, self._contact_state())
 
+    def _friction_now(self) -> float:
+        """Friction under the normal force of the last step."""
+        half = self.settings.contact.friction_load
+        if half == 0.0:
+            return self._friction
+        load = float(np.einsum("ij,ij->", self._force, self._normal))
+        return self._friction * max(load, 0.0) / (max(load, 0.0) + half)
+
     def _contact_state(self) -> _ContactState:
         on = np.flatnonzero(self._state)
         return _ContactState(
@@ -228,7 +240,7 @@ class TacTip:
         residual = (offset + (gap[on] - along)[:, None] * normal_s).astype(np.float32)
         force, state = self._force[on], np.empty(len(on), dtype=np.uint8)
         active = on.astype(np.int32)
-        _contact.solve(force, state, residual, normal_s, self._skin.compliance, active, self._friction,
+        _contact.solve(force, state, residual, normal_s, self._skin.compliance, active, self._friction_now(),
                        settings.max_sweeps, settings.tolerance)  # fmt: skip
         _contact.displacement(self._displacement, force, self._skin.compliance, active)
         self._remember(on, force, state, normal_s, fresh, rotation, origin)

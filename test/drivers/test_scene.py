@@ -188,6 +188,20 @@ def test_a_missing_scene_file_is_named(tmp_path):
         load_scene(tmp_path / "none.yaml")
 
 
+def test_an_image_sensor_starts_from_a_sensor_file(scene_file):
+    text = GOOD.replace("fidelity: ideal", "fidelity: image").replace(
+        "ideal: {radius: 0.02}", "image: {file: tactip_franka, camera: {gain: 0.9}}"
+    )
+    model = load_scene(scene_file(text)).arms["left"].sensor.model
+    from tactile_drivers.sim.sensor_file import load_sensor
+
+    fitted = load_sensor("tactip_franka").sensor
+    assert model.skin == fitted.skin and model.contact == fitted.contact
+    assert model.camera == fitted.camera.replaced(gain=0.9)
+    with pytest.raises(SceneError, match=r"tactip_frank'.*tactip_franka"):
+        load_scene(scene_file(text.replace("file: tactip_franka", "file: tactip_frank")))
+
+
 def test_settings_of_the_image_sensor_are_groups(scene_file):
     text = GOOD.replace("fidelity: ideal", "fidelity: image").replace(
         "ideal: {radius: 0.02}", "image: {contact: {friction: 0.5}}"

@@ -299,6 +299,51 @@ def test_a_stiffer_skin_gives_way_less(skin):
     assert stiff.compliance[2, 2] < 0.7 * skin.compliance[2, 2]
 
 
+@pytest.mark.parametrize("retention", [0.5, 0.999])
+def test_a_sealed_gel_takes_back_its_part_of_the_volume_pressed_in(skin, retention):
+    """The volume under the displaced mesh, not the formula of the code under test."""
+    held = load_skin(SkinSettings(volume_retention=retention))
+    force = np.zeros(3 * len(skin.nodes))
+    force[2] = -1e-3  # on the pole, inwards
+
+    def lost(of: Skin) -> float:
+        moved = of.nodes + (of.compliance @ force).reshape(-1, 3)
+        corners = np.concatenate([moved, of.rim])[of.triangles]
+        rest = np.concatenate([of.nodes, of.rim])[of.triangles]
+        return float(np.sum(np.linalg.det(rest)) - np.sum(np.linalg.det(corners))) / 6
+
+    assert lost(skin) > 0
+    assert lost(held) / lost(skin) == pytest.approx(1 - retention, abs=0.01)
+    assert np.array_equal(held.compliance, held.compliance.T)
+
+
+def test_with_a_friction_load_light_contacts_slip_sooner(skin, plane):
+    def part(depth: float, load: float) -> float:
+        """Saturated shear, relative to that with the same friction at any load."""
+        contact = ContactSettings(friction_load=load)
+        rising = TacTip(TacTipSettings(contact=contact), skin=skin)
+        return saturated_shear(rising, plane, depth) / saturated_shear(TacTip(skin=skin), plane, depth)
+
+    light, heavy = part(1.0, 0.3), part(4.0, 0.3)
+    assert light < 0.5 < 0.6 < heavy < 1.0
+
+
+def test_markers_may_be_drawn_alike_whatever_their_distance():
+    def areas(perspective: float) -> np.ndarray:
+        camera = CameraSettings(marker_perspective=perspective, vignette=0.0, noise_gray=0.0)
+        sensor = TacTip(TacTipSettings(camera=camera))
+        image = sensor.image()
+        _, _, stats, centers = cv2.connectedComponentsWithStats((image > 100).astype(np.uint8))
+        radius = np.hypot(*(centers[1:] - centers[1:].mean(axis=0)).T)
+        area = stats[1:, cv2.CC_STAT_AREA]
+        return np.array([area[radius < 60].mean(), area[radius > 180].mean()])
+
+    inner, outer = areas(0.0)
+    assert outer == pytest.approx(inner, rel=0.03)
+    inner, outer = areas(1.0)
+    assert outer > 1.1 * inner
+
+
 def test_shells_that_do_not_fall_are_refused():
     with pytest.raises(ValueError, match="must fall"):
         build_skin(SkinSettings(shells=(0.5, 0.7)))

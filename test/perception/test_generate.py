@@ -54,6 +54,23 @@ def test_two_processes_give_the_same_data_as_one(data, tmp_path):
     assert read_dataset(tmp_path / "train").sha256 == read_dataset(data / "train").sha256
 
 
+def test_a_sensor_file_changes_the_images_and_is_kept_apart(data, tmp_path, capsys):
+    sensor = tmp_path / "sensor.yaml"
+    sensor.write_text("camera: {rotation_deg: 10.0}\ncollection: {depth_offset: -1.0e-4}\nvariation: {}\n")
+    out = tmp_path / "out"
+    assert generate(out, "--train", "2", "--val", "0", "--seed", "5", "--sensor", str(sensor)) == 0
+    ours, plain = read_dataset(out / "train"), read_dataset(data / "train")
+    np.testing.assert_array_equal(ours.euler_mm_deg[:2], plain.euler_mm_deg[:2])
+    assert not np.array_equal(ours.images[0], plain.images[0])
+    assert generate(data, "--train", "7", "--val", "3", "--seed", "5", "--sensor", str(sensor)) == 1
+    assert "was made with another depth_offset, sensor, variation" in capsys.readouterr().err
+
+
+def test_an_unknown_sensor_is_refused(tmp_path, capsys):
+    assert generate(tmp_path, "--sensor", "tactip_nobody") == 1
+    assert "tactip_nobody" in capsys.readouterr().err
+
+
 def test_another_seed_does_not_mix_into_a_folder(data, capsys):
     assert generate(data, "--train", "7", "--val", "3", "--seed", "6") == 1
     assert "was made with another seed" in capsys.readouterr().err

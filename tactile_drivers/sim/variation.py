@@ -1,0 +1,105 @@
+"""How images of a real sensor differ from those of its model, drawn at random: for networks that learn from
+simulated images and are used on real ones.
+
+A camera that sits a little elsewhere, a skin that deforms a little differently, markers of another size, and
+reflections beside them. All of it is done to the image, so that it costs one look-up per pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter.settings import Settings, setting
+
+Image = NDArray[np.uint8]
+_FULL_DEPTH = 3e-3  # m, from which the skin's field has its full size
+_COARSE = 16  # px between the nodes of the displacement field
+
+
+@dataclass(frozen=True)
+class VariationSettings(Settings):
+    """Standard deviations and ranges of what differs from image to image."""
+
+    shift: float = setting(1.0, unit="px", lower=0.0, upper=50.0, doc="of the camera, per axis (1 sigma)")
+    scale: float = setting(0.003, lower=0.0, upper=0.2, doc="of the image, relative (1 sigma)")
+    rotation_deg: float = setting(0.3, unit="deg", lower=0.0, upper=45.0, doc="of the camera (1 sigma)")
+    field: float = setting(
+        1.0, unit="px", lower=0.0, upper=20.0,
+        doc="of a smooth displacement of the markers, per axis (1 sigma), at a depth of 3 mm and more",
+    )  # fmt: skip
+    field_length: float = setting(
+        70.0, unit="px", lower=20.0, upper=500.0, doc="over which that displacement changes"
+    )
+    marker_growth: float = setting(
+        0.5, unit="px", lower=0.0, upper=1.0, doc="most that the markers' edges move in or out"
+    )
+    gain: tuple[float, ...] = setting(
+        (0.8, 1.2), lower=0.1, upper=3.0, length=2, doc="least and largest factor on the gray levels"
+    )
+    reflections: int = setting(10, lower=0, upper=100, doc="most bright spots outside the markers' circle")
+    reflection_radius: tuple[float, ...] = setting(
+        (205.0, 245.0), unit="px", lower=0.0, length=2, doc="where they are, from the middle of the image"
+    )
+
+
+def varied(image: Image, settings: VariationSettings, depth: float, rng: np.random.Generator) -> Image:
+    """The image (rows, columns) with differences drawn from `rng`; `depth` (m) is that of the contact."""
+    moved = _moved(image, settings, float(np.clip(depth / _FULL_DEPTH, 0.0, 1.0)), rng)
+    grown = _grown(moved, float(rng.uniform(-settings.marker_growth, settings.marker_growth)))
+    gain = float(rng.uniform(settings.gain[0], settings.gain[1]))
+    bright = np.asarray(cv2.convertScaleAbs(grown, alpha=gain), np.uint8)
+    return _with_reflections(bright, settings, rng)
+
+
+def _moved(image: Image, settings: VariationSettings, share: float, rng: np.random.Generator) -> Image:
+    """Shifted, scaled and turned about its middle, and displaced by a smooth random field."""
+    rows, columns = image.shape
+    size = (columns // _COARSE + 2, rows // _COARSE + 2)
+    middle = np.array([columns, rows]) / 2
+    scale, turn = rng.normal(1.0, settings.scale), np.radians(rng.normal(0.0, settings.rotation_deg))
+    shift = rng.normal(0.0, settings.shift, 2)
+    c, s = scale * np.cos(turn), scale * np.sin(turn)
+    grid = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1) * float(_COARSE) - 0.5
+    source = (grid - middle) @ np.array([[c, s], [-s, c]]) + middle + shift
+    if settings.field > 0.0:
+        source += share * settings.field * _smooth_field(size, settings.field_length / _COARSE, rng)
+    fine = cv2.resize(
+        source.astype(np.float32), (size[0] * _COARSE, size[1] * _COARSE), interpolation=cv2.INTER_LINEAR
+    )
+    # resizing puts a node into the middle of its step, half a pixel before pixel `half` for the first one
+    half = _COARSE // 2
+    fine = fine[half : half + rows, half : half + columns]
+    moved = cv2.remap(image, fine, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    return np.asarray(moved, np.uint8)
+
+
+def _smooth_field(size: tuple[int, int], length: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Random vectors (rows, columns, 2) of unit variance with Gaussian correlation over `length` nodes."""
+    margin = int(np.ceil(2 * length))
+    noise = rng.normal(size=(size[1] + 2 * margin, size[0] + 2 * margin, 2))
+    sigma = length / np.sqrt(2)
+    smooth = cv2.GaussianBlur(noise, (0, 0), sigma)[margin : margin + size[1], margin : margin + size[0]]
+    return np.asarray(smooth * (2 * np.sqrt(np.pi) * sigma))
+
+
+def _grown(image: Image, by: float) -> Image:
+    """Bright parts grown (or, for a negative `by`, shrunk) by a part of a pixel."""
+    change = cv2.dilate if by > 0 else cv2.erode
+    whole = change(image, np.ones((3, 3), np.uint8))
+    return np.asarray(cv2.addWeighted(image, 1 - abs(by), whole, abs(by), 0.0), np.uint8)
+
+
+def _with_reflections(image: Image, settings: VariationSettings, rng: np.random.Generator) -> Image:
+    rows, columns = image.shape
+    inner, outer = settings.reflection_radius
+    for _ in range(int(rng.integers(0, settings.reflections + 1))):
+        angle, radius = rng.uniform(0, 2 * np.pi), rng.uniform(inner, outer)
+        center = (int(columns / 2 + radius * np.cos(angle)), int(rows / 2 + radius * np.sin(angle)))
+        axes = (int(rng.integers(2, 16)), int(rng.integers(2, 9)))
+        gray = int(rng.integers(60, 255))
+        cv2.ellipse(image, center, axes, float(np.degrees(angle) + 90.0), 0, 360, gray, -1, cv2.LINE_AA)
+    return image
