@@ -23,7 +23,7 @@ from rclpy.duration import Duration
 from tactile_bringup.ros.cdr import HeadedReader, Layout, split_stamp
 from tactile_bringup.ros.conversions import MessageError, matrix_from_pose
 from tactile_bringup.ros.latency import LatencyPublisher
-from tactile_bringup.ros.managed_node import ManagedNode, run
+from tactile_bringup.ros.managed_node import ManagedNode, lost_counter, run
 from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import COMMAND, STATE
 from tactile_bringup.ros.stamps import SECOND_NS, duration_from_ns
@@ -39,6 +39,7 @@ from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState, ControllerStatus
 
 IDLE = "idle"
+STATE_TOPIC = "contact/state"
 ZERO = np.zeros(6)
 NOT_A_NUMBER = np.full(6, np.nan)
 read_state = HeadedReader(ContactState)
@@ -88,7 +89,7 @@ class ControllerNode(ManagedNode):
             name: SettingsParameters(
                 self, getattr(defaults, name), prefix=name, on_change=self._configure_task
             )
-            for name in ("task", "servoing", "pid", "limiter", "watchdog")
+            for name in ("task", "servoing", "pid", "limiter", "watchdog", "prediction")
         }
         self.run: Run | None = None
         self.last: Command | None = None
@@ -104,7 +105,7 @@ class ControllerNode(ManagedNode):
         self.status_out = self.publisher(ControllerStatus, "controller/status", STATE)
         self.latency = LatencyPublisher(self, "controller", self.sensor_frame)
         self.transforms = TransformListener(self, on_jump=self._jumped)
-        self.subscribe(ContactState, "contact/state", self._take_state, STATE, limits.belief_age, raw=True)
+        self.subscribe(ContactState, STATE_TOPIC, self._take_state, STATE, limits.belief_age, raw=True)
         self.timer(self.timing.value.watchdog_period, self._tick)
         action = ActionServer(
             self,
@@ -145,7 +146,7 @@ class ControllerNode(ManagedNode):
         if not flags & ContactState.INVALID:
             self._take_belief(stamp_ns, np.array(xi))
         self._step()
-        self.latency.note(stamp_ns, received_ns, self.last_step_ns, 0)
+        self.latency.note(stamp_ns, received_ns, self.last_step_ns, self.counters[lost_counter(STATE_TOPIC)])
 
     def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
         """Keep the belief; one that is not finite is as if it had not come, and the watchdog acts on that."""

@@ -26,7 +26,7 @@ from tactile_bringup.ros.conversions import (
     transform_stamped,
 )
 from tactile_bringup.ros.latency import LatencyPublisher
-from tactile_bringup.ros.managed_node import ManagedNode, run
+from tactile_bringup.ros.managed_node import ManagedNode, lost_counter, run
 from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import STATE, TF
 from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin
@@ -39,6 +39,7 @@ from tactile_filter.settings import Settings, setting
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
 
+PRESENCE = "contact/presence"
 NOT_A_NUMBER = np.full(6, np.nan)
 read_presence = HeadedReader(ContactPresence)
 UNUSABLE = PoseGaussian(np.full((4, 4), np.nan), np.full((6, 6), np.nan))
@@ -100,7 +101,7 @@ class FilterNode(ManagedNode):
             drop=self._drop,
         )
         limit = self.inputs.value.age_limit
-        self.subscribe(ContactPresence, "contact/presence", self._take_presence, STATE, limit, raw=True)
+        self.subscribe(ContactPresence, PRESENCE, self._take_presence, STATE, limit, raw=True)
         self.subscribe(
             PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit, raw=True
         )
@@ -165,7 +166,11 @@ class FilterNode(ManagedNode):
             estimate, received_ns = event.parts["estimate"]
             belief = self.filter.step(event.stamp_ns, estimate, T_base_sensor)
         emitted_ns = self._publish(belief)
-        self.latency.note(event.stamp_ns, received_ns, emitted_ns, self.join.dropped + self.join.late)
+        self.latency.note(event.stamp_ns, received_ns, emitted_ns, self._dropped())
+
+    def _dropped(self) -> int:
+        """Frames lost; each has a presence, so the middleware's losses of estimates are among those of it."""
+        return self.join.dropped + self.join.late + self.counters[lost_counter(PRESENCE)]
 
     def _publish(self, belief: Belief) -> int:
         """Publish the belief and return when; the state first, since the controller waits for it."""

@@ -25,6 +25,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
@@ -124,7 +125,8 @@ class ManagedNode(LifecycleNode):
         """Call `callback` with each message while the node is active (or whenever configured, with `always`).
 
         With an `age_limit` (s) the input's silence is told in /diagnostics; 0 watches without limit.
-        With `raw` the callback gets the serialized message.
+        With `raw` the callback gets the serialized message. Messages that the middleware could not keep for
+        this node, because it was held up, are counted as `lost_counter(topic)`.
         """
         watch = None if age_limit is None else self.report.watch(topic, age_limit)
 
@@ -134,7 +136,15 @@ class ManagedNode(LifecycleNode):
             if self.active or always:
                 callback(message)
 
-        subscription = self.create_subscription(message_type, topic, receive, qos, raw=raw)
+        def lose(info: Any) -> None:
+            if self.active:
+                self.count(lost_counter(topic), info.total_count_change)
+                self.warn(f"{topic} lost", f"{topic}: {info.total_count_change} messages came too fast")
+
+        events = SubscriptionEventCallbacks(message_lost=lose)
+        subscription = self.create_subscription(
+            message_type, topic, receive, qos, event_callbacks=events, raw=raw
+        )
         self._while_configured.append((self.destroy_subscription, subscription))
         return watch
 
@@ -266,6 +276,11 @@ class ManagedNode(LifecycleNode):
         while self._while_configured:
             destroy, thing = self._while_configured.pop()
             destroy(thing)
+
+
+def lost_counter(topic: str) -> str:
+    """Name of the counter of messages on `topic` that the middleware has lost on their way to a node."""
+    return f"{topic} messages lost"
 
 
 def _settle_garbage() -> None:

@@ -17,8 +17,9 @@ def _profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSPro
 IMAGE = _profile(1, reliable=False)
 """Camera images: SensorData with a depth of one; the newest wins."""
 
-STATE = _profile(10)
-"""Estimates, beliefs, presence, status: small, each one counts."""
+STATE = _profile(100)
+"""Estimates, beliefs, presence, status: small, and each one counts. A node that was held up for fewer than so
+many catches up; beyond, the oldest are lost."""
 
 COMMAND = _profile(1)
 """Twists: only the newest matters, and it has to arrive."""

@@ -13,7 +13,7 @@ from tactile_bringup.ros.conversions import gaussian_from_message, image_message
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_msgs.msg import ContactPresence, StageLatency
 from tactile_perception.estimator import Estimator
-from tactile_perception.model_metadata import INPUT_NAME, OUTPUT_NAMES, ModelMetadata
+from tactile_perception.model_metadata import INPUT_NAME, INVERSE_SIGMA, MEAN, ModelMetadata
 from tactile_perception.preprocessing import PreprocessingSettings
 
 ESTIMATOR = "tactile_perception.estimator_node"
@@ -28,7 +28,7 @@ def write_model(path, outputs: int = 6) -> str:
     side = PreprocessingSettings().size
     graph = onnx.parser.parse_graph(f"""
         tiny (float[N,1,{side},{side}] {INPUT_NAME})
-        => (float[N,{outputs}] {OUTPUT_NAMES[0]}, float[N,{outputs}] {OUTPUT_NAMES[1]})
+        => (float[N,{outputs}] {MEAN}, float[N,{outputs}] {INVERSE_SIGMA})
         <float limit = {{0.7}}, float zero = {{0.0}}, float ten = {{10.0}}, int64[2] axes = {{2, 3}},
          int64[2] repeats = {{1, {outputs}}}, int64[2] shape = {{-1, 1}}>
         {{
@@ -38,9 +38,9 @@ def write_model(path, outputs: int = 6) -> str:
             root = Sqrt(room)
             nothing = Mul(root, zero)
             answer = Add(bright, nothing)
-            {OUTPUT_NAMES[0]} = Tile(answer, repeats)
+            {MEAN} = Tile(answer, repeats)
             sure = Add(nothing, ten)
-            {OUTPUT_NAMES[1]} = Tile(sure, repeats)
+            {INVERSE_SIGMA} = Tile(sure, repeats)
         }}""")
     model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=8)
     metadata = ModelMetadata(PreprocessingSettings(), training_data={"samples": 0}, validation={"loss": 0.0})
@@ -53,6 +53,10 @@ def dots(seed: int = 0) -> np.ndarray:
     """An image of dark and bright squares, about half of it bright after pre-processing."""
     rng = np.random.default_rng(seed)
     return np.kron(rng.integers(0, 2, (48, 64)) * 200, np.ones((10, 10))).astype(np.uint8)
+
+
+def stamps(messages) -> set[int]:
+    return {ns_from_time(m.header.stamp) for m in messages}
 
 
 WHITE = np.full((480, 640), 200, np.uint8)
@@ -129,7 +133,7 @@ def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_th
 
 def test_presence_compares_with_the_first_images_and_carries_the_stamp(camera):
     same, other = camera.send(dots()), camera.send()
-    assert camera.graph.wait(lambda: other in [ns_from_time(m.header.stamp) for m in camera.presences], 2.0)
+    assert camera.graph.wait(lambda: other in stamps(camera.presences), 2.0)
     by_stamp = {ns_from_time(m.header.stamp): m for m in camera.presences}
     assert not by_stamp[same].in_contact and by_stamp[same].score < by_stamp[other].score
     assert by_stamp[other].in_contact and by_stamp[other].score > by_stamp[other].threshold
@@ -139,8 +143,7 @@ def test_without_contact_there_is_no_estimate(camera):
     untouched, touched = camera.send(dots()), camera.send()
     assert camera.answered(touched)
     assert [ns_from_time(m.header.stamp) for m in camera.estimates] == [touched]
-    answered = {untouched, touched}
-    assert camera.graph.wait(lambda: answered <= {ns_from_time(m.header.stamp) for m in camera.presences}, 2.0)
+    assert camera.graph.wait(lambda: {untouched, touched} <= stamps(camera.presences), 2.0)
 
 
 def test_nothing_is_published_before_the_reference_is_there_nor_while_a_new_one_is_taken(camera):

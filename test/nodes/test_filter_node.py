@@ -1,6 +1,7 @@
 """The filter node: joins by stamp, waits for TF, predicts, resets, and counts what it drops."""
 
 import itertools
+import signal
 import time
 
 import numpy as np
@@ -32,8 +33,9 @@ COV = np.diag([1e-7, 1e-7, 1e-8, 1e-4, 1e-4, 1e-4])
 class Feed:
     """Stands for the estimator and the arm; keeps what the filter answers."""
 
-    def __init__(self, graph) -> None:
+    def __init__(self, graph, process) -> None:
         self.graph = graph
+        self.process = process
         self.presences = graph.publisher(ContactPresence, "contact/presence")
         self.estimates = graph.publisher(PoseWithCovarianceStamped, "contact/estimate")
         self.states = graph.collect(ContactState, "contact/state")
@@ -85,8 +87,8 @@ class Feed:
 
 @pytest.fixture(scope="module")
 def running(shared_graph):
-    shared_graph.start(FILTER, {"inputs.tf_timeout": 0.2})
-    return Feed(shared_graph)
+    process = shared_graph.start(FILTER, {"inputs.tf_timeout": 0.2})
+    return Feed(shared_graph, process)
 
 
 @pytest.fixture
@@ -158,6 +160,21 @@ def test_the_order_of_arrival_does_not_matter(feed):
     assert_as_library(feed, states)
     received = [ns_from_time(m.header.stamp) for m in feed.states]
     assert received == sorted(received)
+
+
+def test_frames_that_came_while_the_node_was_held_up_are_answered(feed):
+    assert feed.state(feed.step(0))
+    feed.process.send_signal(signal.SIGSTOP)
+    sent = 0
+    while sent < 80:
+        sent += 1
+        feed.step(sent)
+        feed.graph.spin(PERIOD_NS / SECOND)
+    feed.process.send_signal(signal.SIGCONT)
+    feed.graph.spin(0.2)
+    last = feed.step(sent + 1)
+    assert feed.state(last)
+    assert len(feed.states) == sent + 2
 
 
 def test_an_estimate_waits_for_its_transform(feed):
