@@ -28,6 +28,9 @@ from tactile_control.pid import NANOSECOND, ControlInputError
 from tactile_control.servoing import ServoingController, ServoingOutput, checked_pose
 from tactile_control.task_settings import SurfaceFollowingSettings
 from tactile_control.watchdog import Watchdog
+from tactile_filter import se3
+from tactile_filter.prediction import ContactPredictor
+from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
 
 Array = NDArray[np.float64]
 
@@ -51,6 +54,7 @@ NEEDS = {
 }
 WATCHDOG_NAMES = {"sensor_pose": "pose", "presence": "presence", "belief": "belief"}
 AT_REST = 1e-6  # m/s and rad/s
+TRACK_NS = 1_000_000_000  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; following takes the large middle part
 PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, FOLLOW: 0.1, RETREAT: 0.97, DONE: 1.0}
@@ -169,9 +173,11 @@ class SurfaceFollowing:
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.limiter = TwistLimiter(settings.limiter)
         self.watchdog = Watchdog(settings.watchdog)
+        self.predictor = ContactPredictor(settings.prediction)
         self.phase = GO_TO_START if goal.start is not None else APPROACH
         self.reason = ""
         self._odometer = Odometer(settings.task.pose_step)
+        self._track = TransformBuffer(TRACK_NS)
         self._handlers: dict[str, Callable[[int], Array]] = {
             GO_TO_START: self._go_to_start,
             APPROACH: self._approach,
@@ -206,6 +212,7 @@ class SurfaceFollowing:
         self.servoing.configure(settings.servoing, settings.pid)
         self.limiter.configure(settings.limiter)
         self.watchdog.configure(settings.watchdog)
+        self.predictor.configure(settings.prediction)
         self._odometer.step = settings.task.pose_step
 
     def stop(self, reason: str) -> None:
@@ -246,15 +253,33 @@ class SurfaceFollowing:
             if _newer(inputs.sensor_pose, self._pose):
                 checked_pose("sensor pose", inputs.sensor_pose.T)  # type: ignore[union-attr]
                 self._pose = inputs.sensor_pose
+                self._follow_sensor()
             if _newer(inputs.presence, self._presence):
                 self._presence = inputs.presence
             if _newer(inputs.belief, self._belief):
                 checked_pose("belief", inputs.belief.T)  # type: ignore[union-attr]
                 self._belief = inputs.belief
+                self._follow_contact()
         except ControlInputError as error:
             self._refused = f" (the last one was refused: {error})"
         else:
             self._refused = ""
+
+    def _follow_sensor(self) -> None:
+        assert self._pose is not None
+        if self.settings.prediction.enabled:
+            self._track.set_transform("base", "sensor", self._pose.stamp_ns, self._pose.T)
+
+    def _follow_contact(self) -> None:
+        """Let the predictor know the belief, with the sensor's pose at its exposure."""
+        assert self._belief is not None
+        if not self.settings.prediction.enabled:
+            return
+        stamp_ns = self._belief.stamp_ns
+        try:
+            self.predictor.update(stamp_ns, self._belief.T, self._track.lookup("base", "sensor", stamp_ns))
+        except TransformUnavailable:
+            self.predictor.reset()  # without the pose then, nothing can be carried on
 
     def _stamps(self) -> dict[str, int | None]:
         latest = {"sensor_pose": self._pose, "presence": self._presence, "belief": self._belief}
@@ -381,14 +406,23 @@ class SurfaceFollowing:
     # ---- parts of phases ----
 
     def _serve(self, velocity: Array, hold_integral: bool = False) -> ServoingOutput:
-        """Servo on the belief if it is a new one; between beliefs the last output holds."""
-        belief = self._belief
-        assert belief is not None
+        """Servo on the belief if it is a new one or carried on; else the last output holds."""
+        assert self._belief is not None
+        belief = self._carried_on(self._belief)
         if self._servo is None or belief.stamp_ns > (self.servoing.pid.stamp_ns or 0):
             self._servo = self.servoing.step(
                 belief.stamp_ns, belief.T, velocity, hold_integral or self._limited
             )
         return self._servo
+
+    def _carried_on(self, belief: StampedPose) -> StampedPose:
+        """The belief as predicted for now, if that is set and can be done; else the belief."""
+        if not self.settings.prediction.enabled or self._pose is None or self._now_ns is None:
+            return belief
+        since = (self._now_ns - self._pose.stamp_ns) * NANOSECOND
+        T_base_sensor = self._pose.T @ se3.exp(since * self.limiter.twist)
+        X_sf = self.predictor.ahead(self._now_ns, T_base_sensor)
+        return belief if X_sf is None else StampedPose(self._now_ns, X_sf)
 
     def _reference_velocity(self, elapsed: float) -> Array:
         """Velocity in {s'}: along the path, with the turning that a known curvature asks for."""

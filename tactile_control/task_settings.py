@@ -11,6 +11,7 @@ from tactile_control.limiter import LimiterSettings
 from tactile_control.pid import PidSettings
 from tactile_control.servoing import ServoingSettings
 from tactile_control.watchdog import WatchdogSettings
+from tactile_filter.prediction import PredictionSettings
 from tactile_filter.settings import SettingError, Settings, setting, unknown_name
 
 LOST_CONTACT = ("reapproach", "fail")
@@ -109,13 +110,14 @@ class TaskSettings(Settings):
 
 @dataclass(frozen=True)
 class SurfaceFollowingSettings:
-    """All settings of the control chain, by group: task, servoing, pid, limiter, watchdog."""
+    """All settings of the control chain, by group: task, servoing, pid, limiter, watchdog, prediction."""
 
     task: TaskSettings = field(default_factory=TaskSettings)
     servoing: ServoingSettings = field(default_factory=ServoingSettings)
     pid: PidSettings = field(default_factory=PidSettings)
     limiter: LimiterSettings = field(default_factory=LimiterSettings)
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], where: str = "") -> SurfaceFollowingSettings:
