@@ -277,6 +277,20 @@ def test_a_network_without_uncertainty_gets_errors_but_no_reliability():
         consistency(labels, Predictions(predictions.mean))
 
 
+def test_the_papers_cnn_has_a_column_without_likelihood(
+    folder, constant_model, model_metadata, tmp_path, capsys
+):
+    training = json.dumps({"network": {"head": "mse"}})
+    cnn = constant_model(MU, properties={**model_metadata().to_properties(), "training": training})
+    cnn = cnn.rename(tmp_path / "cnn.onnx")
+    more = ("--json", "--no-figures", "--ensemble")
+    assert run(folder, cnn, constant_model(MU, 1.0 / SIGMA), out=tmp_path / "out", more=more) == 0
+    first, second = json.loads(capsys.readouterr().out)["models"]
+    assert (first["kind"], second["kind"]) == ("CNN", "GDN")
+    assert "consistency" not in first["raw"] and "consistency" in second["raw"]
+    assert first["accuracy"] == second["accuracy"]
+
+
 def test_training_data_are_not_taken_for_a_test(folder, constant_model, model_metadata, tmp_path, capsys):
     sha = load_data(folder, open_models([constant_model()], threads=1)).sha256
     properties = {**model_metadata().to_properties(), "training_data": json.dumps({"sha256": sha})}

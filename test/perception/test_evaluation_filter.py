@@ -166,6 +166,15 @@ def test_json_holds_every_number(folder, constant_model, tmp_path, capsys):
     assert results[0]["nis"] is None and len(results[1]["mae"]) == 6
 
 
+def test_a_network_without_uncertainty_is_nothing_to_filter(
+    folder, constant_model, model_metadata, tmp_path, capsys
+):
+    training = json.dumps({"network": {"head": "mse"}})
+    model = constant_model(properties={**model_metadata().to_properties(), "training": training})
+    assert run(folder, model, tmp_path / "out") == 1
+    assert "none of the models says how uncertain it is" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "more, message",
     [
