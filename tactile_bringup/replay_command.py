@@ -240,7 +240,7 @@ def _tell_agreement(
                 highlight=False,
             )
         if found.only_live:
-            text = f"{found.only_live} live beliefs have no event here: what they were made from is not in the bag"
+            text = f"what {found.only_live} live beliefs were made from is not in the bag"
             console.print(f"note: {arm.name}: {text}", style="yellow", highlight=False, soft_wrap=True)
         if result.left_out:
             text = f"{result.left_out} events were not taken, as the live filter did not take them either"

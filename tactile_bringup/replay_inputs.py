@@ -410,7 +410,9 @@ def _assign_epochs(recording: Recording, tracks: Iterable[_Track]) -> list[Jump]
 
 def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[str]:
     remarks = [f"no messages on {name}" for name in TRANSFORMS if not bag.counts.get(name)]
-    remarks += [f"/tf: {reason}" for reason in recording.unreadable[:1]]
+    if recording.unreadable:
+        count, reason = len(recording.unreadable), recording.unreadable[0]
+        remarks.append(f"/tf: {count} messages cannot be decoded, the first: {reason}")
     remarks += [
         f"/tf: {count} transforms of '{child}' are none and are passed over"
         for child, count in recording.refused.items()

@@ -92,9 +92,8 @@ class Recording:
         self.add(f"/{arm}/contact/estimate", ESTIMATE, make(ESTIMATE, head, content), stamp_ns)
 
     def presence(self, stamp_ns: int, in_contact: bool, arm: str = "arm") -> None:
-        message = make(
-            PRESENCE, header(stamp_ns, f"{arm}/tactile_sensor"), float(in_contact), 0.5, in_contact
-        )
+        head = header(stamp_ns, f"{arm}/tactile_sensor")
+        message = make(PRESENCE, head, float(in_contact), 0.5, in_contact)
         self.add(f"/{arm}/contact/presence", PRESENCE, message, stamp_ns)
 
     def truth(self, stamp_ns: int, T_fs, arm: str = "arm") -> None:
@@ -153,9 +152,8 @@ X_BASE_SURFACE = se3.exp([0.4, 0.1, 0.02, 3.0, 0.1, 0.2])
 
 def T_base_sensor(seconds: float):
     """The sensor's way: along the surface, tilting a little."""
-    drift = se3.exp(
-        [0.004 * seconds, 0.01 * seconds, 3e-4 * np.sin(3 * seconds), 0.05 * np.sin(seconds), 0.0, 0.0]
-    )
+    rho = 0.004 * seconds, 0.01 * seconds, 3e-4 * np.sin(3 * seconds)
+    drift = se3.exp([*rho, 0.05 * np.sin(seconds), 0.0, 0.0])
     return X_BASE_SURFACE @ drift @ se3.exp([0.0, 0.0, 0.003, 0.0, 0.02, 0.0])
 
 
