@@ -39,6 +39,9 @@ def register(subparsers: Any) -> None:
     parser.add_argument("--limit", type=int, metavar="N", help="stop after N images")
     parser.add_argument("--no-filter", action="store_true", help="estimator only")
     parser.add_argument(
+        "--smooth", action="store_true", help="let what is filtered know what came later, too"
+    )
+    parser.add_argument(
         "--motion-sigma", type=float, default=1.0, metavar="S",
         help="noise of the motion between a folder's images, in mm and degrees, added and assumed",
     )  # fmt: skip
@@ -88,7 +91,7 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
         frames = with_motion_noise(frames, arguments.motion_sigma, arguments.seed)
         contact_filter = motion_filter(arguments.motion_sigma)
     with _bar(console, "estimating", len(order)) as update:
-        return run_estimates(estimator, frames, contact_filter, update)
+        return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
 
 
 def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
@@ -106,7 +109,7 @@ def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Cons
     contact_filter = ContactFilter(load_filter_settings()) if poses and not arguments.no_filter else None
     frames = video_frames(source, poses, arguments.limit)
     with _bar(console, "estimating", arguments.limit) as update:
-        return run_estimates(estimator, _until_interrupted(frames), contact_filter, update)
+        return run_estimates(estimator, _until_interrupted(frames), contact_filter, update, arguments.smooth)
 
 
 def _until_interrupted(frames: Any) -> Any:

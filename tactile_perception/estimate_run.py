@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_filter import se3
-from tactile_filter.bayes_filter import ContactFilter
+from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.smoother import smooth
 from tactile_perception.estimator import EstimateError, Estimator
 from tactile_perception.labels import (
     COMPONENTS,
@@ -43,7 +44,7 @@ class EstimateTable:
     Attributes
     ----------
     labels : xi_sf (N, 6) in mm and rad; NaN where a frame has no label
-    network, filtered : estimates without and with the filter
+    network, filtered : estimates without and with the filter (or smoother)
     failures : frames on which the network gave no Gaussian, with what it said
     """
 
@@ -107,13 +108,16 @@ def run_estimates(
     frames: Iterable[Frame],
     contact_filter: ContactFilter | None,
     progress: Callable[[int], None] | None = None,
+    smoothed: bool = False,
 ) -> EstimateTable:
     """Estimate every frame; filter those that come with a pose.
 
-    A frame on which the network fails is kept with NaN and named in `failures`; an image of the wrong size or
-    type raises `ImageError`, for then all of them are wrong.
+    With `smoothed`, what the filter believes is smoothed in the end: it then knows what came later. A frame
+    on which the network fails is kept with NaN and named in `failures`; an image of the wrong size or type
+    raises `ImageError`, for then all of them are wrong.
     """
     table = EstimateTable()
+    steps: list[tuple[int, Belief, Array]] = []  # row, belief, pose of the sensor
     for frame in frames:
         table.names.append(frame.name)
         table.stamps_ns.append(frame.stamp_ns)
@@ -129,12 +133,22 @@ def run_estimates(
             table.stage_seconds.append((times.preprocess, times.infer, times.convert))
             if contact_filter is not None and frame.T_base_sensor is not None:
                 belief = contact_filter.step(frame.stamp_ns, gaussian, frame.T_base_sensor)
+                steps.append((len(table) - 1, belief, frame.T_base_sensor))
                 filtered = network_row(PoseGaussian(belief.mean, belief.cov))
         table.network_rows.append(network)
         table.filtered_rows.append(filtered)
         if progress is not None:
             progress(len(table))
+    if smoothed and contact_filter is not None:
+        _smooth(table, steps, contact_filter.settings)
     return table
+
+
+def _smooth(table: EstimateTable, steps: list[tuple[int, Belief, Array]], settings: FilterSettings) -> None:
+    beliefs = smooth([belief for _, belief, _ in steps], [pose for _, _, pose in steps], settings)
+    for (row, _, _), belief in zip(steps, beliefs, strict=True):
+        if belief.valid:
+            table.filtered_rows[row] = network_row(PoseGaussian(belief.mean, belief.cov))
 
 
 def network_row(gaussian: PoseGaussian) -> tuple[Array, Array]:

@@ -106,6 +106,18 @@ def test_filter_reduces_errors_where_the_motion_is_known():
     assert np.all(errors[3] < 0.5 * errors[2])
 
 
+def test_smoothing_errs_less_than_filtering():
+    contacts = random_contacts(150)
+    labels = np.array([label_from_euler(euler) for euler in contacts])
+    errors = []
+    for smoothed in (False, True):
+        frames = with_motion_noise(frames_of(contacts), 0.1, seed=2)
+        table = run_estimates(NoisyEstimator(labels, seed=1), frames, motion_filter(0.1), smoothed=smoothed)
+        errors.append(table.mean_absolute_error(table.filtered))
+    assert np.all(errors[1] < errors[0])
+    assert np.mean(errors[1] / errors[0]) < 0.85
+
+
 def test_motion_noise_has_the_size_asked_for():
     contacts = random_contacts(400)
     frames = list(with_motion_noise(frames_of(contacts), 0.5, seed=0))
