@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from tactile_bringup import collect_command, generate_command
+from tactile_bringup import check_command, collect_command, generate_command
 
 
 def register(subparsers: Any) -> None:
     """Add `data` with its subcommands to argparse subparsers."""
     data = subparsers.add_parser("data", help="make and check data sets")
     commands = data.add_subparsers(dest="data_command", metavar="COMMAND", required=True)
-    for module in (generate_command, collect_command):
+    for module in (generate_command, collect_command, check_command):
         module.register(commands)
