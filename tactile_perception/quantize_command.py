@@ -58,7 +58,7 @@ def run_quantize(arguments: argparse.Namespace) -> int:
         changes = dict(name_and_value(change, "images=300") for change in arguments.changes)
         settings = QuantizationSettings().replaced(**changes)
         source, out = _paths(arguments.model, arguments.out)
-        quantize(source, _training_images(arguments.data, source, settings.images), out, settings)
+        quantize(source, training_images(arguments.data, source, settings.images), out, settings)
         validation = arguments.val or (arguments.data / "val" if (arguments.data / "val").is_dir() else None)
         _compare(Console(), [source, out], validation)
     except (ValueError, OSError) as error:
@@ -78,7 +78,7 @@ def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:
     return source, out
 
 
-def _training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
+def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
     """`count` images, spread over the folder's table, prepared as the model wants them."""
     from tactile_perception.dataset import open_folder
     from tactile_perception.estimator import Estimator
