@@ -12,14 +12,14 @@ PERIOD = 0.25  # s; a message a frame would cost every stage, and whoever listen
 
 
 class LatencyPublisher:
-    """Publishes the latency of one stage on `topic`, four times a second while the node is active.
+    """Publishes the latency of one stage on `topic`, four times a second, and tells it in /diagnostics.
 
     `note` what has become of a frame after the stage's own output is on its way.
     """
 
     def __init__(self, node: ManagedNode, stage: str, frame_id: str, topic: str = "latency") -> None:
         self._publisher = node.publisher(StageLatency, topic, LATENCY)
-        self._now_ns = node.now_ns
+        self._node = node
         self._stage = stage
         self._frame_id = frame_id
         self._noted: list[tuple[int, int, int, int]] = []
@@ -34,9 +34,13 @@ class LatencyPublisher:
             return
         exposed, received, emitted, dropped = zip(*self._noted, strict=True)
         self._noted.clear()
+        ages = sorted(out - exposure for exposure, out in zip(exposed, emitted, strict=True))
+        self._node.report.values[f"{self._stage}: age of outputs, median and largest (ms)"] = (
+            f"{ages[len(ages) // 2] * 1e-6:.1f} {ages[-1] * 1e-6:.1f}"
+        )
         self._publisher.publish(
             StageLatency(
-                header=header(self._now_ns(), self._frame_id),
+                header=header(self._node.now_ns(), self._frame_id),
                 stage=self._stage,
                 exposed=[time_from_ns(stamp_ns) for stamp_ns in exposed],
                 received=[time_from_ns(stamp_ns) for stamp_ns in received],

@@ -139,6 +139,14 @@ def test_presence_compares_with_the_first_images_and_carries_the_stamp(camera):
     assert by_stamp[other].in_contact and by_stamp[other].score > by_stamp[other].threshold
 
 
+def test_the_age_of_the_estimates_is_told(camera):
+    camera.send()
+    key = "estimator: age of outputs, median and largest (ms)"
+    report = camera.graph.wait_for_report("estimator", lambda report: key in report.values)
+    median, largest = map(float, report.values[key].split())
+    assert 0.0 < median <= largest < 5000.0
+
+
 def test_without_contact_there_is_no_estimate(camera):
     untouched, touched = camera.send(dots()), camera.send()
     assert camera.answered(touched)
