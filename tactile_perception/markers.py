@@ -136,7 +136,7 @@ def detect(image: Image, settings: DetectionSettings | None = None) -> DetectedM
     white, weight = _binary(gray, settings) if is_binary(gray) else _bright(gray, settings)
     found = cv2.connectedComponentsWithStats(white, connectivity=4, ltype=cv2.CV_32S)
     labels, stats = (np.asarray(part, np.int32) for part in found[1:3])
-    moments = _moments(labels, weight, len(stats))
+    moments = _moments(labels, stats[:, cv2.CC_STAT_AREA], np.asarray(found[3], float), weight)
     typical = _typical_area(stats[1:, cv2.CC_STAT_AREA], gray.size)
     return _without_strays(_collect(labels, stats, moments, typical, settings), settings.neighbors)
 
@@ -198,7 +198,7 @@ def _binary(image: Image, settings: DetectionSettings) -> tuple[Image, None]:
     return np.asarray(smooth, np.uint8), None
 
 
-def _bright(image: Image, settings: DetectionSettings) -> tuple[Image, NDArray[np.float32]]:
+def _bright(image: Image, settings: DetectionSettings) -> tuple[Image, Image]:
     """What is brighter than its neighborhood (uint8), and by how much (the weights of the centers)."""
     smooth = cv2.medianBlur(image, settings.median) if settings.median else image
     side = settings.neighborhood
@@ -208,25 +208,32 @@ def _bright(image: Image, settings: DetectionSettings) -> tuple[Image, NDArray[n
     brightest = float(np.searchsorted(histogram, 0.99 * histogram[-1]))
     level = max(settings.min_contrast, settings.contrast * brightest)
     white = cv2.threshold(over, level, 255, cv2.THRESH_BINARY)[1]
-    return np.asarray(white, np.uint8), np.asarray(over, np.float32)
+    return np.asarray(white, np.uint8), np.asarray(over, np.uint8)
 
 
-def _moments(labels: NDArray[np.int32], weight: NDArray[np.float32] | None, count: int) -> Array:
+def _moments(
+    labels: NDArray[np.int32], areas: NDArray[np.int32], centroids: Array, weight: Image | None
+) -> Array:
     """Weighted center, unweighted second moments (count, 5): column, row, cc, cr, rr; first: the ground."""
     place = np.flatnonzero(labels)
     blob = labels.ravel()[place]
-    row, column = np.divmod(place, labels.shape[1])
-    mass = np.ones(len(place)) if weight is None else weight.ravel()[place].astype(float)
+    row, column = np.divmod(place.astype(np.int32), np.int32(labels.shape[1]))
+    area = np.maximum(areas, 1).astype(float)
 
-    def total(values: Array) -> Array:
-        return np.asarray(np.bincount(blob, values, minlength=count), float)
+    def total(values: NDArray) -> Array:
+        return np.asarray(np.bincount(blob, values, minlength=len(areas)), float)
 
-    area, heavy = np.maximum(total(np.ones(len(place))), 1), np.maximum(total(mass), 1e-12)
-    center = np.stack([total(mass * column), total(mass * row)], axis=1) / heavy[:, None]
-    middle = np.stack([total(column.astype(float)), total(row.astype(float))], axis=1) / area[:, None]
-    c, r = column - middle[blob, 0], row - middle[blob, 1]
+    # about the centroids, where single precision is enough
+    middle = centroids.astype(np.float32)[blob]
+    c, r = column - middle[:, 0], row - middle[:, 1]
     second = np.stack([total(c * c), total(c * r), total(r * r)], axis=1) / area[:, None]
-    return np.concatenate([center, second], axis=1)
+    if weight is None:
+        return np.concatenate([centroids, second], axis=1)
+    mass = weight.ravel()[place].astype(np.float32)
+    heavy = np.maximum(total(mass), 1e-12)[:, None]
+    return np.concatenate(
+        [centroids + np.stack([total(mass * c), total(mass * r)], axis=1) / heavy, second], axis=1
+    )
 
 
 def _typical_area(areas: NDArray[np.int32], image_area: int) -> float:
