@@ -13,6 +13,9 @@ from tactile_perception import _image
 Prepared = NDArray[np.float32]
 #: Spreads of the score without contact that the thresholds stay away from, however small they are set.
 _NOISE_MARGIN = 6.0
+#: Side of the images in which the window is given, in pixels, and the largest window in any.
+_WINDOW_REFERS_TO = 128
+_LARGEST_WINDOW = 129
 #: Standard deviations of a pixel without contact that do not count as change.
 _PIXEL_NOISE_MARGIN = np.float32(2.0)
 
@@ -23,7 +26,13 @@ class PresenceSettings(Settings):
 
     on: float = setting(0.02, lower=0.0, upper=1.0, doc="score at and above which contact begins")
     off: float = setting(0.012, lower=0.0, upper=1.0, doc="score below which contact ends")
-    window: int = setting(17, unit="px", lower=1, upper=129, doc="side of the patch whose mean change counts")
+    window: int = setting(
+        17,
+        unit="px",
+        lower=1,
+        upper=129,
+        doc="side of the patch whose mean change counts, in an image of 128x128; scaled to others",
+    )
     reference_frames: int = setting(
         10, lower=2, upper=1000, doc="first frames, without contact, for the reference"
     )
@@ -133,7 +142,9 @@ class ContactPresence:
     def _change(self, image: Prepared) -> float:
         """Largest patch mean of the absolute change beyond each pixel's noise."""
         assert self._reference is not None and self._noise is not None
-        return _image.largest_change(image, self._reference, self._noise, self.settings.window)
+        window = round(self.settings.window * len(image) / _WINDOW_REFERS_TO)
+        window = min(max(window, 1), _LARGEST_WINDOW)
+        return _image.largest_change(image, self._reference, self._noise, window)
 
 
 def _mean_and_noise(stack: Prepared) -> tuple[Prepared, Prepared]:

@@ -9,7 +9,7 @@ from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 from tactile_filter.settings import SettingError
 from tactile_perception import _image
-from tactile_perception.preprocessing import Preprocessor
+from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.presence import ContactPresence, PresenceSettings
 
 
@@ -63,6 +63,27 @@ def test_shallow_and_deep_contacts_are_seen_wherever_they_are(
 ):
     pressed(sensor, depth_mm, tilt_deg)
     assert presence.update(preprocessor(sensor.image())).in_contact
+
+
+@pytest.mark.parametrize("side", [64, 96, 256])
+def test_scores_hardly_depend_on_the_size_of_the_images(sensor, preprocessor, side):
+    other = Preprocessor(PreprocessingSettings(size=side))
+    judges = [(preprocessor, ContactPresence()), (other, ContactPresence())]
+    sensor.reset(seed=4)
+    for _ in range(10):
+        image = sensor.image()
+        for prepare, presence in judges:
+            presence.update(prepare(image))
+    sensor.reset(seed=9)
+    for _ in range(20):
+        image = sensor.image()
+        assert not any(presence.update(prepare(image)).in_contact for prepare, presence in judges)
+    for depth_mm in (0.4, 1.0, 3.0):
+        pressed(sensor, depth_mm)
+        image = sensor.image()
+        expected, answer = (presence.update(prepare(image)) for prepare, presence in judges)
+        assert answer.in_contact
+        assert answer.score == pytest.approx(expected.score, rel=0.35)
 
 
 def test_score_grows_with_depth(presence, sensor, preprocessor):
