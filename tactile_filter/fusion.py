@@ -107,7 +107,8 @@ def fuse_batch(
     """
     count, order = _plan(mode, iterations, jacobian_order)
     arrays = [np.asarray(value) for value in (mean_1, cov_1, mean_2, cov_2)]
-    dtype = np.float32 if all(array.dtype == np.float32 for array in arrays) else np.float64
+    single = all(array.dtype == np.float32 for array in arrays)
+    dtype: type[np.floating] = np.float32 if single else np.float64
     number = len(arrays[0]) if arrays[0].ndim else 0
     for array, name, size in zip(arrays, _INPUTS, (4, 6, 4, 6), strict=True):
         if array.shape != (number, size, size):

@@ -28,8 +28,9 @@ class FusionStatus(IntEnum):
     NOT_CONVERGED
         The iterations ended before.
     STALLED
-        Mode "exact" only: no step along the descent direction lowers the cost, as at separations near pi
-        where the logarithm jumps. The mean is the best one found.
+        Mode "exact" only: from no start was a minimum found. The cost is lowest where a mean is a half turn
+        away and the logarithm jumps, so that the two inputs contradict each other by many standard
+        deviations. The mean is the best one found.
     """
 
     CONVERGED = 0

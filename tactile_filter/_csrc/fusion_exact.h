@@ -1,13 +1,14 @@
 // The fusion to convergence: Gauss-Newton with a line search, Newton's method where that is slow or goes in circles,
 // from several starts where the means are far apart. Plain or, where the pivots ask for it, robust arithmetic.
 
-#define EXACT_TOLERANCE 1e-13  // step, relative to 1 + the whitened residual: where rounding takes over
+#define EXACT_TOLERANCE 1e-14  // step, relative to 1 + the whitened residual: where rounding takes over
 #define FLOOR_TOLERANCE 1e-9   // below this, a step that no longer shrinks is rounding, too
 #define SLOW 0.02              // a step longer than this fraction of the last one: Newton's method from here on
 #define ARMIJO 1e-4            // fraction of the predicted decrease that a step has to bring
 #define SEARCH_FROM 1e-3       // shorter steps are taken whole: they change the cost by less than its rounding
 #define SLACK 1e-12            // differences of costs below this fraction are rounding
 #define SHORTEST_STEP (1.0/1073741824)
+#define STARTS 8
 
 typedef struct {
   Pair pair;        // rounded from `robust` if that is used
@@ -319,25 +320,44 @@ static int descend(FusionOutput* res, double* cost, Motion* motion, const Proble
 }
 
 
-// the motions to start from: the first mean; where the second is far, that, too, and half the way on both sides
-static int starts(Motion start[4], const Problem* problem) {
-  Pose_d1 relative, second;
-  double xi[6], e, de;
+// 1 - cos of the angle of a rotation
+static double versine_of(const double rot[9]) {
+  return 0.5*(3 - rot[0] - rot[4] - rot[8]);
+}
+
+
+static void plain_relative(Pose_d1* res, const Problem* problem, int k) {
   for (int i = 0; i < 9; i++) {
-    relative.rot[i] = problem->pair.side.relative.rot[i][1];
+    res->rot[i] = problem->pair.side.relative.rot[i][k];
   }
   for (int i = 0; i < 3; i++) {
-    relative.pos[i] = problem->pair.side.relative.pos[i][1];
+    res->pos[i] = problem->pair.side.relative.pos[i][k];
   }
-  for (int n = 0; n < 4; n++) {
+}
+
+
+// whether either mean is so far in angle that there may be several minima
+static int is_far(const Problem* problem, const Motion* motion) {
+  for (int k = 0; k < 2; k++) {
+    Pose_d1 relative, difference;
+    plain_relative(&relative, problem, k);
+    product_d1(&difference, &motion->y, &relative);
+    if (!(versine_of(relative.rot) <= REGULAR_VERSINE && versine_of(difference.rot) <= REGULAR_VERSINE)) {
+      return 1;
+    }
+  }
+  return 0;
+}
+
+
+// the motions to start from: the first mean, the second, and points in between on both ways round
+static void set_starts(Motion start[STARTS], const Problem* problem) {
+  Pose_d1 relative, second;
+  double xi[6], e, de;
+  for (int n = 0; n < STARTS; n++) {
     set_identity_d1(&start[n].y);
   }
-  double versine = 0.5*(3 - relative.rot[0] - relative.rot[4] - relative.rot[8]);
-  if (versine <= REGULAR_VERSINE) {
-    return 1;
-  }
-
-  // X_2 X_1^-1 and its logarithms, the short and the long way round
+  plain_relative(&relative, problem, 1);
   for (int i = 0; i < 3; i++) {
     second.pos[i] = 0;
     for (int j = 0; j < 3; j++) {
@@ -348,17 +368,17 @@ static int starts(Motion start[4], const Problem* problem) {
   start[1].y = second;
   log_d1(xi, &e, &de, &second);
   double angle = sqrt(dot3(xi + 3, xi + 3));
-  for (int n = 2; n < 4; n++) {
-    double half[6], turn = n == 2 ? 1 : 1 - TWO_PI/angle;
-    double jac[36], around[6] = {0, 0, 0, turn*xi[3], turn*xi[4], turn*xi[5]};
+  for (int n = 2; n < STARTS; n++) {
+    // a fraction of the logarithm of X_2 X_1^-1 that turns the short or, from 5 on, the long way round
+    double fraction = 0.25*((n - 2) % 3 + 1), turn = n < 5 || angle == 0 ? 1 : 1 - TWO_PI/angle;
+    double jac[36], around[6] = {0, 0, 0, turn*xi[3], turn*xi[4], turn*xi[5]}, part[6];
     se3_exact_inverse_left_jacobian(jac, around);
     for (int i = 0; i < 3; i++) {
-      half[i] = 0.5*(jac[6*i]*second.pos[0] + jac[6*i+1]*second.pos[1] + jac[6*i+2]*second.pos[2]);
-      half[3+i] = 0.5*around[3+i];
+      part[i] = fraction*(jac[6*i]*second.pos[0] + jac[6*i+1]*second.pos[1] + jac[6*i+2]*second.pos[2]);
+      part[3+i] = fraction*around[3+i];
     }
-    perturb_d1(&start[n].y, half);
+    perturb_d1(&start[n].y, part);
   }
-  return 4;
 }
 
 
@@ -402,24 +422,29 @@ static void round_sides(Problem* problem) {
 
 // returns 0, -1 if the plain arithmetic does not suffice, or a fault
 static int exact_from_all_starts(FusionOutput* res, const Problem* problem, int iterations) {
-  Motion start[4];
-  double lowest = HUGE_VAL;
-  int count = starts(start, problem), best = FUSION_STALLED;
-  for (int n = 0; n < count; n++) {
+  Motion start[STARTS];
+  double lowest;
+  set_identity_d1(&start[0].y);
+  make_robust(start);
+  int fault = descend(res, &lowest, start, problem, iterations);
+  if (fault || (res->status == FUSION_CONVERGED && !is_far(problem, start))) {
+    return fault;
+  }
+  set_starts(start, problem);
+  for (int n = 1; n < STARTS; n++) {
     FusionOutput found;
     double cost;
     make_robust(start + n);
-    int fault = descend(&found, &cost, start + n, problem, iterations);
+    fault = descend(&found, &cost, start + n, problem, iterations);
     if (fault) {
       return fault;
     }
 
-    // a lower cost wins, but not by rounding
-    if (n == 0 || cost < lowest - 1e-9*(1 + lowest) || (best != FUSION_CONVERGED && found.status == FUSION_CONVERGED
-                                                        && cost <= lowest + 1e-9*(1 + lowest))) {
+    // what has converged wins over what has not, then the lower cost, but not by rounding
+    int settled = found.status == FUSION_CONVERGED, was = res->status == FUSION_CONVERGED;
+    if (settled > was || (settled == was && cost < lowest - 1e-9*(1 + lowest))) {
       *res = found;
       lowest = cost;
-      best = found.status;
     }
   }
   return 0;

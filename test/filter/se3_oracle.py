@@ -91,12 +91,88 @@ def nearest_rotation(T):
 
 def exact_rotation(T):
     """A pose in 60 digits whose rotation is one to 60 digits, next to the double pose T."""
-    m = matrix(T)
+    return orthonormal(matrix(T))
+
+
+def closed_log(T):
+    """Logarithm in closed form, many times faster than `log`; good up to a half turn less 1e-15."""
+    R, t = T[:3, :3], T[:3, 3]
+    half = [(R[2, 1] - R[1, 2]) / 2, (R[0, 2] - R[2, 0]) / 2, (R[1, 0] - R[0, 1]) / 2]
+    sine = mp.sqrt(sum(x * x for x in half))
+    angle = mp.atan2(sine, (R[0, 0] + R[1, 1] + R[2, 2] - 1) / 2)
+    phi = [x * angle / sine if sine else mp.mpf(0) for x in half]
+    P = skew(phi)
+    if angle < mp.mpf(10) ** -15:
+        e = mp.mpf(1) / 12 + angle**2 / 720
+    else:
+        e = (1 - angle / 2 * mp.cot(angle / 2)) / angle**2
+    return mp.matrix([*(t - P * t / 2 + e * P * (P * t)), *phi])
+
+
+def closed_exp(xi):
+    """Exp in closed form; for the smallest angles the power series."""
+    angle = mp.sqrt(sum(mp.mpf(x) ** 2 for x in list(xi)[3:]))
+    if angle < mp.mpf(10) ** -6:
+        return exp(xi)
+    H = hat(xi)
+    return (
+        mp.eye(4)
+        + H
+        + (1 - mp.cos(angle)) / angle**2 * H * H
+        + (angle - mp.sin(angle)) / angle**3 * H * H * H
+    )
+
+
+def closed_inverse_jacobian(xi):
+    """Inverse left Jacobian as a polynomial of the curly hat; for the smallest angles its series."""
+    ad, angle = curly_hat(xi), mp.sqrt(sum(mp.mpf(x) ** 2 for x in list(xi)[3:]))
+    square = ad * ad
+    if angle < mp.mpf(10) ** -8:
+        return mp.eye(6) - ad / 2 + square / 12 - square * square / 720 + square**3 / 30240
+    c = angle / 2 * mp.cot(angle / 2)
+    e = (1 - c) / angle**2
+    d = (1 - c / 2 - angle**2 / (8 * mp.sin(angle / 2) ** 2)) / angle**4
+    return mp.eye(6) - ad / 2 + (e + angle**2 * d) * square + d * square * square
+
+
+def orthonormal(m):
+    """The pose m with the nearest rotation, to 60 digits."""
+    m = m.copy()
     R = m[:3, :3]
     for _ in range(6):
         R = R * (3 * mp.eye(3) - R.T * R) / 2
     m[:3, :3] = R
     return m
+
+
+def mahalanobis_cost(X, means, weights):
+    """What the fusion minimizes: the sum of the two squared Mahalanobis distances."""
+    distances = [closed_log(X * mean**-1) for mean in means]
+    return sum((xi.T * weight * xi)[0] for xi, weight in zip(distances, weights, strict=True))
+
+
+def minimum(means, covs, start):
+    """The stationary point of the cost next to `start`, and its information; all in 60 digits."""
+    inverses, weights = [mean**-1 for mean in means], [cov**-1 for cov in covs]
+    X = start
+    for _ in range(400):
+        information, gradient = mp.zeros(6, 6), mp.zeros(6, 1)
+        for inverse, weight in zip(inverses, weights, strict=True):
+            xi = closed_log(X * inverse)
+            J = closed_inverse_jacobian(list(xi))
+            information += J.T * weight * J
+            gradient += J.T * weight * xi
+        step = -mp.lu_solve(information, gradient)
+        X = closed_exp(list(step)) * X
+        if (step.T * information * step)[0] < mp.mpf(10) ** -54:
+            return X, information
+    raise ArithmeticError("no convergence")
+
+
+def sigmas_between(X, other, information):
+    """Distance of two poses in standard deviations of the second."""
+    xi = closed_log(X * other**-1)
+    return float(mp.sqrt(abs((xi.T * information * xi)[0])))
 
 
 def fuse(mean_1, cov_1, mean_2, cov_2, iterations=None):
