@@ -119,7 +119,7 @@ def run_cluster(jobs: list[Job], scheduler: str, tell: Callable[[Job, str], None
             job = futures[future]
             failure = future.exception()
             if failure is None:
-                _store(job, future.result())
+                store_files(job, future.result())
             tell(job, "" if failure is None else str(failure))
 
 
@@ -165,7 +165,7 @@ def _start(job: Job, threads: int | None) -> subprocess.Popen[bytes]:
     return process
 
 
-def _store(job: Job, files: dict[str, bytes]) -> None:
+def store_files(job: Job, files: dict[str, bytes]) -> None:
     """Write files that came from a worker, unless its folder is ours; the result last, as it says "done"."""
     if job.folder.finished:
         return

@@ -100,8 +100,12 @@ class MultiDropoutLinear(nn.Module):
     weights start from zero, so that training does not have to recover from its first steps.
     """
 
-    def __init__(self, features: int, dropouts: tuple[float, ...], gain: float = 1.0) -> None:
+    def __init__(
+        self, features: int, dropouts: tuple[float, ...], gain: float = 1.0, shared: bool = False
+    ) -> None:
+        """`shared`: one dropout layer, with the first probability, for all outputs (the paper's CNN)."""
         super().__init__()
+        self.shared = shared
         self.weight = nn.Parameter(torch.zeros(len(dropouts), features))
         self.bias = nn.Parameter(torch.zeros(len(dropouts)))
         self.dropouts = dropouts
@@ -112,6 +116,8 @@ class MultiDropoutLinear(nn.Module):
         if not self.training:
             return functional.linear(features, self.gain * self.weight, self.bias)
         features = self.gain * features
+        if self.shared:
+            return functional.linear(functional.dropout(features, self.dropouts[0]), self.weight, self.bias)
         outputs = [
             functional.dropout(features, p) @ self.weight[j] if p > 0.0 else features @ self.weight[j]
             for j, p in enumerate(self.dropouts)
@@ -143,7 +149,9 @@ class PoseNetwork(nn.Module):
                 f"first_stride = {settings.first_stride}"
             )
         features = settings.channels[-1] * side * side
-        self.head = MultiDropoutLinear(features, self.distribution.dropouts, settings.head_gain)
+        dropouts = self.distribution.dropouts
+        shared = settings.head == "mse" and len(set(dropouts)) == 1
+        self.head = MultiDropoutLinear(features, dropouts, settings.head_gain, shared)
 
     def start_from(self, labels: Tensor) -> None:
         """Let the untrained network answer with the labels' own mean and deviation; labels (N, 6)."""

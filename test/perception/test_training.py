@@ -231,7 +231,10 @@ def test_a_mistake_in_a_configuration_file_is_told_with_its_line(training_data, 
     assert "config.yaml:5: " in (error := capsys.readouterr().err) and "did you mean 'seed'" in error
 
 
-def test_the_configuration_named_after_the_paper_is_the_default():
+def test_the_configurations_named_after_the_paper_hold_its_values():
     folder = Path(__file__).parents[2] / "config" / "perception"
+    cnn = TrainConfig.from_file(folder / "cnn_lloyd_lepora.yaml")
+    assert cnn.training == TrainingSettings() and not cnn.augmentation.active
+    assert cnn.network == NetworkSettings(head="mse", dropout_mean=(0.1,) * 6)
     assert TrainConfig.from_file(folder / "gdn_lloyd_lepora.yaml") == TrainConfig()
     assert TrainConfig.from_file(folder / "tactip_sim.yaml").network == NetworkSettings()

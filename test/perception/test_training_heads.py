@@ -67,6 +67,15 @@ def test_each_output_has_its_own_dropout():
     np.testing.assert_allclose(answers.std(axis=0), expected, rtol=0.2, atol=1e-6)
 
 
+def test_the_cnn_has_one_dropout_for_all_outputs():
+    torch.manual_seed(0)
+    head = PoseNetwork(SMALL.replaced(head="mse", dropout_mean=(0.5,) * 6)).head.train()
+    with torch.no_grad():
+        head.weight[:] = 1.0
+    answers = head(torch.ones(1, head.weight.shape[1]))[0]
+    assert torch.all(answers == answers[0]) and answers[0] != head.weight.shape[1] * head.gain
+
+
 def test_dropout_is_off_in_evaluation():
     head = MultiDropoutLinear(50, (0.7, 0.4)).eval()
     features = torch.rand(3, 50)

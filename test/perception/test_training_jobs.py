@@ -1,0 +1,227 @@
+"""Many runs: over seeds, processes and machines, and joined in an ensemble. Needs PyTorch."""
+
+import argparse
+import csv
+import sys
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
+onnx = pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
+
+from tactile_perception import train_command  # noqa: E402
+from tactile_perception.dataset import read_dataset  # noqa: E402
+from tactile_perception.estimator import Estimator  # noqa: E402
+from tactile_perception.model_metadata import ModelMetadata  # noqa: E402
+from tactile_perception.preprocessing import PreprocessingSettings  # noqa: E402
+from tactile_perception.training.data import split_holdback  # noqa: E402
+from tactile_perception.training.ensemble import EnsembleError, write_ensemble  # noqa: E402
+from tactile_perception.training.export import export_onnx  # noqa: E402
+from tactile_perception.training.jobs import Job, store_files  # noqa: E402
+from tactile_perception.training.network import PoseNetwork  # noqa: E402
+from tactile_perception.training.run_folder import RunFolder  # noqa: E402
+from tactile_perception.training.settings import HEADS, NetworkSettings  # noqa: E402
+
+QUICK = [
+    "network.channels=[4, 4, 4, 4]", "network.image_size=32", "training.rise_epochs=0",
+    "training.hold_epochs=1", "training.decay_epochs=1", "training.threads=1",
+]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+def command(*words: object) -> int:
+    """Run `tactile train` or `tactile ensemble`."""
+    parser = argparse.ArgumentParser()
+    train_command.register(parser.add_subparsers())
+    arguments = parser.parse_args([str(word) for word in words])
+    return arguments.run(arguments)
+
+
+def train(data, out, *words: object, changes: tuple[str, ...] = ()) -> int:
+    settings = [word for change in (*QUICK, *changes) for word in ("--set", change)]
+    return command("train", data, "--out", out, "--limit", 32, *settings, *words)
+
+
+def rows(out) -> list[list[str]]:
+    with (out / "repeat.csv").open(newline="") as file:
+        return list(csv.reader(file))
+
+
+def weights(path) -> list[bytes]:
+    return [item.raw_data for item in onnx.load(str(path)).graph.initializer]
+
+
+@pytest.fixture(scope="module")
+def repeated(training_data, tmp_path_factory):
+    """Two networks from two seeds, trained one after the other."""
+    out = tmp_path_factory.mktemp("repeated")
+    assert train(training_data, out, "--repeat", 2) == 0
+    return out
+
+
+def test_repeat_trains_from_different_seeds_and_tables_them(repeated):
+    table = rows(repeated)
+    assert [row[0] for row in table[1:]] == ["seed_0", "seed_1"] and table[0][1] == "mean NLL"
+    assert table[1][1:] != table[2][1:]
+    assert Estimator(repeated / "seed_1" / "model.onnx").metadata.training["training"]["seed"] == 1
+
+
+def test_repeat_goes_on_where_it_was(repeated, training_data, capsys):
+    before = (repeated / "seed_0" / "model.onnx").stat().st_mtime_ns
+    assert train(training_data, repeated, "--repeat", 3) == 0
+    output = capsys.readouterr()
+    assert "2 of 3 runs are already there" in output.err and "3 of 3 networks" in output.out
+    assert (repeated / "seed_0" / "model.onnx").stat().st_mtime_ns == before and len(rows(repeated)) == 4
+
+
+def test_finished_runs_of_another_configuration_are_not_mixed_in(repeated, training_data, capsys):
+    assert train(training_data, repeated, "--repeat", 2, changes=("training.batch_size=8",)) == 1
+    assert "training.batch_size = 16, not 8" in " ".join(capsys.readouterr().err.split())
+
+
+def test_processes_give_the_same_networks(repeated, training_data, tmp_path):
+    assert train(training_data, tmp_path, "--repeat", 2, "--processes", 2) == 0
+    for seed in ("seed_0", "seed_1"):
+        models = [weights(out / seed / "model.onnx") for out in (repeated, tmp_path)]
+        assert models[0] == models[1]
+
+
+def test_a_run_that_fails_in_a_process_is_told_with_its_reason(tmp_path, capsys):
+    (tmp_path / "data").mkdir()
+    val = ("--val", tmp_path / "data")
+    assert train(tmp_path / "data", tmp_path / "out", "--repeat", 1, "--processes", 2, *val) == 1
+    assert "targets_images.csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--processes", 2], "they need --repeat"),
+        (["--repeat", 0], "must be at least 1"),
+        (["--repeat", 2, "--install", "m.onnx"], "leave out --repeat"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(training_data, tmp_path, capsys, words, message):
+    assert train(training_data, tmp_path / "out", *words) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_a_cluster_without_dask_is_told_what_to_install(training_data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert train(training_data, tmp_path, "--repeat", 1, "--scheduler", "tcp://127.0.0.1:8786") == 1
+    assert "pip install 'tactile_servoing[cluster]'" in capsys.readouterr().err
+
+
+def test_a_cluster_gives_the_same_networks(repeated, training_data, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="needs Dask (the extra 'cluster')")
+    local = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp"
+    )
+    with local as cluster:
+        address = cluster.scheduler_address
+        assert train(training_data, tmp_path, "--repeat", 2, "--scheduler", address) == 0
+    assert weights(tmp_path / "seed_1" / "model.onnx") == weights(repeated / "seed_1" / "model.onnx")
+
+
+def test_files_of_a_worker_come_back_where_its_folder_is_not_ours(repeated, tmp_path):
+    there = repeated / "seed_0"
+    files = {path.name: path.read_bytes() for path in there.iterdir()}
+    job = Job("data", str(tmp_path / "seed_0"), {})
+    assert not job.folder.finished
+    store_files(job, files)
+    assert job.folder.result() == RunFolder(there).result()
+    store_files(job, {"result.json": b"{}"})  # a finished run stays as it is
+    assert job.folder.result() == RunFolder(there).result()
+
+
+def test_a_scheduler_that_does_not_answer_is_named(training_data, tmp_path, capsys, monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="needs Dask (the extra 'cluster')")
+
+    def no_client(address, timeout):
+        raise OSError("timed out")
+
+    monkeypatch.setattr(distributed, "Client", no_client)
+    assert train(training_data, tmp_path, "--repeat", 1, "--scheduler", "tcp://127.0.0.1:1") == 1
+    assert "tcp://127.0.0.1:1: no Dask scheduler answers there" in capsys.readouterr().err
+
+
+def member(path, head: str, seed: int, **metadata) -> object:
+    """A network with random weights as a model file."""
+    torch.manual_seed(seed)
+    network = PoseNetwork(NetworkSettings(image_size=32, channels=(4, 6), head=head))
+    with torch.no_grad():
+        network.start_from(torch.randn(50, 6))
+        network.head.weight.normal_(std=0.2)
+    settings = {"preprocessing": PreprocessingSettings(size=32), "training_data": {}, "validation": {}}
+    export_onnx(network.eval(), path, ModelMetadata(**{**settings, **metadata}), np.full(6, 0.3))
+    return path
+
+
+def test_ensemble_is_the_mixture_of_its_members(tmp_path):
+    """Of all kinds of heads."""
+    paths = [member(tmp_path / f"{n}.onnx", head, n) for n, head in enumerate(HEADS)]
+    images = np.random.default_rng(0).random((4, 1, 32, 32), dtype=np.float32)
+    answers = [Estimator(path).predict(images) for path in paths]
+    means, covariances = (np.array(part) for part in zip(*answers, strict=True))
+    mean = means.mean(axis=0)
+    spread = means - mean
+    expected = covariances.mean(axis=0) + np.einsum("kni,knj->nij", spread, spread) / len(paths)
+    found_mean, found_covariance = Estimator(write_ensemble(paths, tmp_path / "all.onnx")).predict(images)
+    np.testing.assert_allclose(found_mean, mean, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found_covariance, expected, rtol=1e-3, atol=1e-5)
+
+
+def test_ensemble_on_the_command_line_estimates_images(repeated, tmp_path, capsys):
+    runs = [repeated / "seed_0", repeated / "seed_1"]
+    assert command("ensemble", *runs, "--out", tmp_path / "two.onnx") == 0
+    assert "2 networks" in capsys.readouterr().out
+    estimator = Estimator(tmp_path / "two.onnx")
+    assert estimator.metadata.head == "ensemble" and len(estimator.metadata.training["members"]) == 2
+    estimate = estimator.estimate(np.zeros((480, 640), np.uint8))
+    assert np.all(np.linalg.eigvalsh(estimate.cov) > 0.0)
+
+
+def test_ensemble_is_calibrated_on_what_its_members_held_back(training_data, tmp_path):
+    """After which each component's NEES is 1 on them."""
+    data = read_dataset(training_data / "train", size=32)
+    facts = {
+        "training_data": {"sha256": data.sha256},
+        "training": {"training": {"holdback": 0.4}, "calibration": {"min_samples": 20}},
+    }
+    paths = [member(tmp_path / f"{n}.onnx", "gaussian", n, **facts) for n in range(2)]
+    _, held_back = split_holdback(len(data), 0.4)
+    path = write_ensemble(paths, tmp_path / "both.onnx", training_data)
+    mean, covariance = Estimator(path).predict(
+        data.images[held_back][:, np.newaxis].astype(np.float32) / np.float32(255.0)
+    )
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    nees = ((data.labels[held_back] - mean) ** 2 / variance).mean(axis=0)
+    np.testing.assert_allclose(nees, 1.0, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "metadata, data, message",
+    [
+        ({}, None, "at least two networks"),
+        ({"preprocessing": PreprocessingSettings(size=32, median=3)}, None, "prepares images otherwise"),
+        ({}, "data", "was trained on all of its data"),
+    ],
+)
+def test_networks_that_cannot_be_joined_are_refused(tmp_path, training_data, metadata, data, message):
+    paths = [member(tmp_path / "0.onnx", "gaussian", 0)]
+    if "two" not in message:
+        paths.append(member(tmp_path / "1.onnx", "gaussian", 1, **metadata))
+    with pytest.raises(EnsembleError, match=message):
+        write_ensemble(paths, tmp_path / "all.onnx", training_data if data else None)
+
+
+def test_an_ensemble_is_not_calibrated_on_other_data(tmp_path, training_data):
+    facts = {"training_data": {"sha256": "0" * 64}, "training": {"training": {"holdback": 0.1}}}
+    paths = [member(tmp_path / f"{n}.onnx", "gaussian", n, **facts) for n in range(2)]
+    with pytest.raises(EnsembleError, match="is not what the networks were trained on"):
+        write_ensemble(paths, tmp_path / "all.onnx", training_data)
