@@ -8,11 +8,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import cv2
 import matplotlib
 import numpy as np
 
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.tactip import TacTip
+from tactile_perception.marker_view import side_by_side
+from tactile_perception.markers import density_change, detect
+from tactile_perception.preprocessing import PreprocessingSettings
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -25,6 +29,7 @@ POSES = {  # mm and degrees
     "depth 3 mm, shear x 3 mm": (3, 0, 3, 0, 0, 0),
     "depth 5 mm, gamma 15 deg": (0, 0, 5, 0, 0, 15),
 }
+MARKER_VIEWS = ("depth 3 mm", "depth 3 mm, alpha 20 deg", "depth 3 mm, shear x 3 mm")
 DEPTHS = (0.5, 1, 2, 3, 4)  # mm
 
 
@@ -66,6 +71,22 @@ def loop(depth: float, commanded: np.ndarray) -> list[float]:
     return out
 
 
+def marker_view(path: Path) -> None:
+    """Markers and the change of their density for three contacts."""
+    x0, y0, x1, y1 = PreprocessingSettings().bbox
+    rows = []
+    for name in MARKER_VIEWS:
+        sensor = TacTip(seed=1)
+        reference = detect(sensor.image()[y0:y1, x0:x1])
+        press_then_shear(sensor, np.array(POSES[name]) * np.repeat([1e-3, np.pi / 180], 3))
+        image = sensor.image()[y0:y1, x0:x1]
+        markers = detect(image)
+        both = side_by_side(image, markers, density_change(markers, reference, image.shape))
+        cv2.putText(both, name, (450, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.75, (0, 0, 0), 1, cv2.LINE_AA)
+        rows.append(cv2.resize(both, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA))
+    cv2.imwrite(str(path), np.hstack(rows) & 0xF8, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
@@ -73,6 +94,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     images(args.out / "simulator_images.png")
     saturation(args.out / "simulator_saturation.png")
+    marker_view(args.out / "marker_view.png")
 
 
 if __name__ == "__main__":
