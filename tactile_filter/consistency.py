@@ -29,6 +29,7 @@ from tactile_filter.settings import Settings, setting
 Array = NDArray[np.float64]
 
 DOF = 6
+HARMFUL = ("overconfident", "many outliers")
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,12 @@ class ConsistencySettings(Settings):
     )
     patience: float = setting(
         2.0, lower=0.0, upper=3600.0, unit="s", doc="a statistic has to be outside this long to be told"
+    )
+    warn_of: str = setting(
+        "harmful",
+        choices=("harmful", "all"),
+        doc="harmful: overconfidence and many outliers; all: underconfidence and correlation, too, which the "
+        "paper's generous process noise and estimates that err alike on successive images bring about",
     )
     max_rejected: float = setting(
         0.05, lower=0.0, upper=1.0, doc="share of the window's measurements that the gate may refuse"
@@ -67,6 +74,8 @@ class Consistency:
         Share of measurements that the gate refused.
     problems : tuple of str
         What is wrong, in words; empty if nothing is, or not for long enough.
+    warnings : tuple of str
+        Those of the problems to warn of, by the setting `warn_of`.
     """
 
     count: int
@@ -77,6 +86,7 @@ class Consistency:
     lag_one: Array
     rejected: float
     problems: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 class ConsistencyMonitor:
@@ -139,8 +149,19 @@ class ConsistencyMonitor:
             ),
         }
         problems = self._lasting(outside)
+        warnings = problems
+        if self.settings.warn_of == "harmful":
+            warnings = tuple(text for text in problems if text.startswith(HARMFUL))
         return Consistency(
-            count, nis, self.nis_bounds, whiteness, self.whiteness_bound, lag_one, rejected, problems
+            count,
+            nis,
+            self.nis_bounds,
+            whiteness,
+            self.whiteness_bound,
+            lag_one,
+            rejected,
+            problems,
+            warnings,
         )
 
     def _lasting(self, outside: dict[str, tuple[bool, str]]) -> tuple[str, ...]:

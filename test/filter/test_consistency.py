@@ -92,6 +92,14 @@ def test_false_alarms_are_as_rare_as_the_setting_says():
 def test_what_does_not_hold_is_told(simulation, problem):
     report = monitored(400, 3, **simulation).report()
     assert any(problem in text for text in report.problems), report.problems
+    harmful = any("overconfident:" in text and "under" not in text for text in report.problems)
+    assert bool(report.warnings) == harmful
+
+
+def test_all_can_be_warned_of():
+    settings = ConsistencySettings(patience=0.0, warn_of="all")
+    report = monitored(400, 3, settings, sigma=0.5 * SIGMA).report()
+    assert report.warnings == report.problems != ()
 
 
 def test_bounds_are_the_chi_square_quantiles():
