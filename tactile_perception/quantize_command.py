@@ -59,8 +59,7 @@ def run_quantize(arguments: argparse.Namespace) -> int:
         settings = QuantizationSettings().replaced(**changes)
         source, out = _paths(arguments.model, arguments.out)
         quantize(source, training_images(arguments.data, source, settings.images), out, settings)
-        validation = arguments.val or (arguments.data / "val" if (arguments.data / "val").is_dir() else None)
-        _compare(Console(), [source, out], validation)
+        _compare(Console(), [source, out], _validation(arguments.data, arguments.val))
     except (ValueError, OSError) as error:
         console.print(f"tactile quantize: {error}", markup=False, style="red", soft_wrap=True)
         return 1
@@ -68,6 +67,21 @@ def run_quantize(arguments: argparse.Namespace) -> int:
         arguments.install.write_bytes(out.read_bytes())
     print(f"model: {out}")
     return 0
+
+
+def quantize_run(run: Path, data: Path, validation: Path | None = None) -> Path:
+    """Quantize the model of a run folder as it is meant to be, print the comparison; returns the new file."""
+    from tactile_perception.training.quantization import QuantizationSettings, quantize
+
+    source, out = _paths(run, None)
+    quantize(source, training_images(data, source, QuantizationSettings().images), out)
+    _compare(Console(), [source, out], _validation(data, validation))
+    print(f"quantized model: {out}")
+    return out
+
+
+def _validation(data: Path, given: Path | None) -> Path | None:
+    return given or (data / "val" if (data / "val").is_dir() else None)
 
 
 def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:

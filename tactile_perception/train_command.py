@@ -13,6 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.profiles import profile
+from tactile_perception.quantize_command import quantize_run
 
 
 def register(subparsers: Any) -> None:
@@ -26,9 +28,14 @@ def register(subparsers: Any) -> None:
     parser.add_argument("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
     parser.add_argument("--val", type=Path, help="validation data folder (default: DATA/val)")
     parser.add_argument("--out", type=Path, required=True, help="new folder for the run")
-    parser.add_argument(
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument(
         "--config", type=Path, help="YAML file with the sections network, training and augmentation"
     )
+    choice.add_argument(
+        "--profile", metavar="NAME",
+        help="a choice between speed and accuracy, of config/perception/profiles.yaml",
+    )  # fmt: skip
     parser.add_argument(
         "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", dest="changes",
         help="change one setting",
@@ -89,7 +96,11 @@ def _missing_package(error: ModuleNotFoundError, console: Console) -> int:
 def _config(arguments: argparse.Namespace) -> Any:
     from tactile_perception.training.config import TrainConfig
 
-    config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
+    if arguments.profile:
+        chosen = profile(arguments.profile)
+        config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
+    else:
+        config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
     return config.changed(arguments.changes)
 
 
@@ -102,9 +113,12 @@ def _train_one(arguments: argparse.Namespace) -> int:
     config = _config(arguments)
     with TrainingProgress() as progress:
         result = train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
-    if arguments.install:
-        arguments.install.write_bytes(result.model_path.read_bytes())
+    model = result.model_path
     _print_result(Console(), arguments.out, result.stopped)
+    if arguments.profile and profile(arguments.profile).quantized:
+        model = quantize_run(arguments.out, arguments.data, arguments.val)
+    if arguments.install:
+        arguments.install.write_bytes(model.read_bytes())
     return 0
 
 

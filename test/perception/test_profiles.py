@@ -1,0 +1,78 @@
+"""Profiles: those that come with the package, errors in a file of one's own, and training by one."""
+
+import pytest
+
+from tactile_bringup.cli import main as tactile
+from tactile_filter.settings import SettingError
+from tactile_perception.estimator import Estimator
+from tactile_perception.profiles import Profile, profile, profiles, read_profiles
+
+
+@pytest.mark.parametrize("name", ["rate_120hz", "rate_60hz", "accuracy"])
+def test_profiles_name_a_network_that_can_be_built(name):
+    pytest.importorskip("torch", reason="building a network needs PyTorch (the extra 'train')")
+    from tactile_perception.training.config import TrainConfig
+    from tactile_perception.training.network import PoseNetwork
+
+    chosen = profile(name)
+    config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
+    assert sum(p.numel() for p in PoseNetwork(config.network).parameters()) > 10_000
+    assert chosen.use and chosen.threads >= 1
+
+
+def test_faster_profiles_are_quantized():
+    assert {name: chosen.quantized for name, chosen in profiles().items()} == {
+        "rate_120hz": True, "rate_60hz": True, "accuracy": False,
+    }  # fmt: skip
+
+
+def test_an_unknown_profile_is_answered_with_those_there_are():
+    with pytest.raises(SettingError, match=r"'rate_120' \(did you mean 'rate_120hz'\?\); valid: accuracy"):
+        profile("rate_120")
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("a: {config: gdn_symmetry.yaml}", r":1: a\.use is missing"),
+        ("a: {use: x, config: gdn_symetry.yaml}", r":1: .*did you mean 'gdn_symmetry.yaml'"),
+        (
+            "a:\n  use: x\n  config: gdn_symmetry.yaml\n  threads: 0.5",
+            r":4: a\.threads = 0.5: must be a whole",
+        ),
+        ("a: {use: x, config: gdn_symmetry.yaml, arithmetic: int4}", "valid: fp32, int8"),
+        ("a: {use: x, config: gdn_symmetry.yaml, size: 3}", "unknown name 'size'"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named_with_its_line(tmp_path, text, message):
+    file = tmp_path / "profiles.yaml"
+    file.write_text(text + "\n")
+    with pytest.raises(SettingError, match=message):
+        read_profiles(file)
+
+
+def test_training_by_a_profile_leaves_its_network_in_its_arithmetic(
+    tmp_path, training_data, monkeypatch, capsys
+):
+    pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
+    from tactile_perception import train_command
+
+    config = tmp_path / "short.yaml"
+    config.write_text("training: {rise_epochs: 1, hold_epochs: 0, decay_epochs: 1, threads: 1}\n")
+    network = {"image_size": 32, "channels": [4, 8, 8]}
+    small = Profile("small", "tests", config, network, "int8")
+    monkeypatch.setattr(train_command, "profile", lambda name: small)
+    installed = tmp_path / "installed.onnx"
+    arguments = ["--out", str(tmp_path / "run"), "--profile", "small", "--install", str(installed)]
+    assert tactile(["train", str(training_data), *arguments]) == 0
+    metadata = Estimator(installed).metadata
+    assert metadata.training["network"]["channels"] == [4, 8, 8]
+    assert metadata.preprocessing.size == 32
+    assert metadata.training["quantization"]["weights"] == "int8"
+    assert str(tmp_path / "run" / "model_int8.onnx") in capsys.readouterr().out.replace("\n", "")
+
+
+def test_a_profile_and_a_file_exclude_each_other(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        tactile(["train", "data", "--out", "x", "--profile", "accuracy", "--config", "x.yaml"])
+    assert "not allowed with" in capsys.readouterr().err
