@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
@@ -51,7 +51,7 @@ def smooth(
     Raises
     ------
     ValueError
-        If the numbers of beliefs and poses differ.
+        If the numbers of beliefs and poses differ, or a belief's covariance is none.
     """
     if len(beliefs) != len(poses):
         raise ValueError(f"{len(beliefs)} beliefs and {len(poses)} poses: must be as many")
@@ -90,7 +90,12 @@ def _backward(
     """Mean and covariance of the step before the one that is smoothed already."""
     mean, cov = predict(belief.mean, belief.cov, T_now, T_next, variances)
     adjoint = se3.adjoint(se3.inverse(T_next) @ T_now)
-    gain = cho_solve(cho_factor(cov, lower=True), adjoint @ belief.cov).T
+    _, solved, failed = dposv(cov, adjoint @ belief.cov, lower=1)
+    if failed:
+        raise ValueError(
+            f"belief of {belief.stamp_ns} ns: its prediction's covariance is not positive definite"
+        )
+    gain = solved.T
     delta = se3.log(following.mean @ se3.inverse(mean))
     shift = gain @ delta
     kept = _IDENTITY - gain @ adjoint
