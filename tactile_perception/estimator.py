@@ -27,6 +27,8 @@ from tactile_perception.preprocessing import Image, ImageError, Preprocessor
 
 Array = NDArray[np.float64]
 _WARM_UP_RUNS = 5
+#: Models in a run folder, the one to take first.
+RUN_MODELS = ("model_int8.onnx", "model.onnx")
 
 
 class ModelError(ValueError):
@@ -41,7 +43,11 @@ class EstimateError(ValueError):
 class EstimatorSettings(Settings):
     """Which model, and on how many cores."""
 
-    model: str = setting("", doc="path of the ONNX model; empty: the shipped model of the simulated TacTip")
+    model: str = setting(
+        "",
+        doc="path of an ONNX model, or of a run folder of `tactile train`, of which the quantized model is "
+        "taken if there is one; empty: the shipped model of the simulated TacTip",
+    )
     threads: int = setting(1, lower=1, upper=64, doc="CPU threads of one inference")
 
 
@@ -84,7 +90,7 @@ class Estimator:
         ModelError
             Saying which file, what is wrong with it, and what would be right.
         """
-        self.path = Path(model_path) if str(model_path) else shipped_model()
+        self.path = _model_file(Path(model_path)) if str(model_path) else shipped_model()
         self._session = _open_session(self.path, threads)
         try:
             self.metadata = ModelMetadata.from_properties(self._session.get_modelmeta().custom_metadata_map)
@@ -238,6 +244,16 @@ def _covariances(uncertainty: Array) -> Array:
     with np.errstate(divide="ignore"):  # a 1/sigma of 0 is refused where an estimate is made of it
         result[:, range(6), range(6)] = uncertainty**-2.0
     return result
+
+
+def _model_file(path: Path) -> Path:
+    """The path itself, or the model in a run folder."""
+    if not path.is_dir():
+        return path
+    for name in RUN_MODELS:
+        if (path / name).is_file():
+            return path / name
+    raise ModelError(f"{path}: is a folder without {' or '.join(RUN_MODELS)}")
 
 
 def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:

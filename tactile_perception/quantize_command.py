@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from tactile_perception.estimator import RUN_MODELS
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
-MODEL_NAME, QUANTIZED_NAME = "model.onnx", "model_int8.onnx"
+QUANTIZED_NAME, MODEL_NAME = RUN_MODELS
 _TIMED_RUNS = 200
 
 

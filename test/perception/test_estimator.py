@@ -79,6 +79,15 @@ def test_the_estimate_of_an_image_is_the_calibrated_prediction(
     np.testing.assert_allclose(estimate.cov / scale, expected.cov / scale, rtol=0, atol=1e-12)
 
 
+def test_of_a_run_folder_the_quantized_model_is_taken_if_there_is_one(tmp_path, constant_model):
+    with pytest.raises(ModelError, match=r"is a folder without model_int8\.onnx or model\.onnx"):
+        Estimator(tmp_path)
+    model = constant_model().rename(tmp_path / "model.onnx")
+    assert Estimator(tmp_path).path == model
+    quantized = constant_model(mu=MEAN).rename(tmp_path / "model_int8.onnx")
+    assert Estimator(tmp_path).path == quantized
+
+
 def test_earlier_estimates_stay_as_they_were():
     estimator = Estimator()
     first = estimator.estimate(IMAGE)
