@@ -17,6 +17,7 @@ COMMANDS = (
     "tactile_perception.commands",
     "tactile_perception.train_command",
     "tactile_perception.evaluate_command",
+    "tactile_perception.calibrate_command",
     "tactile_perception.quantize_command",
     "tactile_perception.marker_command",
     "tactile_bringup.data_command",

@@ -6,11 +6,10 @@ import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import onnx
 from onnx import helper
 
-from tactile_perception.calibration import CalibrationSettings, fit_calibration
+from tactile_perception.calibration import CalibrationSettings
 from tactile_perception.dataset import read_dataset
 from tactile_perception.estimator import Estimator
 from tactile_perception.model_metadata import (
@@ -20,9 +19,9 @@ from tactile_perception.model_metadata import (
     MEAN,
     ModelMetadata,
 )
-from tactile_perception.preprocessing import as_input
 from tactile_perception.training.data import split_holdback
 from tactile_perception.training.graph_writer import GraphWriter
+from tactile_perception.training.recalibration import fit_on
 from tactile_perception.training.run_folder import MODEL_NAME
 
 
@@ -151,8 +150,5 @@ def _calibrated(
     if samples.sha256 != metadata.training_data.get("sha256"):
         raise EnsembleError(f"{train_dir}: is not what the networks were trained on")
     _, chosen = split_holdback(len(samples), holdback)
-    estimator = Estimator(path)
-    answers = [estimator.predict_uncalibrated(as_input(samples.images[i])) for i in chosen]
-    mean, covariance = (np.concatenate(parts) for parts in zip(*answers, strict=True))
-    calibration = fit_calibration(samples.labels[chosen], mean, covariance, settings)
+    calibration = fit_on(Estimator(path), samples, chosen, settings)
     return dataclasses.replace(metadata, calibration=calibration)

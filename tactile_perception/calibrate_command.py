@@ -1,0 +1,64 @@
+"""The command `tactile calibrate`: a model file's uncertainty fitted anew."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+MODEL_NAME = "model.onnx"
+
+
+def register(subparsers: Any) -> None:
+    """Add `calibrate` to argparse subparsers; sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "calibrate",
+        help="fit a model's uncertainty to its errors on other data",
+        description="Write a copy of a model whose stated uncertainty fits its errors on labelled data: on "
+        "what was held back of its training data, or on samples of a new session (100 at least, better 500).",
+    )
+    parser.add_argument("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
+    parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes",
+        help="change a setting of the calibration, as margin=[1.1,1.1,1.1,1,1,1]",
+    )  # fmt: skip
+    parser.set_defaults(run=run_calibrate)
+
+
+def run_calibrate(arguments: argparse.Namespace) -> int:
+    """`tactile calibrate`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.recalibration import recalibrate
+    except ModuleNotFoundError as error:
+        if error.name not in ("torch", "onnx"):
+            raise
+        text = f"tactile calibrate needs {error.name}: pip install 'tactile_servoing[train]'"
+        console.print(text, markup=False)
+        return 2
+    model = arguments.model / MODEL_NAME if arguments.model.is_dir() else arguments.model
+    try:
+        calibration = recalibrate(model, arguments.data, arguments.out, _settings(model, arguments.changes))
+    except (ValueError, OSError) as error:
+        console.print(f"tactile calibrate: {error}", markup=False, style="red", soft_wrap=True)
+        return 1
+    print(
+        f"{arguments.out}: calibrated on {calibration.samples} samples; "
+        f"standard error of the joint NEES / 6: {calibration.nees_error:.3f}"
+    )
+    return 0
+
+
+def _settings(model: Path, changes: list[str]) -> Any:
+    """The calibration settings of the model's training with some of them changed."""
+    from tactile_perception.calibration import CalibrationSettings
+    from tactile_perception.command_settings import name_and_value
+    from tactile_perception.estimator import Estimator
+
+    trained = Estimator(model).metadata.training.get("calibration", {})
+    values = dict(name_and_value(change, "sigma_knots=3") for change in changes)
+    return CalibrationSettings.from_mapping(trained).replaced(**values)

@@ -1,0 +1,99 @@
+"""Calibrate a model that is there: on what it held back in training, or on samples of today's session."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+
+from tactile_perception.calibration import (
+    Calibration,
+    CalibrationError,
+    CalibrationSettings,
+    fit_calibration,
+)
+from tactile_perception.dataset import TactileDataset, read_dataset
+from tactile_perception.estimator import Estimator
+from tactile_perception.model_metadata import ModelMetadata
+from tactile_perception.preprocessing import as_input
+from tactile_perception.training.data import split_holdback
+
+_BATCH = 50
+
+
+def recalibrate(
+    model: Path | str, data: Path | str, out: Path | str, settings: CalibrationSettings | None = None
+) -> Calibration:
+    """Write a copy of a model file with a calibration fitted to labelled data.
+
+    Parameters
+    ----------
+    data : path
+        A labelled folder. Of the folder that the model was trained on, only what it held back is used.
+    settings : CalibrationSettings, optional
+        Default: those of the model's training.
+
+    Raises
+    ------
+    CalibrationError
+        If the model has no uncertainty, was trained on all of the data, or the data are too few.
+    """
+    estimator = Estimator(model)
+    metadata = estimator.metadata
+    if metadata.head == "mse":
+        raise CalibrationError(f"{model}: the network has no uncertainty of its own to calibrate")
+    settings = settings or CalibrationSettings.from_mapping(metadata.training.get("calibration", {}))
+    samples = read_dataset(data, metadata.preprocessing)
+    calibration = fit_on(estimator, samples, unseen_rows(metadata, samples), settings)
+    _write(Path(model), Path(out), dataclasses.replace(metadata, calibration=calibration))
+    return calibration
+
+
+def unseen_rows(metadata: ModelMetadata, samples: TactileDataset) -> NDArray[np.int64]:
+    """Rows of a data set that the model was not trained on.
+
+    Raises
+    ------
+    CalibrationError
+        If there are none.
+    """
+    if metadata.training_data.get("sha256") != samples.sha256:
+        return np.arange(len(samples))
+    runs = metadata.training.get("members", [metadata.training])
+    # The held-back samples of a smaller part are among those of a larger one.
+    part = min(float(run.get("training", {}).get("holdback", 0.0)) for run in runs)
+    if part == 0.0:
+        raise CalibrationError(
+            f"{samples.report.folder}: the model was trained on all of these data: nothing is left to "
+            "calibrate on; train with training.holdback, or calibrate on other data"
+        )
+    return split_holdback(len(samples), part)[1]
+
+
+def fit_on(
+    estimator: Estimator,
+    samples: TactileDataset,
+    rows: NDArray[np.int64],
+    settings: CalibrationSettings,
+) -> Calibration:
+    """Fitted to the network's own answers to some rows of a data set."""
+    parts = [
+        estimator.predict_uncalibrated(as_input(samples.images[rows[start : start + _BATCH]]))
+        for start in range(0, len(rows), _BATCH)
+    ]
+    mean, cov = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return fit_calibration(samples.labels[rows], mean, cov, settings)
+
+
+def _write(model: Path, out: Path, metadata: ModelMetadata) -> None:
+    """The same network with other metadata; whole or not at all."""
+    loaded = onnx.load(str(model))
+    del loaded.metadata_props[:]
+    onnx.helper.set_model_props(loaded, metadata.to_properties())
+    out.parent.mkdir(parents=True, exist_ok=True)
+    temporary = out.with_suffix(".tmp")
+    onnx.save_model(loaded, str(temporary))
+    temporary.replace(out)
