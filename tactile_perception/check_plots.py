@@ -15,6 +15,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 _DPI = 90
+_GAMMA_LARGER = 5
 
 
 def draw_labels(result: CheckResult, path: Path) -> None:
@@ -60,9 +61,11 @@ def draw_flow(result: CheckResult, path: Path) -> None:
     shown = (("x", 2, "C0"), ("y", 3, "C1")), (("-beta", 4, "C2"), ("alpha", 5, "C3")), (("gamma", 6, "C4"),)
     for axis, group in zip(axes, shown, strict=False):
         for name, k, color in group:
-            _arrows(axis, flow.rest, fields[:, k] * size[k] / 2, color, name)
+            larger = _GAMMA_LARGER if name == "gamma" else 1
+            label = name if larger == 1 else f"{name}, {larger} times as long"
+            _arrows(axis, flow.rest, larger * fields[:, k] * size[k] / 2, color, label)
         axis.legend(loc="upper right", fontsize=8)
-    _arrows(axes[3], flow.rest, np.nan_to_num(fields[:, 0] - flow.rest, nan=np.nan), "k", "pressing")
+    _arrows(axes[3], flow.rest, fields[:, 0] - flow.rest, "k", "pressing")
     axes[3].legend(loc="upper right", fontsize=8)
     figure.suptitle("motion of the markers in the image by half of the range of each label")
     _save(figure, path)

@@ -123,7 +123,15 @@ def measure(
     order = np.argsort(labels[:, 2] if deeper >= 1.0 else -labels[:, 2])
     blobs = [detect(image).centers for image in images]
     rest = _rest(folder, blobs, labels, order)
-    positions = track(blobs, labels, order, rest)
+    return flow_of(track(blobs, labels, order, rest), labels, rest, deeper, settings)
+
+
+def flow_of(
+    positions: Array, labels: Array, rest: Array, deeper: float, settings: FlowSettings | None = None
+) -> MarkerFlow:
+    """The flow of markers that are followed already; see `MarkerFlow` for the arguments."""
+    settings = settings or FlowSettings()
+    order = np.argsort(labels[:, 2] if deeper >= 1.0 else -labels[:, 2])
     center = (rest.max(axis=0) + rest.min(axis=0)) / 2
     radius = float(np.percentile(np.linalg.norm(rest - center, axis=1), 95))
     maps = _maps((positions - center) / radius, (rest - center) / radius, labels, order, settings)
@@ -233,7 +241,7 @@ def _pairs(*values: Array) -> list[tuple[Array, Array]]:
 
 
 def _regressions(basis: Array, positions: Array, inner: NDArray[np.bool_], weights: Array) -> Array:
-    """Weights (markers, basis, 2) by which inner markers follow the basis; NaN where it is seen too seldom."""
+    """Weights (markers, basis, 2) by which inner markers follow the basis; NaN where seen too seldom."""
     out = np.full((positions.shape[1], basis.shape[1], 2), np.nan)
     scale = np.maximum(np.abs(basis).max(axis=0), 1e-12)
     for marker in np.flatnonzero(inner):
