@@ -2,8 +2,10 @@
 
 Estimates, which tell of contact, and contact presences that tell of none are taken in the order of stamps; a
 presence in contact announces its estimate. Each waits for the sensor's pose at its stamp up to `tf_timeout`;
-then it is dropped and counted. A backward jump of the clock, the loss of contact and `~/reset`
+then it is dropped and counted. One that comes after a later one has been taken is put in its place, if the
+setting `history` allows. A backward jump of the clock, the loss of contact and `~/reset`
 (tactile_msgs/ResetFilter) clear the belief. Without contact `contact/state` says so and holds no belief.
+/diagnostics tells whether the filter's innovations are what its covariances claim.
 """
 
 from __future__ import annotations
@@ -34,8 +36,10 @@ from tactile_bringup.ros.transforms import TransformGate, TransformListener
 from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes, read_gaussian
 from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
+from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import Settings, setting
+from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
 
@@ -77,7 +81,11 @@ class FilterNode(ManagedNode):
         self.inputs = SettingsParameters(
             self, FilterInputSettings(), prefix="inputs", read_only=("age_limit",)
         )
+        self.consistency = SettingsParameters(
+            self, ConsistencySettings(), prefix="consistency", on_change=self._change_consistency
+        )
         self.filter = ContactFilter(self.settings.value)
+        self.monitor = ConsistencyMonitor(self.consistency.value)
         self.no_contact_ns = self.tf_ns = -1
         self.join = measurement_join()
 
@@ -135,8 +143,22 @@ class FilterNode(ManagedNode):
         received_ns = self.now_ns()
         useless = source == "estimate" and stamp_ns <= self.no_contact_ns
         if not useless and not self.join.add(source, stamp_ns, (content, received_ns), time.monotonic_ns()):
-            self.warn("late", f"contact/{source} refused: its stamp is not later than the last one's")
+            if source == "estimate" and self.settings.value.history > 0.0 and self.filter.has_belief:
+                self._take_late(stamp_ns, content)
+            else:
+                self.warn("late", f"contact/{source} refused: its stamp is not later than the last one's")
         self._pump()
+
+    def _take_late(self, stamp_ns: int, estimate: PoseGaussian) -> None:
+        """Put an estimate in its place; what it changes is told with the next belief."""
+        try:
+            T_base_sensor = self.transforms.lookup(self.base_frame, self.sensor_frame, stamp_ns)
+        except TransformUnavailable as error:
+            self._refuse(f"it is late, and there is no sensor pose for it: {error}")
+            return
+        belief = self.filter.step(stamp_ns, estimate, T_base_sensor)
+        if "too late" in belief.reason:
+            self._refuse(belief.reason)
 
     def _refuse(self, reason: str) -> None:
         self.count("estimates refused")
@@ -159,7 +181,7 @@ class FilterNode(ManagedNode):
         if says_no_contact(event.parts):
             _, received_ns = event.parts["presence"]
             if self.filter.has_belief:
-                self._reset("no contact")
+                self._reset("no contact", event.stamp_ns)
             self.no_contact_ns = event.stamp_ns
             belief = nothing(event.stamp_ns, self.filter.rejected)
         else:
@@ -180,7 +202,7 @@ class FilterNode(ManagedNode):
             self._publish_for_others(belief)
         if belief.reason:
             self.warn("belief", f"belief at {belief.stamp_ns} ns: {belief.reason}")
-        self._tell_counts()
+        self.monitor.add(belief)
         return emitted_ns
 
     def _publish_for_others(self, belief: Belief) -> None:
@@ -193,10 +215,31 @@ class FilterNode(ManagedNode):
             contact = transform_stamped(stamp_ns, self.sensor_frame, self.contact_frame, mean)
             self.tf_out.publish(TFMessage(transforms=[contact]))
 
+    def publish_diagnostics(self) -> None:
+        """Add what the filter refused and how consistent it is."""
+        if self.active:
+            self._tell_counts()
+            self._tell_consistency()
+        super().publish_diagnostics()
+
     def _tell_counts(self) -> None:
-        self.report.values["refused since the last reset"] = str(self.filter.rejected)
+        values = self.report.values
+        values["refused since the last reset"] = str(self.filter.rejected)
         for reason, number in self.filter.rejections.items():
-            self.report.values[f"refused: {reason}"] = str(number)
+            values[f"refused: {reason}"] = str(number)
+        for what, number in self.filter.late.items():
+            values[f"late: {what}"] = str(number)
+
+    def _tell_consistency(self) -> None:
+        report = self.monitor.report()
+        low, high = report.nis_bounds
+        values = self.report.values
+        values["mean NIS / 6"] = f"{report.nis:.3f} (consistent: {low:.2f} to {high:.2f})"
+        values["correlation of innovations"] = f"{report.whiteness:.2f} (below {report.whiteness_bound:.2f})"
+        values["outliers"] = f"{report.rejected:.1%}"
+        values["consistency"] = "; ".join(report.problems) or "no complaint"
+        for number, text in enumerate(report.warnings):
+            self.report.complain(f"consistency {number}", f"filter {text}")
 
     # ---- reset and parameters ----
 
@@ -204,10 +247,11 @@ class FilterNode(ManagedNode):
         """Start anew, inputs included."""
         self._reset(reason)
         self.join.clear()
+        self.monitor.reset()
         self.no_contact_ns = self.tf_ns = -1
 
-    def _reset(self, reason: str) -> None:
-        self.filter.reset(reason)
+    def _reset(self, reason: str, stamp_ns: int | None = None) -> None:
+        self.filter.reset(reason, stamp_ns)
         self.count(f"resets: {reason}")
 
     def _serve_reset(
@@ -224,6 +268,9 @@ class FilterNode(ManagedNode):
 
     def _change_settings(self, settings: FilterSettings) -> None:
         self.filter.configure(settings)
+
+    def _change_consistency(self, settings: ConsistencySettings) -> None:
+        self.monitor.configure(settings)
 
 
 def says_no_contact(parts: Mapping[str, Any]) -> bool:

@@ -282,3 +282,37 @@ def test_a_stamp_that_comes_twice_is_refused(feed):
         feed.step(0)
     feed.graph.spin(0.2)
     assert len(feed.states) == 1
+
+
+def test_an_estimate_that_comes_late_is_put_in_its_place(feed):
+    assert feed.graph.set_parameter("filter", "history", 0.2).successful
+    stamps = [feed.step(k) if k != 2 else feed.stamp_ns + 2 * PERIOD_NS for k in range(4)]
+    feed.state(stamps[3])
+    feed.send_estimate(stamps[2], feed.estimate(2))
+    feed.graph.wait_for_count("filter", "late: put in place")
+    last = feed.state(feed.step(4))
+    assert feed.graph.set_parameter("filter", "history", 0.0).successful
+    library = ContactFilter(FilterSettings())
+    for k in range(5):
+        expected = library.step(feed.stamp_ns + k * PERIOD_NS, feed.estimate(k), feed.pose(k))
+    np.testing.assert_allclose(last.covariance.reshape(6, 6), expected.cov, rtol=1e-6, atol=1e-15)
+
+
+def test_diagnostics_tell_consistency_and_warn_of_overconfidence(feed):
+    assert feed.graph.set_parameter("filter", "consistency.window", 10).successful
+    assert feed.graph.set_parameter("filter", "consistency.patience", 0.0).successful
+    assert feed.graph.set_parameter("filter", "gate_probability", 1.0).successful
+    rng = np.random.default_rng(0)
+    for k in range(14):
+        noisy = PoseGaussian(
+            se3.exp(20.0 * np.sqrt(np.diag(COV)) * rng.normal(size=6)) @ feed.estimate(k).mean, COV
+        )
+        feed.state(feed.step(k, estimate=noisy))
+    report = feed.graph.wait_for_report("filter", lambda report: "overconfident" in report.message)
+    assert "consistent: " in report.values["mean NIS / 6"]
+    for name, value in (
+        ("consistency.window", 240),
+        ("consistency.patience", 2.0),
+        ("gate_probability", 0.999999),
+    ):
+        assert feed.graph.set_parameter("filter", name, value).successful
