@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import os
+import time
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import track
 
+from tactile_bringup.collect_progress import duration
 from tactile_bringup.data_parameters import check_same_run
+from tactile_bringup.data_progress import counted
 from tactile_drivers.sampling import VALIDATION_START
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
@@ -32,7 +35,10 @@ def register(commands: Any) -> None:
     parser.add_argument("--train", type=int, default=6000, metavar="N", help="training samples (6000)")
     parser.add_argument("--val", type=int, default=2000, metavar="N", help="validation samples (2000)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=2, help="processes to spread over (2)")
+    cores = len(os.sched_getaffinity(0))
+    parser.add_argument(
+        "--processes", type=int, default=cores, help=f"processes to spread over (as many as cores: {cores})"
+    )
     parser.add_argument(
         "--sensor",
         metavar="NAME",
@@ -89,18 +95,20 @@ def _generate_split(
     if sensor.variation is not None:
         parameters["variation"] = dataclasses.asdict(sensor.variation)
     check_same_run(folder, parameters)
-    writer = DatasetWriter(folder, preprocessing)
-    missing = sorted(set(range(1, count + 1)) - writer.done)
-    store = StoreSample(folder, preprocessing, start)
-    samples = generate(
-        settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
-        processes=arguments.processes, each=store, variation=sensor.variation,
-    )  # fmt: skip
-    text = f"{name}: {len(missing)} of {count} samples"
-    for number, euler in track(samples, text, len(missing), console=console, disable=not console.is_terminal):
-        writer.add_row(number, euler)
-    path = writer.finish()
-    console.print(f"{path}: {len(writer.done)} samples, {len(missing)} new", highlight=False, soft_wrap=True)
+    started = time.monotonic()
+    with DatasetWriter(folder, preprocessing) as writer:
+        missing = sorted(set(range(1, count + 1)) - writer.done)
+        store = StoreSample(folder, preprocessing, start)
+        samples = generate(
+            settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
+            processes=arguments.processes, each=store, variation=sensor.variation,
+        )  # fmt: skip
+        text = f"{name}: {len(missing)} of {count} samples"
+        for number, euler in counted(samples, text, len(missing), console):
+            writer.add_row(number, euler)
+        path, there = writer.finish(), len(writer.done)
+    took = duration(time.monotonic() - started)
+    console.print(f"{path}: {there} samples, {len(missing)} new in {took}", highlight=False, soft_wrap=True)
 
 
 class StoreSample:

@@ -14,10 +14,13 @@ from __future__ import annotations
 import itertools
 import math
 import multiprocessing
+import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 import numpy as np
@@ -251,7 +254,16 @@ _worker: tuple[_Task, TacTip] | None = None  # what this process collects with
 
 def _start(task: _Task) -> None:
     global _worker
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     _worker = (task, TacTip(task.sensor))
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """End this process when its parent does: a killed one cannot tell its workers to."""
+    parent.join()
+    os._exit(1)
 
 
 def _run(index: int):  # type: ignore[no-untyped-def]

@@ -1,12 +1,18 @@
 """`tactile data generate`: deterministic, resumable, readable."""
 
 import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from tactile_bringup import data_command
+from tactile_bringup import data_command, data_progress
 from tactile_perception.dataset import read_dataset
 
 
@@ -69,6 +75,53 @@ def test_a_sensor_file_changes_the_images_and_is_kept_apart(data, tmp_path, caps
 def test_an_unknown_sensor_is_refused(tmp_path, capsys):
     assert generate(tmp_path, "--sensor", "tactip_nobody") == 1
     assert "tactip_nobody" in capsys.readouterr().err
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_for(condition, timeout_s: float = 30.0) -> bool:
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline and not condition():
+        time.sleep(0.02)
+    return condition()
+
+
+def test_a_killed_run_leaves_no_process_behind_and_goes_on_to_the_same_data(data, tmp_path):
+    command = [sys.executable, "-m", "tactile_bringup.cli", "data", "generate", str(tmp_path)]
+    options = ["--train", "400", "--val", "0", "--seed", "5", "--processes", "2"]
+    journal = tmp_path / "train" / "targets_images.partial.csv"
+    with subprocess.Popen([*command, *options], stderr=subprocess.DEVNULL) as process:
+        assert wait_for(lambda: journal.exists() and journal.read_text().count("\n") > 5)
+        workers = children(process.pid)
+        os.kill(process.pid, signal.SIGKILL)
+    assert len(workers) >= 2 and wait_for(lambda: not any(map(alive, workers)), 5.0)
+    rows = journal.read_text().count("\n") - 1
+    assert 5 <= rows < 400
+    assert generate(tmp_path, "--train", str(rows + 3), "--val", "0", "--seed", "5") == 0
+    resumed, whole = read_dataset(tmp_path / "train"), read_dataset(data / "train")
+    number = {name: k for k, name in enumerate(resumed.names)}
+    assert len(resumed) >= rows + 3 and len(number) == len(resumed)
+    assert resumed.report.problems.keys() <= {"image without its row"}
+    for k, name in enumerate(whole.names):
+        np.testing.assert_array_equal(resumed.images[number[name]], whole.images[k])
+        np.testing.assert_array_equal(resumed.euler_mm_deg[number[name]], whole.euler_mm_deg[k])
+
+
+def test_progress_tells_pace_and_time_left(monkeypatch, capsys):
+    monkeypatch.setattr(data_progress, "LINE_PERIOD", 0.0)
+    console = Console(force_terminal=False)
+    assert list(data_progress.counted(range(3), "train", 3, console)) == [0, 1, 2]
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3 and "2 done" in lines[1] and "/s" in lines[1] and "s left" in lines[1]
 
 
 def test_another_seed_does_not_mix_into_a_folder(data, capsys):
