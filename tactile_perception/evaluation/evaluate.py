@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.calibration import fit_calibration
-from tactile_perception.dataset import DatasetError, DatasetReport, read_dataset
+from tactile_perception.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
 from tactile_perception.evaluation.metrics import (
     Accuracy,
     Bins,
@@ -24,6 +24,7 @@ from tactile_perception.evaluation.metrics import (
 )
 from tactile_perception.evaluation.models import Model
 from tactile_perception.evaluation.predictions import Predictions, moment_matched
+from tactile_perception.holdback import unseen_rows
 from tactile_perception.preprocessing import PreprocessingSettings
 
 Array = NDArray[np.float64]
@@ -92,27 +93,32 @@ def load_data(
 ) -> EvaluationData:
     """Read a labelled folder of the public layout, pre-processed as each of the models was trained.
 
+    Of training data only what was held back is taken.
+
     Raises
     ------
     DatasetError
-        If the folder has no labels, no images, or nothing usable.
+        If the folder has no labels, no images, or nothing usable, or a model was trained on all of it.
     """
     folder = Path(folder)
     _check_folder(folder)
     wanted = list(dict.fromkeys(model.metadata.preprocessing for model in models))
-    sets = [read_dataset(folder, settings, limit=limit, progress=progress) for settings in wanted]
+    sets = [read_dataset(folder, settings, progress=progress) for settings in wanted]
     first = sets[0]
-    data = EvaluationData(
+    rows, notes = _rows_to_use(folder, first, models)
+    if limit is not None and limit < len(rows):
+        rows = rows[np.linspace(0, len(rows) - 1, limit).round().astype(int)]
+        notes.append(f"took {limit} samples, spread over the table")
+    return EvaluationData(
         folder=folder,
-        names=first.names,
-        labels=first.labels,
-        euler_mm_deg=first.euler_mm_deg,
-        images={settings: found.images for settings, found in zip(wanted, sets, strict=True)},
+        names=[first.names[row] for row in rows],
+        labels=first.labels[rows],
+        euler_mm_deg=first.euler_mm_deg[rows],
+        images={settings: found.images[rows] for settings, found in zip(wanted, sets, strict=True)},
         sha256=first.sha256,
         report=first.report,
+        notes=notes,
     )
-    data.notes.extend(_training_notes(data, models))
-    return data
 
 
 def _check_folder(folder: Path) -> None:
@@ -125,16 +131,30 @@ def _check_folder(folder: Path) -> None:
         raise DatasetError(f"{folder}: holds the parts {listed}; evaluate one of them: {folder / parts[-1]}")
 
 
-def _training_notes(data: EvaluationData, models: Sequence[Model]) -> list[str]:
-    """Warnings where results would be flattered by what a model has seen."""
-    notes = []
+def _rows_to_use(
+    folder: Path, data: TactileDataset, models: Sequence[Model]
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Rows that no model was trained on, and what a reader of the results should know about them.
+
+    Raises
+    ------
+    DatasetError
+        If there are none: results on them would be flattered.
+    """
+    rows, notes = np.arange(len(data)), []
     for model in models:
-        known = model.metadata.training_data
-        if known.get("sha256") == data.sha256:
-            notes.append(f"{model.name} was trained on these data: its results here say nothing about others")
-        elif known.get("validation_sha256") == data.sha256:
+        unseen = unseen_rows(model.metadata, data.sha256, len(data))
+        if not len(unseen):
+            raise DatasetError(
+                f"{folder}: {model.name} was trained on all of these data, where its errors are too small; "
+                "take others, or a model trained with training.holdback"
+            )
+        rows = np.intersect1d(rows, unseen)
+        if model.metadata.training_data.get("validation_sha256") == data.sha256:
             notes.append(f"{model.name}'s best epoch was chosen on these data")
-    return notes
+    if len(rows) < len(data):
+        notes.append(f"only the {len(rows)} samples that were held back from training")
+    return rows, notes
 
 
 def evaluate(
@@ -152,14 +172,9 @@ def evaluate(
         Also evaluate the moment-matched mixture of the models of each kind.
     calibration_data : EvaluationData, optional
         Calibrate on these instead of using the calibration in the model files.
-
-    Raises
-    ------
-    DatasetError
-        If a model was trained on the calibration data.
     """
-    if calibration_data is not None:
-        _check_calibration_data(data, models, calibration_data)
+    if calibration_data is not None and calibration_data.sha256 == data.sha256:
+        data.notes.append("calibrated on the data evaluated, each half on the other: as of the same session")
     predictions = [predict(model, data, progress) for model in models]
     if calibration_data is None:
         calibrated = [_by_model_file(*pair) for pair in zip(models, predictions, strict=True)]
@@ -224,17 +239,6 @@ def _of_calibrated_members(members: Sequence[Predictions | None]) -> Calibrated:
     if len(known) < len(members):
         return None, ""
     return moment_matched(known), "calibrated members"
-
-
-def _check_calibration_data(data: EvaluationData, models: Sequence[Model], chosen: EvaluationData) -> None:
-    for model in models:
-        if model.metadata.training_data.get("sha256") == chosen.sha256:
-            raise DatasetError(
-                f"{chosen.folder}: {model.name} was trained on these data: its errors there are too small; "
-                "calibrate on data held back from training"
-            )
-    if chosen.sha256 == data.sha256:
-        data.notes.append("calibrated on the data evaluated, each half on the other: as of the same session")
 
 
 def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:

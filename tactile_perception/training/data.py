@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.dataset import DatasetError, TactileDataset, read_dataset
+from tactile_perception.holdback import split_holdback
 from tactile_perception.preprocessing import Image, PreprocessingSettings
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
@@ -101,13 +102,6 @@ def arrange(
         facts=facts,
         report=training.report.lines() + validation.report.lines(),
     )
-
-
-def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows to train on, and rows held back; the same for every seed, so that ensembles share them."""
-    order = np.random.default_rng(0).permutation(count)
-    number = round(part * count)
-    return np.sort(order[number:]), np.sort(order[:number])
 
 
 def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Path, Path]:

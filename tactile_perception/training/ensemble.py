@@ -12,6 +12,7 @@ from onnx import helper
 from tactile_perception.calibration import CalibrationSettings
 from tactile_perception.dataset import read_dataset
 from tactile_perception.estimator import Estimator
+from tactile_perception.holdback import split_holdback
 from tactile_perception.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
@@ -19,7 +20,6 @@ from tactile_perception.model_metadata import (
     MEAN,
     ModelMetadata,
 )
-from tactile_perception.training.data import split_holdback
 from tactile_perception.training.graph_writer import GraphWriter
 from tactile_perception.training.recalibration import fit_on
 from tactile_perception.training.run_folder import MODEL_NAME

@@ -17,9 +17,9 @@ from tactile_perception.calibration import (
 )
 from tactile_perception.dataset import TactileDataset, read_dataset
 from tactile_perception.estimator import Estimator
+from tactile_perception.holdback import unseen_rows
 from tactile_perception.model_metadata import ModelMetadata
 from tactile_perception.preprocessing import as_input
-from tactile_perception.training.data import split_holdback
 
 _BATCH = 50
 
@@ -47,30 +47,15 @@ def recalibrate(
         raise CalibrationError(f"{model}: the network has no uncertainty of its own to calibrate")
     settings = settings or CalibrationSettings.from_mapping(metadata.training.get("calibration", {}))
     samples = read_dataset(data, metadata.preprocessing)
-    calibration = fit_on(estimator, samples, unseen_rows(metadata, samples), settings)
+    rows = unseen_rows(metadata, samples.sha256, len(samples))
+    if not len(rows):
+        raise CalibrationError(
+            f"{data}: the model was trained on all of these data: nothing is left to calibrate on; train "
+            "with training.holdback, or calibrate on other data"
+        )
+    calibration = fit_on(estimator, samples, rows, settings)
     _write(Path(model), Path(out), dataclasses.replace(metadata, calibration=calibration))
     return calibration
-
-
-def unseen_rows(metadata: ModelMetadata, samples: TactileDataset) -> NDArray[np.int64]:
-    """Rows of a data set that the model was not trained on.
-
-    Raises
-    ------
-    CalibrationError
-        If there are none.
-    """
-    if metadata.training_data.get("sha256") != samples.sha256:
-        return np.arange(len(samples))
-    runs = metadata.training.get("members", [metadata.training])
-    # The held-back samples of a smaller part are among those of a larger one.
-    part = min(float(run.get("training", {}).get("holdback", 0.0)) for run in runs)
-    if part == 0.0:
-        raise CalibrationError(
-            f"{samples.report.folder}: the model was trained on all of these data: nothing is left to "
-            "calibrate on; train with training.holdback, or calibrate on other data"
-        )
-    return split_holdback(len(samples), part)[1]
 
 
 def fit_on(

@@ -3,6 +3,7 @@
 import argparse
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from tactile_perception.evaluation.metrics import (
 from tactile_perception.evaluation.models import open_models
 from tactile_perception.evaluation.predictions import Predictions, euler_of, moment_matched
 from tactile_perception.evaluation.report import summary
+from tactile_perception.holdback import split_holdback
 from tactile_perception.labels import euler_from_label, network_from_pose
 from tactile_perception.preprocessing import PreprocessingSettings
 
@@ -291,14 +293,38 @@ def test_the_papers_cnn_has_a_column_without_likelihood(
     assert first["accuracy"] == second["accuracy"]
 
 
-def test_training_data_are_not_taken_for_a_test(folder, constant_model, model_metadata, tmp_path, capsys):
+@pytest.mark.parametrize("option", ["--data", "--calibrate"])
+def test_training_data_are_not_taken_for_a_test(
+    folder, constant_model, model_metadata, tmp_path, capsys, option
+):
+    other = tmp_path / "other"
+    shutil.copytree(folder, other)
+    (other / "targets_images.csv").write_text((folder / "targets_images.csv").read_text().replace("0", "1"))
     sha = load_data(folder, open_models([constant_model()], threads=1)).sha256
     properties = {**model_metadata().to_properties(), "training_data": json.dumps({"sha256": sha})}
     model = constant_model(MU, properties=properties)
-    assert run(folder, model, out=tmp_path / "out", more=("--no-figures",)) == 0
-    assert "was trained on these data" in capsys.readouterr().err
-    assert run(folder, model, out=tmp_path / "out", more=("--calibrate", str(folder))) == 1
-    assert "calibrate on data held back from training" in capsys.readouterr().err
+    data, more = (folder, ()) if option == "--data" else (other, ("--calibrate", str(folder)))
+    assert run(data, model, out=tmp_path / "out", more=("--no-figures", *more)) == 1
+    assert "was trained on all of these data" in capsys.readouterr().err
+
+
+def test_of_training_data_only_what_was_held_back_is_evaluated(
+    folder, constant_model, model_metadata, tmp_path
+):
+    sha = load_data(folder, open_models([constant_model()], threads=1)).sha256
+    properties = {
+        **model_metadata().to_properties(),
+        "training_data": json.dumps({"sha256": sha}),
+        "training": json.dumps({"training": {"holdback": 0.25}}),
+    }
+    data = load_data(folder, open_models([constant_model(MU, properties=properties)], threads=1))
+    assert len(data) == SAMPLES // 4 and data.notes == [
+        "only the 60 samples that were held back from training"
+    ]
+    expected = split_holdback(SAMPLES, 0.25)[1]
+    np.testing.assert_array_equal(
+        data.labels, load_data(folder, open_models([constant_model()])).labels[expected]
+    )
 
 
 def test_a_missing_model_is_told(folder, tmp_path, capsys):
