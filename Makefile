@@ -2,7 +2,7 @@
 # make demo    follow a curved ramp by touch in simulation; results in out/demo
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
 # make lint    ruff and mypy
-# make model   make the shipped model again: generate simulated images, train, export (work in out/model)
+# make model   make the shipped model again: generate simulated images, train, quantize (work in out/model)
 # make clean   remove what was built    (make distclean: .venv and out as well)
 #
 # PYTHON=python3.12 chooses the interpreter for .venv. TORCH is what the tests of the training install; a smaller
@@ -36,8 +36,8 @@ model:
 	@scripts/build.sh
 	@. scripts/env.sh && tactile data generate out/model/data --train 6500 --val 1500 --seed 1 \
 	        --config config/perception/collection_sim.yaml && rm -rf out/model/run && \
-	    tactile train out/model/data --out out/model/run --config config/perception/tactip_sim.yaml \
-	        --install tactile_perception/models/tactip_sim.onnx
+	    tactile train out/model/data --out out/model/run --config config/perception/tactip_sim.yaml && \
+	    tactile quantize out/model/run --data out/model/data --install tactile_perception/models/tactip_sim.onnx
 
 clean:
 	rm -rf build install log

@@ -91,7 +91,7 @@ def test_unknown_extra_is_refused_with_the_valid_ones(scripts: Path):
     result = run(sys.executable, "scripts/requirements.py", "tests", cwd=scripts.parent)
     assert result.returncode != 0
     assert "'tests'" in result.stderr
-    assert "train, test" in result.stderr
+    assert "there are: train, " in result.stderr
 
 
 def test_repair_rewrites_stale_paths_once(scripts: Path):
