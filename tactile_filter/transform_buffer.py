@@ -71,6 +71,7 @@ class TransformBuffer:
         self.jump_ns = jump_ns
         self.jumps = 0
         self._links: dict[str, _Link] = {}
+        self._paths: dict[tuple[str, str], tuple[list[str], list[str]]] = {}  # of this tree, see _chains
 
     def set_transform(
         self, parent: str, child: str, stamp_ns: int, T_parent_child: ArrayLike, *, static: bool = False
@@ -96,6 +97,7 @@ class TransformBuffer:
             link = None
         if link is None or link.parent != parent or link.static != static:
             link = self._links[child] = _Link(parent, static)
+            self._paths.clear()
         if static:
             link.stamps, link.transforms = [int(stamp_ns)], [T]
         else:
@@ -110,12 +112,9 @@ class TransformBuffer:
         ------
         TransformDisconnected, TransformInFuture, TransformInPast
         """
-        for frame in (target, source):
-            self._check_known(frame)
         up, down = self._chains(target, source)
-        T_common_target = self._compose(up, stamp_ns)
         T_common_source = self._compose(down, stamp_ns)
-        return se3.inverse(T_common_target) @ T_common_source
+        return se3.inverse(self._compose(up, stamp_ns)) @ T_common_source if up else T_common_source
 
     def can_lookup(self, target: str, source: str, stamp_ns: int) -> bool:
         """Whether `lookup` would answer."""
@@ -132,8 +131,6 @@ class TransformBuffer:
         ------
         TransformDisconnected
         """
-        for frame in (target, source):
-            self._check_known(frame)
         up, down = self._chains(target, source)
         moving = [self._links[child] for child in (*up, *down) if not self._links[child].static]
         return min((link.stamps[-1] for link in moving), default=None)
@@ -141,6 +138,7 @@ class TransformBuffer:
     def clear(self) -> None:
         """Forget all but the static transforms."""
         self._links = {child: link for child, link in self._links.items() if link.static}
+        self._paths.clear()
 
     def frames(self) -> list[str]:
         """The names of all frames, sorted."""
@@ -179,6 +177,14 @@ class TransformBuffer:
 
     def _chains(self, target: str, source: str) -> tuple[list[str], list[str]]:
         """The frames from target, and those from source, up to below their common ancestor."""
+        path = self._paths.get((target, source))
+        if path is None:
+            path = self._paths[target, source] = self._find_chains(target, source)
+        return path
+
+    def _find_chains(self, target: str, source: str) -> tuple[list[str], list[str]]:
+        for frame in (target, source):
+            self._check_known(frame)
         up, down = self._ancestors(target), self._ancestors(source)
         common = next((frame for frame in up if frame in down), None)
         if common is None:
@@ -195,11 +201,13 @@ class TransformBuffer:
             )
 
     def _compose(self, chain: list[str], stamp_ns: int) -> Array:
-        """T_common_first of the chain's first frame."""
-        T = np.eye(4)
-        for child in chain:
+        """T_common_first of the chain's first frame; a matrix of its own."""
+        if not chain:
+            return np.eye(4)
+        T = self._at(chain[0], stamp_ns)
+        for child in chain[1:]:
             T = self._at(child, stamp_ns) @ T
-        return T
+        return T.copy() if len(chain) == 1 else T
 
     def _at(self, child: str, stamp_ns: int) -> Array:
         """T_parent_child at a stamp."""

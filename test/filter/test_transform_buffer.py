@@ -135,3 +135,24 @@ def test_what_is_no_transform_is_refused(parent, child, matrix, message):
     buffer = arm_buffer()
     with pytest.raises(ValueError, match=message):
         buffer.set_transform(parent, child, 0, matrix)
+
+
+def test_what_was_looked_up_before_the_tree_changed_does_not_linger():
+    buffer = TransformBuffer()
+    one, two = se3.exp([1.0, 0, 0, 0, 0, 0]), se3.exp([0, 2.0, 0, 0, 0, 0])
+    buffer.set_transform("base", "tool", 0, one)
+    np.testing.assert_array_equal(buffer.lookup("base", "tool", 0), one)
+    buffer.set_transform("world", "base", 0, two, static=True)
+    np.testing.assert_allclose(buffer.lookup("world", "tool", 0), two @ one)
+    buffer.set_transform("world", "tool", 0, one)
+    np.testing.assert_allclose(buffer.lookup("base", "tool", 0), se3.inverse(two) @ one)
+    buffer.clear()
+    with pytest.raises(TransformDisconnected):
+        buffer.lookup("base", "tool", 0)
+
+
+def test_what_a_lookup_answers_belongs_to_the_caller():
+    buffer = TransformBuffer()
+    buffer.set_transform("base", "tool", 0, np.eye(4))
+    buffer.lookup("base", "tool", 0)[0, 3] = 1.0
+    assert buffer.lookup("base", "tool", 0)[0, 3] == 0.0
