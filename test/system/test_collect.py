@@ -1,0 +1,127 @@
+"""`tactile data collect` in the simulation, with real nodes: killed midway it goes on, nothing is lost."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_bringup.collect_command import chosen_settings, chosen_surface, frame_on
+from tactile_drivers.sampling import SamplingSettings, pose_of
+from tactile_drivers.scene import load_scene
+from tactile_filter.settings import SettingError
+from tactile_perception.dataset import read_dataset
+
+SAMPLES = 2
+QUICK = ["motion.air_speed=0.1", "motion.contact_speed=0.04", "motion.settle_time=0.05"]
+
+
+def command(out: Path, *options: str) -> list[str]:
+    changes = [word for change in QUICK for word in ("--set", change)]
+    start = [sys.executable, "-m", "tactile_bringup.cli", "data", "collect", str(out), "--headless"]
+    return [*start, "--seed", "9", "--logs", str(out.parent / "runs"), *changes, *options]
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_killed_collection_goes_on_and_nothing_is_lost_or_there_twice(tmp_path):
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    out = tmp_path / "data"
+    journal = out / "targets_images.partial.csv"
+    with subprocess.Popen(command(out, "--samples", str(SAMPLES)), stdout=subprocess.DEVNULL) as process:
+        deadline = time.monotonic() + 30.0
+        while not (first := rows(journal)) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        os.kill(process.pid, signal.SIGKILL)
+    assert first, "no sample within 30 s"
+    image = (out / "processed_images" / "image_1.png").read_bytes()
+    deadline, again = time.monotonic() + 20.0, None
+    while time.monotonic() < deadline:  # the killed command's nodes take a moment to end
+        again = subprocess.run(
+            command(out, "--samples", str(SAMPLES)), capture_output=True, text=True, timeout=60.0
+        )
+        if "another process" not in again.stderr:
+            break
+        time.sleep(0.3)
+    assert again.returncode == 0, again.stdout + again.stderr
+    data = read_dataset(out)
+    assert data.names == [f"image_{number}.png" for number in range(1, SAMPLES + 1)]
+    assert data.report.problems == {} and data.report.notes == []
+    assert rows(out / "targets_images.csv")[: len(first)] == first
+    assert (out / "processed_images" / "image_1.png").read_bytes() == image
+    for k, euler in enumerate(data.euler_mm_deg):
+        asked = pose_of(SamplingSettings(), 9, k) * ([1e3] * 3 + [180 / np.pi] * 3)
+        np.testing.assert_allclose(euler, asked, atol=0.12)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (["--scene", "dome"], "data are collected on one flat surface"),
+        (["--samples", "0"], "--samples 0: must be at least 1"),
+        (["--images", "none"], "must be one of processed, raw, both"),
+        (["--arm", "left"], "--arm must name an arm"),
+        (["--surface", "tabel"], "did you mean 'table'"),
+        (["--set", "motion.gian=3"], "did you mean 'gain'"),
+        (["--set", "moton.gain=3"], "did you mean 'motion'"),
+        (["--touch", "2"], "two touches do not tell a plane"),
+    ],
+)
+def test_what_cannot_be_collected_is_refused_before_anything_starts(tmp_path, capsys, options, message):
+    from tactile_bringup.cli import main
+
+    assert main(["data", "collect", str(tmp_path / "data"), *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
+    from tactile_bringup.collect_command import make_plan
+    from tactile_bringup.data_command import register
+
+    def plan(*options: str):
+        import argparse
+
+        parser = argparse.ArgumentParser()
+        register(parser.add_subparsers())
+        return make_plan(parser.parse_args(["data", "collect", str(tmp_path / "data"), *options]))
+
+    first = plan("--samples", "10")
+    assert first.missing == 10 and first.graph.node("/arm/collector").parameters["samples"] == 10
+    assert plan("--samples", "20").missing == 20
+    with pytest.raises(ValueError, match="made with another sampling"):
+        plan("--set", "sampling.depth=[0.001, 0.002]")
+    with pytest.raises(ValueError, match="made with another first"):
+        plan("--validation")
+    assert [n.full_name for n in plan("--external").graph.nodes] == ["/arm/collector"]
+
+
+def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_table():
+    scene = load_scene("plane")
+    arm = scene.arms["arm"]
+    T = frame_on(chosen_surface(scene, arm, None), arm)
+    np.testing.assert_allclose(T[:2, 3], arm.T_base_start[:2, 3], atol=1e-12)
+    assert T[2, 3] == pytest.approx(arm.sensor.model.skin.radius)
+    np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=1e-12)
+
+
+def test_settings_come_from_a_file_and_from_the_command_line_on_top(tmp_path):
+    file = tmp_path / "collect.yaml"
+    file.write_text("motion: {gain: 5.0, clearance: 0.004}\ntouch: {speed: 1e-3}\n")
+    groups = chosen_settings(file, ["motion.gain=6.0"], touches=3)
+    assert groups["motion"].gain == 6.0 and groups["motion"].clearance == 0.004
+    assert groups["touch"].points == 3 and groups["touch"].speed == 1e-3
+    file.write_text("motion: {gian: 5.0}\n")
+    with pytest.raises(SettingError, match=r"collect\.yaml:1: motion: .*did you mean 'gain'"):
+        chosen_settings(file, [], touches=0)
