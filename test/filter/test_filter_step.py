@@ -178,3 +178,46 @@ def test_tens_of_thousands_of_steps_with_motion_stay_on_the_group_and_positive_d
     deviation = np.sqrt(np.diag(belief.cov))
     assert np.linalg.eigvalsh(belief.cov / np.outer(deviation, deviation))[0] > 1e-3
     assert np.abs(se3.log(belief.mean @ se3.inverse(CONTACT)) / SIGMA).max() < 50
+
+
+# ---- what the choice of frames must not change ----
+
+
+def run_moved(G, A, seed=4):
+    """Beliefs with the base moved by G and the sensor's frame by A, without process noise."""
+    rng = np.random.default_rng(seed)
+    still = UNGATED.replaced(process_noise_translation=0.0, process_noise_rotation=0.0, fusion_mode="exact")
+    contact_filter, sensor = ContactFilter(still), random_pose(rng, 1.0)
+    beliefs = []
+    for k in range(10):
+        sensor = sensor @ se3.exp(2e-3 * rng.normal(size=6))
+        mean, cov = se3.exp(SIGMA * rng.normal(size=6)) @ CONTACT, random_cov(rng)
+        adjoint = se3.adjoint(A)
+        estimate = PoseGaussian(A @ mean, adjoint @ cov @ adjoint.T)
+        beliefs.append(contact_filter.step(k * PERIOD, estimate, G @ sensor @ se3.inverse(A)))
+    return beliefs
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(0.0, 3.1))
+def test_where_the_base_is_does_not_matter(seed, angle):
+    G = random_pose(np.random.default_rng(seed), angle, 2.0)
+    for moved, plain in zip(run_moved(G, np.eye(4)), run_moved(np.eye(4), np.eye(4)), strict=True):
+        deviation = np.sqrt(np.diag(plain.cov))
+        assert np.abs(se3.log(moved.mean @ se3.inverse(plain.mean)) / deviation).max() < 1e-9
+        assert np.abs((moved.cov - plain.cov) / np.outer(deviation, deviation)).max() < 1e-9
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(0.0, 3.1))
+def test_another_frame_of_the_sensor_gives_the_same_belief_in_it(seed, angle):
+    A = random_pose(np.random.default_rng(seed), angle, 0.05)
+    adjoint = se3.adjoint(se3.inverse(A))
+    for moved, plain in zip(run_moved(np.eye(4), A), run_moved(np.eye(4), np.eye(4)), strict=True):
+        deviation = np.sqrt(np.diag(plain.cov))
+        error = se3.log(se3.inverse(A) @ moved.mean @ se3.inverse(plain.mean)) / deviation
+        assert np.abs(error).max() < 1e-8
+        back = adjoint @ moved.cov @ adjoint.T
+        assert np.abs((back - plain.cov) / np.outer(deviation, deviation)).max() < 1e-8
+        if plain.nis_dof:
+            assert moved.nis == pytest.approx(plain.nis, rel=1e-7)
