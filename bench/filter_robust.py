@@ -23,6 +23,7 @@ from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.consistency import nees
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.smoother import smooth
 from tactile_perception.labels import label_from_euler
 from tactile_perception.motion_noise import Drift, motion_filter
 
@@ -41,6 +42,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "huber, 3.55": {"robust": "huber", "huber_threshold": 3.55},
     "gate 0.999": {"gate_probability": 0.999},
 }
+SMOOTHED = ("none", "student_t, 6")
 
 
 def normal(rng: np.random.Generator) -> Array:
@@ -95,7 +97,11 @@ def estimates(data: Path, model: Path) -> tuple[list[PoseGaussian], Array, Array
 
 
 def measured(
-    inputs: tuple[list[PoseGaussian], Array, Array], sigma: float, variant: dict[str, Any], seeds: int
+    inputs: tuple[list[PoseGaussian], Array, Array],
+    sigma: float,
+    variant: dict[str, Any],
+    seeds: int,
+    smoothed: bool = False,
 ) -> Array:
     """Mean absolute errors (6,) in mm and rad, and NEES / 6, over shuffled sequences."""
     found, poses, labels = inputs
@@ -104,9 +110,15 @@ def measured(
     errors, squares = [], []
     for seed in range(seeds):
         contact_filter = motion_filter(sigma, FilterSettings(**{"gate_probability": 1.0, **variant}))
-        drift = Drift(sigma, seed)
-        for k, i in enumerate(np.random.default_rng(seed).permutation(len(found))):
-            belief = contact_filter.step(k * PERIOD_NS, found[i], drift(poses[i]))
+        drift, order = Drift(sigma, seed), np.random.default_rng(seed).permutation(len(found))
+        drifted = [drift(poses[i]) for i in order]
+        beliefs = [
+            contact_filter.step(k * PERIOD_NS, found[i], T)
+            for k, (i, T) in enumerate(zip(order, drifted, strict=True))
+        ]
+        if smoothed:
+            beliefs = smooth(beliefs, drifted, contact_filter.settings)
+        for i, belief in zip(order, beliefs, strict=True):
             errors.append(se3.log(belief.mean) * scale - labels[i])
             squares.append(nees(truths[i], belief.mean, belief.cov))
     return np.append(np.abs(errors).mean(axis=0), np.mean(squares) / 6)
@@ -134,8 +146,10 @@ def main() -> int:
         print("\n| sigma | robust | x | y | z | rx | ry | rz | NEES / 6 |")
         print("| --- " * 9 + "|")
         for sigma in MOTION_SIGMAS:
-            for name, variant in VARIANTS.items():
-                values = measured(inputs, sigma, variant, arguments.seeds)
+            runs = [(name, variant, False) for name, variant in VARIANTS.items()]
+            runs += [(f"{name}, smoothed", VARIANTS[name], True) for name in SMOOTHED]
+            for name, variant, smoothed in runs:
+                values = measured(inputs, sigma, variant, arguments.seeds, smoothed)
                 results["measured"][f"{sigma} {name}"] = values.tolist()
                 cells = [f"{v:.3f}" for v in values[:3]] + [f"{v:.4f}" for v in values[3:6]]
                 print(f"| {sigma} | {name} | " + " | ".join(cells) + f" | {values[6]:.2f} |", flush=True)
