@@ -3,7 +3,9 @@
 import pytest
 
 from tactile_bringup.cli import main as tactile
+from tactile_filter.config_paths import config_path
 from tactile_filter.settings import SettingError
+from tactile_filter.yaml_file import read_yaml
 from tactile_perception.estimator import Estimator
 from tactile_perception.profiles import Profile, profile, profiles, read_profiles
 
@@ -18,6 +20,17 @@ def test_profiles_name_a_network_that_can_be_built(name):
     config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
     assert sum(p.numel() for p in PoseNetwork(config.network).parameters()) > 10_000
     assert chosen.use and chosen.threads >= 1
+
+
+def test_the_networks_that_the_benchmark_compares_can_be_built():
+    pytest.importorskip("torch", reason="building a network needs PyTorch (the extra 'train')")
+    from tactile_perception.training.network import PoseNetwork
+    from tactile_perception.training.settings import NetworkSettings, TrainingSettings
+
+    dial = read_yaml(config_path("perception/dial.yaml"))
+    assert dial.settings("training", TrainingSettings).holdback > 0.0
+    for section in dial.sections("networks").values():
+        PoseNetwork(section.checked(NetworkSettings, section.values))
 
 
 def test_faster_profiles_are_quantized():
