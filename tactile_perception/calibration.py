@@ -7,7 +7,8 @@ leaves the means alone and multiplies the standard deviation of component j by
 
 h_j and g_j piecewise linear between knots. The negative log-likelihood is convex in the values at the knots,
 and where it is smallest each component's NEES on the fitted data is 1. Optionally the errors' correlation
-is added. Data that the network was trained on, or that chose its best epoch, calibrate nothing: hold back.
+is added, and, as a margin and a floor, what the samples of one session cannot show. Data that the network was
+trained on, or that chose its best epoch, calibrate nothing: hold back.
 """
 
 from __future__ import annotations
@@ -62,6 +63,13 @@ class CalibrationSettings(Settings):
         doc="further factors on the deviations, for what samples of one session cannot show: friction, "
         "the sensor's seat and the surface's place are others next time",
     )
+    floor: tuple[float, ...] = setting(
+        (0.0,) * OUTPUTS,
+        lower=0.0,
+        length=OUTPUTS,
+        unit="mm, rad",
+        doc="standard deviations of what is constant through a session and unknown, added in quadrature",
+    )
     min_samples: int = setting(100, lower=20, doc="refuse to fit fewer samples than this")
 
 
@@ -75,6 +83,7 @@ class Calibration:
     depth_knots : (D,) predicted rho_z in mm
     depth_values : (6, D) logarithms of the factors there, on top of the others
     correlation : (6, 6) of the errors, or () to leave the network's own
+    floor : (6,) standard deviations in mm and rad, added in quadrature after the factors
     samples : number of samples it was fitted on; 0 for the identity
     nees_error : standard error of the joint NEES / 6 that so many samples leave
     """
@@ -84,23 +93,27 @@ class Calibration:
     depth_knots: tuple[float, ...] = (0.0,)
     depth_values: tuple[tuple[float, ...], ...] = ((0.0,),) * OUTPUTS
     correlation: tuple[tuple[float, ...], ...] = ()
+    floor: tuple[float, ...] = (0.0,) * OUTPUTS
     samples: int = 0
     nees_error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("sigma_knots", "sigma_values", "depth_knots", "depth_values", "correlation"):
+        for name in ("sigma_knots", "sigma_values", "depth_knots", "depth_values", "correlation", "floor"):
             object.__setattr__(self, name, _finite_tuple(name, getattr(self, name)))
         for where, *pair in zip(COMPONENTS, self.sigma_knots, self.sigma_values, strict=True):
             _check_knots(where, *pair)
         for where, values in zip(COMPONENTS, self.depth_values, strict=True):
             _check_knots(where, self.depth_knots, values)
+        if len(self.floor) != OUTPUTS or min(self.floor) < 0.0:
+            raise CalibrationError(f"floor: must be {OUTPUTS} numbers that are not negative, is {self.floor}")
         if self.correlation:
             _check_correlation(np.array(self.correlation))
 
     @cached_property
     def is_identity(self) -> bool:
         """Whether it changes nothing."""
-        return not self.correlation and not np.any(self.sigma_values) and not np.any(self.depth_values)
+        rows = (*self.sigma_values, *self.depth_values, self.floor)
+        return not self.correlation and not any(map(any, rows))
 
     def factors(self, mean: ArrayLike, sigma: ArrayLike) -> Array:
         """Factors on standard deviations: mean and sigma (6,) or (N, 6) in mm and rad -> the same shape."""
@@ -113,15 +126,18 @@ class Calibration:
             + np.interp(depth, self.depth_knots, self.depth_values[j])
             for j in range(OUTPUTS)
         ]
-        return np.exp(np.stack(logs, axis=-1))
+        return np.hypot(np.exp(np.stack(logs, axis=-1)), np.array(self.floor) / sigma)
 
     def _factors_of_one(self, depth: float, sigma: list[float]) -> Array:
         """The same for one image, without NumPy, whose calls cost more than they compute."""
         return np.array(
             [
-                math.exp(
-                    _interpolated(math.log(sigma[j]), self.sigma_knots[j], self.sigma_values[j])
-                    + _interpolated(depth, self.depth_knots, self.depth_values[j])
+                math.hypot(
+                    math.exp(
+                        _interpolated(math.log(sigma[j]), self.sigma_knots[j], self.sigma_values[j])
+                        + _interpolated(depth, self.depth_knots, self.depth_values[j])
+                    ),
+                    self.floor[j] / sigma[j],
                 )
                 for j in range(OUTPUTS)
             ]
@@ -207,6 +223,7 @@ def fit_calibration(
         sigma_values=tuple(map(tuple, sigma_values)),
         depth_knots=tuple(depth_knots),
         depth_values=tuple(map(tuple, depth_values)),
+        floor=settings.floor,
         samples=len(labels),
     )
     return _completed(fitted, labels, mean, sigma, settings)

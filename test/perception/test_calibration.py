@@ -110,6 +110,26 @@ def test_a_margin_widens_what_the_data_ask_for():
     np.testing.assert_allclose(ratio, np.tile(margin, (400, 1)))
 
 
+def test_a_floor_is_added_in_quadrature():
+    data = generator(400, lambda mean, sigma: 2.0)
+    floor = (0.0, 0.3, 0.1, 0.0, 0.0, 0.01)
+    fitted, raised = fit_calibration(*data), fit_calibration(*data, CalibrationSettings(floor=floor))
+    expected = np.hypot(data[2] * fitted.factors(data[1], data[2]), floor)
+    np.testing.assert_allclose(data[2] * raised.factors(data[1], data[2]), expected)
+    np.testing.assert_allclose(data[2][7] * raised.factors(data[1][7], data[2][7]), expected[7])
+    assert not Calibration(floor=floor).is_identity
+
+
+def test_a_component_that_always_states_the_same_has_one_factor():
+    labels, mean, sigma = generator(300, lambda mean, sigma: 2.0)
+    sigma[:, 3] = 0.01
+    fitted = fit_calibration(labels, mean, sigma)
+    assert [len(knots) for knots in fitted.sigma_knots] == [5, 5, 5, 1, 5, 5]
+    assert not fitted.is_identity
+    expected = np.sqrt((((labels - mean) / sigma)[:, 3] ** 2).mean())
+    np.testing.assert_allclose(fitted.factors(mean, sigma)[:, 3], expected)
+
+
 def test_correlated_errors_give_a_joint_nees_of_one():
     labels, mean, sigma = generator(4000, lambda mean, sigma: 1.0, seed=5)
     mixing = np.eye(6)
@@ -138,7 +158,7 @@ def test_the_standard_error_shrinks_with_the_samples():
 
 
 def test_it_comes_back_from_its_text_unchanged():
-    settings = CalibrationSettings(depth_knots=3, correlation=True)
+    settings = CalibrationSettings(depth_knots=3, correlation=True, floor=(0.1,) * 6)
     fitted = fit_calibration(*generator(300, lambda mean, sigma: 2.0), settings)
     assert Calibration.from_json(fitted.to_json()) == fitted
 
@@ -152,6 +172,7 @@ def test_it_comes_back_from_its_text_unchanged():
         ('{"format": "tactile_servoing.calibration/1", "depth_knots": [1.0, 0.0]}', "increasing knots"),
         ('{"format": "tactile_servoing.calibration/1", "depth_knots": [NaN]}', "depth_knots: nan is not"),
         ('{"format": "tactile_servoing.calibration/1", "correlation": [[1.0]]}', "symmetric"),
+        ('{"format": "tactile_servoing.calibration/1", "floor": [1.0]}', "floor: must be 6 numbers"),
     ],
 )
 def test_an_unusable_text_is_an_error_that_says_why(text, message):
