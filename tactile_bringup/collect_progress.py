@@ -13,9 +13,15 @@ from rich.table import Table
 from rich.text import Text
 
 from tactile_bringup.progress import LINE_PERIOD, MM, REFRESH_RATE, Display
+from tactile_control.collection_types import REFERENCE, TOUCH
+from tactile_control.task import GO_TO_START
 
 if TYPE_CHECKING:
     from tactile_bringup.task_client import Progress
+
+
+#: Phases before the first sample, which say nothing of the pace.
+BEFORE_SAMPLES = (GO_TO_START, REFERENCE, TOUCH)
 
 
 class Pace:
@@ -63,7 +69,8 @@ class CollectionDisplay(Display):
     def _show(self, progress: Progress) -> None:
         now = time.monotonic()
         done = round(progress.fraction * self._samples)
-        self._pace.add(done, now)
+        if progress.phase not in BEFORE_SAMPLES:
+            self._pace.add(done, now)
         if self._live is not None:
             if now - self._drawn_s >= 1.0 / REFRESH_RATE:
                 self._drawn_s = now
