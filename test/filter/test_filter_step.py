@@ -54,8 +54,8 @@ def test_steps_are_those_of_plain_numpy(seed, angle):
             mean, cov = fused.mean, fused.cov
         before = sensor
         deviation = np.sqrt(np.diag(cov))
-        assert np.abs(se3.log(belief.mean @ se3.inverse(mean)) / deviation).max() < 1e-11
-        assert np.abs((belief.cov - cov) / np.outer(deviation, deviation)).max() < 1e-11
+        assert np.abs(se3.log(belief.mean @ se3.inverse(mean)) / deviation).max() < 1e-12
+        assert np.abs((belief.cov - cov) / np.outer(deviation, deviation)).max() < 1e-12
 
 
 def test_whitened_innovations_of_the_filter_are_standard_normal_and_sum_up_to_nis():
