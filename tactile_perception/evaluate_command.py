@@ -30,7 +30,7 @@ def register(subparsers: Any) -> None:
     parser.add_argument("--out", type=Path, help="folder for tables and figures (out/evaluate)")
     parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
     parser.add_argument(
-        "--ensemble", action="store_true", help="also the models of each kind together, moment-matched"
+        "--ensemble", action="store_true", help="also all of these models together, moment-matched"
     )
     parser.add_argument(
         "--calibrate", type=Path, metavar="DIR",

@@ -164,12 +164,12 @@ def evaluate(
     calibration_data: EvaluationData | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[ModelResult]:
-    """Results of each model, and of the models of each kind with uncertainty together.
+    """Results of each model, and of the models together.
 
     Parameters
     ----------
     ensemble : bool
-        Also evaluate the moment-matched mixture of the models of each kind.
+        Also evaluate the moment-matched mixture of all models with, and of all without uncertainty.
     calibration_data : EvaluationData, optional
         Calibrate on these instead of using the calibration in the model files.
     """
@@ -189,8 +189,8 @@ def evaluate(
     ]
     if not ensemble:
         return results
-    for kind in dict.fromkeys(model.kind for model in models):
-        chosen = [index for index, model in enumerate(models) if model.kind == kind]
+    for uncertain in (False, True):
+        chosen = [index for index, model in enumerate(models) if model.has_uncertainty is uncertain]
         if len(chosen) < 2:
             continue
         mixture = moment_matched([predictions[index] for index in chosen])
@@ -200,8 +200,9 @@ def evaluate(
             )
         else:
             better = _of_calibrated_members([calibrated[index][0] for index in chosen])
-        name = f"{ENSEMBLE} of {len(chosen)} {kind}"
-        results.append(assess(name, kind, data, mixture, *better, members=len(chosen)))
+        kinds = list(dict.fromkeys(models[index].kind for index in chosen))
+        name = f"{ENSEMBLE} of {len(chosen)} {kinds[0] if len(kinds) == 1 else 'networks'}"
+        results.append(assess(name, name, data, mixture, *better, members=len(chosen)))
     return results
 
 
