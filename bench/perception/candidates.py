@@ -6,10 +6,21 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+import torch
+import yaml
+from numpy.typing import NDArray
+
 from tactile_bringup.cli import main as tactile
 from tactile_filter.config_paths import config_path
 from tactile_filter.yaml_file import read_yaml
+from tactile_perception.model_metadata import ModelMetadata
+from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.quantize_command import training_images
 from tactile_perception.training.config import TrainConfig
+from tactile_perception.training.export import export_onnx
+from tactile_perception.training.network import PoseNetwork
+from tactile_perception.training.quantization import QuantizationSettings, quantize
 from tactile_perception.training.settings import NetworkSettings, TrainingSettings
 
 CONFIG = "perception/dial.yaml"
@@ -62,6 +73,25 @@ def candidates(
     return found
 
 
+def untrained(out: Path, names: list[str] | None, images: NDArray[np.uint8]) -> list[Candidate]:
+    """The same networks with random weights, for their times alone; camera images calibrate the integers."""
+    found = []
+    for name, config in dial_configs().items():
+        if names is not None and name not in names:
+            continue
+        torch.manual_seed(0)
+        settings = PreprocessingSettings(size=config.network.image_size)
+        metadata = ModelMetadata(settings, {}, {"untrained": True})
+        path = out / "untrained" / f"{name.replace(' ', '_')}.onnx"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        export_onnx(PoseNetwork(config.network).eval(), path, metadata)
+        preprocessor = Preprocessor(settings)
+        prepared = np.array([preprocessor.resized(preprocessor.binary(image)) for image in images])
+        quantized = quantize(path, prepared, path.with_name(f"{path.stem}_int8.onnx"))
+        found += [Candidate(name, "fp32", path, "none"), Candidate(name, "int8", quantized, "none")]
+    return found
+
+
 def dial_configs(epochs: int | None = None) -> dict[str, TrainConfig]:
     """Training configurations by name; `epochs` in place of the file's."""
     root = read_yaml(config_path(CONFIG))
@@ -75,8 +105,6 @@ def dial_configs(epochs: int | None = None) -> dict[str, TrainConfig]:
 
 
 def _write(config: TrainConfig, file: Path) -> Path:
-    import yaml
-
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(yaml.safe_dump(config.plain()))
     return file
@@ -86,8 +114,5 @@ def _both(name: str, path: Path, data: Path, out: Path, schedule: str) -> list[C
     quantized = out / "int8" / f"{name.replace(' ', '_')}.onnx"
     quantized.parent.mkdir(parents=True, exist_ok=True)
     if not quantized.exists() or quantized.stat().st_mtime < path.stat().st_mtime:
-        from tactile_perception.quantize_command import training_images
-        from tactile_perception.training.quantization import QuantizationSettings, quantize
-
         quantize(path, training_images(data, path, QuantizationSettings().images), quantized)
     return [Candidate(name, "fp32", path, schedule), Candidate(name, "int8", quantized, schedule)]

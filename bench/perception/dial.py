@@ -6,7 +6,8 @@ DATA is a folder of the public layout with train/ and val/ in it; without it, si
 Each network of config/perception/dial.yaml is trained on it by the same short schedule (a finished run is not
 trained again), quantized to 8-bit integers, and measured: errors and calibration on val/, and the time of a
 whole estimate, pre-processing included, one after another and at 60 Hz. `--run` adds networks that were
-trained otherwise; `--only` without names trains none. Leaves dial.csv, dial.md and pareto.png in --out.
+trained otherwise; `--only` without names trains none; `--untrained` measures times alone and needs no data.
+Leaves dial.csv, dial.md and pareto.png in --out.
 
 All models are timed in turn, over and over, so that what else the machine does meets them all alike.
 """
@@ -21,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime
-from candidates import Candidate, candidates, data_folder
+from candidates import Candidate, candidates, data_folder, untrained
 from numpy.typing import NDArray
 from report import draw_pareto, markdown_table
 from stages import simulated_images
@@ -42,35 +43,47 @@ class Row:
 
     name: str
     arithmetic: str
+    path: Path
     schedule: str
-    megabytes: float
-    mae: list[float]
-    nees: float
-    coverage95: tuple[float, float]
+    mae: tuple[float, ...] = (np.nan,) * 6
+    nees: float = np.nan
+    coverage95: tuple[float, float] = (np.nan, np.nan)
     network_p50: float = np.nan
     p50: float = np.nan
     p99: float = np.nan
+    cpu_p50: float = np.nan
     cpu_p99: float = np.nan
     p50_two_threads: float = np.nan
     p99_two_threads: float = np.nan
     paced_p50: float = np.nan
     paced_p99: float = np.nan
 
+    @property
+    def megabytes(self) -> float:
+        """Size of the model file."""
+        return self.path.stat().st_size / 1e6
+
 
 def main() -> None:
     arguments = _arguments()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    data = data_folder(arguments.data, arguments.out)
-    models = candidates(data, arguments.out, arguments.only, dict(arguments.run), arguments.epochs)
-    rows = accuracies(models, data / "val")
-    measure_times(models, rows, arguments.images)
+    images = simulated_images(24)
+    if arguments.untrained:
+        models = untrained(arguments.out, arguments.only, images)
+        rows = [Row(*vars(model).values()) for model in models]
+    else:
+        data = data_folder(arguments.data, arguments.out)
+        models = candidates(data, arguments.out, arguments.only, dict(arguments.run), arguments.epochs)
+        rows = accuracies(models, data / "val")
+    measure_times(models, rows, images, arguments.images)
     _write_csv(rows, arguments.out / "dial.csv")
     table = markdown_table(rows)
     (arguments.out / "dial.md").write_text(table + "\n")
-    draw_pareto(rows, arguments.out / "pareto.png", f"errors on {data / 'val'}")
     print(table)
     print(f"bf16: {bf16_support()}")
-    print(f"{arguments.out}: dial.csv, dial.md, pareto.png")
+    if not arguments.untrained:
+        draw_pareto(rows, arguments.out / "pareto.png", f"errors on {data.name}/val")
+    print(f"results in {arguments.out}")
 
 
 def accuracies(models: list[Candidate], validation: Path) -> list[Row]:
@@ -84,21 +97,17 @@ def accuracies(models: list[Candidate], validation: Path) -> list[Row]:
         covered = consistency.coverage[LEVELS.index(0.95)]
         rows.append(
             Row(
-                model.name,
-                model.arithmetic,
-                model.schedule,
-                model.path.stat().st_size / 1e6,
-                result.accuracy.mae.tolist(),
-                consistency.joint,
-                (float(covered.min()), float(covered.max())),
+                *vars(model).values(),
+                mae=tuple(result.accuracy.mae.tolist()),
+                nees=consistency.joint,
+                coverage95=(float(covered.min()), float(covered.max())),
             )
         )
     return rows
 
 
-def measure_times(models: list[Candidate], rows: list[Row], count: int) -> None:
+def measure_times(models: list[Candidate], rows: list[Row], images: NDArray[np.uint8], count: int) -> None:
     """Fill in the times of `rows`, over `count` images for each model."""
-    images = simulated_images(24)
     for threads in (1, 2):
         estimators = [Estimator(model.path, threads) for model in models]
         measured = _interleaved(estimators, images, count)
@@ -106,7 +115,7 @@ def measure_times(models: list[Candidate], rows: list[Row], count: int) -> None:
             p50, p99 = (float(1e3 * np.percentile(seconds, q)) for q in (50, 99))
             if threads == 1:
                 row.p50, row.p99, row.network_p50 = p50, p99, float(1e3 * np.median(network))
-                row.cpu_p99 = float(1e3 * np.percentile(cpu, 99))
+                row.cpu_p50, row.cpu_p99 = (float(1e3 * np.percentile(cpu, q)) for q in (50, 99))
             else:
                 row.p50_two_threads, row.p99_two_threads = p50, p99
         if threads == 1:
@@ -168,7 +177,8 @@ def bf16_support() -> str:
 def _write_csv(rows: list[Row], path: Path) -> None:
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        plain = [name for name in asdict(rows[0]) if name not in ("mae", "coverage95")]
+        plain = [name for name in asdict(rows[0]) if name not in ("mae", "coverage95", "path")]
+        plain.append("megabytes")
         writer.writerow([*plain, *(f"mae_{name}" for name in COMPONENTS), "coverage95_min", "coverage95_max"])
         for row in rows:
             writer.writerow([*(getattr(row, name) for name in plain), *row.mae, *row.coverage95])
@@ -188,6 +198,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--only", nargs="*", metavar="NAME", help="networks of config/perception/dial.yaml")
     parser.add_argument("--epochs", type=int, help="in place of the file's schedule")
     parser.add_argument("--run", type=_named_run, action="append", default=[], metavar="NAME=RUN")
+    parser.add_argument(
+        "--untrained", action="store_true", help="times only, of networks with random weights"
+    )
     parser.add_argument("--images", type=int, default=300, help="images timed for each model")
     return parser.parse_args()
 
