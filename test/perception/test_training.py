@@ -10,10 +10,13 @@ torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra '
 pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
 from tactile_perception import train_command  # noqa: E402
-from tactile_perception.dataset import DatasetError  # noqa: E402
+from tactile_perception.dataset import DatasetError, read_dataset  # noqa: E402
 from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.labels import labels_from_euler, network_from_pose  # noqa: E402
+from tactile_perception.training.augmentation import Augmenter  # noqa: E402
+from tactile_perception.training.data import Samples, split_holdback  # noqa: E402
 from tactile_perception.training.progress import Progress  # noqa: E402
+from tactile_perception.training.run_folder import RunFolder  # noqa: E402
 from tactile_perception.training.settings import (  # noqa: E402
     AugmentationSettings,
     NetworkSettings,
@@ -238,3 +241,65 @@ def test_the_configurations_named_after_the_paper_hold_its_values():
     assert cnn.network == NetworkSettings(head="mse", dropout_mean=(0.1,) * 6)
     assert TrainConfig.from_file(folder / "gdn_lloyd_lepora.yaml") == TrainConfig()
     assert TrainConfig.from_file(folder / "tactip_sim.yaml").network == NetworkSettings()
+
+
+def short(network: dict | None = None, **training) -> TrainConfig:
+    """A run of two epochs."""
+    settings = QUICK.training.replaced(rise_epochs=0, hold_epochs=1, decay_epochs=1, **training)
+    return TrainConfig(QUICK.network.replaced(**(network or {})), settings)
+
+
+def predictions(model: Path, samples) -> tuple[np.ndarray, np.ndarray]:
+    """Means and standard deviations (N, 6)."""
+    images = samples.images[:, np.newaxis].astype(np.float32) / np.float32(255.0)
+    mean, covariance = Estimator(model).predict(images)
+    return mean, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+
+
+def test_samples_held_back_are_not_trained_on_and_calibrate_the_model(training_data, tmp_path):
+    config = short(holdback=0.3).replaced("calibration", min_samples=20)
+    model = train(training_data, tmp_path / "run", config).model_path
+    facts = Estimator(model).metadata.training_data
+    assert (facts["samples"], facts["held_back"]) == (67, 29)
+    data = read_dataset(training_data / "train", size=64)
+    kept, held_back = split_holdback(96, 0.3)
+    assert sorted([*kept, *held_back]) == list(range(96))
+    samples = Samples(data.images, data.labels).taken(held_back)
+    mean, sigma = predictions(model, samples)
+    np.testing.assert_allclose((((samples.labels - mean) / sigma) ** 2).mean(axis=0), 1.0, atol=0.05)
+
+
+def test_the_cnn_states_its_errors_on_validation_data_as_its_deviations(training_data, tmp_path):
+    result = train(training_data, tmp_path / "run", short({"head": "mse"}))
+    data = read_dataset(training_data / "val", size=64)
+    mean, sigma = predictions(result.model_path, data)
+    rms = np.sqrt(((data.labels - mean) ** 2).mean(axis=0))
+    np.testing.assert_allclose(sigma, np.tile(rms, (32, 1)), rtol=1e-3)
+    weights = np.array([1, 1, 1, 100, 100, 100])
+    loss = ((data.labels - mean) ** 2 @ weights).mean()
+    assert RunFolder(tmp_path / "run").result()["validation_loss"] == pytest.approx(loss, rel=1e-3)
+    assert "validation_weighted_MSE" in (tmp_path / "run" / "epochs.csv").read_text()
+    assert Estimator(result.model_path).metadata.head == "mse"
+
+
+def test_averaged_weights_are_what_is_validated_and_exported(training_data, tmp_path):
+    """Training itself goes on as without the average."""
+    still = train(training_data, tmp_path / "still", short(average_decay=0.99999), limit=32)
+    moved = train(training_data, tmp_path / "moved", short(), limit=32)
+    assert still.epochs[0].train_loss == moved.epochs[0].train_loss
+    assert still.best.validation_loss != moved.best.validation_loss
+
+
+def test_last_epochs_can_be_plain(training_data, tmp_path, monkeypatch):
+    turned: list[int] = []
+    original = Augmenter.__call__
+
+    def counted(self, chosen, rng):
+        turned.append(len(chosen))
+        return original(self, chosen, rng)
+
+    monkeypatch.setattr(Augmenter, "__call__", counted)
+    augmentation = AugmentationSettings(shift=1.0, plain_epochs=1.0)
+    config = TrainConfig(short().network, short().training, augmentation)
+    train(training_data, tmp_path / "run", config, limit=32)
+    assert sum(turned) == 32  # of two epochs, one
