@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 
 from tactile_bringup.message_columns import Layout, blank_layout, stamps_ns
 from tactile_bringup.message_definitions import type_fields
-from tactile_bringup.replay_inputs import UNUSABLE, ArmInputs, LiveStates, Measurement
+from tactile_bringup.replay_inputs import ArmInputs, LiveStates, Measurement
 from tactile_bringup.replay_numbers import ros_from_left
 from tactile_bringup.run_record import BeliefSeries
 from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
+from tactile_filter.contact_belief import UNUSABLE, belief_vectors, nothing
 from tactile_filter.smoother import smooth
 
 Array = NDArray[Any]
 
 SECOND_NS = 1_000_000_000
 STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
-NOT_A_NUMBER = np.full(6, np.nan)
 NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
 
 
@@ -122,21 +122,15 @@ def _step(contact_filter: ContactFilter, measurement: Measurement, run: ArmRun) 
     """What the live node does with an event."""
     if measurement.estimate is None:
         if contact_filter.has_belief:
-            _reset(contact_filter, "no contact", run)
+            _reset(contact_filter, "no contact", run, measurement.stamp_ns)
         return nothing(measurement.stamp_ns, contact_filter.rejected)
     assert measurement.T_base_sensor is not None
     return contact_filter.step(measurement.stamp_ns, measurement.estimate, measurement.T_base_sensor)
 
 
-def _reset(contact_filter: ContactFilter, reason: str, run: ArmRun) -> None:
+def _reset(contact_filter: ContactFilter, reason: str, run: ArmRun, stamp_ns: int | None = None) -> None:
     run.rejections.update(contact_filter.rejections)
-    contact_filter.reset(reason)
-
-
-def nothing(stamp_ns: int, rejected: int) -> Belief:
-    """The belief without contact: none."""
-    flags = BeliefFlag.NO_CONTACT | BeliefFlag.INVALID
-    return Belief(stamp_ns, UNUSABLE.mean, UNUSABLE.cov, flags=flags, rejected=rejected)
+    contact_filter.reset(reason, stamp_ns)
 
 
 # ---- messages ----
@@ -147,13 +141,9 @@ def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
     rows = _blank(_layout(STATE_TYPE, sensor_frame), len(beliefs))
     if not len(rows):
         return rows
-    valid = [belief.valid for belief in beliefs]
-    means = [belief.mean for belief in beliefs]
     _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
-    rows["xi"] = [se3.log(T) if v else NOT_A_NUMBER for T, v in zip(means, valid, strict=True)]
-    rows["euler"] = [
-        se3.euler_from_pose(se3.inverse(T)) if v else NOT_A_NUMBER for T, v in zip(means, valid, strict=True)
-    ]
+    vectors = [belief_vectors(belief) for belief in beliefs]
+    rows["xi"], rows["euler"] = [xi for xi, _ in vectors], [euler for _, euler in vectors]
     rows["covariance"] = np.array([belief.cov for belief in beliefs]).reshape(-1, 36)
     rows["nis"] = [belief.nis for belief in beliefs]
     rows["nis_dof"] = [belief.nis_dof for belief in beliefs]

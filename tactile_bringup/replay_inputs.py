@@ -24,6 +24,7 @@ from tactile_bringup.replay_clock import Jump, Timeline, epochs
 from tactile_bringup.replay_numbers import left_from_ros, poses_from_numbers, sound_poses
 from tactile_bringup.replay_transforms import Recording, connected, follow_pose, poses_at, read_transforms
 from tactile_bringup.run_record import TruthSeries
+from tactile_filter.contact_belief import UNUSABLE
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 
@@ -34,7 +35,6 @@ ESTIMATE, PRESENCE, STATE, TRUTH = "contact/estimate", "contact/presence", "cont
 ARM_POSE = "arm/pose"
 ARM_TOPICS = (ESTIMATE, PRESENCE, STATE, TRUTH, ARM_POSE)
 SENSOR, BASE = "tactile_sensor", "base"
-UNUSABLE = PoseGaussian(np.full((4, 4), np.nan), np.full((6, 6), np.nan))
 POSE = tuple(f"pose.pose.{part}" for part in ("position.x", "position.y", "position.z")) + tuple(
     f"pose.pose.orientation.{axis}" for axis in "xyzw"
 )

@@ -1,4 +1,4 @@
-"""Poses and Gaussians of many messages at once: to the bit what `ros.conversions` makes of each."""
+"""Poses and Gaussians of many messages at once: to the bit what `pose_numbers` makes of each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_bringup.ros.conversions import QUATERNION_TOLERANCE
+from tactile_filter.pose_numbers import QUATERNION_TOLERANCE
 
 Array = NDArray[Any]
 

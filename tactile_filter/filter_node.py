@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,12 +30,13 @@ from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ManagedNode, lost_counter, run
 from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import STATE, TF
-from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin
+from tactile_bringup.ros.stamps import SECOND_NS
 from tactile_bringup.ros.transforms import TransformGate, TransformListener
 from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes, read_gaussian
-from tactile_filter import se3
-from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
+from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
+from tactile_filter.contact_belief import UNUSABLE, belief_vectors, nothing
+from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.settings import Settings, setting
 from tactile_filter.transform_buffer import TransformUnavailable
@@ -44,9 +44,7 @@ from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
 
 PRESENCE = "contact/presence"
-NOT_A_NUMBER = np.full(6, np.nan)
 read_presence = HeadedReader(ContactPresence)
-UNUSABLE = PoseGaussian(np.full((4, 4), np.nan), np.full((6, 6), np.nan))
 
 
 @dataclass(frozen=True)
@@ -273,28 +271,9 @@ class FilterNode(ManagedNode):
         self.monitor.configure(settings)
 
 
-def says_no_contact(parts: Mapping[str, Any]) -> bool:
-    """Whether a contact presence among an event's parts tells of no contact, whatever an estimate says."""
-    return "presence" in parts and not parts["presence"][0]
-
-
-def measurement_join() -> EventJoin:
-    """Joins `presence` and `estimate`, each as (content, received); one that tells of no contact will do."""
-    return EventJoin(
-        ("presence", "estimate"), complete=lambda parts: "estimate" in parts or says_no_contact(parts)
-    )
-
-
-def nothing(stamp_ns: int, rejected: int) -> Belief:
-    """The belief without contact: none."""
-    flags = BeliefFlag.NO_CONTACT | BeliefFlag.INVALID
-    return Belief(stamp_ns, UNUSABLE.mean, UNUSABLE.cov, flags=flags, rejected=rejected)
-
-
 def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:
     """ContactState message of a belief; NaN where it holds nothing."""
-    xi = se3.log(belief.mean) if belief.valid else NOT_A_NUMBER
-    euler = se3.euler_from_pose(se3.inverse(belief.mean)) if belief.valid else NOT_A_NUMBER
+    xi, euler = belief_vectors(belief)
     latency = divmod(emitted_ns - belief.stamp_ns, SECOND_NS)
     return headed_bytes(
         ContactState,

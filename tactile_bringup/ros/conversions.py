@@ -29,17 +29,17 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from tactile_bringup.ros.stamps import time_from_ns
-from tactile_filter import pose_covariance, se3
+from tactile_filter import pose_covariance
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.pose_numbers import MessageError as MessageError
+from tactile_filter.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
+from tactile_filter.pose_numbers import matrix_from_quaternion as matrix_from_quaternion
+from tactile_filter.pose_numbers import numbers_from_pose as numbers_from_pose
+from tactile_filter.pose_numbers import pose_from_numbers as pose_from_numbers
 
 Array = NDArray[np.float64]
 
-QUATERNION_TOLERANCE = 1e-3  # how far from 1 the norm of a quaternion may be before it is refused
 MONO8 = "mono8"
-
-
-class MessageError(ValueError):
-    """A message whose content cannot be used; the text says what it holds and what would be right."""
 
 
 def header(stamp_ns: int, frame_id: str) -> Header:
@@ -47,24 +47,10 @@ def header(stamp_ns: int, frame_id: str) -> Header:
     return Header(stamp=time_from_ns(stamp_ns), frame_id=frame_id)
 
 
-def matrix_from_quaternion(x: float, y: float, z: float, w: float) -> Array:
-    """Rotation (3, 3) of a unit quaternion; small deviations of its norm are divided out.
-
-    Raises
-    ------
-    MessageError
-        If a component is not finite or the norm is off 1 by more than `QUATERNION_TOLERANCE`.
-    """
-    square = x * x + y * y + z * z + w * w
-    if not abs(square - 1.0) <= 2.0 * QUATERNION_TOLERANCE:
-        raise MessageError(f"quaternion (x, y, z, w) = ({x}, {y}, {z}, {w}): must have norm 1")
-    return se3.rotation_from_quaternion((x, y, z, w))
-
-
 def matrix_from_pose(pose: Pose) -> Array:
     """T (4, 4) of a Pose message."""
     p, q = pose.position, pose.orientation
-    return _matrix(p.x, p.y, p.z, matrix_from_quaternion(q.x, q.y, q.z, q.w))
+    return pose_from_numbers((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
 def pose_from_matrix(T: Array) -> Pose:
@@ -73,21 +59,10 @@ def pose_from_matrix(T: Array) -> Pose:
     return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(q))
 
 
-def numbers_from_pose(T: Array) -> tuple[float, ...]:
-    """(x, y, z, qx, qy, qz, qw) of T (4, 4), as Pose and Transform have them."""
-    return (*T[:3, 3].tolist(), *se3.quaternion_from_rotation(T[:3, :3]).tolist())
-
-
-def pose_from_numbers(translation: Sequence[float], rotation: Sequence[float]) -> Array:
-    """T (4, 4) of a translation and a quaternion (x, y, z, w); raises `MessageError`."""
-    x, y, z = translation
-    return _matrix(x, y, z, matrix_from_quaternion(*rotation))
-
-
 def matrix_from_transform(transform: Transform) -> Array:
     """T_parent_child (4, 4) of a Transform message."""
     p, q = transform.translation, transform.rotation
-    return _matrix(p.x, p.y, p.z, matrix_from_quaternion(q.x, q.y, q.z, q.w))
+    return pose_from_numbers((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
 def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> TransformStamped:
@@ -125,17 +100,6 @@ def gaussian_from_message(message: PoseWithCovariance) -> PoseGaussian:
     """
     p, q = message.pose.position, message.pose.orientation
     return gaussian_from_numbers((p.x, p.y, p.z, q.x, q.y, q.z, q.w, *message.covariance))
-
-
-def gaussian_from_numbers(numbers: Sequence[float]) -> PoseGaussian:
-    """The same of position, quaternion (x, y, z, w) and covariance: 43 numbers."""
-    mean = pose_from_numbers(numbers[:3], numbers[3:7])
-    cov = np.array(numbers[7:], dtype=np.float64).reshape(6, 6)
-    if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
-        raise MessageError("pose or covariance is not finite")
-    if (np.diagonal(cov) < 0.0).any():
-        raise MessageError(f"covariance has a negative variance: {np.diagonal(cov).tolist()}")
-    return PoseGaussian(mean, pose_covariance.left_from_ros(cov, mean[:3, 3]))
 
 
 def gaussian_message(stamp_ns: int, frame_id: str, mean: Array, cov: Array) -> PoseWithCovarianceStamped:
@@ -182,14 +146,6 @@ def image_message(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> Ima
     return Image(
         header=header(stamp_ns, frame_id), height=height, width=width, encoding=MONO8, step=width, data=data
     )
-
-
-def _matrix(x: float, y: float, z: float, R: Array) -> Array:
-    T = np.empty((4, 4))
-    T[:3, :3] = R
-    T[:3, 3] = x, y, z
-    T[3] = 0.0, 0.0, 0.0, 1.0
-    return T
 
 
 def _quaternion(q: Sequence[float]) -> Quaternion:

@@ -24,7 +24,8 @@ from tactile_bringup.ros.conversions import (
 )
 from tactile_bringup.ros.managed_node import ManagedNode
 from tactile_bringup.ros.qos import TF, TF_STATIC
-from tactile_bringup.ros.stamps import SECOND_NS, Event, EventJoin
+from tactile_bringup.ros.stamps import SECOND_NS
+from tactile_filter.events import Event, EventJoin
 from tactile_filter.transform_buffer import (
     TransformBuffer,
     TransformDisconnected,

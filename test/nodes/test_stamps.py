@@ -1,12 +1,10 @@
-"""Stamps, and events in the order of their stamps whatever order their messages arrive in."""
-
-import itertools
+"""Stamps as nanoseconds and as messages."""
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
-from tactile_bringup.ros.stamps import EventJoin, duration_from_ns, ns_from_time, time_from_ns
+from tactile_bringup.ros.stamps import duration_from_ns, ns_from_time, time_from_ns
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1, 999_999_999, 1_000_000_000, 1_795_260_791_630_780_636])
@@ -17,61 +15,3 @@ def test_stamps_survive_the_way_through_a_message(stamp_ns):
 def test_negative_durations_survive_and_negative_stamps_mean_none():
     assert ns_from_time(duration_from_ns(-1_500_000_000)) == -1_500_000_000
     assert ns_from_time(time_from_ns(-5)) == 0
-
-
-def drain(join: EventJoin) -> list[int]:
-    stamps = []
-    while join.ready() is not None:
-        stamps.append(join.pop().stamp_ns)
-    return stamps
-
-
-def interleavings(a: list, b: list):
-    """All ways to merge two sequences that each keep their order."""
-    for positions in itertools.combinations(range(len(a) + len(b)), len(a)):
-        merged = [None] * (len(a) + len(b))
-        rest = iter(b)
-        first = iter(a)
-        yield [next(first) if i in positions else next(rest) for i in range(len(merged))]
-
-
-def test_events_come_out_once_each_in_the_order_of_stamps_for_every_order_of_arrival():
-    for arrivals in interleavings([("a", s) for s in (1, 2, 3)], [("b", s) for s in (1, 2, 3)]):
-        join, out = EventJoin(("a", "b")), []
-        for source, stamp in arrivals:
-            assert join.add(source, stamp, None, 0)
-            out += drain(join)
-        assert out == [1, 2, 3] and join.dropped == join.late == 0
-
-
-def test_what_is_handed_out_does_not_depend_on_arrival_when_a_source_skips_a_stamp():
-    for arrivals in interleavings([("a", s) for s in (1, 2, 3)], [("b", s) for s in (1, 3)]):
-        join, out = EventJoin(("a", "b")), []
-        for source, stamp in arrivals:
-            join.add(source, stamp, None, 0)
-            out += drain(join)
-        assert out == [1, 3] and join.dropped == 1
-
-
-def test_an_event_waits_as_long_as_its_missing_source_may_still_deliver():
-    join = EventJoin(("a", "b"))
-    join.add("a", 2, "late or lost?", 0)
-    join.add("b", 1, None, 0)
-    assert join.ready() is None  # a has skipped 1, b may still bring 2
-    assert join.dropped == 1 and join.oldest().stamp_ns == 2
-
-
-def test_a_stamp_that_is_not_later_is_refused_and_counted():
-    join = EventJoin(("a",))
-    join.add("a", 5, None, 0)
-    assert drain(join) == [5]
-    assert not join.add("a", 5, None, 0) and not join.add("a", 4, None, 0)
-    assert join.late == 2
-
-
-def test_clearing_forgets_the_last_stamp_so_that_time_may_start_anew():
-    join = EventJoin(("a",))
-    join.add("a", 500, None, 0)
-    drain(join)
-    join.clear()
-    assert join.add("a", 3, None, 0) and drain(join) == [3]

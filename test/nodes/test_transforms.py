@@ -16,9 +16,9 @@ from tf2_msgs.msg import TFMessage
 from tactile_bringup.ros import transforms
 from tactile_bringup.ros.cdr import transforms_from_bytes
 from tactile_bringup.ros.conversions import MessageError, transform_stamped
-from tactile_bringup.ros.stamps import EventJoin
 from tactile_bringup.ros.transforms import OwnStore, Tf2Store, TransformGate, TransformListener
 from tactile_filter import se3
+from tactile_filter.events import EventJoin
 from tactile_filter.transform_buffer import (
     TransformDisconnected,
     TransformInFuture,
