@@ -89,6 +89,10 @@ class FilterSettings(Settings):
             raise SettingError(
                 f"jacobian_order = '{self.jacobian_order}': fusion_mode 'exact' needs 'exact' or 'mode'"
             )
+        if self.history > self.backward_jump:
+            raise SettingError(
+                f"history = {self.history:g} s: must not be longer than backward_jump = {self.backward_jump:g} s"
+            )
 
 
 class Tuning(NamedTuple):

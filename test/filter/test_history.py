@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from tactile_filter import history, se3
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.settings import SettingError
 
 MS = 1_000_000
 PERIOD = 8 * MS
@@ -151,6 +152,11 @@ def test_memory_is_bounded(monkeypatch):
     assert "too late" in contact_filter.step(MS, *good(0)[1:3]).reason
     contact_filter.configure(KEEPING.replaced(history=0.0))
     assert len(contact_filter._history) == 0
+
+
+def test_a_history_longer_than_what_counts_as_a_jump_is_refused():
+    with pytest.raises(SettingError, match=r"history = 2 s: must not be longer than backward_jump = 1 s"):
+        FilterSettings(history=2.0)
 
 
 @pytest.mark.parametrize("other", ["camera_a", "camera_c"])
