@@ -91,7 +91,8 @@ class FilterSettings(Settings):
             )
         if self.history > self.backward_jump:
             raise SettingError(
-                f"history = {self.history:g} s: must not be longer than backward_jump = {self.backward_jump:g} s"
+                f"history = {self.history:g} s: must not be longer than backward_jump "
+                f"= {self.backward_jump:g} s"
             )
 
 
