@@ -17,15 +17,17 @@ all contacts are predicted to one stamp (`ContactFilter.predict_to`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf
 
 from tactile_filter import se3
 from tactile_filter.filter_settings import gate_threshold
-from tactile_filter.fusion import fuse
+from tactile_filter.fusion import FusionError, fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import innovation
 from tactile_filter.settings import Settings, setting
@@ -216,8 +218,9 @@ def intersection_weight(a: SplitGaussian, b: SplitGaussian) -> float:
         return 0.5  # it has no effect
 
     def cost(weight: float) -> float:
-        information = np.linalg.inv(a.weighted(weight)) + np.linalg.inv(b.weighted(1.0 - weight))
-        return -_log_determinant(information)
+        # |(A^-1 + B^-1)^-1| = |A| |B| / |A + B|
+        cov_a, cov_b = a.weighted(weight), b.weighted(1.0 - weight)
+        return _log_determinant(cov_a) + _log_determinant(cov_b) - _log_determinant(cov_a + cov_b)
 
     low, high = _SMALLEST_WEIGHT, 1.0 - _SMALLEST_WEIGHT
     inner = [high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)]
@@ -247,4 +250,7 @@ def _moved(T: Array, cov: Array) -> Array:
 
 
 def _log_determinant(cov: Array) -> float:
-    return float(np.linalg.slogdet(cov)[1])
+    factor, failed = dpotrf(cov, lower=1)
+    if failed:
+        raise FusionError(f"a contact's covariance is not positive definite: {cov.tolist()}")
+    return 2.0 * sum(map(math.log, factor.ravel()[::7].tolist()))

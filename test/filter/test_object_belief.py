@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from tactile_filter import se3
 from tactile_filter.consistency import nees
-from tactile_filter.fusion import fuse
+from tactile_filter.fusion import FusionError, fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object_belief import (
     Contact,
@@ -200,6 +200,11 @@ def test_a_contact_that_disagrees_is_refused_by_name():
     assert found.used == ("left",)
     assert found.refused["right"] > 38
     assert object_belief(made, ObjectSettings(gate_probability=1.0)).used == ("left", "right")
+
+
+def test_a_contact_that_is_no_gaussian_is_an_error_that_says_so():
+    with pytest.raises(FusionError, match="not positive definite"):
+        object_belief({"left": contact("left", cov=-COV), "right": contact("right")})
 
 
 def test_no_contact_is_no_belief():
