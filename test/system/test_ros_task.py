@@ -19,6 +19,9 @@ import pytest
 from tactile_bringup.bag_reader import read_run
 from tactile_bringup.metrics import report
 from tactile_bringup.offline import OfflineOptions, run_offline
+from tactile_bringup.replay import agreement, run_filter
+from tactile_bringup.replay_inputs import read_inputs
+from tactile_bringup.replay_sweep import base_settings
 from tactile_bringup.shared_memory import orphans
 from tactile_control.files import load_task
 from tactile_drivers.scene import load_scene
@@ -224,6 +227,17 @@ def test_the_bag_is_opened_by_other_readers(finished):
     assert {"/tf", "/tf_static", "/arm/command/twist", "/diagnostics"} <= topics
     note = json.loads((read_note(launch.folder / "bag"))["parameters"])
     assert note["/arm/controller"]["task.speed"] == 0.01
+
+
+def test_replayed_beliefs_are_the_live_ones_to_the_bit(finished, tmp_path):
+    launch, _, _ = finished
+    inputs = read_inputs(launch.folder / "bag")
+    settings = base_settings(inputs, None)["arm"]
+    run = run_filter(inputs.arms[0], settings)
+    assert inputs.remarks == [] and inputs.arms[0].live is not None
+    found = agreement(run.states, inputs.arms[0].live)
+    assert found.common > 300 and found.only_live == 0
+    assert found.identical == found.common, found.first_difference
 
 
 def read_note(bag: Path) -> dict[str, str]:
