@@ -18,7 +18,9 @@ from typing import Any
 
 import numpy as np
 import onnx
+import onnxruntime
 from numpy.typing import NDArray
+from onnx import numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
 
 from tactile_filter.settings import Settings, setting
@@ -74,6 +76,7 @@ def quantize(
             f"{images.shape}"
         )
     first = _first_block(model, Path(model_path))
+    _check_head(model, Path(model_path))
     _pool_before_relu(model, first)
     with tempfile.TemporaryDirectory() as folder, _without_advice():
         prepared, quantized = Path(folder) / "prepared.onnx", Path(folder) / "quantized.onnx"
@@ -90,6 +93,7 @@ def quantize(
             nodes_to_exclude=[node.name for node in first],
         )
         result = onnx.load_model(str(quantized))
+    _correct_head(result, model, images)
     _note(result, settings, len(images))
     onnx.save_model(result, str(out_path))
     return Path(out_path)
@@ -137,6 +141,18 @@ def _first_block(model: onnx.ModelProto, path: Path) -> tuple[onnx.NodeProto, ..
     return tuple(block)
 
 
+def _check_head(model: onnx.ModelProto, path: Path) -> None:
+    """`QuantizationError` unless there is one last layer, of weights and a bias that are constants."""
+    layers = [node for node in model.graph.node if node.op_type == "Gemm"]
+    constants = {constant.name for constant in model.graph.initializer}
+    usable = [node for node in layers if len(node.input) == 3 and set(node.input[1:]) <= constants]
+    if len(layers) != 1 or not usable or {a.name: a.i for a in layers[0].attribute}.get("transB") != 1:
+        raise QuantizationError(
+            f"{path}: has {len(layers)} fully connected layers (Gemm), must have one, with constant "
+            "(transposed) weights and bias"
+        )
+
+
 def _pool_before_relu(model: onnx.ModelProto, block: tuple[onnx.NodeProto, ...]) -> None:
     """Swap ReLU and max-pooling, which commute.
 
@@ -152,6 +168,45 @@ def _pool_before_relu(model: onnx.ModelProto, block: tuple[onnx.NodeProto, ...])
     ordered = [onnx.NodeProto.FromString(node.SerializeToString()) for node in nodes]
     del model.graph.node[:]
     model.graph.node.extend(ordered)
+
+
+def _correct_head(quantized: onnx.ModelProto, exact: onnx.ModelProto, images: NDArray[np.uint8]) -> None:
+    """Give the last layer the weights and bias with which its outputs fit the exact ones best.
+
+    Most of what quantization does to an output is an offset and a factor: activations are rounded and cut off
+    in the same sense, image after image. Both are taken back by the regression of the exact outputs on the
+    quantized ones over the calibration images.
+    """
+    wanted, found = _head_outputs(exact, images), _head_outputs(quantized, images)
+    deviation = found - found.mean(axis=0)
+    power = (deviation**2).mean(axis=0)
+    factor = np.ones(found.shape[1])
+    varies = power > (1e-6 * np.abs(found).max(axis=0)) ** 2
+    factor[varies] = ((deviation * wanted).mean(axis=0) / np.where(varies, power, 1.0))[varies]
+    offset = wanted.mean(axis=0) - factor * found.mean(axis=0)
+    head = _head(quantized)
+    constants = {constant.name: constant for constant in quantized.graph.initializer}
+    weight, bias = (numpy_helper.to_array(constants[name]).astype(np.float64) for name in head.input[1:3])
+    corrected = (factor[:, None] * weight, factor * bias + offset)
+    for name, value in zip(head.input[1:3], corrected, strict=True):
+        constants[name].CopyFrom(numpy_helper.from_array(value.astype(np.float32), name))
+
+
+def _head(model: onnx.ModelProto) -> onnx.NodeProto:
+    return next(node for node in model.graph.node if node.op_type == "Gemm")
+
+
+def _head_outputs(model: onnx.ModelProto, images: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Raw outputs (N, outputs) of the last layer."""
+    name = _head(model).output[0]
+    told = onnx.ModelProto.FromString(model.SerializeToString())
+    told.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, None))
+    session = onnxruntime.InferenceSession(told.SerializeToString(), providers=["CPUExecutionProvider"])
+    parts = [
+        session.run([name], {INPUT_NAME: as_input(images[start : start + _BATCH])})[0]
+        for start in range(0, len(images), _BATCH)
+    ]
+    return np.concatenate(parts).astype(np.float64)
 
 
 def _note(model: onnx.ModelProto, settings: QuantizationSettings, images: int) -> None:

@@ -83,6 +83,17 @@ def test_only_the_first_block_computes_in_float(model, tmp_path):
     assert weights == ["float"] + 3 * ["DequantizeLinear"]
 
 
+def test_no_answer_is_off_on_average(model, tmp_path):
+    seen = images(100, 64)
+    out = quantize(model, seen, tmp_path / "q.onnx")
+    for stack, tolerance in ((seen, 1e-4), (images(400, 64, seed=1), 0.03)):
+        exact, quantized = predictions(model, stack)[:, :6], predictions(out, stack)[:, :6]
+        spread = exact.std(axis=0)
+        assert np.all(np.abs((quantized - exact).mean(axis=0)) < tolerance * spread)
+        slope = ((exact - exact.mean(axis=0)) * (quantized - exact)).mean(axis=0) / spread**2
+        assert np.all(np.abs(slope) < 0.03)
+
+
 def test_the_same_images_give_the_same_model(model, tmp_path):
     first = quantize(model, images(7, 64), tmp_path / "a.onnx").read_bytes()
     assert quantize(model, images(7, 64), tmp_path / "b.onnx").read_bytes() == first
