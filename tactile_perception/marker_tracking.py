@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
-STEPS = 8
+STEPS = 12
 _FIRST_REACH, _REACH = 0.6, 0.45  # in distances between neighboring markers
 _NEIGHBORS = 15
 _RIDGE = 1e-2
