@@ -153,7 +153,9 @@ def _rows_to_use(
         if model.metadata.training_data.get("validation_sha256") == data.sha256:
             notes.append(f"{model.name}'s best epoch was chosen on these data")
     if len(rows) < len(data):
-        notes.append(f"only the {len(rows)} samples that were held back from training")
+        notes.append(
+            f"only the {len(rows)} samples held back from training, to which the models were calibrated"
+        )
     return rows, notes
 
 

@@ -50,7 +50,7 @@ def accuracy_table(results: Sequence[ModelResult], reference: ReferenceTables | 
     """
     columns = groups(results)
     networks = {} if reference is None else reference.networks
-    table = Table(title="loss and mean absolute errors (mean ± deviation over models)")
+    table = Table(title="mean absolute errors")
     table.add_column("")
     for name, members in columns.items():
         table.add_column(name if len(members) == 1 else f"{name}, {len(members)} models", justify="right")
