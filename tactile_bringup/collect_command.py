@@ -123,6 +123,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     SettingError, ValueError, OSError
         With what is wrong and what would be right.
     """
+    from tactile_bringup.collector_settings import TASK
     from tactile_bringup.data_parameters import check_same_run
     from tactile_bringup.graph import GraphOptions, build_collection_graph
     from tactile_bringup.task_graph import outline
@@ -163,7 +164,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         record_images=arguments.record_images,
     )
     graph = build_collection_graph(
-        "data_collection", outline(scene), arm.name, collector, options, simulate=not arguments.external
+        TASK, outline(scene), arm.name, collector, options, simulate=not arguments.external
     )
     return Plan(graph, arguments.samples, missing)
 

@@ -22,6 +22,7 @@ from rclpy.duration import Duration
 from sensor_msgs.msg import Image
 
 from tactile_bringup.collector_messages import ZERO, feedback_message, status_message
+from tactile_bringup.collector_settings import TASK, CollectorSettings
 from tactile_bringup.ros.conversions import MessageError, twist_stamped
 from tactile_bringup.ros.image_bytes import image_from_bytes
 from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode
@@ -51,39 +52,18 @@ from tactile_control.limiter import LimiterSettings
 from tactile_control.task import StampedPose
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_filter import se3
-from tactile_filter.settings import Settings, setting
+from tactile_filter.settings import Settings
 from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
 from tactile_perception.dataset_layout import DatasetError
-from tactile_perception.dataset_writer import IMAGE_KINDS
-from tactile_perception.preprocessing import ImageError, PreprocessingSettings, Preprocessor
+from tactile_perception.preprocessing import (
+    ImageError,
+    PreprocessingSettings,
+    Preprocessor,
+    check_image,
+)
 from tactile_perception.presence import ContactPresence, PresenceSettings
-
-TASK = "data_collection"
-
-
-@dataclass(frozen=True)
-class CollectorSettings(Settings):
-    """What to collect, where to, and over which surface."""
-
-    folder: str = setting("", doc="data folder, made if it is not there; one with samples is gone on with")
-    samples: int = setting(6000, lower=1, doc="samples that the folder is to hold")
-    seed: int = setting(0, lower=0, doc="of the poses; a sample's pose depends on seed and number only")
-    first: int = setting(0, lower=0, doc="index of the folder's first sample in the seed's sequence")
-    images: str = setting(
-        "both", choices=IMAGE_KINDS, doc="processed (cropped, thresholded), raw (camera images), or both"
-    )
-    frame: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), length=6, lower=-10.0, upper=10.0, unit="m, rad",
-        doc="contact frame {f} in the arm's base, Euler (x, y, z, alpha, beta, gamma): z into the surface, "
-        "origin where the sensor's centre is at first touch",
-    )  # fmt: skip
-    step_period: float = setting(
-        0.008, lower=0.001, upper=0.05, unit="s", doc="time between two twists of a running collection"
-    )
-    idle_period: float = setting(0.1, lower=0.01, upper=1.0, unit="s", doc="and without one")
-    feedback_period: float = setting(0.1, lower=0.01, upper=10.0, unit="s", doc="of the action's feedback")
 
 
 @dataclass
@@ -205,6 +185,7 @@ class CollectorNode(ManagedNode):
 
     def _contact(self, image: NDArray[np.uint8]) -> bool | None:
         """Whether the image shows contact; None before the reference is taken, off the surface at rest."""
+        check_image(image, self.preprocessing.value.raw_shape, "camera image")
         phase = self.run.phase if self.run is not None else ""
         if phase != REFERENCE and not self.presence.ready:
             return None

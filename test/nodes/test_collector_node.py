@@ -1,6 +1,7 @@
 """The collector node: a data set from images and TF, and a still arm whenever one of them is missing."""
 
 import csv
+import json
 import math
 
 import cv2
@@ -203,6 +204,46 @@ def test_a_folder_that_cannot_be_written_ends_the_goal_with_the_reason(world, fo
     folder.write_text("a file")
     result = world.result(world.send())
     assert not result.success and str(folder) in result.reason
+
+
+def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_on(graph, folder):
+    wrong = FRAME.copy()
+    wrong[2, 3] += 0.001
+    frame = se3.euler_from_pose(wrong).tolist()
+    touch = {"touch.points": 1, "touch.search": 0.004, "touch.speed": 0.004, "touch.depth": 2.5e-4}
+    graph.start(COLLECTOR, {**QUICK, **touch, "folder": folder, "samples": 2, "seed": 4, "frame": frame})
+    world = World(graph)
+    handle = world.send()
+    assert world.run_until(lambda: (folder / "surface.json").exists())
+    assert world.run_until(lambda: world.statuses[-1].path == 2 and world.phase() == "rotate")
+    cancelled = handle.cancel_goal_async()
+    assert world.run_until(cancelled.done)
+    world.result(handle)
+    found = json.loads((folder / "surface.json").read_text())
+    assert found["frame"][2] == pytest.approx(FRAME[2, 3], abs=1.5e-4) and "1 touches" in found["note"]
+    world.statuses.clear()
+    result = world.result(world.send())
+    assert result.success, result.reason
+    assert "touch" not in {status.phase_name for status in world.statuses}
+    for row in rows(folder):
+        depth = RADIUS * 1e3 - float(row["base_sensor_z"])
+        assert float(row["pose_z"]) == pytest.approx(depth, abs=0.15)
+
+
+def test_images_of_another_size_count_as_not_come(graph, folder):
+    frame = se3.euler_from_pose(FRAME).tolist()
+    parameters = {"folder": folder, "samples": 1, "frame": frame, "motion.start_timeout": 0.5}
+    graph.start(COLLECTOR, {**QUICK, **parameters})
+    world = World(graph)
+    small = np.zeros((240, 320), np.uint8)
+    world.step = lambda: (
+        world.image_out.publish(image_message(graph.now_ns(), SENSOR, small)),
+        world.arm.at(graph.now_ns(), world.T),
+    )
+    result = world.result(world.send())
+    assert not result.success and np.all(world.twist() == 0.0)
+    assert "no image has arrived" in result.reason
+    graph.wait_for_count("collector", "images refused")
 
 
 def test_a_goal_of_another_task_is_refused_with_the_name_of_ours(world):
