@@ -1,4 +1,4 @@
-"""Parameters of the collector node that are not of the motion: what to collect, where to, over which surface."""
+"""Parameters of the collector node that are not of its motion: what to collect, where to, over what."""
 
 from __future__ import annotations
 
