@@ -39,7 +39,8 @@ static void add_changes(int32_t* restrict sums, const float* restrict image,
 
 
 // largest sum of `window` neighbors, the first of them `before` columns to the left
-static uint32_t largest_sum(const int32_t* sums, int cols, int window, int before, uint32_t* total) {
+static uint32_t largest_sum(const int32_t* sums, int cols, int window, int before,
+                            uint32_t* total) {
   uint32_t sum = 0;
   *total++ = 0;
   for (int x = -before; x < 0; x++) {

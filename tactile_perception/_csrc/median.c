@@ -1,8 +1,9 @@
 // Median of 5 x 5 pixels by sorting networks that neighbors share.
 //
-// Each row of five is sorted once and used by the five windows it lies in; two sorted rows are merged once and used
-// by four; the six middle values of two such pairs are used by two. What is left to a window is the median of six
-// sorted values and a sorted row: 70 minima and maxima a pixel instead of about 200.
+// Each row of five is sorted once and used by the five windows it lies in; two sorted rows are
+// merged once and used by four; the six middle values of two such pairs are used by two. What is
+// left to a window is the median of six sorted values and a sorted row: 70 minima and maxima a
+// pixel instead of about 200.
 
 #include <string.h>
 
@@ -29,7 +30,8 @@
 #define MERGE3(a0, a1, a2, b0, b1, b2) \
   MERGE2(a0, a2, b0, b2) ORDER(a1, b1) ORDER(a1, a2) ORDER(b1, b0)
 
-// width of the strips that are worked on at once, a multiple of any vector; rows and pairs of rows that are kept
+// width of the strips that are worked on at once, a multiple of any vector; rows and pairs of rows
+// that are kept
 enum { STRIP = 256, VECTOR = 32, ROWS = 8, PAIRS = 4 };
 
 typedef struct {
@@ -63,7 +65,8 @@ static void sort_row(uint8_t res[5][STRIP], const uint8_t* piece, int width) {
 
 
 WIDE_VECTORS
-static void merge_rows(uint8_t res[10][STRIP], uint8_t a[5][STRIP], uint8_t b[5][STRIP], int width) {
+static void merge_rows(uint8_t res[10][STRIP], uint8_t a[5][STRIP], uint8_t b[5][STRIP],
+                       int width) {
   for (int x = 0; x < width; x++) {
     uint8_t a0 = a[0][x], a1 = a[1][x], a2 = a[2][x], a3 = a[3][x], a4 = a[4][x];
     uint8_t b0 = b[0][x], b1 = b[1][x], b2 = b[2][x], b3 = b[3][x], b4 = b[4][x];
@@ -90,14 +93,15 @@ static void merge_rows(uint8_t res[10][STRIP], uint8_t a[5][STRIP], uint8_t b[5]
   MIN(MIN(MIN(a5, MAX(a4, b[0][x])), MIN(MAX(a3, b[1][x]), MAX(a2, b[2][x]))), \
       MIN(MAX(a1, b[3][x]), MAX(a0, b[4][x])))
 
-// medians of a pixel row and the next: p and q are the four rows that their windows share, `above` and `below` what
-// only the first and only the second window has
+// medians of a pixel row and the next: p and q are the four rows that their windows share, `above`
+// and `below` what only the first and only the second window has
 WIDE_VECTORS
 static void medians(uint8_t* restrict first, uint8_t* restrict second, uint8_t p[10][STRIP],
                     uint8_t q[10][STRIP], uint8_t above[5][STRIP], uint8_t below[5][STRIP],
                     int width) {
   for (int x = 0; x < width; x++) {
-    // the lower ten of the twenty rise, then fall: the larger of two that are five apart hold their top three
+    // the lower ten of the twenty rise, then fall: the larger of two that are five apart hold
+    // their top three
     uint8_t m0 = MAX(MIN(p[0][x], q[9][x]), MIN(p[5][x], q[4][x]));
     uint8_t m1 = MAX(MIN(p[1][x], q[8][x]), MIN(p[6][x], q[3][x]));
     uint8_t a0 = MAX(MIN(p[2][x], q[7][x]), MIN(p[7][x], q[2][x]));

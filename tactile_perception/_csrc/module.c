@@ -32,7 +32,7 @@ static int check_result(PyArrayObject* array, const char* name, PyArrayObject* i
   if (!check_image(array, name, 1)) {
     return 0;
   }
-  if (PyArray_DIM(array, 0) != PyArray_DIM(image, 0) || PyArray_DIM(array, 1) != PyArray_DIM(image, 1)) {
+  if (!PyArray_SAMESHAPE(array, image)) {
     PyErr_Format(PyExc_ValueError, "%s: must have the shape of the image", name);
     return 0;
   }
@@ -51,7 +51,8 @@ static int cols_of(PyArrayObject* image) {
 
 
 static const char median5_doc[] =
-  "median5(res, image, /)\n--\n\nres (rows, cols) uint8 = median of 5 x 5 pixels of image (rows, cols).";
+  "median5(res, image, /)\n--\n\n"
+  "res (rows, cols) uint8 = median of 5 x 5 pixels of image (rows, cols).";
 
 static PyObject* py_median5(PyObject* module, PyObject* args) {
   PyArrayObject *res, *image;
@@ -68,7 +69,7 @@ static PyObject* py_median5(PyObject* module, PyObject* args) {
 
 static const char threshold_doc[] =
   "threshold_mean(res, image, block, offset, mask, /)\n--\n\n"
-  "res (rows, cols) uint8 = mask (rows, cols) where image is above the rounded mean of block x block pixels less\n"
+  "res (rows, cols) uint8 = mask where image is above the rounded mean of block x block pixels less\n"
   "offset, else 0. block: odd, 3 to 255; offset: -255 to 255.";
 
 static PyObject* py_threshold_mean(PyObject* module, PyObject* args) {
@@ -97,7 +98,8 @@ static PyObject* py_threshold_mean(PyObject* module, PyObject* args) {
 
 
 static const char shrink_doc[] =
-  "shrink(res, image, /)\n--\n\nres (size, size) uint8 = means over equal areas of image (rows, cols).";
+  "shrink(res, image, /)\n--\n\n"
+  "res (size, size) uint8 = means over equal areas of image (rows, cols).";
 
 static PyObject* py_shrink(PyObject* module, PyObject* args) {
   PyArrayObject *res, *image;
@@ -145,7 +147,8 @@ static PyObject* py_largest_change(PyObject* module, PyObject* args) {
     }
   }
   if (window < 1 || window > CHANGE_MAX_WINDOW) {
-    return PyErr_Format(PyExc_ValueError, "window = %d: must be 1 to %d", window, CHANGE_MAX_WINDOW);
+    return PyErr_Format(PyExc_ValueError, "window = %d: must be 1 to %d", window,
+                        CHANGE_MAX_WINDOW);
   }
   uint32_t* scratch = PyMem_Malloc(change_scratch(cols_of(images[0]), window) * sizeof(uint32_t));
   if (!scratch) {

@@ -1,4 +1,5 @@
-// Area-averaging resize in integers: a target pixel is the mean over its part of the image, borders split exactly.
+// Area-averaging resize in integers: a target pixel is the mean over its part of the image, borders
+// split exactly.
 
 #include <string.h>
 
@@ -38,8 +39,8 @@ static void combine(uint32_t* restrict sums, const uint16_t* restrict whole, int
 }
 
 
-// Weighted sums of the rows between two borders, in 1/size of a row: a target row is rows/size rows high, so that
-// all weights are integers.
+// Weighted sums of the rows between two borders, in 1/size of a row: a target row is rows/size rows
+// high, so that all weights are integers.
 static void add_rows(uint32_t* sums, uint16_t* whole, const uint8_t* image, int cols,
                      ptrdiff_t stride, int from, int to, int size) {
   int first = from / size, last = (to - 1) / size;

@@ -1,13 +1,14 @@
 // Adaptive threshold against the mean of a square neighborhood, without a division.
 //
-// With an odd area, value > round(sum / area) - offset says the same as value * area > sum - bias, where
-// bias = ((2 offset - 1) area + 1) / 2.
+// With an odd area, value > round(sum / area) - offset says the same as value * area > sum - bias,
+// where bias = ((2 offset - 1) area + 1) / 2.
 
 #include <string.h>
 
 #include "image.h"
 
-// Loops run over multiples of a vector into padding; where there is none they do the last vector's worth twice.
+// Loops run over multiples of a vector into padding; where there is none they do the last vector's
+// worth twice.
 enum { VECTOR = 32 };
 
 // the sums over a row's neighborhoods, of as many rows as a neighborhood has and one
@@ -71,8 +72,8 @@ static uint16_t* row_sums(const RowSums* rows, int y) {
 }
 
 
-// Sums of `block` neighbors for each column, put together from sums of 1, 4, 16 ... elements: a running sum would
-// make each addition wait for the one before it.
+// Sums of `block` neighbors for each column, put together from sums of 1, 4, 16 ... elements: a
+// running sum would make each addition wait for the one before it.
 static void add_row(const RowSums* rows, int y, const uint8_t* row) {
   int cols = rows->cols, block = rows->block, half = block / 2;
   uint16_t *piece = rows->piece[0], *longer = rows->piece[1], *res = row_sums(rows, y);
@@ -113,8 +114,9 @@ static void move_down(int32_t* restrict sums, const uint16_t* restrict gained,
 
 
 WIDE_VECTORS
-static void compare(uint8_t* restrict res, const uint8_t* restrict row, const int32_t* restrict sums,
-                    uint16_t area, const uint8_t* restrict mask, int cols) {
+static void compare(uint8_t* restrict res, const uint8_t* restrict row,
+                    const int32_t* restrict sums, uint16_t area, const uint8_t* restrict mask,
+                    int cols) {
   for (int x = 0; x < cols; x++) {
     uint32_t scaled = (uint32_t)(uint16_t)row[x] * area;
     uint8_t above = (int32_t)scaled > sums[x] ? 255 : 0;
