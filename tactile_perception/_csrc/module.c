@@ -69,8 +69,8 @@ static PyObject* py_median5(PyObject* module, PyObject* args) {
 
 static const char threshold_doc[] =
   "threshold_mean(res, image, block, offset, mask, /)\n--\n\n"
-  "res (rows, cols) uint8 = mask where image is above the rounded mean of block x block pixels less\n"
-  "offset, else 0. block: odd, 3 to 255; offset: -255 to 255.";
+  "res (rows, cols) uint8 = mask where image is above the rounded mean of block x block pixels\n"
+  "less offset, else 0. block: odd, 3 to 255; offset: -255 to 255.";
 
 static PyObject* py_threshold_mean(PyObject* module, PyObject* args) {
   PyArrayObject *res, *image, *mask;
