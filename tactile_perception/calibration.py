@@ -304,7 +304,7 @@ def _check_data(labels: Array, mean: Array, sigma: Array, settings: CalibrationS
     if len(labels) < settings.min_samples:
         raise CalibrationError(
             f"calibration needs at least {settings.min_samples} held-back samples, got {len(labels)}; "
-            "the standard error of the joint NEES / 6 is about 1 / sqrt(N)"
+            "the standard error of the joint NEES / 6 is about 0.7 / sqrt(N)"
         )
 
 
