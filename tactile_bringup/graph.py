@@ -39,6 +39,7 @@ _SENSOR_TOPICS = (
 )
 _SHARED_TOPICS = (
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+    Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent"),
     Topic("/tf", "tf2_msgs/msg/TFMessage"),
     Topic("/tf_static", "tf2_msgs/msg/TFMessage", "latched"),
     Topic("/sim/markers", "visualization_msgs/msg/MarkerArray", "latched"),

@@ -5,9 +5,8 @@ The same bag, settings and program give the same bytes, however often and on how
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +17,7 @@ from tactile_bringup.message_columns import Layout, blank_layout, stamps_ns
 from tactile_bringup.message_definitions import type_fields
 from tactile_bringup.replay_inputs import ArmInputs, LiveStates, Measurement
 from tactile_bringup.replay_numbers import ros_from_left
+from tactile_bringup.replay_settings import Change
 from tactile_bringup.run_record import BeliefSeries
 from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
@@ -74,11 +74,15 @@ def series_of(beliefs: Sequence[Belief]) -> BeliefSeries:
     )
 
 
-def run_filter(inputs: ArmInputs, settings: FilterSettings, as_recorded: bool = True) -> ArmRun:
+def run_filter(
+    inputs: ArmInputs, settings: FilterSettings, as_recorded: bool = True, changes: Sequence[Change] = ()
+) -> ArmRun:
     """Run one arm's events through the filter.
 
     Parameters
     ----------
+    changes : sequence of Change
+        Settings that change on the way.
     as_recorded : bool
         Take the events that the live filter took, where the bag tells which these were; else all that there
         are. The live filter drops an event whose parts come too late, and takes none before it is active.
@@ -86,6 +90,7 @@ def run_filter(inputs: ArmInputs, settings: FilterSettings, as_recorded: bool = 
     run = ArmRun(inputs, settings)
     taken = _taken_live(inputs) if as_recorded else None
     contact_filter, epoch = ContactFilter(settings), 0
+    waiting, taken_at = list(changes), _times_taken(inputs) if changes else {}
     for measurement in inputs.measurements:
         if taken is not None and not taken(measurement.stamp_ns):
             run.left_out += 1
@@ -93,6 +98,11 @@ def run_filter(inputs: ArmInputs, settings: FilterSettings, as_recorded: bool = 
         if measurement.epoch != epoch:
             epoch = measurement.epoch
             _reset(contact_filter, "time jumped back", run)
+        if as_recorded and measurement.stamp_ns in inputs.resets:
+            _reset(contact_filter, "service", run)
+        now_ns = taken_at.get(measurement.stamp_ns, measurement.received_ns)
+        while waiting and waiting[0].stamp_ns < now_ns:
+            contact_filter.configure(contact_filter.settings.replaced(**waiting.pop(0).values))
         run.measurements.append(measurement)
         run.beliefs.append(_step(contact_filter, measurement, run))
     run.rejections.update(contact_filter.rejections)
@@ -116,6 +126,14 @@ def _taken_live(inputs: ArmInputs) -> Any:
         return None
     stamps, last = set(inputs.live.stamps_ns.tolist()), int(inputs.live.stamps_ns.max())
     return lambda stamp_ns: stamp_ns in stamps or stamp_ns > last
+
+
+def _times_taken(inputs: ArmInputs) -> dict[int, int]:
+    """Stamp -> when the live filter had made its belief of it, ns: the node did one thing at a time."""
+    if inputs.live is None:
+        return {}
+    latency = stamps_ns(inputs.live.values, "latency")
+    return dict(zip(inputs.live.stamps_ns.tolist(), (inputs.live.stamps_ns + latency).tolist(), strict=True))
 
 
 def _step(contact_filter: ContactFilter, measurement: Measurement, run: ArmRun) -> Belief:
@@ -238,14 +256,3 @@ def agreement(rows: Array, live: LiveStates) -> Agreement:
     return Agreement(
         len(pairs), int(same.sum()), len(live.stamps_ns) - len(pairs), len(rows) - len(pairs), first
     )
-
-
-def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any], list[str]]:
-    """Settings with which the filter of a recording ran, and the names among them that are no settings now.
-
-    Empty where the recording does not tell.
-    """
-    parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
-    names = {item.name for item in FilterSettings.__dataclass_fields__.values()}
-    own = {name: value for name, value in parameters.items() if "." not in name}
-    return {n: v for n, v in own.items() if n in names}, sorted(n for n in own if n not in names)

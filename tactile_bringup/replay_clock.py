@@ -14,9 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-JUMP_NS = (
-    100_000_000  # as the live nodes have it: older than its source's newest stamp by this is a jump back
-)
+from tactile_filter.events import JUMP_NS
 
 Stamps = NDArray[np.int64]
 

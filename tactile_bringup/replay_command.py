@@ -96,7 +96,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     started, busy = time.perf_counter(), _processor_time()
     inputs = _inputs(arguments)
     base = base_settings(inputs, _profile(arguments.profile))
-    plans = make_plans(base, arguments.set, arguments.sweep, folder)
+    plans = make_plans(base, arguments.set, arguments.sweep, folder, arguments.profile is not None)
     _make_room(folder, plans)
     results = run_plans(plans, inputs, _options(arguments, inputs), arguments.jobs)
     seconds, busy = time.perf_counter() - started, _processor_time() - busy
@@ -191,6 +191,12 @@ def _deliver(
         report["arms"][arm.name] = {"remarks": arm.remarks, "runs": values}
         for remark in arm.remarks:
             console.print(f"note: {arm.name}: {remark}", style="yellow", highlight=False, soft_wrap=True)
+        if arm.changes:
+            text = f"{len(arm.changes)} changes of the filter's settings while it ran are followed"
+            console.print(f"{arm.name}: {text}", highlight=False, soft_wrap=True)
+        if arm.resets:
+            text = f"{len(arm.resets)} resets by its service are followed"
+            console.print(f"{arm.name}: {text}", highlight=False, soft_wrap=True)
         _print_table(console, arm.name, mine, values)
         agree &= _tell_agreement(console, inputs, arm, plans, mine)
         if not arguments.no_plot:

@@ -149,9 +149,9 @@ class _Estimates:
         self.arm = arm
         parameters = json.loads(bag.note.get("parameters", "{}")).get(f"/{arm}/estimator", {})
         recorded = parameters.get("model", "")
-        if model is None and recorded and not Path(recorded).is_file():
+        if model is None and recorded and not Path(recorded).exists():
             remarks.append(f"{arm}: the model {recorded} is not there: the shipped one is taken")
-        chosen = model or (recorded if recorded and Path(recorded).is_file() else "")
+        chosen = model or (recorded if recorded and Path(recorded).exists() else "")
         try:
             self.estimator = Estimator(chosen)
         except ModelError as error:

@@ -22,9 +22,17 @@ from tactile_bringup.message_columns import ColumnReader, Columns
 from tactile_bringup.message_definitions import type_fields
 from tactile_bringup.replay_clock import Jump, Timeline, epochs
 from tactile_bringup.replay_numbers import left_from_ros, poses_from_numbers, sound_poses
+from tactile_bringup.replay_settings import (
+    PARAMETER_EVENTS,
+    Change,
+    commanded_resets,
+    recorded_changes,
+    recorded_settings,
+)
 from tactile_bringup.replay_transforms import Recording, connected, follow_pose, poses_at, read_transforms
 from tactile_bringup.run_record import TruthSeries
 from tactile_filter.contact_belief import UNUSABLE
+from tactile_filter.filter_settings import FilterSettings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 
@@ -94,6 +102,10 @@ class ArmInputs:
         In the order of (epoch, stamp).
     live : LiveStates or None
         What the live filter made of them, where the bag holds it.
+    changes : list of Change
+        Of the live filter's settings while it ran.
+    resets : frozenset of int
+        Stamps at which the live filter had been told to start anew.
     remarks : list of str
         What is missing, was refused, or is odd.
     """
@@ -104,6 +116,8 @@ class ArmInputs:
     measurements: list[Measurement] = field(default_factory=list)
     truth: TruthSeries = field(default_factory=TruthSeries)
     live: LiveStates | None = None
+    changes: list[Change] = field(default_factory=list)
+    resets: frozenset[int] = frozenset()
     remarks: list[str] = field(default_factory=list)
 
 
@@ -147,7 +161,9 @@ class _Topic:
 
 def wanted_topics(topic: str, type_name: str) -> bool:
     """Whether a replay from estimates needs a topic."""
-    return topic in TRANSFORMS or topic.endswith(tuple(f"/{name}" for name in ARM_TOPICS))
+    return topic in (*TRANSFORMS, PARAMETER_EVENTS) or topic.endswith(
+        tuple(f"/{name}" for name in ARM_TOPICS)
+    )
 
 
 def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
@@ -278,6 +294,12 @@ class _Track:
         arm.measurements = self._with_poses(joined, recording)
         arm.truth = _truth(self.truth)
         arm.live = _live(self.state)
+        arm.changes = recorded_changes(self.reader.bag, arm.name)
+        if arm.live is not None:
+            values = recorded_settings(self.reader.bag.note, arm.name)[0]
+            age = FilterSettings.from_mapping(values).max_prediction_age
+            live = arm.live.values
+            arm.resets = commanded_resets(arm.live.stamps_ns, live["flags"], live["nis"], age)
         return arm
 
     def _take_estimates(self) -> tuple[Array, list[PoseGaussian]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import multiprocessing
 import os
@@ -11,26 +10,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_bringup.bag_contents import Recorded
-from tactile_bringup.replay import agreement, recorded_settings, run_filter, series_of, smooth_run
+from tactile_bringup.replay import agreement, run_filter, series_of, smooth_run
 from tactile_bringup.replay_inputs import ArmInputs, Inputs
 from tactile_bringup.replay_output import write_bag
 from tactile_bringup.replay_report import RunResult
+from tactile_bringup.replay_settings import NAMES, recorded_settings
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.files import load_filter_settings
 from tactile_filter.settings import SettingError, unknown_name
 
 SINGLE = "replay"
-NAMES = tuple(item.name for item in dataclasses.fields(FilterSettings))
 Value = bool | int | float | str
 
 
 @dataclass(frozen=True)
 class Plan:
-    """One run: its name, the bag that it writes, and the settings of each arm's filter."""
+    """One run: its name, the bag that it writes, and the settings of each arm's filter.
+
+    `given` are the names of settings that do not follow the changes in the recording.
+    """
 
     name: str
     bag: Path
     settings: Mapping[str, FilterSettings]
+    given: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -90,9 +93,13 @@ def base_settings(inputs: Inputs, profile: Path | None) -> dict[str, FilterSetti
 
 
 def make_plans(
-    base: Mapping[str, FilterSettings], changes: Sequence[str], sweeps: Sequence[str], folder: Path
+    base: Mapping[str, FilterSettings],
+    changes: Sequence[str],
+    sweeps: Sequence[str],
+    folder: Path,
+    profile: bool = False,
 ) -> list[Plan]:
-    """One plan for each combination of the swept values.
+    """One plan for each combination of the swept values; with a profile, `base` stands against the recording.
 
     Raises
     ------
@@ -112,7 +119,8 @@ def make_plans(
         chosen = {name: typed(name, text) for (name, _), text in zip(axes, values, strict=True)}
         name = ",".join(f"{name}={text}" for (name, _), text in zip(axes, values, strict=True)) or SINGLE
         settings = {arm: each.replaced(**fixed, **chosen) for arm, each in base.items()}
-        plans.append(Plan(name, folder / name.replace("/", "_"), settings))
+        given = frozenset(NAMES if profile else {*fixed, *chosen})
+        plans.append(Plan(name, folder / name.replace("/", "_"), settings, given))
     return plans
 
 
@@ -140,7 +148,8 @@ def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:
     """Run the filters of all arms and write the bag."""
     runs = []
     for arm in inputs.arms:
-        run = run_filter(arm, plan.settings[arm.name], options.as_recorded)
+        changes = [change.without(plan.given) for change in arm.changes]
+        run = run_filter(arm, plan.settings[arm.name], options.as_recorded, changes)
         if options.smooth:
             smooth_run(run)
         runs.append(run)
@@ -177,4 +186,6 @@ def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:
 def same_settings(plan: Plan, inputs: Inputs, arm: ArmInputs) -> bool:
     """Whether a plan runs the filter with what the recording says that it ran with."""
     values, unknown = recorded_settings(inputs.bag.note, arm.name)
-    return bool(values) and not unknown and FilterSettings.from_mapping(values) == plan.settings[arm.name]
+    changed = {name for change in arm.changes for name in change.values} & plan.given
+    same = FilterSettings.from_mapping(values) == plan.settings[arm.name]
+    return bool(values) and not unknown and not changed and same

@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+JUMP_NS = 100_000_000
+"""A stamp that is this much older than the newest of its source means that the clock was set back."""
+
 
 @dataclass
 class Event:

@@ -25,7 +25,7 @@ from tactile_bringup.ros.conversions import (
 from tactile_bringup.ros.managed_node import ManagedNode
 from tactile_bringup.ros.qos import TF, TF_STATIC
 from tactile_bringup.ros.stamps import SECOND_NS
-from tactile_filter.events import Event, EventJoin
+from tactile_filter.events import JUMP_NS, Event, EventJoin
 from tactile_filter.transform_buffer import (
     TransformBuffer,
     TransformDisconnected,
@@ -40,10 +40,6 @@ except ImportError:  # no wheels of it exist
     tf2_ros = None
 
 Array = NDArray[np.float64]
-
-JUMP_NS = (
-    100_000_000  # a transform that is this much older than the newest of its frame is a jump of the clock
-)
 
 
 class Store(Protocol):

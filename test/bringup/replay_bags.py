@@ -23,6 +23,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 PRESENCE = "tactile_msgs/msg/ContactPresence"
 STATE = "tactile_msgs/msg/ContactState"
 TRUTH = "tactile_msgs/msg/ContactTruth"
+PARAMETERS = "rcl_interfaces/msg/ParameterEvent"
 TYPES = (ESTIMATE, TRANSFORMS, PRESENCE, STATE, TRUTH)
 
 STORE = get_typestore(Stores.LATEST)
@@ -118,6 +119,17 @@ class Recording:
         )  # fmt: skip
         self.add(f"/{arm}/contact/state", STATE, message, belief.stamp_ns)
 
+    def parameter(self, stamp_ns: int, name: str, value, arm: str = "arm", declared: bool = False) -> None:
+        """The event that a parameter of the filter was changed, or declared."""
+        kind = {bool: 1, int: 2, float: 3, str: 4}[type(value)]
+        fields = {1: False, 2: 0, 3: 0.0, 4: ""} | {kind: value}
+        empty = [np.zeros(0, np.uint8), np.zeros(0, bool), np.zeros(0, np.int64), np.zeros(0), []]
+        content = make("rcl_interfaces/msg/ParameterValue", kind, *fields.values(), *empty)
+        parameter = make("rcl_interfaces/msg/Parameter", name, content)
+        lists = ([parameter], [], []) if declared else ([], [parameter], [])
+        event = make(PARAMETERS, stamp(stamp_ns), f"/{arm}/filter", *lists)
+        self.add("/parameter_events", PARAMETERS, event, stamp_ns)
+
     def without(self, topic: str) -> Recording:
         return dataclasses.replace(self, messages=[m for m in self.messages if m[0] != topic])
 
@@ -187,8 +199,19 @@ def recording(
     return result
 
 
-def believed(source: Recording, settings: FilterSettings | None = None, arm: str = "arm", skip=()) -> list:
-    """What a live filter believes: messages decoded one by one, scalar functions, transforms as they are."""
+def believed(
+    source: Recording,
+    settings: FilterSettings | None = None,
+    arm: str = "arm",
+    skip=(),
+    changes=(),
+    resets=(),
+) -> list:
+    """What a live filter believes: messages decoded one by one, scalar functions, transforms as they are.
+
+    `changes` are pairs of a stamp and the settings that are in force from its exposure on; before the stamps
+    in `resets` it is told to start anew.
+    """
     poses, in_contact, estimates = {}, {}, {}
     for topic, type_name, data, _ in source.messages:
         message = STORE.deserialize_cdr(data, type_name)
@@ -209,6 +232,11 @@ def believed(source: Recording, settings: FilterSettings | None = None, arm: str
     for stamp_ns in sorted(in_contact):
         if stamp_ns in skip:
             continue
+        if stamp_ns in resets:
+            contact_filter.reset("service")
+        for changed_ns, changed in changes:
+            if changed_ns == stamp_ns:
+                contact_filter.configure(changed)
         if in_contact[stamp_ns]:
             T = se3.inverse(np.eye(4)) @ (poses[stamp_ns] @ mounted)
             beliefs.append(contact_filter.step(stamp_ns, estimates[stamp_ns], T))

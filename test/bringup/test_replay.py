@@ -15,6 +15,7 @@ from tactile_bringup.bag import read_bag
 from tactile_bringup.cli import main
 from tactile_bringup.replay import Agreement, agreement, run_filter
 from tactile_bringup.replay_inputs import ReplayError, read_inputs
+from tactile_bringup.replay_sweep import make_plans
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 
 
@@ -145,6 +146,56 @@ def test_every_arm_is_replayed(tmp_path):
     assert [arm.name for arm in inputs.arms] == ["left", "right"]
     for name, run in zip(("left", "right"), runs, strict=True):
         assert same(run.beliefs, believed(source, arm=name))
+
+
+def test_settings_that_were_changed_while_the_filter_ran_are_changed_again(tmp_path, capsys):
+    """The live filter believed in exposure k, 8 ms after it, and was changed before it came to k + 1."""
+    source = recording(30, touching=lambda k: True)
+    start = FilterSettings(process_noise_rotation=0.02)
+    first, second = (
+        start.replaced(process_noise_rotation=1e-3),
+        start.replaced(process_noise_rotation=1e-3, fusion_mode="fast"),
+    )
+    changes = [(START_NS + 10 * STEP_NS, first), (START_NS + 20 * STEP_NS, second)]
+    expected = believed(source, start, changes=changes)
+    for belief in expected:
+        source.state(belief)
+    source.parameter(START_NS, "process_noise_rotation", 0.5, declared=True)
+    source.parameter(START_NS + 5 * STEP_NS, "fusion_mode", "exact", arm="other")
+    source.parameter(START_NS + 5 * STEP_NS, "inputs.tf_timeout", 0.2)
+    source.parameter(START_NS + 9 * STEP_NS + 8_000_001, "process_noise_rotation", 1e-3)
+    source.parameter(START_NS + 20 * STEP_NS - 1, "fusion_mode", "fast")
+    source.note["parameters"] = json.dumps({"/arm/filter": {"process_noise_rotation": 0.02}})
+    bag = source.write(tmp_path / "bag")
+    assert replay(bag, tmp_path / "out", "--check") == 0
+    text = capsys.readouterr().out
+    assert "2 changes of the filter's settings while it ran are followed" in text and "to the bit" in text
+    inputs = read_inputs(bag)
+    given = make_plans({"arm": start}, ["process_noise_rotation=0.01"], [], tmp_path)[0].given
+    followed = [change.without(given) for change in inputs.arms[0].changes]
+    run = run_filter(inputs.arms[0], start.replaced(process_noise_rotation=0.01), changes=followed)
+    others = [(START_NS + 20 * STEP_NS, start.replaced(process_noise_rotation=0.01, fusion_mode="fast"))]
+    assert same(run.beliefs, believed(source, start.replaced(process_noise_rotation=0.01), changes=others))
+
+
+def test_where_the_live_filter_was_told_to_start_anew_the_replay_does(tmp_path):
+    source = recording(30, touching=lambda k: True)
+    told = START_NS + 12 * STEP_NS
+    for belief in believed(source, resets=(told,)):
+        source.state(belief)
+    inputs, (run,) = replayed(source.write(tmp_path / "bag"), FilterSettings(max_prediction_age=0.3))
+    assert inputs.arms[0].resets == {told} and run.resets == {"service": 1}
+    assert agreement(run.states, inputs.arms[0].live) == Agreement(30, 30, 0, 0)
+
+
+def test_a_start_anew_after_a_gap_is_the_filters_own(tmp_path):
+    source = recording(60, touching=lambda k: True)
+    gap = {START_NS + k * STEP_NS for k in range(10, 45)}
+    for belief in believed(source, skip=gap):
+        source.state(belief)
+    inputs, (run,) = replayed(source.write(tmp_path / "bag"))
+    assert inputs.arms[0].resets == frozenset() and run.beliefs[10].flags & BeliefFlag.REINITIALIZED
+    assert agreement(run.states, inputs.arms[0].live) == Agreement(25, 25, 0, 0)
 
 
 # ---- the command ----
