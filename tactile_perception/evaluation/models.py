@@ -28,6 +28,8 @@ KINDS = {
     "ensemble": "ensemble",
 }
 _BATCH = 50
+#: What makes two models different kinds; the rest of a model's facts is a result of its training.
+_SECTIONS = ("network", "training", "augmentation")
 #: Settings in which models of one group may differ: chance, and what concerns speed only.
 _NOT_TOLD = ("training.seed", "training.threads", "training.max_minutes", "training.precision")
 #: More differences than these do not fit over a column.
@@ -128,9 +130,8 @@ def _told_settings(model: Model) -> dict[str, str]:
     """Every setting of network and training in which models of one kind agree, as text."""
     return {
         f"{section}.{name}": str(value)
-        for section, values in model.metadata.training.items()
-        if isinstance(values, dict)
-        for name, value in values.items()
+        for section in _SECTIONS
+        for name, value in model.metadata.training.get(section, {}).items()
         if f"{section}.{name}" not in _NOT_TOLD
     }
 

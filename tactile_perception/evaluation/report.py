@@ -94,7 +94,7 @@ def calibration_table(members: Sequence[ModelResult], name: str) -> Table | None
     assert interval is not None
     low, high = interval.joint_interval
     table = Table(
-        title=f"{name}: NEES (more than 1: overconfident) and coverage in %, raw and calibrated\n"
+        title=f"{name}: NEES (more than 1: overconfident) and coverage in %\n"
         f"a right joint NEES / 6 of {count} samples lies in [{low:.3f}, {high:.3f}] with 95 %"
     )
     table.add_column("")

@@ -258,7 +258,8 @@ def test_means_and_deviations_over_models_are_the_samples_own(constant_model, fo
 
 def test_models_trained_in_another_way_are_another_column(constant_model, model_metadata, tmp_path):
     def metadata(seed: int, channels: int) -> dict[str, str]:
-        training = json.dumps({"network": {"channels": [channels]}, "training": {"seed": seed}})
+        found = {"axis_found": {"x": seed}}  # what training found is no setting
+        training = json.dumps({"network": {"channels": [channels]}, "training": {"seed": seed}, **found})
         return {**model_metadata().to_properties(), "training": training}
 
     paths = []
