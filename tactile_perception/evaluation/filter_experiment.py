@@ -27,7 +27,7 @@ from tactile_perception.evaluation.filtering import (
 )
 from tactile_perception.evaluation.plots import best
 from tactile_perception.evaluation.predictions import Predictions
-from tactile_perception.evaluation.report import groups, with_spread
+from tactile_perception.evaluation.report import file_name, groups, with_spread
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
@@ -265,7 +265,7 @@ def draw_filter_figure(
             predictions = result.best.predictions
             _, run = _one(sequence, predictions, measurements, sigma, "equal", experiment)
             rows.append((f"sigma_psi {sigma:g}", sequence.labels, run.mean, run.sigma))
-        path = out / f"filter_{name.replace(' ', '_')}.png"
+        path = out / f"filter_{file_name(name)}.png"
         draw_predicted_against_actual(path, rows, f"{data.folder.name}, {result.name}, with filter")
         paths.append(path)
     return paths

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -204,8 +205,13 @@ def write_files(out: Path, data: EvaluationData, results: Sequence[ModelResult])
         writer.writerow(["model", "kind", "state", "quantity", "component", "value"])
         for result in results:
             writer.writerows((result.name, result.kind, *row) for row in _rows(result))
-    for number, result in enumerate(results):
-        _write_predictions(out / f"predictions_{number + 1}.csv", data, result)
+    for result in results:
+        _write_predictions(out / f"predictions_{file_name(result.name)}.csv", data, result)
+
+
+def file_name(name: str) -> str:
+    """A model's or kind's name as part of a file's name."""
+    return re.sub(r"[^\w.-]+", "_", name).strip("_")
 
 
 def _rows(result: ModelResult) -> Iterator[tuple[str, str, str, str]]:
@@ -242,7 +248,6 @@ def _write_predictions(path: Path, data: EvaluationData, result: ModelResult) ->
             columns.append(assessment.predictions.sigma)
     values = np.hstack(columns)
     with path.open("w", newline="") as file:
-        file.write(f"# {result.name}\n")
         file.write(",".join(["image", *header]) + "\n")
         for name, row in zip(data.names, values.tolist(), strict=True):
             file.write(name + "," + ",".join(f"{value:.6g}" for value in row) + "\n")

@@ -210,7 +210,7 @@ def test_command_writes_tables_and_figures(folder, constant_model, tmp_path, cap
         "slip",
     ):
         assert (out / f"{name}.png").stat().st_size > 10_000
-    assert len((out / "predictions_1.csv").read_text().splitlines()) == SAMPLES + 2
+    assert len((out / "predictions_constant.csv").read_text().splitlines()) == SAMPLES + 1
 
 
 def test_calibration_data_turn_an_overconfident_model_honest(folder, constant_model, tmp_path, capsys):
