@@ -10,27 +10,22 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import TwistStamped
 from numpy.typing import NDArray
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.duration import Duration
 from sensor_msgs.msg import Image
 
-from tactile_bringup.collector_messages import ZERO, feedback_message, status_message
+from tactile_bringup.collector_messages import feedback_message, status_message
 from tactile_bringup.collector_settings import TASK, CollectorSettings
-from tactile_bringup.ros.conversions import MessageError, twist_stamped
+from tactile_bringup.ros.conversions import MessageError
 from tactile_bringup.ros.image_bytes import image_from_bytes
-from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode
+from tactile_bringup.ros.managed_node import ConfigurationError
 from tactile_bringup.ros.managed_node import run as run_node
 from tactile_bringup.ros.parameters import SettingsParameters
-from tactile_bringup.ros.qos import COMMAND, IMAGE, STATE
-from tactile_bringup.ros.stamps import SECOND_NS, duration_from_ns
-from tactile_bringup.ros.transforms import TransformListener
+from tactile_bringup.ros.qos import IMAGE
+from tactile_bringup.ros.task_node import ZERO, Run, TaskNode, conclude
 from tactile_bringup.sample_store import SampleStore
 from tactile_control.collection import DataCollection
 from tactile_control.collection_settings import (
@@ -55,7 +50,6 @@ from tactile_filter import se3
 from tactile_filter.settings import Settings
 from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ControllerStatus
 from tactile_perception.dataset_layout import DatasetError
 from tactile_perception.preprocessing import (
     ImageError,
@@ -66,22 +60,21 @@ from tactile_perception.preprocessing import (
 from tactile_perception.presence import ContactPresence, PresenceSettings
 
 
-@dataclass
-class Run:
-    """One accepted goal."""
+@dataclass(kw_only=True)
+class CollectionRun(Run):
+    """One accepted goal, with where its samples go and how many were there `before`."""
 
-    handle: Any
     task: DataCollection
     store: SampleStore
     before: int
-    started_ns: int
     phase: str = ""
-    feedback_ns: int = 0
     last: CollectionCommand | None = None
 
 
-class CollectorNode(ManagedNode):
+class CollectorNode(TaskNode):
     """See the module's text."""
+
+    run: CollectionRun | None
 
     def __init__(self) -> None:
         super().__init__("collector")
@@ -100,8 +93,7 @@ class CollectorNode(ManagedNode):
             name: SettingsParameters(self, default, prefix=name, on_change=self._configure_task)
             for name, default in defaults.items()
         }
-        self.run: Run | None = None
-        self._clear()
+        self.forget()
 
     # ---- lifecycle ----
 
@@ -111,35 +103,20 @@ class CollectorNode(ManagedNode):
             raise ConfigurationError("parameter folder: must name the folder of the data set")
         self.preprocessor = Preprocessor(self.preprocessing.value)
         self.presence = ContactPresence(self.presence_settings.value)
-        self.twist_out = self.publisher(TwistStamped, "command/twist", COMMAND)
-        self.status_out = self.publisher(ControllerStatus, "controller/status", STATE)
-        self.transforms = TransformListener(self, on_update=self._match_image, on_jump=self._jumped)
         age = self.task_settings().watchdog.image_age
         self.subscribe(Image, "tactile/image", self._take_image, IMAGE, age, raw=True)
-        self.timer(self.settings.value.step_period, self._tick)
-        action = ActionServer(
-            self,
-            RunTask,
-            "run_task",
-            execute_callback=_nothing_to_execute,
-            goal_callback=self._consider_goal,
-            handle_accepted_callback=self._accept_goal,
-            cancel_callback=self._cancel,
-        )
-        self.release_later(ActionServer.destroy, action)
+        self.open_task(self.settings.value.step_period, on_transform=self._match_image)
 
     def activate(self) -> None:
         """Forget old inputs and be idle."""
-        self._clear()
+        self.forget()
 
-    def deactivate(self) -> None:
-        """Abort what runs and leave a zero twist as the last word."""
-        if self.run is not None:
-            self._finish("the collector was deactivated", succeeded=False)
-        self.twist_out.publish(twist_stamped(self.now_ns(), self.sensor_frame, ZERO))
-        self.twist_out.wait_for_all_acked(Duration(seconds=0.2))
+    def end(self, reason: str) -> None:
+        """Abort what runs, and make its table whole."""
+        self._finish(reason, succeeded=False)
 
-    def _clear(self) -> None:
+    def forget(self) -> None:
+        """Forget what has been received."""
         self.pending: tuple[int, NDArray[np.uint8]] | None = None
         self.exposure: Exposure | None = None
         self.image: NDArray[np.uint8] | None = None
@@ -181,7 +158,7 @@ class CollectorNode(ManagedNode):
             self._refuse_image(str(error))
             return
         self.image = image
-        self._step()
+        self.step()
 
     def _contact(self, image: NDArray[np.uint8]) -> bool | None:
         """Whether the image shows contact; None before the reference is taken, off the surface at rest."""
@@ -195,38 +172,30 @@ class CollectorNode(ManagedNode):
         self.count("images refused")
         self.warn("image", f"tactile/image refused: {reason}")
 
-    def _sensor_pose(self) -> StampedPose | None:
-        try:
-            return StampedPose(*self.transforms.newest(self.base_frame, self.sensor_frame))
-        except TransformUnavailable as error:
-            if self.run is not None:
-                self.warn("pose", f"no sensor pose: {error}")
-            return None
-
-    def _jumped(self, seconds: float) -> None:
-        self._clear()
-        if self.run is not None:
-            self.run.task.stop(f"time jumped back by {seconds:.3f} s")
-
     # ---- steps ----
 
-    def _tick(self) -> None:
-        settings = self.settings.value
-        period = settings.step_period if self.run is not None else settings.idle_period
-        if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
-            self._step()
+    def periods(self) -> tuple[float, float]:
+        """See `TaskNode`."""
+        return self.settings.value.step_period, self.settings.value.idle_period
 
-    def _step(self) -> None:
+    def step(self) -> None:
+        """One step of the collection under way, or a zero twist."""
         now_ns = self.now_ns()
         self.last_step_ns = now_ns
         if self.run is None:
-            self.twist_out.publish(twist_stamped(now_ns, self.sensor_frame, ZERO))
+            self.send_twist(ZERO)
             self._publish_status(now_ns, None)
             return
-        command = self.run.task.step(now_ns, CollectionInputs(self._sensor_pose(), self.exposure))
-        self.twist_out.publish(twist_stamped(self.now_ns(), self.sensor_frame, command.twist))
+        pose = self.sensor_pose()
+        inputs = CollectionInputs(StampedPose(*pose) if pose else None, self.exposure)
+        command = self.run.task.step(now_ns, inputs)
+        self.send_twist(command.twist)
         self._publish_status(now_ns, command)
         self._after(now_ns, command)
+
+    def travelled(self) -> float:
+        """See `TaskNode`."""
+        return self.run.last.travelled if self.run is not None and self.run.last is not None else 0.0
 
     def _after(self, now_ns: int, command: CollectionCommand) -> None:
         """What is kept, feedback, complaints, and the end of the run."""
@@ -240,13 +209,12 @@ class CollectorNode(ManagedNode):
             self.report.complain("collection", command.reason)
         if command.done:
             self._finish(command.reason, command.succeeded)
-        elif now_ns - run.feedback_ns >= self.settings.value.feedback_period * SECOND_NS:
-            run.feedback_ns = now_ns
+        elif run.feedback_due(now_ns, self.settings.value.feedback_period):
             run.handle.publish_feedback(self._feedback(run, command))
 
     # ---- what is kept ----
 
-    def _keep(self, run: Run, before: str, command: CollectionCommand) -> None:
+    def _keep(self, run: CollectionRun, before: str, command: CollectionCommand) -> None:
         """Store what this step has given; what cannot be written ends the run, off the surface."""
         image, capture = self.image, command.capture
         try:
@@ -264,9 +232,9 @@ class CollectorNode(ManagedNode):
 
     # ---- messages ----
 
-    def _feedback(self, run: Run, command: CollectionCommand) -> RunTask.Feedback:
-        pose = self._sensor_pose()
-        X_fs = None if pose is None else se3.inverse(run.task.T_base_f) @ pose.T
+    def _feedback(self, run: CollectionRun, command: CollectionCommand) -> RunTask.Feedback:
+        pose = self.sensor_pose()
+        X_fs = None if pose is None else se3.inverse(run.task.T_base_f) @ pose[1]
         return feedback_message(command, run.before, X_fs)
 
     def _publish_status(self, now_ns: int, command: CollectionCommand | None) -> None:
@@ -285,28 +253,22 @@ class CollectorNode(ManagedNode):
 
     # ---- the action ----
 
-    def _consider_goal(self, goal: RunTask.Goal) -> GoalResponse:
-        reason = ""
-        if not self.active:
-            reason = "the collector is not active"
-        elif self.run is not None:
-            reason = "a collection is running; cancel it first"
-        elif goal.task != TASK:
-            reason = f"task is '{goal.task}', must be '{TASK}'"
-        if not reason:
-            return GoalResponse.ACCEPT
-        self.count("goals refused")
-        self.warn("goal", f"goal refused: {reason}", period=0.0)
-        return GoalResponse.REJECT
+    def objection(self, goal: RunTask.Goal) -> str:
+        """See `TaskNode`."""
+        if self.run is not None:
+            return "a collection is running; cancel it first"
+        return "" if goal.task == TASK else f"task is '{goal.task}', must be '{TASK}'"
 
-    def _accept_goal(self, handle: Any) -> None:
+    def accept(self, handle: Any) -> CollectionRun | None:
+        """See `TaskNode`; a folder that cannot be used, or needs nothing, ends the goal at once."""
         try:
-            self._start(handle)
+            return self._start(handle)
         except (DatasetError, OSError) as error:
             self.warn("collection", str(error), period=0.0)
-            _conclude(handle, RunTask.Result(success=False, reason=str(error)))
+            conclude(handle, RunTask.Result(success=False, reason=str(error)))
+            return None
 
-    def _start(self, handle: Any) -> None:
+    def _start(self, handle: Any) -> CollectionRun | None:
         settings = self.settings.value
         store = SampleStore(settings.folder, self.preprocessing.value, settings.images)
         targets = [
@@ -316,8 +278,8 @@ class CollectorNode(ManagedNode):
         self.get_logger().info(f"{len(targets)} of {settings.samples} samples to collect")
         if not targets:
             store.finish()
-            _conclude(handle, RunTask.Result(success=True, reason="every sample is there"))
-            return
+            conclude(handle, RunTask.Result(success=True, reason="every sample is there"))
+            return None
         self.presence.reset()
         found = store.surface()
         task_settings = self.task_settings()
@@ -325,56 +287,24 @@ class CollectorNode(ManagedNode):
             task_settings = task_settings.replaced(touch=task_settings.touch.replaced(points=0))
         frame = self._assumed_frame() if found is None else found
         task = DataCollection(task_settings, targets, frame)
-        self.run = Run(handle, task, store, settings.samples - len(targets), self.now_ns())
+        before = settings.samples - len(targets)
+        return CollectionRun(handle=handle, task=task, started_ns=self.now_ns(), store=store, before=before)
 
     def _assumed_frame(self) -> NDArray[np.float64]:
         """T_base_f (4, 4) as the parameter says."""
         return se3.pose_from_euler(self.settings.value.frame)
 
-    def _cancel(self, handle: Any) -> CancelResponse:
-        if self.run is None or handle.goal_id != self.run.handle.goal_id:
-            return CancelResponse.REJECT
-        self.run.task.stop("cancelled")
-        return CancelResponse.ACCEPT
-
     def _finish(self, reason: str, succeeded: bool) -> None:
-        """Make the table whole and end the run with the state that its goal is to have."""
+        """Make the table whole and end the run."""
         assert self.run is not None
-        run, self.run = self.run, None
+        store = self.run.store
         try:
-            run.store.finish()
+            store.finish()
         except OSError as error:
-            reason, succeeded = f"{reason}; cannot write to {run.store.folder}: {error}".lstrip("; "), False
+            reason, succeeded = f"{reason}; cannot write to {store.folder}: {error}".lstrip("; "), False
         if not succeeded:
             self.warn("collection", f"collection failed: {reason}", period=0.0)
-        result = RunTask.Result(
-            success=succeeded,
-            reason=reason,
-            path_length=run.last.travelled if run.last else 0.0,
-            duration=duration_from_ns(self.now_ns() - run.started_ns),
-        )
-        _conclude(run.handle, result)
-
-
-def _conclude(handle: Any, result: RunTask.Result) -> None:
-    """End a goal with the state that the result says."""
-
-    def conclude(handle: Any) -> RunTask.Result:
-        if handle.is_cancel_requested:
-            handle.canceled()
-        elif result.success:
-            handle.succeed()
-        else:
-            handle.abort()
-        return result
-
-    execute: Callable[[Any], Any] = handle.execute
-    execute(conclude)
-
-
-def _nothing_to_execute(handle: Any) -> RunTask.Result:
-    """Stands in for the action server's callback: steps conclude goals (a waiting coroutine burns a core)."""
-    raise RuntimeError("goals of run_task are concluded by the collector's steps")
+        self.finish_run(reason, succeeded)
 
 
 def main() -> int:

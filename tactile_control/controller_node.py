@@ -15,32 +15,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import TwistStamped
 from numpy.typing import NDArray
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.duration import Duration
 
 from tactile_bringup.ros.cdr import HeadedReader, Layout, split_stamp
 from tactile_bringup.ros.conversions import MessageError, matrix_from_pose
 from tactile_bringup.ros.latency import LatencyPublisher
-from tactile_bringup.ros.managed_node import ManagedNode, lost_counter, run
+from tactile_bringup.ros.managed_node import lost_counter, run
 from tactile_bringup.ros.parameters import SettingsParameters
-from tactile_bringup.ros.qos import COMMAND, STATE
-from tactile_bringup.ros.stamps import SECOND_NS, duration_from_ns
-from tactile_bringup.ros.transforms import TransformListener
-from tactile_bringup.ros.wire import twist_bytes
+from tactile_bringup.ros.qos import STATE
+from tactile_bringup.ros.stamps import SECOND_NS
+from tactile_bringup.ros.task_node import ZERO, Run, TaskNode
 from tactile_control.files import TASKS
 from tactile_control.task import Command, PathGoal, StampedPose, StampedPresence, SurfaceFollowing, TaskInputs
 from tactile_control.task_settings import SurfaceFollowingSettings
 from tactile_filter import se3
 from tactile_filter.settings import SettingError, Settings, setting, unknown_name
-from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState, ControllerStatus
 
 IDLE = "idle"
 STATE_TOPIC = "contact/state"
-ZERO = np.zeros(6)
 NOT_A_NUMBER = np.full(6, np.nan)
 read_state = HeadedReader(ContactState)
 XI, FLAGS = slice(0, 6), 50  # among its numbers: behind xi are covariance, euler, nis and nis_dof
@@ -65,19 +59,18 @@ class ControllerTimingSettings(Settings):
     )
 
 
-@dataclass
-class Run:
-    """One accepted goal."""
+@dataclass(kw_only=True)
+class PathRun(Run):
+    """One accepted goal, and what it asks of the parameters."""
 
-    handle: Any
     task: SurfaceFollowing
-    started_ns: int
     overrides: dict[str, dict[str, Any]]
-    feedback_ns: int = 0
 
 
-class ControllerNode(ManagedNode):
+class ControllerNode(TaskNode):
     """See the module's text; the arithmetic is `SurfaceFollowing`."""
+
+    run: PathRun | None
 
     def __init__(self) -> None:
         super().__init__("controller")
@@ -91,47 +84,31 @@ class ControllerNode(ManagedNode):
             )
             for name in ("task", "servoing", "pid", "limiter", "watchdog", "prediction")
         }
-        self.run: Run | None = None
         self.last: Command | None = None
         self.goals = 0
-        self._clear()
+        self.forget()
 
     # ---- lifecycle ----
 
     def configure(self) -> None:
         """Create publishers, subscriptions and the action."""
         limits = self.groups["watchdog"].value
-        self.twist_out = self.publisher(TwistStamped, "command/twist", COMMAND)
-        self.status_out = self.publisher(ControllerStatus, "controller/status", STATE)
         self.latency = LatencyPublisher(self, "controller", self.sensor_frame)
-        self.transforms = TransformListener(self, on_jump=self._jumped)
         self.subscribe(ContactState, STATE_TOPIC, self._take_state, STATE, limits.belief_age, raw=True)
-        self.timer(self.timing.value.watchdog_period, self._tick)
-        action = ActionServer(
-            self,
-            RunTask,
-            "run_task",
-            execute_callback=_nothing_to_execute,
-            goal_callback=self._consider_goal,
-            handle_accepted_callback=self._accept_goal,
-            cancel_callback=self._cancel,
-        )
-        self.release_later(ActionServer.destroy, action)
+        self.open_task(self.timing.value.watchdog_period)
 
     def activate(self) -> None:
         """Forget old inputs and be idle."""
-        self._clear()
+        self.forget()
         self.last = None
         self.path_name = ""
 
-    def deactivate(self) -> None:
-        """Abort what runs and leave a zero twist as the last word."""
-        if self.run is not None:
-            self._finish("the controller was deactivated", succeeded=False)
-        self.twist_out.publish(twist_bytes(self.now_ns(), self.sensor_frame, ZERO))
-        self.twist_out.wait_for_all_acked(Duration(seconds=0.2))
+    def end(self, reason: str) -> None:
+        """Abort what runs, and say so."""
+        self._finish(reason, succeeded=False)
 
-    def _clear(self) -> None:
+    def forget(self) -> None:
+        """Forget what has been received."""
         self.belief: StampedPose | None = None
         self.presence: StampedPresence | None = None
         self.last_step_ns = 0
@@ -145,7 +122,7 @@ class ControllerNode(ManagedNode):
         self._update_presence(stamp_ns, not flags & ContactState.NO_CONTACT)
         if not flags & ContactState.INVALID:
             self._take_belief(stamp_ns, np.array(xi))
-        self._step()
+        self.step()
         self.latency.note(stamp_ns, received_ns, self.last_step_ns, self.counters[lost_counter(STATE_TOPIC)])
 
     def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
@@ -160,42 +137,30 @@ class ControllerNode(ManagedNode):
         if self.presence is None or stamp_ns > self.presence.stamp_ns:
             self.presence = StampedPresence(stamp_ns, in_contact)
 
-    def _sensor_pose(self) -> StampedPose | None:
-        """Where the sensor is now, by the newest transform; its age is for the task's watchdog."""
-        try:
-            return StampedPose(*self.transforms.newest(self.base_frame, self.sensor_frame))
-        except TransformUnavailable as error:
-            if self.run is not None:
-                self.warn("pose", f"no sensor pose: {error}")
-            return None
-
-    def _jumped(self, seconds: float) -> None:
-        self._clear()
-        if self.run is not None:
-            self.run.task.stop(f"time jumped back by {seconds:.3f} s")
-
     # ---- steps ----
 
-    def _tick(self) -> None:
-        """The timer: a step if none was made lately."""
-        timing = self.timing.value
-        period = timing.watchdog_period if self.run is not None else timing.idle_period
-        if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
-            self._step()
+    def periods(self) -> tuple[float, float]:
+        """See `TaskNode`."""
+        return self.timing.value.watchdog_period, self.timing.value.idle_period
 
-    def _step(self) -> None:
+    def step(self) -> None:
+        """One step of the path under way, or a zero twist."""
         now_ns = self.now_ns()
         if self.run is None:
-            self.twist_out.publish(twist_bytes(now_ns, self.sensor_frame, ZERO))
+            now_ns = self.send_twist(ZERO)
             self._publish_status(now_ns, self.last, ZERO)
         else:
-            inputs = TaskInputs(self.belief, self.presence, self._sensor_pose())
+            pose = self.sensor_pose()
+            inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None)
             command = self.run.task.step(now_ns, inputs)
-            now_ns = self.now_ns()
-            self.twist_out.publish(twist_bytes(now_ns, self.sensor_frame, command.twist))
+            now_ns = self.send_twist(command.twist)
             self._publish_status(now_ns, command, command.twist)
             self._after(now_ns, command)
         self.last_step_ns = now_ns
+
+    def travelled(self) -> float:
+        """See `TaskNode`."""
+        return self.last.travelled if self.last else 0.0
 
     def _after(self, now_ns: int, command: Command) -> None:
         """Feedback, complaints, and the end of the run."""
@@ -207,8 +172,7 @@ class ControllerNode(ManagedNode):
             self.report.complain("task", command.reason)
         if command.done:
             self._finish(command.reason, command.succeeded)
-        elif now_ns - self.run.feedback_ns >= self.timing.value.feedback_period * SECOND_NS:
-            self.run.feedback_ns = now_ns
+        elif self.run.feedback_due(now_ns, self.timing.value.feedback_period):
             self.run.handle.publish_feedback(self._feedback(command))
 
     def _feedback(self, command: Command) -> RunTask.Feedback:
@@ -246,18 +210,8 @@ class ControllerNode(ManagedNode):
 
     # ---- the action ----
 
-    def _consider_goal(self, goal: RunTask.Goal) -> GoalResponse:
-        reason = self._objection(goal)
-        if reason:
-            self.count("goals refused")
-            self.warn("goal", f"goal refused: {reason}", period=0.0)
-            return GoalResponse.REJECT
-        return GoalResponse.ACCEPT
-
-    def _objection(self, goal: RunTask.Goal) -> str:
-        """'' or why the goal cannot be run, with what would be right."""
-        if not self.active:
-            return "the controller is not active"
+    def objection(self, goal: RunTask.Goal) -> str:
+        """See `TaskNode`."""
         if self.run is not None:
             return f"'{self.path_name}' is running; cancel it first"
         if goal.task not in TASKS:
@@ -269,52 +223,20 @@ class ControllerNode(ManagedNode):
             return str(error)
         return ""
 
-    def _accept_goal(self, handle: Any) -> None:
+    def accept(self, handle: Any) -> PathRun:
+        """See `TaskNode`."""
         goal = handle.request
         overrides = goal_overrides(goal)
         task = SurfaceFollowing(self._settings(overrides), path_goal(goal))
-        self.run = Run(handle, task, self.now_ns(), overrides)
         self.path_name = goal.path_name
         self.goals += 1
         self.last = None
-
-    def _cancel(self, handle: Any) -> CancelResponse:
-        if self.run is None or handle.goal_id != self.run.handle.goal_id:
-            return CancelResponse.REJECT
-        self.run.task.stop("cancelled")
-        return CancelResponse.ACCEPT
+        return PathRun(handle=handle, task=task, started_ns=self.now_ns(), overrides=overrides)
 
     def _finish(self, reason: str, succeeded: bool) -> None:
-        """End the run with the state that its goal is to have."""
-        assert self.run is not None
-        run, self.run = self.run, None
-        result = RunTask.Result(
-            success=succeeded,
-            reason=reason,
-            path_length=self.last.travelled if self.last else 0.0,
-            duration=duration_from_ns(self.now_ns() - run.started_ns),
-        )
+        self.finish_run(reason, succeeded)
         if not succeeded:
             self.warn("task", f"'{self.path_name}' failed: {reason}", period=0.0)
-
-        def conclude(handle: Any) -> RunTask.Result:
-            if handle.is_cancel_requested:
-                handle.canceled()
-            elif succeeded:
-                handle.succeed()
-            else:
-                handle.abort()
-            return result
-
-        run.handle.execute(conclude)
-
-
-def _nothing_to_execute(handle: Any) -> RunTask.Result:
-    """Stands in for the action server's callback: steps execute goals and `_finish` concludes them.
-
-    A coroutine that waited for the end would be polled without pause by the executors and burn a core.
-    """
-    raise RuntimeError("goals of run_task are concluded by the controller's steps")
 
 
 def status_bytes(

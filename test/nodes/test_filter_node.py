@@ -166,7 +166,7 @@ def test_frames_that_came_while_the_node_was_held_up_are_answered(feed):
     assert feed.state(feed.step(0))
     feed.process.send_signal(signal.SIGSTOP)
     sent = 0
-    while sent < 80:
+    while sent < 40:
         sent += 1
         feed.step(sent)
         feed.graph.spin(PERIOD_NS / SECOND)
@@ -174,7 +174,7 @@ def test_frames_that_came_while_the_node_was_held_up_are_answered(feed):
     feed.graph.spin(0.2)
     last = feed.step(sent + 1)
     assert feed.state(last)
-    assert len(feed.states) == sent + 2
+    assert feed.graph.wait(lambda: len(feed.states) == sent + 2, 2.0)
 
 
 def test_an_estimate_waits_for_its_transform(feed):
