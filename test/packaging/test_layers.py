@@ -126,7 +126,8 @@ def requirement_names(root: Path) -> set[str]:
 
     config = configparser.ConfigParser()
     config.read(root / "setup.cfg")
-    blocks = [config["options"]["install_requires"], config["options.extras_require"]["train"]]
+    extras = config["options.extras_require"]
+    blocks = [config["options"]["install_requires"], extras["train"], extras["cluster"]]
     return {re.split(r"[<>=\[ ]", line)[0] for block in blocks for line in block.splitlines() if line}
 
 
