@@ -14,9 +14,10 @@ from pathlib import Path
 
 from tactile_bringup.bag import read_bag
 from tactile_bringup.replay import run_filter
-from tactile_bringup.replay_inputs import Inputs, inputs_of, wanted_topics
+from tactile_bringup.replay_inputs import Inputs, inputs_of
 from tactile_bringup.replay_output import write_bag
 from tactile_bringup.replay_sweep import base_settings
+from tactile_bringup.replay_topics import wanted_topics
 
 PARTS = ("read", "prepare", "filter", "write", "all")
 

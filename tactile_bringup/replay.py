@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from tactile_bringup.message_columns import Layout, blank_layout, stamps_ns
 from tactile_bringup.message_definitions import type_fields
-from tactile_bringup.replay_inputs import ArmInputs, LiveStates, Measurement
 from tactile_bringup.replay_numbers import ros_from_left
 from tactile_bringup.replay_settings import Change
+from tactile_bringup.replay_track import ArmInputs, LiveStates, Measurement
 from tactile_bringup.run_record import BeliefSeries
 from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from tactile_bringup.bag_contents import BagError
     from tactile_bringup.message_definitions import DefinitionMissing
-    from tactile_bringup.replay_inputs import ReplayError
+    from tactile_bringup.replay_topics import ReplayError
     from tactile_filter.settings import SettingError
 
     try:
@@ -118,7 +118,8 @@ def _processor_time() -> float:
 
 def _inputs(arguments: argparse.Namespace) -> Inputs:
     from tactile_bringup.bag import read_bag
-    from tactile_bringup.replay_inputs import ReplayError, inputs_of, read_inputs
+    from tactile_bringup.replay_inputs import inputs_of, read_inputs
+    from tactile_bringup.replay_topics import ReplayError
 
     if arguments.source == "estimates":
         if arguments.model is not None:

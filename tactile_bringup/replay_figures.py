@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tactile_bringup.euler_poses import euler_poses, euler_sigmas
 from tactile_bringup.figures import BELIEF, COMPONENTS, ESTIMATE, TRUTH, range_of, style, with_gaps
 from tactile_bringup.metrics import inverses
-from tactile_bringup.replay_inputs import ArmInputs
 from tactile_bringup.replay_report import RunResult
+from tactile_bringup.replay_track import ArmInputs
 
 Array = NDArray[Any]
 

@@ -24,7 +24,7 @@ from tactile_bringup.message_columns import MessageError as Unreadable
 from tactile_bringup.message_columns import blank_layout, layout_of, rows_of
 from tactile_bringup.message_definitions import type_fields
 from tactile_bringup.replay import BELIEF_TYPE, pose_rows
-from tactile_bringup.replay_inputs import ESTIMATE, PRESENCE, SENSOR, ReplayError, wanted_topics
+from tactile_bringup.replay_topics import ESTIMATE, PRESENCE, ReplayError, wanted_topics
 from tactile_perception.estimator import EstimateError, Estimator, ModelError
 from tactile_perception.preprocessing import ImageError
 from tactile_perception.presence import ContactPresence, PresenceSettings
@@ -178,7 +178,7 @@ class _Estimates:
         seen = self.presence.update(prepared)
         if seen.in_contact is None:
             return []
-        frame = image.frame_id or f"{self.arm}/{SENSOR}"
+        frame = image.frame_id or f"{self.arm}/tactile_sensor"
         messages = [
             _presence_message(self.arm, image, frame, seen.score, self.presence.settings.on, seen.in_contact)
         ]

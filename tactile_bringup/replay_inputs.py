@@ -7,118 +7,23 @@ serves all runs of a sweep.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from tactile_bringup.bag import Bag, read_bag
-from tactile_bringup.bag_contents import Recorded
-from tactile_bringup.message_columns import ColumnReader, Columns
-from tactile_bringup.message_definitions import type_fields
-from tactile_bringup.replay_clock import Jump, Timeline, epochs
-from tactile_bringup.replay_numbers import left_from_ros, poses_from_numbers, sound_poses
-from tactile_bringup.replay_settings import (
-    PARAMETER_EVENTS,
-    Change,
-    commanded_resets,
-    recorded_changes,
-    recorded_settings,
+from tactile_bringup.replay_clock import Jump, epochs
+from tactile_bringup.replay_topics import (
+    ESTIMATE,
+    PRESENCE,
+    TRANSFORMS,
+    ReplayError,
+    TopicReader,
+    wanted_topics,
 )
-from tactile_bringup.replay_transforms import Recording, connected, follow_pose, poses_at, read_transforms
-from tactile_bringup.run_record import TruthSeries
-from tactile_filter.contact_belief import UNUSABLE
-from tactile_filter.filter_settings import FilterSettings
-from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.transform_buffer import TransformUnavailable
-
-Array = NDArray[Any]
-
-TRANSFORMS = ("/tf", "/tf_static")
-ESTIMATE, PRESENCE, STATE, TRUTH = "contact/estimate", "contact/presence", "contact/state", "sim/truth"
-ARM_POSE = "arm/pose"
-ARM_TOPICS = (ESTIMATE, PRESENCE, STATE, TRUTH, ARM_POSE)
-SENSOR, BASE = "tactile_sensor", "base"
-POSE = tuple(f"pose.pose.{part}" for part in ("position.x", "position.y", "position.z")) + tuple(
-    f"pose.pose.orientation.{axis}" for axis in "xyzw"
-)
-
-ARM_POSE_PARTS = tuple(part.removeprefix("pose.") for part in POSE)
-
-
-class ReplayError(ValueError):
-    """A bag that cannot be replayed; the message says what is missing."""
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """One event of an arm.
-
-    Attributes
-    ----------
-    received_ns : int
-        When the last of its parts was recorded.
-    estimate : PoseGaussian or None
-        Of X_sf; None where nothing touches the sensor.
-    T_base_sensor : (4, 4) or None
-        Where the sensor was; not looked up where nothing touches it.
-    """
-
-    stamp_ns: int
-    received_ns: int
-    epoch: int
-    estimate: PoseGaussian | None
-    T_base_sensor: Array | None
-
-
-class _Event(NamedTuple):
-    """A measurement for which the sensor's pose is still to be found."""
-
-    epoch: int
-    stamp_ns: int
-    received_ns: int
-    estimate: PoseGaussian | None
-
-
-@dataclass
-class LiveStates:
-    """What the live filter published: stamps (N,), and the messages as structured array (N,)."""
-
-    stamps_ns: Array
-    values: Array
-
-
-@dataclass
-class ArmInputs:
-    """What one arm's filter takes.
-
-    Attributes
-    ----------
-    measurements : list of Measurement
-        In the order of (epoch, stamp).
-    live : LiveStates or None
-        What the live filter made of them, where the bag holds it.
-    changes : list of Change
-        Of the live filter's settings while it ran.
-    resets : frozenset of int
-        Stamps at which the live filter had been told to start anew.
-    remarks : list of str
-        What is missing, was refused, or is odd.
-    """
-
-    name: str
-    base_frame: str
-    sensor_frame: str
-    measurements: list[Measurement] = field(default_factory=list)
-    truth: TruthSeries = field(default_factory=TruthSeries)
-    live: LiveStates | None = None
-    changes: list[Change] = field(default_factory=list)
-    resets: frozenset[int] = frozenset()
-    remarks: list[str] = field(default_factory=list)
+from tactile_bringup.replay_track import ArmInputs, Track
+from tactile_bringup.replay_transforms import Recording
 
 
 @dataclass
@@ -139,31 +44,6 @@ class Inputs:
     arms: list[ArmInputs]
     remarks: list[str]
     span_s: float
-
-
-@dataclass
-class _Topic:
-    """The messages of one topic that could be decoded, in the order of the recording."""
-
-    stamps_ns: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-    order: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-    received_ns: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-    columns: list[Columns] = field(default_factory=list)
-    epochs: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-
-    @property
-    def timeline(self) -> Timeline:
-        return Timeline(self.stamps_ns, self.order)
-
-    def __len__(self) -> int:
-        return len(self.stamps_ns)
-
-
-def wanted_topics(topic: str, type_name: str) -> bool:
-    """Whether a replay from estimates needs a topic."""
-    return topic in (*TRANSFORMS, PARAMETER_EVENTS) or topic.endswith(
-        tuple(f"/{name}" for name in ARM_TOPICS)
-    )
 
 
 def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
@@ -187,13 +67,13 @@ def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
 
 def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     """The same of a bag that was read before."""
-    reader = _Reader(bag)
+    reader = TopicReader(bag)
     remarks = [] if bag.complete else [f"bag not complete: {bag.problem}"]
     names = sorted(name for name in reader.arm_names() if bag.counts.get(f"/{name}/{ESTIMATE}"))
     if not names:
         topics = ", ".join(sorted(bag.topics)) or "none"
         raise ReplayError(f"{bag.folder}: no messages on <arm>/{ESTIMATE}; topics with messages: {topics}")
-    tracks = {name: _Track(reader, name, base_frame) for name in names}
+    tracks = {name: Track(reader, name, base_frame) for name in names}
     recording = reader.transforms(ignore=[f"{track.arm.name}/contact" for track in tracks.values()])
     for track in tracks.values():
         track.find_the_sensor(recording)
@@ -215,209 +95,7 @@ def _span_s(bag: Bag) -> float:
     return (max(times) - min(times)) * 1e-9 if times else 0.0
 
 
-class _Reader:
-    """Decodes the topics of a bag."""
-
-    def __init__(self, bag: Bag) -> None:
-        self.bag = bag
-        self._by_topic: dict[str, list[tuple[int, Recorded]]] = {}
-        for order, message in enumerate(bag.messages):
-            self._by_topic.setdefault(message.topic, []).append((order, message))
-
-    def arm_names(self) -> set[str]:
-        suffix = f"/{ESTIMATE}"
-        return {topic[1 : -len(suffix)] for topic in self.bag.types if topic.endswith(suffix)}
-
-    def topic(self, name: str, remarks: list[str]) -> _Topic:
-        """All messages of a topic; what cannot be decoded is told in `remarks`."""
-        messages = self._by_topic.get(name, [])
-        if not messages:
-            return _Topic()
-        reader = ColumnReader(type_fields(self.bag.definitions, messages[0][1].type), messages[0][1].type)
-        columns = reader.read([message.data for _, message in messages])
-        if reader.unreadable:
-            _, reason = reader.unreadable[0]
-            remarks.append(
-                f"{name}: {len(reader.unreadable)} messages cannot be decoded, the first: {reason}"
-            )
-        stamps = np.full(len(messages), -1, np.int64)
-        for group in columns:
-            stamps[group.indices] = group.stamps_ns()
-        order = np.array([order for order, _ in messages])
-        received = np.array([message.received_ns for _, message in messages])
-        return _Topic(stamps, order, received, columns)
-
-    def transforms(self, ignore: Sequence[str]) -> Recording:
-        messages = [entry for name in TRANSFORMS for entry in self._by_topic.get(name, [])]
-        if not messages:
-            return Recording()
-        return read_transforms(type_fields(self.bag.definitions, messages[0][1].type), messages, ignore)
-
-
-class _Track:
-    """One arm's topics on their way to measurements."""
-
-    def __init__(self, reader: _Reader, name: str, base_frame: str) -> None:
-        self.arm = ArmInputs(name, base_frame, "")
-        self.reader = reader
-        remarks = self.arm.remarks
-        self.estimate = reader.topic(f"/{name}/{ESTIMATE}", remarks)
-        self.presence = reader.topic(f"/{name}/{PRESENCE}", remarks)
-        self.state = reader.topic(f"/{name}/{STATE}", remarks)
-        self.truth = reader.topic(f"/{name}/{TRUTH}", remarks)
-        self.rows, self.gaussians = self._take_estimates()
-        if not len(self.presence):
-            remarks.append(f"no {PRESENCE}: every estimate counts as one in contact")
-
-    def find_the_sensor(self, recording: Recording) -> None:
-        """Where transforms do not connect the sensor with its base, take the arm's report of its pose."""
-        arm = self.arm
-        if connected(recording, arm.base_frame, arm.sensor_frame):
-            return
-        topic = self.reader.topic(f"/{arm.name}/{ARM_POSE}", arm.remarks)
-        frames = {group.layout.texts["header.frame_id"] for group in topic.columns}
-        if frames != {arm.base_frame}:
-            return
-        numbers = np.zeros((len(topic), 7))
-        for group in topic.columns:
-            numbers[group.indices] = group.stack(ARM_POSE_PARTS)
-        sensor, base = arm.sensor_frame, arm.base_frame
-        follow_pose(recording, topic.stamps_ns, topic.order, base, sensor, numbers)
-        arm.remarks.append(
-            f"no transforms between '{base}' and '{sensor}': the sensor's poses are those of {ARM_POSE}"
-        )
-
-    def finished(self, recording: Recording) -> ArmInputs:
-        """Join, look the sensor's poses up, and add what there is to compare with."""
-        arm = self.arm
-        joined = self._joined()
-        arm.measurements = self._with_poses(joined, recording)
-        arm.truth = _truth(self.truth)
-        arm.live = _live(self.state)
-        arm.changes = recorded_changes(self.reader.bag, arm.name)
-        if arm.live is not None:
-            values = recorded_settings(self.reader.bag.note, arm.name)[0]
-            age = FilterSettings.from_mapping(values).max_prediction_age
-            live = arm.live.values
-            arm.resets = commanded_resets(arm.live.stamps_ns, live["flags"], live["nis"], age)
-        return arm
-
-    def _take_estimates(self) -> tuple[Array, list[PoseGaussian]]:
-        """Rows of the estimates in the sensor's frame, and the Gaussians; live filters pass others over."""
-        topic, remarks = self.estimate, self.arm.remarks
-        sizes: Counter[str] = Counter()
-        for group in topic.columns:
-            sizes[group.layout.texts["header.frame_id"]] += len(group.indices)
-        sensor = max(sizes, key=lambda frame: sizes[frame])
-        self.arm.sensor_frame = sensor
-        self.arm.base_frame = self.arm.base_frame or "/".join([*sensor.split("/")[:-1], BASE])
-        groups = [g for g in topic.columns if g.layout.texts["header.frame_id"] == sensor]
-        rows = np.concatenate([group.indices for group in groups])
-        poses = np.concatenate([group.stack(POSE) for group in groups])
-        covs = np.concatenate([group.values["pose.covariance"] for group in groups]).reshape(-1, 6, 6)
-        gaussians = _gaussians(poses, covs.astype(np.float64))
-        unusable = sum(gaussian is UNUSABLE for gaussian in gaussians)
-        if unusable:
-            remarks.append(f"{unusable} estimates are not finite or no Gaussians: there the filter predicts")
-        if len(rows) < sum(sizes.values()):
-            others = sum(sizes.values()) - len(rows)
-            remarks.append(f"{others} estimates are not in frame '{sensor}' and are passed over")
-        return rows, gaussians
-
-    def _joined(self) -> list[_Event]:
-        """The events by epoch and stamp: what live nodes join, whatever the order of its parts was."""
-        presence = _first_of_each_stamp(self.presence, np.arange(len(self.presence)))
-        estimate = _first_of_each_stamp(self.estimate, self.rows)
-        repeated = len(self.presence) + len(self.rows) - len(presence) - len(estimate)
-        if repeated:
-            self.arm.remarks.append(
-                f"{repeated} messages have the stamp of one before them and are passed over"
-            )
-        in_contact, gaussians = (
-            _in_contact(self.presence),
-            dict(zip(self.rows.tolist(), self.gaussians, strict=True)),
-        )
-        events, alone = [], 0
-        for key in sorted(presence.keys() | estimate.keys()):
-            touching = bool(in_contact[presence[key]]) if key in presence else True
-            if touching and key not in estimate:
-                alone += 1
-                continue
-            received = [
-                int(topic.received_ns[rows[key]])
-                for topic, rows in ((self.presence, presence), (self.estimate, estimate))
-                if key in rows
-            ]
-            events.append(_Event(*key, max(received), gaussians[estimate[key]] if touching else None))
-        if alone:
-            self.arm.remarks.append(f"{alone} presences in contact have no estimate and are passed over")
-        return events
-
-    def _with_poses(self, events: list[_Event], recording: Recording) -> list[Measurement]:
-        arm = self.arm
-        found: dict[tuple[int, int], Any] = {}
-        for epoch in sorted({event.epoch for event in events}):
-            touching = [e.stamp_ns for e in events if e.epoch == epoch and e.estimate is not None]
-            stamps = np.array(touching, np.int64)
-            poses = poses_at(recording, arm.base_frame, arm.sensor_frame, stamps, epoch)
-            found |= {(epoch, stamp_ns): pose for stamp_ns, pose in zip(touching, poses, strict=True)}
-        missing = [pose for pose in found.values() if isinstance(pose, TransformUnavailable)]
-        if found and len(missing) == len(found):
-            raise ReplayError(f"{arm.name} cannot be replayed: {missing[0]}{_hint(recording)}")
-        if missing:
-            arm.remarks.append(
-                f"{len(missing)} estimates have no pose of the sensor, the first: {missing[0]}"
-            )
-        measurements = []
-        for event in events:
-            pose = found.get((event.epoch, event.stamp_ns))
-            if not isinstance(pose, TransformUnavailable):
-                measurements.append(
-                    Measurement(event.stamp_ns, event.received_ns, event.epoch, event.estimate, pose)
-                )
-        return measurements
-
-
-def _hint(recording: Recording) -> str:
-    """What the bag lacks, where no pose at all could be looked up."""
-    lacking = [
-        name
-        for name, links in zip(TRANSFORMS, (recording.moving, recording.static), strict=True)
-        if not links
-    ]
-    return f"; the bag has no messages on {' and '.join(lacking)}" if lacking else ""
-
-
-def _gaussians(poses: Array, covs: Array) -> list[PoseGaussian]:
-    """Of poses (N, 7) with ROS covariances (N, 6, 6); UNUSABLE for those that live nodes refuse."""
-    variances = np.diagonal(covs, axis1=1, axis2=2)
-    sound = sound_poses(poses) & np.isfinite(covs).all(axis=(1, 2)) & (variances >= 0.0).all(axis=1)
-    rows = np.flatnonzero(sound)
-    means, lefts = poses_from_numbers(poses[rows]), left_from_ros(covs[rows], poses[rows, :3])
-    result = [UNUSABLE] * len(poses)
-    for row, mean, left in zip(rows.tolist(), means, lefts, strict=True):
-        result[row] = PoseGaussian(mean, left)
-    return result
-
-
-def _first_of_each_stamp(topic: _Topic, rows: Array) -> dict[tuple[int, int], int]:
-    """(epoch, stamp) -> row, of these rows; of equal stamps the first one holds, as in the live nodes."""
-    found: dict[tuple[int, int], int] = {}
-    for row in rows[np.argsort(topic.order[rows], kind="stable")].tolist():
-        key = int(topic.epochs[row]), int(topic.stamps_ns[row])
-        if key[1] >= 0:  # else it could not be decoded
-            found.setdefault(key, row)
-    return found
-
-
-def _in_contact(topic: _Topic) -> list[bool]:
-    values = np.zeros(len(topic), bool)
-    for group in topic.columns:
-        values[group.indices] = group.values["in_contact"]
-    return [bool(value) for value in values]
-
-
-def _assign_epochs(recording: Recording, tracks: Iterable[_Track]) -> list[Jump]:
+def _assign_epochs(recording: Recording, tracks: Iterable[Track]) -> list[Jump]:
     """Give each message and each transform its epoch."""
     holders: dict[str, Any] = {f"/tf of {child}": link for child, link in recording.moving.items()}
     for track in tracks:
@@ -449,38 +127,3 @@ def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[s
         for jump in jumps
     ]
     return remarks
-
-
-def _truth(topic: _Topic) -> TruthSeries:
-    """The simulator's truth by stamp, its depth from geometry."""
-    if not len(topic):
-        return TruthSeries()
-    stamp_ns = np.concatenate([group.stamps_ns() for group in topic.columns])
-    euler, depth, slip, touching = (
-        np.concatenate([group.values[name] for group in topic.columns])
-        for name in ("euler", "depth", "slip_fraction", "in_contact")
-    )
-    T_fs = _poses_from_euler(euler)
-    T_fs[:, 2, 3] = depth
-    order = np.argsort(stamp_ns, kind="stable")
-    return TruthSeries(stamp_ns[order], T_fs[order], slip[order], touching[order])
-
-
-def _poses_from_euler(euler: Array) -> Array:
-    """T (N, 4, 4) of Euler poses (N, 6), as `se3.pose_from_euler`; NaN where they are."""
-    ca, cb, cg = np.cos(euler[:, 3:]).T
-    sa, sb, sg = np.sin(euler[:, 3:]).T
-    T = np.zeros((len(euler), 4, 4))
-    T[:, 0, :3] = np.stack((cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa), -1)
-    T[:, 1, :3] = np.stack((sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa), -1)
-    T[:, 2, :3] = np.stack((-sb, cb * sa, cb * ca), -1)
-    T[:, :3, 3] = euler[:, :3]
-    T[:, 3, 3] = 1.0
-    return T
-
-
-def _live(topic: _Topic) -> LiveStates | None:
-    """What the live filter published; None where the bag does not hold it."""
-    if len(topic.columns) != 1:  # none, or frames that change within it: nothing to compare with
-        return None
-    return LiveStates(topic.columns[0].stamps_ns(), topic.columns[0].values)

@@ -16,7 +16,7 @@ from tactile_bringup.bag_writer import BagWriter, Topic
 from tactile_bringup.message_columns import rows_of
 from tactile_bringup.message_definitions import message_definition
 from tactile_bringup.replay import BELIEF_TYPE, STATE_TYPE, ArmRun, pose_rows
-from tactile_bringup.replay_inputs import STATE
+from tactile_bringup.replay_topics import STATE
 from tactile_filter.belief import Belief
 
 Array = NDArray[Any]

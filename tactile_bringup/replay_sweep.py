@@ -11,10 +11,11 @@ from pathlib import Path
 
 from tactile_bringup.bag_contents import Recorded
 from tactile_bringup.replay import agreement, run_filter, series_of, smooth_run
-from tactile_bringup.replay_inputs import ArmInputs, Inputs
+from tactile_bringup.replay_inputs import Inputs
 from tactile_bringup.replay_output import write_bag
 from tactile_bringup.replay_report import RunResult
 from tactile_bringup.replay_settings import NAMES, recorded_settings
+from tactile_bringup.replay_track import ArmInputs
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.files import load_filter_settings
 from tactile_filter.settings import SettingError, unknown_name

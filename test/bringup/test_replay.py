@@ -14,8 +14,9 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from tactile_bringup.bag import read_bag
 from tactile_bringup.cli import main
 from tactile_bringup.replay import Agreement, agreement, run_filter
-from tactile_bringup.replay_inputs import ReplayError, read_inputs
+from tactile_bringup.replay_inputs import read_inputs
 from tactile_bringup.replay_sweep import make_plans
+from tactile_bringup.replay_topics import ReplayError
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 
 

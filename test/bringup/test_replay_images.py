@@ -12,7 +12,8 @@ from tactile_bringup.bag import read_bag
 from tactile_bringup.cli import main
 from tactile_bringup.replay import run_filter
 from tactile_bringup.replay_images import estimated, wanted_with_images
-from tactile_bringup.replay_inputs import ReplayError, inputs_of
+from tactile_bringup.replay_inputs import inputs_of
+from tactile_bringup.replay_topics import ReplayError
 from tactile_filter import se3
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.gaussian import PoseGaussian

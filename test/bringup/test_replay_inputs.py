@@ -24,8 +24,9 @@ from rosbags.rosbag2 import StoragePlugin
 from tactile_bringup.message_columns import ColumnReader
 from tactile_bringup.message_definitions import type_fields
 from tactile_bringup.replay import run_filter
-from tactile_bringup.replay_inputs import ReplayError, read_inputs
+from tactile_bringup.replay_inputs import read_inputs
 from tactile_bringup.replay_numbers import left_from_ros, poses_from_numbers, ros_from_left, sound_poses
+from tactile_bringup.replay_topics import ReplayError
 from tactile_filter import pose_covariance, se3
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
