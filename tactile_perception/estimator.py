@@ -20,6 +20,7 @@ from tactile_perception.model_metadata import (
     INVERSE_SIGMA,
     MEAN,
     OUTPUT_SHAPES,
+    RUN_MODELS,
     MetadataError,
     ModelMetadata,
 )
@@ -27,8 +28,6 @@ from tactile_perception.preprocessing import Image, ImageError, Preprocessor
 
 Array = NDArray[np.float64]
 _WARM_UP_RUNS = 5
-#: Models in a run folder, the one to take first.
-RUN_MODELS = ("model_int8.onnx", "model.onnx")
 
 
 class ModelError(ValueError):

@@ -18,6 +18,8 @@ INPUT_NAME = "image"
 MEAN, INVERSE_SIGMA, COVARIANCE = "mu", "inverse_sigma", "covariance"
 #: Shapes after the batch axis. A model has `mu` and one of the other two.
 OUTPUT_SHAPES = {MEAN: (6,), INVERSE_SIGMA: (6,), COVARIANCE: (6, 6)}
+#: Models in a run folder, the one to take first.
+RUN_MODELS = ("model_int8.onnx", "model.onnx")
 FRAMES = (
     "xi = [rho, phi] = ln(X_sf): the surface feature frame {f} in the sensor frame {s}. {s}: origin at the "
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "

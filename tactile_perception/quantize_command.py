@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from tactile_perception.estimator import RUN_MODELS
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.model_metadata import RUN_MODELS
 
 QUANTIZED_NAME, MODEL_NAME = RUN_MODELS
 _TIMED_RUNS = 200
