@@ -82,14 +82,20 @@ class RunFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         if self.file(CONFIG_NAME).exists():
             self.check_same(config, data)
+            self._write_config(config)
             return self.file(STATE_NAME).exists()
         _write(self.file(FACTS_NAME), json.dumps(data, indent=2) + "\n")
-        _write(self.file(CONFIG_NAME), yaml.safe_dump(config.plain(), sort_keys=False))
+        self._write_config(config)
         return False
 
     def check_same(self, config: TrainConfig, data: dict[str, Any] | None = None) -> None:
-        """`FileExistsError` unless the run here was started with this configuration (and these data)."""
+        """`FileExistsError` unless the run here was started with this configuration (and these data).
+
+        The calibration is fitted when training has ended, so its settings may be others.
+        """
         found, wanted = yaml.safe_load(self.file(CONFIG_NAME).read_text()), config.plain()
+        if isinstance(found, dict):
+            found["calibration"] = wanted["calibration"]
         if data is not None and isinstance(found, dict):
             found["data"], wanted["data"] = json.loads(self.file(FACTS_NAME).read_text()), data
         difference = _difference(found, wanted)
@@ -98,6 +104,9 @@ class RunFolder:
                 f"{self.path}: holds another run that was started with {difference}; "
                 "remove it, choose another folder, or ask for the same to resume it"
             )
+
+    def _write_config(self, config: TrainConfig) -> None:
+        _write(self.file(CONFIG_NAME), yaml.safe_dump(config.plain(), sort_keys=False))
 
     def save_state(self, state: dict[str, Any]) -> None:
         """Keep what a resumed run needs."""
