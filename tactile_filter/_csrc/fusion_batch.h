@@ -5,6 +5,25 @@
 
 // the matrices of `size` elements from n on, element by element; beyond the end, the last one again
 static inline void NAME(load)(V* res, const ELEM* array, int size, int64_t n, int64_t count) {
+#if HAS_TRANSPOSE
+  if (n + LANES <= count && size >= LANES) {
+    // squares of the matrices' elements; the last one may overlap the one before
+    for (int i = 0; i < size; i += LANES) {
+      int first = i + LANES <= size ? i : size - LANES;
+      V square[LANES];
+      UNROLL
+      for (int lane = 0; lane < LANES; lane++) {
+        memcpy(square + lane, array + (n + lane)*size + first, sizeof(V));
+      }
+      NAME(transpose)(square);
+      UNROLL
+      for (int lane = 0; lane < LANES; lane++) {
+        res[first+lane] = square[lane];
+      }
+    }
+    return;
+  }
+#endif
   const ELEM* from[LANES];
   for (int lane = 0; lane < LANES; lane++) {
     from[lane] = array + (n + lane < count ? n + lane : count - 1)*size;
@@ -18,6 +37,24 @@ static inline void NAME(load)(V* res, const ELEM* array, int size, int64_t n, in
 
 
 static inline void NAME(store)(ELEM* array, const V* v, int size, int64_t n, int64_t count) {
+#if HAS_TRANSPOSE
+  if (n + LANES <= count && size >= LANES) {
+    for (int i = 0; i < size; i += LANES) {
+      int first = i + LANES <= size ? i : size - LANES;
+      V square[LANES];
+      UNROLL
+      for (int lane = 0; lane < LANES; lane++) {
+        square[lane] = v[first+lane];
+      }
+      NAME(transpose)(square);
+      UNROLL
+      for (int lane = 0; lane < LANES; lane++) {
+        memcpy(array + (n + lane)*size + first, square + lane, sizeof(V));
+      }
+    }
+    return;
+  }
+#endif
   ELEM* to = array + n*size;
   for (int lane = 0; lane < LANES && n + lane < count; lane++) {
     for (int i = 0; i < size; i++) {
@@ -92,9 +129,20 @@ static __attribute__((noinline, cold)) int NAME(fuse_alone)(const FusionBatch* b
       cov[k][i] = ((const ELEM*)batch->input_cov[k])[36*n + i];
     }
   }
+  for (int i = 0; ELEM_BYTES == 4 && i < 72; i++) {
+    // symmetric to the precision of floats is symmetric
+    double *matrix = cov[i/36], *a = matrix + i % 36, *b = matrix + 6*(i % 6) + i % 36/6;
+    if (fabs(*a - *b) <= ASYMMETRY*sqrt(matrix[7*(i % 6)]*matrix[7*(i % 36/6)])) {
+      *a = *b = 0.5*(*a + *b);
+    }
+  }
   FusionInput input[2] = {{mean[0], cov[0]}, {mean[1], cov[1]}};
-  int fault = batch->order == TO_CONVERGENCE ? fuse_exactly(&output, input, batch->iterations)
-                                             : robust_fixed(&output, input, batch->iterations, batch->order);
+  int fault = 0;
+  if (batch->order == TO_CONVERGENCE) {
+    fault = fuse_exactly(&output, input, batch->iterations);
+  } else if (ELEM_BYTES == 8 || !pair_fixed(&output, input, batch->iterations, batch->order)) {
+    fault = robust_fixed(&output, input, batch->iterations, batch->order);
+  }
   if (fault) {
     return fault;
   }

@@ -21,15 +21,25 @@ typedef struct {
 } NAME(Factor);
 
 
-// polynomial of even degree, its even and odd powers apart
+// polynomial of even degree; of doubles its even and odd powers apart, of floats, where the square of a small
+// argument would be subnormal and slow, by Horner's rule
 static inline V NAME(polynomial)(const double* coef, int degree, V x) {
-  V square = x*x, even = SPLAT(coef[degree]), odd = SPLAT(coef[degree-1]);
+  V even = SPLAT(coef[degree]);
+#if ELEM_BYTES == 4
+  UNROLL
+  for (int i = degree - 1; i >= 0; i--) {
+    even = FMA(even, x, SPLAT(coef[i]));
+  }
+  return even;
+#else
+  V square = x*x, odd = SPLAT(coef[degree-1]);
   UNROLL
   for (int i = degree - 2; i > 0; i -= 2) {
     even = FMA(even, square, SPLAT(coef[i]));
     odd = FMA(odd, square, SPLAT(coef[i-1]));
   }
   return FMA(odd, x, FMA(even, square, SPLAT(coef[0])));
+#endif
 }
 
 
@@ -91,7 +101,8 @@ static inline void NAME(orthonormalize)(V rot[9]) {
 
 // factorize a packed matrix from its last row up; `poor` gets the lanes whose pivots are not well above rounding
 static inline void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poor) {
-  V left[21];
+  // a pivot that is no number makes all after it none, and with them `least`
+  V left[21], least = SPLAT(LARGEST), trace = SPLAT(0);
   UNROLL
   for (int i = 0; i < 21; i++) {
     left[i] = packed[i];
@@ -100,7 +111,8 @@ static inline void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poo
   for (int i = 5; i >= 0; i--) {
     V *row = left + i*(i+1)/2, pivot = row[i];
     V inverse = SPLAT(1) / pivot;
-    *poor |= NOT(pivot > SPLAT(POOR_PIVOT)*packed[i*(i+1)/2+i]) | NOT(pivot <= SPLAT(LARGEST));
+    trace = trace + packed[i*(i+1)/2+i];
+    least = MIN(least, FMA(SPLAT(-POOR_PIVOT), packed[i*(i+1)/2+i], pivot));
     res->inverse[i] = inverse;
     UNROLL
     for (int j = 0; j < i; j++) {
@@ -112,6 +124,7 @@ static inline void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poo
       }
     }
   }
+  *poor |= NOT(least > SPLAT(0)) | NOT(trace <= SPLAT(LARGEST));
 }
 
 
@@ -181,35 +194,42 @@ static inline void NAME(square_lower)(V res[21], const V mat[21]) {
 }
 
 
-// packed symmetric part of a covariance; `bad` gets the lanes that are not symmetric or not finite
+// packed symmetric part of a covariance; `bad` gets the lanes that are not symmetric. What is not finite is left to
+// `factorize`
 static inline void NAME(symmetric_part)(V res[21], const V cov[36], M* bad) {
+  V least = SPLAT(0);
   UNROLL
   for (int i = 0; i < 6; i++) {
+    res[i*(i+1)/2+i] = cov[7*i];
     UNROLL
-    for (int j = 0; j <= i; j++) {
+    for (int j = 0; j < i; j++) {
       V difference = cov[6*i+j] - cov[6*j+i];
-      V scale = SPLAT(SYMMETRY_TOLERANCE*SYMMETRY_TOLERANCE) * (cov[7*i]*cov[7*j]);
-      *bad |= NOT(difference*difference <= scale);
+      V scale = SPLAT(ASYMMETRY*ASYMMETRY) * (cov[7*i]*cov[7*j]);
+      least = MIN(least, FMA(-difference, difference, scale));
       res[i*(i+1)/2+j] = FMA(SPLAT(0.5), cov[6*i+j], SPLAT(0.5)*cov[6*j+i]);
     }
   }
+  *bad |= NOT(least == SPLAT(0));
 }
 
 
 // `bad` gets the lanes whose pose is none
 static inline void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
   const V *r = pose->rot, *p = pose->pos;
+  V least = SPLAT(0);
   UNROLL
   for (int i = 0; i < 3; i++) {
     UNROLL
     for (int j = 0; j <= i; j++) {
       V error = FMA(r[6+i], r[6+j], FMA(r[3+i], r[3+j], r[i]*r[j])) - SPLAT(i == j ? 1 : 0);
-      *bad |= NOT(error*error <= SPLAT(ROTATION_TOLERANCE*ROTATION_TOLERANCE));
+      least = MIN(least, FMA(-error, error, SPLAT(SKEWNESS*SKEWNESS)));
     }
   }
+
+  // what is not finite makes the determinant or this zero no number
   V det = (r[0]*r[4] - r[1]*r[3])*r[8] + (r[1]*r[5] - r[2]*r[4])*r[6] + (r[2]*r[3] - r[0]*r[5])*r[7];
   V zero = SPLAT(0)*p[0] + SPLAT(0)*p[1] + SPLAT(0)*p[2];
-  *bad |= NOT(det > SPLAT(0)) | NOT(zero == SPLAT(0));
+  *bad |= NOT(least == SPLAT(0)) | NOT(det > SPLAT(0)) | NOT(zero == SPLAT(0));
 }
 
 

@@ -15,6 +15,8 @@
 #define MASK_ELEM int64_t
 #define LARGEST DBL_MAX
 #define POOR_PIVOT 1e-7
+#define ASYMMETRY SYMMETRY_TOLERANCE
+#define SKEWNESS ROTATION_TOLERANCE
 #define SCALAR_FMA __builtin_fma
 #define SCALAR_SQRT __builtin_sqrt
 #else
@@ -22,6 +24,8 @@
 #define MASK_ELEM int32_t
 #define LARGEST FLT_MAX
 #define POOR_PIVOT 1e-4
+#define ASYMMETRY 1e-5
+#define SKEWNESS 1e-5
 #define SCALAR_FMA __builtin_fmaf
 #define SCALAR_SQRT __builtin_sqrtf
 #endif
@@ -95,6 +99,36 @@ static inline V NAME(sqrt)(V a) {
 }
 
 
+// the smaller one; where one is no number it is b, or no number
+static inline V NAME(min)(V a, V b) {
+#if LANES == 1
+  return a < b ? a : b;
+#elif defined(__aarch64__) && ELEM_BYTES == 8
+  return (V)vminq_f64((float64x2_t)a, (float64x2_t)b);
+#elif defined(__aarch64__)
+  return (V)vminq_f32((float32x4_t)a, (float32x4_t)b);
+#elif defined(__x86_64__) && BYTES == 16 && ELEM_BYTES == 8
+  return (V)_mm_min_pd((__m128d)a, (__m128d)b);
+#elif defined(__x86_64__) && BYTES == 16
+  return (V)_mm_min_ps((__m128)a, (__m128)b);
+#elif defined(__x86_64__) && BYTES == 32 && ELEM_BYTES == 8
+  return (V)_mm256_min_pd((__m256d)a, (__m256d)b);
+#elif defined(__x86_64__) && BYTES == 32
+  return (V)_mm256_min_ps((__m256)a, (__m256)b);
+#elif defined(__x86_64__) && ELEM_BYTES == 8
+  return (V)_mm512_min_pd((__m512d)a, (__m512d)b);
+#elif defined(__x86_64__)
+  return (V)_mm512_min_ps((__m512)a, (__m512)b);
+#else
+  V res = b;
+  for (int lane = 0; lane < LANES; lane++) {
+    res[lane] = a[lane] < b[lane] ? a[lane] : b[lane];
+  }
+  return res;
+#endif
+}
+
+
 static inline int NAME(any)(M mask) {
 #if LANES == 1
   return mask != 0;
@@ -113,5 +147,58 @@ static inline int NAME(any)(M mask) {
 #endif
 }
 
+// whether there is a transpose for this vector
+#if defined(__x86_64__) && ELEM_BYTES == 8 && (LANES == 8 || LANES == 4)
+#define HAS_TRANSPOSE 1
+#else
+#define HAS_TRANSPOSE 0
+#endif
+
+#if HAS_TRANSPOSE && LANES == 8
+#define LOW(a, b) (V)_mm512_unpacklo_pd((__m512d)(a), (__m512d)(b))
+#define HIGH(a, b) (V)_mm512_unpackhi_pd((__m512d)(a), (__m512d)(b))
+#define EVEN(a, b) (V)_mm512_shuffle_f64x2((__m512d)(a), (__m512d)(b), 0x88)
+#define ODD(a, b) (V)_mm512_shuffle_f64x2((__m512d)(a), (__m512d)(b), 0xdd)
+
+// the matrix of eight vectors transposed
+static inline void NAME(transpose)(V r[8]) {
+  V low[4], high[4], quad[8];
+  UNROLL
+  for (int i = 0; i < 4; i++) {
+    low[i] = LOW(r[2*i], r[2*i+1]);
+    high[i] = HIGH(r[2*i], r[2*i+1]);
+  }
+  UNROLL
+  for (int i = 0; i < 2; i++) {
+    quad[i] = EVEN(low[2*i], low[2*i+1]);
+    quad[2+i] = EVEN(high[2*i], high[2*i+1]);
+    quad[4+i] = ODD(low[2*i], low[2*i+1]);
+    quad[6+i] = ODD(high[2*i], high[2*i+1]);
+  }
+  UNROLL
+  for (int i = 0; i < 4; i++) {
+    r[i] = EVEN(quad[2*i], quad[2*i+1]);
+    r[4+i] = ODD(quad[2*i], quad[2*i+1]);
+  }
+}
+#undef LOW
+#undef HIGH
+#undef EVEN
+#undef ODD
+#elif HAS_TRANSPOSE
+// the matrix of four vectors transposed
+static inline void NAME(transpose)(V r[4]) {
+  __m256d a = _mm256_unpacklo_pd((__m256d)r[0], (__m256d)r[1]);
+  __m256d b = _mm256_unpackhi_pd((__m256d)r[0], (__m256d)r[1]);
+  __m256d c = _mm256_unpacklo_pd((__m256d)r[2], (__m256d)r[3]);
+  __m256d d = _mm256_unpackhi_pd((__m256d)r[2], (__m256d)r[3]);
+  r[0] = (V)_mm256_permute2f128_pd(a, c, 0x20);
+  r[1] = (V)_mm256_permute2f128_pd(b, d, 0x20);
+  r[2] = (V)_mm256_permute2f128_pd(a, c, 0x31);
+  r[3] = (V)_mm256_permute2f128_pd(b, d, 0x31);
+}
+#endif
+
 #define FMA NAME(fma)
 #define SQRT NAME(sqrt)
+#define MIN NAME(min)

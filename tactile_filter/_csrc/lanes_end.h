@@ -9,13 +9,17 @@
 #undef MASK_ELEM
 #undef LARGEST
 #undef POOR_PIVOT
+#undef ASYMMETRY
+#undef SKEWNESS
 #undef SCALAR_FMA
 #undef SCALAR_SQRT
 #undef LANE
 #undef NOT
 #undef SPLAT
+#undef HAS_TRANSPOSE
 #undef FMA
 #undef SQRT
+#undef MIN
 #undef ELEM_BYTES
 #undef LANES
 #undef SUFFIX

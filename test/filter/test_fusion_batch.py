@@ -96,6 +96,17 @@ def test_the_first_pair_that_cannot_be_fused_is_named():
         fuse_batch(*columns)
 
 
+def test_an_answer_can_be_overwritten_by_the_next():
+    columns, others = stacked(9), stacked(9, separation=1.0)
+    out = fuse_batch(*others)
+    assert fuse_batch(*columns, out=out) is out
+    np.testing.assert_array_equal(out.mean, fuse_batch(*columns).mean)
+    with pytest.raises(ValueError, match="out: must be of 4 pairs, is of 9"):
+        fuse_batch(*(column[:4] for column in columns), out=out)
+    with pytest.raises(ValueError, match="needs contiguous arrays of one type"):
+        fuse_batch(*(column.astype(np.float32) for column in columns), out=out)
+
+
 def test_shapes_and_instruction_sets_that_are_not_there_are_named():
     columns = stacked(3)
     with pytest.raises(ValueError, match=r"cov_1: must have shape \(3, 6, 6\), has \(2, 6, 6\)"):
