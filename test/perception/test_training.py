@@ -303,3 +303,14 @@ def test_last_epochs_can_be_plain(training_data, tmp_path, monkeypatch):
     config = TrainConfig(short().network, short().training, augmentation)
     train(training_data, tmp_path / "run", config, limit=32)
     assert sum(turned) == 32  # of two epochs, one
+
+
+def test_a_run_is_resumed_with_other_settings_of_the_calibration(training_data, tmp_path):
+    """They have no part in training; the result is calibrated by the new ones."""
+    config = short(holdback=0.3).replaced("calibration", min_samples=20)
+    with pytest.raises(Killed):
+        train(training_data, tmp_path / "run", config, progress=KilledIn(1))
+    config = config.replaced("calibration", sigma_knots=1)
+    model = train(training_data, tmp_path / "run", config).model_path
+    assert len(Estimator(model).metadata.calibration.sigma_knots[0]) == 1
+    assert TrainConfig.from_file(tmp_path / "run" / "config.yaml") == config
