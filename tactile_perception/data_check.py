@@ -131,6 +131,10 @@ def _report_labels(result: CheckResult) -> None:
         result.add("warning", "labels", f"a length of {np.abs(ranges[:3, :2]).max():.1f} mm is unusual")
     if np.abs(ranges[3:, :2]).max() > _USUAL_ANGLE_DEG:
         result.add("warning", "labels", f"an angle of {np.abs(ranges[3:, :2]).max():.1f} deg is unusual")
+    if not found.spreads:
+        result.add(
+            "note", "coverage", f"{len(result.folder)} samples are too few to tell how they are spread"
+        )
     for spread in found.spreads:
         text = f"{spread.name}: {spread.emptiest} to {spread.fullest} samples in each tenth"
         if spread.even:

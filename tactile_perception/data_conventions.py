@@ -105,7 +105,7 @@ def find_conventions(flow: MarkerFlow) -> Conventions:
     else:
         uncertain.append("the direction of z")
     C_shear, C_tilt = -flow.shear.value, -flow.tilt.value * np.sign(flow.spread.value)
-    explanations = explain(C_shear, C_tilt, float(np.sign(flow.turn.value)), uncertain)
+    explanations = explain(C_shear, C_tilt, float(np.sign(np.nan_to_num(flow.turn.value))), uncertain)
     length_unit, angle_unit, gains = _units(flow, uncertain)
     order, t = euler_order(flow, explanations, angle_unit)
     return Conventions(

@@ -13,6 +13,7 @@ from tactile_perception.labels import EULER_COMPONENTS
 Array = NDArray[np.float64]
 
 SECTORS, RINGS = 8, 3
+FEW = 30  # fewer samples tell nothing of how they are spread
 _SURE = 1e-4  # probability by chance below which something counts as found
 _UNEVEN = 0.1  # largest distance of distributions that is still even
 _CORRELATED = 0.2
@@ -114,7 +115,7 @@ def _polar(x: Array, y: Array) -> tuple[Array, Array]:
 
 def _spread(name: str, values: Array) -> Spread | None:
     low, high = values.min(), values.max()
-    if high <= low:
+    if high <= low or len(values) < FEW:
         return None
     scaled = (values - low) / (high - low)
     distance, chance = stats.kstest(scaled, "uniform")
@@ -166,6 +167,8 @@ def _sorted_by(labels: Array, moving: NDArray[np.bool_]) -> str:
 
 
 def _outliers(labels: Array) -> list[int]:
+    if len(labels) < FEW:
+        return []
     center = np.median(labels, axis=0)
     spread = 1.4826 * np.median(np.abs(labels - center), axis=0)
     far = (np.abs(labels - center) > 8.0 * np.maximum(spread, 1e-12)) & (spread > 0)

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 BOOTSTRAPS = 24
 _SMALL = 64  # px, side of the images whose variety tells shallow from deep
 _END_SHARE = 0.15
-_LEAST_SEEN = 30
+_LEAST_SEEN, _LEAST_MARKERS = 30, 10
 
 
 class FlowError(ValueError):
@@ -45,8 +45,10 @@ class FlowSettings(Settings):
     samples: int = setting(500, lower=60, upper=100000, doc="images, chosen at random")
     seed: int = setting(0, lower=0, doc="of the choice")
     inner: float = setting(0.5, lower=0.05, upper=1.0, doc="markers within this part of the radius count")
-    middle: float = setting(0.4, lower=0.05, upper=1.0, doc="and these for rotation")
-    deep: float = setting(0.6, lower=0.0, upper=0.95, doc="rotation shows in contacts deeper than this share")
+    ring: tuple[float, ...] = setting(
+        (0.3, 0.7), lower=0.0, upper=1.0, length=2, doc="and for rotation those between these parts"
+    )
+    deep: float = setting(0.5, lower=0.0, upper=0.95, doc="in contacts deeper than this share of them")
 
 
 @dataclass(frozen=True)
@@ -219,20 +221,27 @@ def _once(
     basis = np.stack([np.ones_like(x), rank - 0.5, x, y, -beta, alpha, gamma], axis=1)
     half = _regressions(basis, positions, inner, weights * (rank > 0.3))
     used = inner & np.isfinite(half[:, 0, 0])
-    if used.sum() < 10:
-        raise FlowError(f"{used.sum()} markers in the middle could be followed: at least 10 are needed")
+    if used.sum() < _LEAST_MARKERS:
+        raise FlowError(
+            f"{used.sum()} markers in the middle could be followed, must be {_LEAST_MARKERS} or more: "
+            "take more samples"
+        )
     shear, tilt = half[used, 2:4].mean(axis=0).T, half[used, 4:6].mean(axis=0).T
     outward = np.column_stack([rest[used], np.ones(used.sum())])
     gradient = np.linalg.lstsq(outward, half[used, 0] - rest[used], rcond=None)[0]
     spread = np.array((gradient[0, 0] + gradient[1, 1]) / 2)
-    # rotation shows in the middle of deep contacts only, under the larger motions by shear and tilt
+    # rotation shows in deep contacts only, under the larger motions by shear and tilt; in their very middle,
+    # where markers are lost or mistaken most, it is not looked for
     bent = [v * (rank - 0.8) for v in (x, y, -beta, alpha)] + [p * q for p, q in _pairs(x, y, alpha, beta)]
-    middle = inner & (np.linalg.norm(rest, axis=1) < settings.middle)
+    distance = np.linalg.norm(rest, axis=1)
+    middle = (distance >= settings.ring[0]) & (distance < settings.ring[1])
     basis = np.column_stack([basis, *bent])
     deep = _regressions(basis, positions, middle, weights * (rank > settings.deep))
     used = middle & np.isfinite(deep[:, 0, 0])
     r, moved = rest[used], deep[used, 6]
     turn = np.array(np.sum(r[:, 0] * moved[:, 1] - r[:, 1] * moved[:, 0]) / max(np.sum(r**2), 1e-12))
+    if used.sum() < _LEAST_MARKERS:
+        turn = np.array(np.nan)
     return shear, tilt, spread, turn
 
 
