@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 DOF = 6
 _ACCURACY = 1e-6  # of the inflation; a millionth of it moves nothing
-_STEPS = 200
+_STEPS = 1000  # rarely more than 20; near a double fixed point the way to it is slow
 
 
 class Spectrum:
