@@ -113,3 +113,22 @@ def test_shapes_and_instruction_sets_that_are_not_there_are_named():
         fuse_batch(columns[0], columns[1][:2], *columns[2:])
     with pytest.raises(ValueError, match="instruction set 'mmx': this machine does not have it"):
         _fusion.instruction_set("mmx")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_errors_of_fused_poses_are_as_large_as_their_covariances_claim(mode):
+    rng, count = np.random.default_rng(4), 20000
+    truth, cov_1, _, cov_2 = random_pair(1)
+    covs = [cov_1, cov_2]
+    means = []
+    for cov in covs:
+        # truth = exp(eps^) mean
+        eps = rng.normal(size=(count, 6)) @ np.linalg.cholesky(cov).T
+        means.append(np.stack([se3.exp(-e) @ truth for e in eps]))
+    stacks = [np.broadcast_to(cov, (count, 6, 6)) for cov in covs]
+    fused = fuse_batch(means[0], stacks[0], means[1], stacks[1], mode)
+    errors = np.stack([se3.log(truth @ se3.inverse(mean)) for mean in fused.mean])
+    whitened = np.linalg.solve(fused.factor, errors[:, :, None])[:, :, 0]
+    # standard normal: the mean square of 20000 is 1 within 1 %, correlations vanish
+    np.testing.assert_allclose(whitened.T @ whitened / count, np.eye(6), atol=0.045)
+    assert (whitened**2).sum(axis=1).mean() == pytest.approx(6.0, abs=0.1)
