@@ -29,7 +29,7 @@ NODES = {
 
 
 def extension(name: str, folder: str) -> Extension:
-    """A C module without fast-math and without -march: the same numbers on every machine."""
+    """A C module without fast-math and without -march: what an instruction set adds is chosen at runtime."""
     import numpy
 
     return Extension(
