@@ -146,6 +146,8 @@ class McapReader:
 
     def _take_schema(self, record: memoryview) -> None:
         (number,) = _U16.unpack_from(record)
+        if number in self._schemas:
+            return  # the summary repeats it, and only one of them may be damaged
         name, position = _string(record, _U16.size)
         encoding, position = _string(record, position)
         (length,) = _U32.unpack_from(record, position)
@@ -156,6 +158,8 @@ class McapReader:
 
     def _take_channel(self, record: memoryview) -> None:
         number, schema = _U16.unpack_from(record)[0], _U16.unpack_from(record, 2)[0]
+        if number in self._channels:
+            return
         topic, _ = _string(record, 4)
         type_name = self._schemas.get(schema, "")
         self._channels[number] = topic, type_name, self._contents.wanted(topic, type_name)

@@ -126,6 +126,8 @@ def layout_of(fields: Any, type_name: str, message: bytes) -> Layout:
     walk = _Walk(fields, message, ">" if bytes(message[:2]) == _BIG else "<")
     try:
         walk.message(type_name, "")
+    except KeyError as error:
+        raise MessageError(f"{type_name}: its definition lacks {error}") from error
     except (struct.error, UnicodeDecodeError, MessageError) as error:
         raise MessageError(f"{type_name}: {len(message)} bytes are no such message: {error}") from error
     if walk.at > len(message):

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 _SEPARATOR = "=" * 80
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
@@ -101,9 +101,16 @@ def type_fields(definitions: Mapping[str, str], type_name: str) -> Any:
     Parameters
     ----------
     definitions : mapping
-        Type -> definition, as a bag brings them; for a type that is not there its installed definition.
+        Type -> definition, as a bag brings them; for a type that is not there, or whose definition is
+        damaged, the installed one is taken.
     """
-    return _typestore(type_name, definitions.get(type_name) or message_definition(type_name)).fielddefs
+    text = definitions.get(type_name)
+    if text:
+        try:
+            return _typestore(type_name, text).fielddefs
+        except TypesysError:
+            pass
+    return _typestore(type_name, message_definition(type_name)).fielddefs
 
 
 @functools.lru_cache(maxsize=64)
