@@ -141,6 +141,17 @@ def detect(image: Image, settings: DetectionSettings | None = None) -> DetectedM
     return _without_strays(_collect(labels, stats, moments, typical, settings), settings.neighbors)
 
 
+def redrawn(markers: DetectedMarkers, shape: tuple[int, int], radius: float) -> Image:
+    """White discs of one size (radius, px) on black where the markers are: uint8 (rows, columns).
+
+    What is left of an image when all that differs between sensors, but for the markers' places, is taken out.
+    """
+    image = np.zeros(shape, np.uint8)
+    for column, row in np.rint(16 * markers.centers).astype(int):
+        cv2.circle(image, (int(column), int(row)), round(16 * radius), 255, -1, cv2.LINE_AA, shift=4)
+    return image
+
+
 def is_binary(image: Image) -> bool:
     """Whether an image holds nothing but 0 and 255."""
     histogram = cv2.calcHist([image], [0], None, [256], [0, 256])

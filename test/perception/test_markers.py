@@ -11,7 +11,7 @@ from tactile_bringup.cli import main as tactile
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.marker_view import draw_density, draw_markers, side_by_side
-from tactile_perception.markers import DetectionSettings, density, density_change, detect, is_binary
+from tactile_perception.markers import DetectionSettings, density, density_change, detect, is_binary, redrawn
 from tactile_perception.preprocessing import ImageError, Preprocessor
 
 REST = [0.0, 0.0, -1e-3, 0.0, 0.0, 0.0]
@@ -94,6 +94,17 @@ def test_specks_rims_and_reflections_are_no_markers():
     image[60, 20] = image[61, 20] = 255  # a speck of dust
     found = detect(np.where(image > 127, 255, 0).astype(np.uint8))
     assert len(found) == 24 and distances(found.centers, np.array(true, float)).max() < 0.5
+
+
+def test_a_redrawn_image_has_the_same_markers_and_nothing_else():
+    image, _ = contact(PRESSED)
+    image[200:204, :60] = 255  # a reflection
+    markers = detect(image)
+    again = redrawn(markers, image.shape, radius=6.0)
+    found = detect(again)
+    assert len(found) == len(markers) and distances(found.centers, markers.centers).max() < 0.5
+    assert np.median(found.areas) == pytest.approx(np.pi * 6.0**2, rel=0.15)
+    assert not again[200:204, :20].any()
 
 
 def test_an_image_without_markers_has_none():
