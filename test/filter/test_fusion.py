@@ -240,3 +240,28 @@ def test_lists_float32_and_strided_arrays_are_taken_as_well():
     np.testing.assert_array_equal(fused.mean, expected.mean)
     single = fuse(np.eye(4, dtype=np.float32), np.eye(6, dtype=np.float32), np.eye(4), np.eye(6))
     np.testing.assert_allclose(single.cov, 0.5 * np.eye(6), atol=1e-16)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_refused_wherever_it_stands(mode, value):
+    names = ("mean_1", "cov_1", "mean_2", "cov_2")
+    for which, array in enumerate(random_pair(3)):
+        for index in np.ndindex(array.shape):
+            pair = list(random_pair(3))
+            pair[which] = spoiled(array, index, value)
+            if array.shape == (6, 6):
+                pair[which][index[::-1]] = value
+            with pytest.raises(FusionError, match=f"{names[which]}: is not finite"):
+                fuse(*pair, mode)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("scale", [1e-290, 1e-150, 1e-30, 1e30, 1e150, 1e290])
+def test_beyond_all_reason_the_answer_is_still_finite_and_positive_definite(mode, scale):
+    mean, cov_1, _, cov_2 = random_pair(5)
+    for scale_1, scale_2 in ((scale, 1.0), (1.0, scale), (scale, scale), (scale, 1.0 / scale)):
+        fused = fuse(mean, scale_1 * cov_1, mean, scale_2 * cov_2, mode)
+        np.testing.assert_allclose(fused.mean, mean, atol=1e-15)
+        assert np.isfinite(fused.cov).all()
+        assert (np.diag(fused.factor) > 0.0).all()
