@@ -21,6 +21,8 @@ from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 Array = NDArray[Any]
 
 SECOND_NS = 1_000_000_000
+REINITIALIZED, INVALID = int(BeliefFlag.REINITIALIZED), int(BeliefFlag.INVALID)
+MEASUREMENT_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
 PARAMETER_EVENTS = "/parameter_events"
 NAMES = tuple(item.name for item in dataclasses.fields(FilterSettings))
 _VALUES = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value"}  # of ParameterType
@@ -63,12 +65,12 @@ def commanded_resets(stamps_ns: Array, flags: Array, nis: Array, max_prediction_
     """
     found, fused_ns = set(), None
     for stamp_ns, flag, innovation in zip(stamps_ns.tolist(), flags.tolist(), nis.tolist(), strict=True):
-        started = flag & BeliefFlag.REINITIALIZED and math.isnan(innovation)
+        started = flag & REINITIALIZED and math.isnan(innovation)
         if started and fused_ns is not None and 0 < stamp_ns - fused_ns <= max_prediction_age * SECOND_NS:
             found.add(stamp_ns)
-        if flag & BeliefFlag.INVALID:
+        if flag & INVALID:
             fused_ns = None
-        elif flag & BeliefFlag.MEASUREMENT_FUSED:
+        elif flag & MEASUREMENT_FUSED:
             fused_ns = stamp_ns
     return frozenset(found)
 

@@ -254,10 +254,14 @@ def _gaussians(poses: Array, covs: Array) -> list[PoseGaussian]:
 def _first_of_each_stamp(topic: Topic, rows: Array) -> dict[tuple[int, int], int]:
     """(epoch, stamp) -> row, of these rows; of equal stamps the first one holds, as in the live nodes."""
     found: dict[tuple[int, int], int] = {}
-    for row in rows[np.argsort(topic.order[rows], kind="stable")].tolist():
-        key = int(topic.epochs[row]), int(topic.stamps_ns[row])
-        if key[1] >= 0:  # else it could not be decoded
-            found.setdefault(key, row)
+    rows = rows[np.argsort(topic.order[rows], kind="stable")]
+    rows = rows[topic.stamps_ns[rows] >= 0]  # others could not be decoded
+    for key, row in zip(
+        zip(topic.epochs[rows].tolist(), topic.stamps_ns[rows].tolist(), strict=True),
+        rows.tolist(),
+        strict=True,
+    ):
+        found.setdefault(key, row)
     return found
 
 
