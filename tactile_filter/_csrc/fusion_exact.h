@@ -382,12 +382,10 @@ static void set_starts(Motion start[STARTS], const Problem* problem) {
 }
 
 
-static void make_robust(Motion* motion) {
-  for (int i = 0; i < 9; i++) {
-    motion->y_robust.rot[i] = dd_from(motion->y.rot[i]);
-  }
-  for (int i = 0; i < 3; i++) {
-    motion->y_robust.pos[i] = dd_from(motion->y.pos[i]);
+// the start in twice the precision, if that is used
+static void set_robust(Motion* motion, const Problem* problem) {
+  if (!problem->is_robust) {
+    return;
   }
   double mat[16];
   for (int i = 0; i < 3; i++) {
@@ -425,7 +423,7 @@ static int exact_from_all_starts(FusionOutput* res, const Problem* problem, int 
   Motion start[STARTS];
   double lowest;
   set_identity_d1(&start[0].y);
-  make_robust(start);
+  set_robust(start, problem);
   int fault = descend(res, &lowest, start, problem, iterations);
   if (fault || (res->status == FUSION_CONVERGED && !is_far(problem, start))) {
     return fault;
@@ -434,7 +432,7 @@ static int exact_from_all_starts(FusionOutput* res, const Problem* problem, int 
   for (int n = 1; n < STARTS; n++) {
     FusionOutput found;
     double cost;
-    make_robust(start + n);
+    set_robust(start + n, problem);
     fault = descend(&found, &cost, start + n, problem, iterations);
     if (fault) {
       return fault;
