@@ -64,7 +64,7 @@ class SimSettings(Settings):
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
     )
     head_start: float = setting(
-        0.003,
+        0.0045,
         lower=0.0,
         upper=0.05,
         unit="s",
