@@ -2,8 +2,8 @@
 
 Property tests draw the same examples in every run; `--hypothesis-profile=explore` draws new ones.
 
-Tests with real nodes in processes of their own depend on the load of the machine: discovery and deadlines are in
-real time. One that fails is tried twice more, and the summary shows it (R).
+Tests with real nodes in processes of their own depend on the load of the machine: discovery and deadlines are
+in real time. One that fails is tried twice more, and the summary shows it (R).
 """
 
 from pathlib import Path
