@@ -14,7 +14,6 @@ import numpy as np
 from geometry_msgs.msg import (
     Point,
     Pose,
-    PoseStamped,
     PoseWithCovariance,
     PoseWithCovarianceStamped,
     Quaternion,
@@ -70,11 +69,6 @@ def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Ar
     x, y, z, *q = numbers_from_pose(T_parent_child)
     transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(q))
     return TransformStamped(header=header(stamp_ns, parent), child_frame_id=child, transform=transform)
-
-
-def pose_stamped(stamp_ns: int, frame_id: str, T: Array) -> PoseStamped:
-    """PoseStamped message of T (4, 4) in `frame_id`."""
-    return PoseStamped(header=header(stamp_ns, frame_id), pose=pose_from_matrix(T))
 
 
 def vector_from_twist(twist: Twist) -> Array:

@@ -30,7 +30,7 @@ from tactile_bringup.ros.dds_profile import use_dds_profile  # noqa: E402
 ARM = "arm"
 BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
 SECOND = 1_000_000_000
-OTHER_SIDE = 0.2  # s; we know a subscriber a little earlier than it knows us
+OTHER_SIDE = 0.3  # s; we know a subscriber a little earlier than it knows us
 
 
 class Graph:
@@ -161,12 +161,13 @@ class Graph:
         return messages
 
     def publisher(self, message_type: type, topic: str, profile: QoSProfile = qos.STATE, wait: bool = True):
-        """A publisher that (unless told otherwise) has a subscriber already."""
+        """A publisher that (unless told otherwise) has a subscriber already, which knows it as well."""
         publisher = self.node.create_publisher(message_type, topic, profile)
         if wait:
             assert self.wait(lambda: publisher.get_subscription_count() > 0, 5.0), (
                 f"nobody listens to {topic}"
             )
+            self.spin(OTHER_SIDE)
         return publisher
 
     def call(self, service_type: type, name: str, request: Any, timeout: float = 5.0) -> Any:
