@@ -14,7 +14,7 @@ from rich.text import Text
 
 from tactile_bringup.progress import LINE_PERIOD, MM, REFRESH_RATE, Display
 from tactile_control.collection_types import REFERENCE, TOUCH
-from tactile_control.task import GO_TO_START
+from tactile_control.phases import GO_TO_START
 
 if TYPE_CHECKING:
     from tactile_bringup.task_client import Progress

@@ -44,7 +44,7 @@ from tactile_control.collection_types import (
     Target,
 )
 from tactile_control.limiter import LimiterSettings
-from tactile_control.task import StampedPose
+from tactile_control.phases import StampedPose
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_filter import se3
 from tactile_filter.settings import Settings

@@ -33,7 +33,8 @@ from tactile_bringup.run_record import (
     TruthSeries,
 )
 from tactile_control.files import Task, load_task, task_path
-from tactile_control.task import Command, StampedPose, StampedPresence, SurfaceFollowing, TaskInputs
+from tactile_control.phases import StampedPose
+from tactile_control.task import Command, StampedPresence, SurfaceFollowing, TaskInputs
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings

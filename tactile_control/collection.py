@@ -12,13 +12,12 @@ what comes back and, where that holds a `Capture`, stores the image of its expos
 
 Phases: go_to_start -> reference -> (touch) -> (rotate -> contact -> shear -> capture -> retreat) for each
 sample -> done, or failed. The label is where the arm says that the sensor was at the exposure, not where it
-was sent. An input that is too old takes the twist to zero (`watchdog`); the task goes on when it is back, and
-fails where it is after the watchdog's patience. Every other failure leaves the surface first.
+was sent. How a task stops and fails is told in `phases`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,20 +37,26 @@ from tactile_control.collection_types import (
     Exposure,
     Target,
 )
-from tactile_control.limiter import TwistLimiter
 from tactile_control.motion import Odometer, Waypoint, pose_difference, twist_towards, way_to_start
-from tactile_control.pid import NANOSECOND, ControlInputError
-from tactile_control.servoing import checked_pose
-from tactile_control.task import AT_REST, DONE, FAILED, GO_TO_START, RETREAT, STOPPING, StampedPose
+from tactile_control.phases import (
+    DONE,
+    FAILED,
+    GO_TO_START,
+    RETREAT,
+    STOPPING,
+    PhaseMachine,
+    StampedPose,
+    newer,
+)
+from tactile_control.pid import NANOSECOND
 from tactile_control.task_settings import TaskSettings
 from tactile_control.touch_off import TouchFailed, TouchOff, at
-from tactile_control.watchdog import Watchdog
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
 
-class DataCollection:
+class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
     """Collects one sample after the other; see the module's text.
 
     Parameters
@@ -70,17 +75,7 @@ class DataCollection:
     def __init__(self, settings: DataCollectionSettings, targets: Sequence[Target], T_base_f: Array) -> None:
         if not targets:
             raise ValueError("no sample to collect")
-        self.settings = settings
-        self.targets = list(targets)
-        self.T_base_f = checked_pose("contact frame", T_base_f)
-        self.limiter = TwistLimiter(settings.limiter)
-        self.watchdog = Watchdog(settings.watchdog)
-        self.phase = GO_TO_START
-        self.reason = ""
-        self.collected = 0
-        self.touch = TouchOff(settings.touch)
-        self._odometer = Odometer(1e-4)
-        self._handlers: dict[str, Callable[[int], Array]] = {
+        handlers = {
             GO_TO_START: self._go_to_start,
             REFERENCE: self._reference,
             TOUCH: self._touch,
@@ -91,16 +86,18 @@ class DataCollection:
             RETREAT: self._retreat,
             STOPPING: self._stopping,
         }
-        self._now_ns: int | None = None
-        self._phase_since_ns = 0
-        self._pose: StampedPose | None = None
+        super().__init__(GO_TO_START, handlers, settings.limiter, settings.watchdog)
+        self.settings = settings
+        self.targets = list(targets)
+        self.T_base_f = se3.checked_pose("contact frame", T_base_f)
+        self.collected = 0
+        self.touch = TouchOff(settings.touch)
+        self._odometer = Odometer(1e-4)
         self._exposure: Exposure | None = None
         self._waypoints: list[Waypoint] | None = None
         self._goal: Array | None = None
         self._still: StampedPose | None = None
         self._captured: Capture | None = None
-        self._wanted = np.zeros(6)
-        self._refused = ""
 
     # ---- what the owner calls ----
 
@@ -110,53 +107,17 @@ class DataCollection:
         self.limiter.configure(settings.limiter)
         self.watchdog.configure(settings.watchdog)
 
-    def stop(self, reason: str) -> None:
-        """Ask the task to end: it comes to rest, leaves the surface, and fails with `reason`."""
-        if self.phase in (DONE, FAILED, STOPPING) or self.reason:
-            return
-        self.reason = reason or "stopped"
-        self._enter(STOPPING)
-
-    def step(self, now_ns: int, inputs: CollectionInputs) -> CollectionCommand:
-        """Advance to `now_ns` with the latest inputs. Bad inputs do not raise: they fail the task."""
-        self._captured = None
-        if self._now_ns is None:
-            self._phase_since_ns = now_ns
-        elif now_ns < self._now_ns:
-            self._fail_here(f"the clock went back by {(self._now_ns - now_ns) * NANOSECOND:.3f} s")
-        self._now_ns = now_ns
-        self._take(inputs)
-        if self.phase in (DONE, FAILED) or self._waiting(now_ns):
-            self._wanted = np.zeros(6)
-            return self._command(now_ns, self._wanted)
-        state = self.watchdog.step(now_ns, self._stamps())
-        if state.failed:
-            self._fail_here(state.reason + self._refused)
-            return self._command(now_ns, np.zeros(6))
-        if not state.ok:
-            self._still = None
-            return self._command(now_ns, state.scale * self._wanted, state.reason + self._refused)
-        self._wanted = self._handlers[self.phase](now_ns)
-        return self._command(now_ns, self._wanted)
-
     # ---- inputs ----
 
     def _take(self, inputs: CollectionInputs) -> None:
-        """Keep each input if it is later than the last and usable; a refused one counts as not come."""
         pose, exposure = inputs.sensor_pose, inputs.exposure
-        self._refused = ""
-        try:
-            if pose is not None and (self._pose is None or pose.stamp_ns > self._pose.stamp_ns):
-                checked_pose("sensor pose", pose.T)
-                self._pose = pose
-                self._odometer.add(pose.T[:3, 3])
-            if exposure is not None and (
-                self._exposure is None or exposure.stamp_ns > self._exposure.stamp_ns
-            ):
-                checked_pose("sensor pose at the exposure", exposure.T_base_sensor)
-                self._exposure = exposure
-        except ControlInputError as error:
-            self._refused = f" (the last one was refused: {error})"
+        if newer(pose, self._pose):
+            se3.checked_pose("sensor pose", pose.T)
+            self._pose = pose
+            self._odometer.add(pose.T[:3, 3])
+        if newer(exposure, self._exposure):
+            se3.checked_pose("sensor pose at the exposure", exposure.T_base_sensor)
+            self._exposure = exposure
 
     def _stamps(self) -> dict[str, int | None]:
         """Stamps of what this phase needs; leaving the surface needs no image."""
@@ -165,15 +126,8 @@ class DataCollection:
             stamps["image"] = self._exposure.stamp_ns if self._exposure else None
         return stamps
 
-    def _waiting(self, now_ns: int) -> bool:
-        """True while an input has yet to arrive for the first time; fails after a while."""
-        missing = [name for name, stamp in self._stamps().items() if stamp is None]
-        if not missing:
-            return False
-        limit = self.settings.motion.start_timeout
-        if self._in_phase(now_ns) > limit:
-            self._fail_here(f"no {' and no '.join(missing)} has arrived within {limit:g} s{self._refused}")
-        return True
+    def _start_timeout(self) -> float:
+        return self.settings.motion.start_timeout
 
     # ---- phases: each returns the twist wanted now ----
 
@@ -278,13 +232,11 @@ class DataCollection:
         if self._X_fs()[2, 3] <= -gap + 10.0 * motion.position_tolerance:
             return self._next_or_end()
         if self._late(now_ns):
-            late = f"the retreat took longer than {motion.motion_timeout:g} s"
-            self._fail_here(f"{self.reason}; {late}" if self.reason else late)
-            return np.zeros(6)
+            return self._retreat_late(motion.motion_timeout)
         return twist_towards(self._sensor_pose(), self._in_base(self._goal), motion.in_air)
 
     def _stopping(self, now_ns: int) -> Array:
-        if np.abs(self.limiter.twist).max() <= AT_REST:
+        if self._at_rest():
             self._enter(RETREAT)
         return np.zeros(6)
 
@@ -327,7 +279,7 @@ class DataCollection:
         motion, pose = self.settings.motion, self._pose
         assert pose is not None
         moved = self._still is None or not self._near(pose.T, self._still.T)
-        if moved or np.abs(self.limiter.twist).max() > AT_REST:
+        if moved or not self._at_rest():
             self._still = pose
             return False
         assert self._still is not None
@@ -360,50 +312,24 @@ class DataCollection:
     def _X_fs(self) -> Array:
         return self._in_contact_frame(self._sensor_pose())
 
-    def _sensor_pose(self) -> Array:
-        assert self._pose is not None
-        return self._pose.T
-
     def _late(self, now_ns: int) -> bool:
         return self._in_phase(now_ns) > self.settings.motion.motion_timeout
 
-    def _in_phase(self, now_ns: int) -> float:
-        return (now_ns - self._phase_since_ns) * NANOSECOND
-
-    def _fail(self, reason: str) -> Array:
-        """Fail, after leaving the surface."""
-        self.reason = self.reason or reason
-        self._enter(STOPPING)
-        return np.zeros(6)
-
-    def _fail_here(self, reason: str) -> None:
-        """Fail where it stands: what is known does not allow to move."""
-        if self.phase not in (DONE, FAILED):
-            self.reason = self.reason or reason
-            self._enter(FAILED)
-
     def _enter(self, phase: str) -> None:
-        self.phase = phase
-        self._phase_since_ns = self._now_ns or 0
+        super()._enter(phase)
         self._goal = self._still = None
-        self.watchdog.reset()
 
     # ---- output ----
 
-    def _command(self, now_ns: int, wanted: Array, reason: str = "") -> CollectionCommand:
-        limited = self.limiter.step(now_ns, wanted)
-        resting = float(np.abs(limited.twist).max()) <= AT_REST
+    def _answer(self, wanted: Array, waiting: str) -> CollectionCommand:
+        if waiting:
+            self._still = None
+        captured, self._captured = self._captured, None
         return CollectionCommand(
-            twist=limited.twist,
-            unlimited=self._wanted.copy(),
-            phase=self.phase,
+            **vars(self._command(wanted, waiting)),
             number=self._target().number if self.collected < len(self.targets) else 0,
             collected=self.collected,
             total=len(self.targets),
             travelled=self._odometer.length,
-            capture=self._captured,
-            done=self.phase in (DONE, FAILED) and resting,
-            succeeded=self.phase == DONE,
-            reason="; ".join(text for text in (self.reason, reason) if text),
-            limited=limited.reason,
+            capture=captured,
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.task import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, StampedPose
+from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, StampedPose, TaskCommand
 
 Array = NDArray[np.float64]
 
@@ -70,15 +70,11 @@ class Capture:
 
 
 @dataclass(frozen=True)
-class CollectionCommand:
-    """What one step of data collection says.
+class CollectionCommand(TaskCommand):
+    """What one step of data collection says, beyond a `TaskCommand`; its phase is one of `PHASES`.
 
     Attributes
     ----------
-    twist, unlimited : ndarray (6,)
-        [v, omega] in {s} to send now, and the same before watchdog and limiter.
-    phase : str
-        One of `PHASES`.
     number : int
         Of the sample under way; 0 where there is none.
     collected, total : int
@@ -87,23 +83,10 @@ class CollectionCommand:
         Way of the sensor's centre, m.
     capture : Capture or None
         What to store now.
-    done, succeeded : bool
-        The task is over and the twist is zero; whether every sample was captured.
-    reason : str
-        Why it failed, is about to, or waits; '' where all is well.
-    limited : str
-        What the limiter held back, '' for nothing.
     """
 
-    twist: Array
-    unlimited: Array
-    phase: str
     number: int
     collected: int
     total: int
     travelled: float
     capture: Capture | None
-    done: bool
-    succeeded: bool
-    reason: str
-    limited: str

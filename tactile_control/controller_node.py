@@ -26,7 +26,8 @@ from tactile_bringup.ros.qos import STATE
 from tactile_bringup.ros.stamps import SECOND_NS
 from tactile_bringup.ros.task_node import ZERO, Run, TaskNode
 from tactile_control.files import TASKS
-from tactile_control.task import Command, PathGoal, StampedPose, StampedPresence, SurfaceFollowing, TaskInputs
+from tactile_control.phases import StampedPose
+from tactile_control.task import Command, PathGoal, StampedPresence, SurfaceFollowing, TaskInputs
 from tactile_control.task_settings import SurfaceFollowingSettings
 from tactile_filter import se3
 from tactile_filter.settings import SettingError, Settings, setting, unknown_name

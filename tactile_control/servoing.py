@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_control.pid import (
     SPACES,
-    ControlInputError,
     PidOutput,
     PidSettings,
     TangentPid,
@@ -99,10 +98,11 @@ class ServoingController:
     ) -> ServoingOutput:
         """Twist for a belief with mean X_sf (4, 4) exposed at `stamp_ns`.
 
-        `velocity` (6,) is the reference velocity in the reference frame {s'}. Raises `ControlInputError` for
-        a pose or velocity that is not finite and for a stamp that is not later; nothing changes then.
+        `velocity` (6,) is the reference velocity in the reference frame {s'}. Raises `se3.PoseError` for a
+        pose that is not rigid, `ControlInputError` for a velocity that is not finite and for a stamp that is
+        not later; nothing changes then.
         """
-        X_fs = se3.inverse(checked_pose("X_sf", X_sf))
+        X_fs = se3.inverse(se3.checked_pose("X_sf", X_sf))
         velocity = checked_vector("velocity", velocity)
         X_reference = self.reference_for(X_fs)
         space = self.settings.tangent_space
@@ -119,15 +119,3 @@ class ServoingController:
             observed = se3.euler_from_pose(X_fs)
             euler[[0, 1, 5]] = observed[[0, 1, 5]]
         return se3.pose_from_euler(euler)
-
-
-def checked_pose(name: str, value: ArrayLike) -> Array:
-    """The value as a (4, 4) float array; `ControlInputError` where it is not a finite rigid transform."""
-    T = np.asarray(value, dtype=np.float64)
-    if T.shape != (4, 4):
-        raise ControlInputError(f"{name}: shape {T.shape}, must be (4, 4)")
-    if not np.isfinite(T).all():
-        raise ControlInputError(f"{name} is not finite")
-    if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6 or np.linalg.det(T[:3, :3]) < 0.0:
-        raise ControlInputError(f"{name}: its rotation is not orthonormal and right-handed")
-    return T

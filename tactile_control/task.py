@@ -8,40 +8,41 @@ the control rate and sends the twist of the `Command` that comes back. In betwee
     while not (command := task.step(now_ns(), inputs())).done:
         send(command.twist)
 
-Phases: go_to_start -> approach -> settle -> follow -> retreat -> done, or failed. An input that is too old
-takes the twist to zero (`watchdog`). The task goes on when it is back; after the watchdog's patience it fails
-where it is, since an arm that cannot feel or does not know where it is does not move. Every other failure
-retreats first.
+Phases: go_to_start -> approach -> settle -> follow -> retreat -> done, or failed; how a task stops and fails
+is told in `phases`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.limiter import TwistLimiter
 from tactile_control.motion import Odometer, Waypoint, smooth_ramp, twist_towards, way_to_start
-from tactile_control.pid import NANOSECOND, ControlInputError
-from tactile_control.servoing import ServoingController, ServoingOutput, checked_pose
+from tactile_control.phases import (
+    DONE,
+    FAILED,
+    GO_TO_START,
+    RETREAT,
+    STOPPING,
+    PhaseMachine,
+    StampedPose,
+    TaskCommand,
+    newer,
+)
+from tactile_control.pid import NANOSECOND
+from tactile_control.servoing import ServoingController, ServoingOutput
 from tactile_control.task_settings import SurfaceFollowingSettings
-from tactile_control.watchdog import Watchdog
 from tactile_filter import se3
 from tactile_filter.prediction import ContactPredictor
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
 
 Array = NDArray[np.float64]
 
-GO_TO_START = "go_to_start"
 APPROACH = "approach"
 SETTLE = "settle"
 FOLLOW = "follow"
-STOPPING = "stopping"
-RETREAT = "retreat"
-DONE = "done"
-FAILED = "failed"
 PHASES = (GO_TO_START, APPROACH, SETTLE, FOLLOW, STOPPING, RETREAT, DONE, FAILED)
 
 # inputs whose age matters, by phase; a phase that is not here moves without looking
@@ -53,19 +54,10 @@ NEEDS = {
     RETREAT: ("sensor_pose",),
 }
 WATCHDOG_NAMES = {"sensor_pose": "pose", "presence": "presence", "belief": "belief"}
-AT_REST = 1e-6  # m/s and rad/s
 TRACK_NS = 1_000_000_000  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; following takes the large middle part
 PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, FOLLOW: 0.1, RETREAT: 0.97, DONE: 1.0}
-
-
-@dataclass(frozen=True)
-class StampedPose:
-    """A pose (4, 4) with the instant it holds for: a belief's mean X_sf, or T_base_sensor."""
-
-    stamp_ns: int
-    T: Array
 
 
 @dataclass(frozen=True)
@@ -117,68 +109,39 @@ class PathGoal:
         if not 0.0 < self.length < 100.0:
             raise ValueError(f"length = {self.length} m: must lie in (0, 100) m")
         if self.start is not None:
-            checked_pose("start", self.start)
+            se3.checked_pose("start", self.start)
         if self.target is not None and (np.shape(self.target) != (3,) or not np.isfinite(self.target).all()):
             raise ValueError(f"target = {self.target}: must be three finite numbers, m")
 
 
 @dataclass(frozen=True)
-class Command:
-    """What one step of the task says.
+class Command(TaskCommand):
+    """What one step of surface following says, beyond a `TaskCommand`; its phase is one of `PHASES`.
 
     Attributes
     ----------
-    twist : ndarray (6,)
-        [v, omega] in {s} to send now: after watchdog and limiter.
-    unlimited : ndarray (6,)
-        The same before watchdog and limiter.
     error, feedforward : ndarray (6,)
         log(X_ss') and Ad(X_ss') v of the servoing controller; NaN and zero in phases that do not servo.
-    phase : str
-        One of `PHASES`.
     progress : float
         0 to 1 over all phases; it never goes back.
     travelled : float
         Arc length followed so far, m.
     exposure_ns : int
         Stamp of the belief that the twist is based on, 0 for none.
-    done, succeeded : bool
-        The task is over and the twist is zero; whether it did what it was asked to.
-    reason : str
-        Why it failed or is about to, '' where all is well.
-    limited : str
-        What the limiter held back in this step, '' for nothing: speeding up and braking are no trouble.
     """
 
-    twist: Array
-    unlimited: Array
     error: Array
     feedforward: Array
-    phase: str
     progress: float
     travelled: float
     exposure_ns: int
-    done: bool
-    succeeded: bool
-    reason: str
-    limited: str = ""
 
 
-class SurfaceFollowing:
+class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
     """Follows one path over a surface; see the module's text. One object runs one goal."""
 
     def __init__(self, settings: SurfaceFollowingSettings, goal: PathGoal) -> None:
-        self.settings = settings
-        self.goal = goal
-        self.servoing = ServoingController(settings.servoing, settings.pid)
-        self.limiter = TwistLimiter(settings.limiter)
-        self.watchdog = Watchdog(settings.watchdog)
-        self.predictor = ContactPredictor(settings.prediction)
-        self.phase = GO_TO_START if goal.start is not None else APPROACH
-        self.reason = ""
-        self._odometer = Odometer(settings.task.pose_step)
-        self._track = TransformBuffer(TRACK_NS)
-        self._handlers: dict[str, Callable[[int], Array]] = {
+        handlers = {
             GO_TO_START: self._go_to_start,
             APPROACH: self._approach,
             SETTLE: self._settle,
@@ -186,15 +149,19 @@ class SurfaceFollowing:
             STOPPING: self._stopping,
             RETREAT: self._retreat,
         }
-        self._now_ns: int | None = None
-        self._phase_since_ns: int | None = None
+        first = GO_TO_START if goal.start is not None else APPROACH
+        super().__init__(first, handlers, settings.limiter, settings.watchdog)
+        self.settings = settings
+        self.goal = goal
+        self.servoing = ServoingController(settings.servoing, settings.pid)
+        self.predictor = ContactPredictor(settings.prediction)
+        self._odometer = Odometer(settings.task.pose_step)
+        self._track = TransformBuffer(TRACK_NS)
         self._phase_pose: Array | None = None
         self._belief: StampedPose | None = None
         self._presence: StampedPresence | None = None
-        self._pose: StampedPose | None = None
         self._servo: ServoingOutput | None = None
         self._waypoints: list[Waypoint] | None = None
-        self._wanted = np.zeros(6)
         self._contact_ns: int | None = None
         self._touch_ns = 0
         self._touch_position: Array | None = None
@@ -202,7 +169,6 @@ class SurfaceFollowing:
         self._reapproaches = 0
         self._progress = 0.0
         self._limited = False
-        self._refused = ""
 
     # ---- what the owner calls ----
 
@@ -215,55 +181,20 @@ class SurfaceFollowing:
         self.predictor.configure(settings.prediction)
         self._odometer.step = settings.task.pose_step
 
-    def stop(self, reason: str) -> None:
-        """Ask the task to end: it comes to rest, retreats if it may be in contact, fails with `reason`."""
-        if self.phase in (DONE, FAILED, STOPPING) or self.reason:
-            return
-        self.reason = reason or "stopped"
-        self._enter(STOPPING if self.phase != RETREAT else RETREAT)
-
-    def step(self, now_ns: int, inputs: TaskInputs) -> Command:
-        """Advance to `now_ns` with the latest inputs. Bad inputs do not raise: they fail the task."""
-        if self._now_ns is not None and now_ns < self._now_ns:
-            back = (self._now_ns - now_ns) * NANOSECOND
-            self._fail_here(f"the clock went back by {back:.3f} s")
-        self._now_ns = now_ns
-        self._take(inputs)
-        if self._phase_since_ns is None:
-            self._phase_since_ns = now_ns
-        if self.phase in (DONE, FAILED):
-            self._wanted = np.zeros(6)
-            return self._command(now_ns, self._wanted)
-        if self._waiting(now_ns):
-            return self._command(now_ns, np.zeros(6))
-        state = self.watchdog.step(now_ns, self._stamps())
-        if state.failed:
-            self._fail_here(state.reason + self._refused)
-            return self._command(now_ns, np.zeros(6))
-        if not state.ok:
-            return self._command(now_ns, state.scale * self._wanted, state.reason + self._refused)
-        self._wanted = self._handlers[self.phase](now_ns)
-        return self._command(now_ns, self._wanted)
-
     # ---- inputs ----
 
     def _take(self, inputs: TaskInputs) -> None:
-        """Keep each input if it is later than the last and usable; a refused one counts as not come."""
-        try:
-            if _newer(inputs.sensor_pose, self._pose):
-                checked_pose("sensor pose", inputs.sensor_pose.T)  # type: ignore[union-attr]
-                self._pose = inputs.sensor_pose
-                self._follow_sensor()
-            if _newer(inputs.presence, self._presence):
-                self._presence = inputs.presence
-            if _newer(inputs.belief, self._belief):
-                checked_pose("belief", inputs.belief.T)  # type: ignore[union-attr]
-                self._belief = inputs.belief
-                self._follow_contact()
-        except ControlInputError as error:
-            self._refused = f" (the last one was refused: {error})"
-        else:
-            self._refused = ""
+        pose, belief = inputs.sensor_pose, inputs.belief
+        if newer(pose, self._pose):
+            se3.checked_pose("sensor pose", pose.T)
+            self._pose = pose
+            self._follow_sensor()
+        if newer(inputs.presence, self._presence):
+            self._presence = inputs.presence
+        if newer(belief, self._belief):
+            se3.checked_pose("belief", belief.T)
+            self._belief = belief
+            self._follow_contact()
 
     def _follow_sensor(self) -> None:
         assert self._pose is not None
@@ -288,22 +219,15 @@ class SurfaceFollowing:
             for name in NEEDS.get(self.phase, ())
         }
 
-    def _waiting(self, now_ns: int) -> bool:
-        """True while inputs that this phase needs have yet to arrive for the first time; fails after a while.
-
-        After touching the surface the belief has to be of an image exposed since: one from before was of no
-        contact.
-        """
-        missing = [name for name, stamp in self._stamps().items() if stamp is None]
+    def _missing(self) -> list[str]:
+        """After a touch the belief has to be of an image exposed since: one from before was of no contact."""
+        missing = super()._missing()
         if self.phase == SETTLE and not missing and self._belief is not None:
             missing = ["belief since the contact"] if self._belief.stamp_ns < self._touch_ns else []
-        if not missing:
-            return False
-        self._wanted = np.zeros(6)
-        limit = self.settings.task.start_timeout
-        if self._in_phase(now_ns) > limit:
-            self._fail_here(f"no {' and no '.join(missing)} has arrived within {limit:g} s{self._refused}")
-        return True
+        return missing
+
+    def _start_timeout(self) -> float:
+        return self.settings.task.start_timeout
 
     # ---- phases: each returns the twist wanted now ----
 
@@ -388,7 +312,7 @@ class SurfaceFollowing:
         return self._serve(self._reference_velocity(self._in_phase(now_ns))).twist
 
     def _stopping(self, now_ns: int) -> Array:
-        if np.abs(self.limiter.twist).max() <= AT_REST:
+        if self._at_rest():
             self._enter(RETREAT if self._contact_ns is not None else FAILED)
         return np.zeros(6)
 
@@ -398,9 +322,7 @@ class SurfaceFollowing:
             self._enter(FAILED if self.reason else DONE)
             return np.zeros(6)
         if self._in_phase(now_ns) > settings.retreat_timeout:
-            late = f"the retreat took longer than {settings.retreat_timeout:g} s"
-            self._fail_here(f"{self.reason}; {late}" if self.reason else late)
-            return np.zeros(6)
+            return self._retreat_late(settings.retreat_timeout)
         return _along_z(-settings.retreat_speed)
 
     # ---- parts of phases ----
@@ -434,8 +356,8 @@ class SurfaceFollowing:
 
     def _touching(self) -> bool:
         """In contact, by an image exposed since this phase began."""
-        since = self._phase_since_ns or 0
-        return self._presence is not None and self._presence.in_contact and self._presence.stamp_ns >= since
+        presence = self._presence
+        return presence is not None and presence.in_contact and presence.stamp_ns >= self._phase_since_ns
 
     def _contact_lost(self) -> bool:
         presence = self._presence
@@ -456,31 +378,14 @@ class SurfaceFollowing:
 
     def _fail(self, reason: str) -> Array:
         """Fail with a retreat first."""
-        self.reason = self.reason or reason
         self._contact_ns = self._contact_ns or self._now_ns  # it may touch: retreat after the stop
-        self._enter(STOPPING)
-        return np.zeros(6)
-
-    def _fail_here(self, reason: str) -> None:
-        """Fail where it stands: what is known does not allow to move."""
-        if self.phase not in (DONE, FAILED):
-            self.reason = self.reason or reason
-            self._enter(FAILED)
+        return super()._fail(reason)
 
     def _enter(self, phase: str) -> None:
-        self.phase = phase
-        self._phase_since_ns = self._now_ns
+        super()._enter(phase)
         self._phase_pose = None
         self._touch_position = None
         self._settled_ns = None
-        self.watchdog.reset()
-
-    def _in_phase(self, now_ns: int) -> float:
-        return (now_ns - (self._phase_since_ns or 0)) * NANOSECOND
-
-    def _sensor_pose(self) -> Array:
-        assert self._pose is not None
-        return self._pose.T
 
     def _gone_from_phase_start(self) -> float:
         """Distance from where the sensor was at the first step of this phase, m."""
@@ -491,24 +396,17 @@ class SurfaceFollowing:
 
     # ---- output ----
 
-    def _command(self, now_ns: int, wanted: Array, reason: str = "") -> Command:
-        limited = self.limiter.step(now_ns, wanted)
-        self._limited = "speed" in limited.reason
-        resting = float(np.abs(limited.twist).max()) <= AT_REST
+    def _answer(self, wanted: Array, waiting: str) -> Command:
+        common = self._command(wanted, waiting)
+        self._limited = "speed" in common.limited
         servo = self._servo if self.phase in (SETTLE, FOLLOW) else None
         return Command(
-            twist=limited.twist,
-            unlimited=self._wanted.copy(),
+            **vars(common),
             error=servo.error if servo else np.full(6, np.nan),
             feedforward=servo.feedforward if servo else np.zeros(6),
-            phase=self.phase,
             progress=self._advance_progress(),
             travelled=self._odometer.length,
             exposure_ns=self._belief.stamp_ns if servo and self._belief else 0,
-            done=self.phase in (DONE, FAILED) and resting,
-            succeeded=self.phase == DONE,
-            reason="; ".join(text for text in (self.reason, reason) if text),
-            limited=limited.reason,
         )
 
     def _advance_progress(self) -> float:
@@ -521,10 +419,6 @@ class SurfaceFollowing:
     def _followed(self) -> float:
         """Part of the path done, 0 to 1."""
         return min(1.0, self._odometer.length / self.goal.length)
-
-
-def _newer(value: StampedPose | StampedPresence | None, last: StampedPose | StampedPresence | None) -> bool:
-    return value is not None and (last is None or value.stamp_ns > last.stamp_ns)
 
 
 def _along_z(speed: float) -> Array:

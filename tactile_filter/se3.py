@@ -30,6 +30,10 @@ Vector = Sequence[float]
 ROTATION_TOLERANCE = 1e-6  # largest element of R^T R - I for R to count as a rotation
 
 
+class PoseError(ValueError):
+    """What should be a pose is none; the text says what it is of, and what is wrong with it."""
+
+
 def hat(xi: ArrayLike) -> Array:
     """Matrix (4, 4) of a tangent vector (6,), or (3, 3) of a rotation vector (3,): the paper's wedge."""
     v = np.asarray(xi, dtype=np.float64)
@@ -126,6 +130,23 @@ def orthonormalized(T: ArrayLike) -> Array:
         If the upper left block is further than `ROTATION_TOLERANCE` from a rotation.
     """
     return _fusion.orthonormalized(T)
+
+
+def checked_pose(name: str, value: ArrayLike) -> Array:
+    """The value as a (4, 4) float array; `PoseError` with the name where it is no finite rigid transform."""
+    T = np.asarray(value, dtype=np.float64)
+    if T.shape != (4, 4):
+        raise PoseError(f"{name}: shape {T.shape}, must be (4, 4)")
+    if not np.isfinite(T).all():
+        raise PoseError(f"{name} is not finite: {T.tolist()}")
+    R = T[:3, :3]
+    error = float(np.abs(R @ R.T - np.eye(3)).max())
+    if error > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0 or T[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise PoseError(
+            f"{name} is not a rigid transform (orthogonality error {error:.2g}, must be right-handed, "
+            f"last row [0, 0, 0, 1]): {T.tolist()}"
+        )
+    return T
 
 
 def pose_from_euler(pose6: ArrayLike) -> Array:

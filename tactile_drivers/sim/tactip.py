@@ -22,6 +22,7 @@ from tactile_drivers.sim.camera import Camera, CameraSettings
 from tactile_drivers.sim.markers import Markers, MarkerSettings
 from tactile_drivers.sim.skin import Skin, SkinSettings, load_skin
 from tactile_filter import se3
+from tactile_filter.se3 import PoseError
 from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
@@ -93,10 +94,6 @@ class ContactTruth:
     slip_fraction: float
 
 
-class PoseError(ValueError):
-    """A pose, or a surface's answer, that is not finite or not a rigid transform."""
-
-
 class TacTip:
     """One sensor with its contact history; deterministic by seed (the seed selects image noise only)."""
 
@@ -160,7 +157,7 @@ class TacTip:
         PoseError
             If the pose is not a finite rigid transform, or the surface answers with something not finite.
         """
-        target = _checked_pose(T_surface_sensor)
+        target = se3.checked_pose("pose of the sensor", T_surface_sensor).copy()
         if surface is not self._surface:
             self._release()
             self._surface, self._T = surface, None
@@ -329,17 +326,3 @@ def _query(surface: SurfaceShape, points: Array) -> tuple[Array, Array]:
 def _rotation_angle(rotation: Array) -> float:
     axial = rotation[[2, 0, 1], [1, 2, 0]] - rotation[[1, 2, 0], [2, 0, 1]]
     return float(np.arctan2(np.linalg.norm(axial), np.trace(rotation) - 1))
-
-
-def _checked_pose(T: Array) -> Array:
-    pose = np.array(T, dtype=float)
-    if pose.shape != (4, 4):
-        raise PoseError(f"pose of the sensor has shape {pose.shape}: must be (4, 4)")
-    if not np.isfinite(pose).all():
-        raise PoseError(f"pose of the sensor is not finite:\n{pose}")
-    error = float(np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max())
-    if error > 1e-6 or np.linalg.det(pose[:3, :3]) < 0 or np.any(pose[3] != [0, 0, 0, 1]):
-        raise PoseError(
-            f"pose of the sensor is not a rigid transform (orthogonality error {error:.2g}):\n{pose}"
-        )
-    return pose

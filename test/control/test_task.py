@@ -348,6 +348,18 @@ def test_a_stop_decelerates_retreats_and_gives_its_reason(settings):
     assert last.done and not last.succeeded and last.reason == "Ctrl-C" and plant.depth < -0.009
 
 
+def test_a_retreat_that_takes_too_long_is_told_beside_the_reason_for_it(settings):
+    surface = Plane()
+    task = SurfaceFollowing(settings.replaced(task__retreat_timeout=0.1), PathGoal(length=0.1))
+    commands = run(
+        task,
+        Plant(surface, above(surface)),
+        each=lambda k, c: task.stop("Ctrl-C") if c.travelled > 0.002 else None,
+    )
+    assert phases_of(commands)[-3:] == ["stopping", RETREAT, FAILED]
+    assert commands[-1][1].reason == "Ctrl-C; the retreat took longer than 0.1 s"
+
+
 def test_a_stop_in_the_air_stays_there(settings):
     surface = Plane()
     task = SurfaceFollowing(settings, PathGoal(start=above(surface, 0.1)))

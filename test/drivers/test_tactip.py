@@ -7,7 +7,7 @@ import pytest
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.skin import Skin, SkinSettings, build_skin, load_skin
 from tactile_drivers.sim.surfaces import make_surface
-from tactile_drivers.sim.tactip import CameraSettings, ContactSettings, PoseError, TacTip, TacTipSettings
+from tactile_drivers.sim.tactip import CameraSettings, ContactSettings, TacTip, TacTipSettings
 from tactile_filter import se3
 from tactile_filter.settings import SettingError
 
@@ -217,7 +217,7 @@ def test_contact_on_a_dome_is_narrower_than_on_a_plane(sensor, plane):
 def test_a_bad_pose_is_refused_and_changes_nothing(sensor, plane, bad, why):
     pressed(sensor, plane, 2.0)
     before = sensor.marker_positions
-    with pytest.raises(PoseError, match=why):
+    with pytest.raises(se3.PoseError, match=why):
         sensor.advance(plane, bad)
     assert np.array_equal(sensor.marker_positions, before)
 
@@ -227,7 +227,7 @@ def test_a_surface_that_answers_nan_is_named(sensor):
         def query(self, points):
             return np.full(len(points), np.nan), np.zeros((len(points), 3))
 
-    with pytest.raises(PoseError, match="surface Broken"):
+    with pytest.raises(se3.PoseError, match="surface Broken"):
         sensor.advance(Broken(), pose(z=1))
 
 

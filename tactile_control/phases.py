@@ -1,0 +1,241 @@
+"""PhaseMachine: what tasks have in common that move the sensor phase by phase, one twist a step.
+
+A step takes in what has come, lets the watchdog look at the age of what the phase needs, and asks the phase
+for the twist that it wants; what goes out has passed the watchdog's ramp and the limiter. An input that is
+too old takes the twist to zero. The task goes on when it is back; after the watchdog's patience it fails
+where it is, since an arm that cannot feel or does not know where it is does not move. Every other failure
+leaves the surface first.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeGuard, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_control.limiter import LimiterSettings, TwistLimiter
+from tactile_control.pid import NANOSECOND
+from tactile_control.watchdog import Watchdog, WatchdogSettings
+from tactile_filter.se3 import PoseError
+
+Array = NDArray[np.float64]
+
+# phases of every task
+GO_TO_START = "go_to_start"
+STOPPING = "stopping"
+RETREAT = "retreat"
+DONE = "done"
+FAILED = "failed"
+
+AT_REST = 1e-6  # m/s and rad/s
+
+
+@dataclass(frozen=True)
+class StampedPose:
+    """A pose (4, 4) with the instant it holds for: a belief's mean X_sf, or T_base_sensor."""
+
+    stamp_ns: int
+    T: Array
+
+
+@dataclass(frozen=True)
+class TaskCommand:
+    """What one step of a task says; each task adds to it.
+
+    Attributes
+    ----------
+    twist : ndarray (6,)
+        [v, omega] in {s} to send now: after watchdog and limiter.
+    unlimited : ndarray (6,)
+        The same before watchdog and limiter.
+    phase : str
+        What the task does.
+    done, succeeded : bool
+        The task is over and the twist is zero; whether it did what it was asked to.
+    reason : str
+        Why it failed, is about to, or waits; '' where all is well.
+    limited : str
+        What the limiter held back in this step, '' for nothing: speeding up and braking are no trouble.
+    """
+
+    twist: Array
+    unlimited: Array
+    phase: str
+    done: bool
+    succeeded: bool
+    reason: str
+    limited: str
+
+
+class Stamped(Protocol):
+    """Something of an instant."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """The instant, ns."""
+
+
+Item = TypeVar("Item", bound=Stamped)
+
+
+def newer(value: Item | None, last: Item | None) -> TypeGuard[Item]:
+    """Whether there is a value, later than the last one."""
+    return value is not None and (last is None or value.stamp_ns > last.stamp_ns)
+
+
+Inputs = TypeVar("Inputs")
+Result = TypeVar("Result", bound=TaskCommand)
+
+
+class PhaseMachine(ABC, Generic[Inputs, Result]):
+    """Base of tasks; see the module's text. One object runs one goal.
+
+    Parameters
+    ----------
+    phase : str
+        The first phase.
+    handlers : mapping
+        By phase, what returns the twist (6,) wanted now, given the time (ns); DONE and FAILED want none.
+    limiter, watchdog
+        Their settings.
+    """
+
+    def __init__(
+        self,
+        phase: str,
+        handlers: Mapping[str, Callable[[int], Array]],
+        limiter: LimiterSettings,
+        watchdog: WatchdogSettings,
+    ) -> None:
+        self.phase = phase
+        self.reason = ""
+        self.limiter = TwistLimiter(limiter)
+        self.watchdog = Watchdog(watchdog)
+        self._handlers = handlers
+        self._now_ns: int | None = None
+        self._phase_since_ns = 0
+        self._pose: StampedPose | None = None
+        self._wanted = np.zeros(6)
+        self._refused = ""
+
+    # ---- what the owner calls ----
+
+    def stop(self, reason: str) -> None:
+        """Ask the task to end: it comes to rest, leaves the surface if it may touch, fails with `reason`."""
+        if self.phase in (DONE, FAILED, STOPPING) or self.reason:
+            return
+        self.reason = reason or "stopped"
+        self._enter(RETREAT if self.phase == RETREAT else STOPPING)
+
+    def step(self, now_ns: int, inputs: Inputs) -> Result:
+        """Advance to `now_ns` with the latest inputs. Bad inputs do not raise: they fail the task."""
+        if self._now_ns is None:
+            self._phase_since_ns = now_ns
+        elif now_ns < self._now_ns:
+            self._fail_here(f"the clock went back by {(self._now_ns - now_ns) * NANOSECOND:.3f} s")
+        self._now_ns = now_ns
+        self._refused = ""
+        try:
+            self._take(inputs)
+        except PoseError as error:
+            self._refused = f" (the last one was refused: {error})"
+        return self._answer(*self._next_twist(now_ns))
+
+    # ---- what a task fills in ----
+
+    @abstractmethod
+    def _take(self, inputs: Inputs) -> None:
+        """Keep each input if it is later than the last; `PoseError` for one that counts as not come."""
+
+    @abstractmethod
+    def _stamps(self) -> dict[str, int | None]:
+        """Stamps of what this phase needs, by the watchdog's names; None: none has come yet."""
+
+    @abstractmethod
+    def _start_timeout(self) -> float:
+        """How long to wait for an input that has never come, s."""
+
+    @abstractmethod
+    def _answer(self, wanted: Array, waiting: str) -> Result:
+        """What the step says: a twist for the limiter, and what the watchdog complains about."""
+
+    def _missing(self) -> list[str]:
+        """What this phase needs and has yet to come."""
+        return [name for name, stamp in self._stamps().items() if stamp is None]
+
+    # ---- what a task uses ----
+
+    def _next_twist(self, now_ns: int) -> tuple[Array, str]:
+        """The twist for the limiter, and why it is less than what the phase wants ('' where it is not)."""
+        if self.phase in (DONE, FAILED) or self._waiting(now_ns):
+            self._wanted = np.zeros(6)
+            return self._wanted, ""
+        state = self.watchdog.step(now_ns, self._stamps())
+        if state.failed:
+            self._fail_here(state.reason + self._refused)
+            return np.zeros(6), ""
+        if not state.ok:
+            return state.scale * self._wanted, state.reason + self._refused
+        self._wanted = self._handlers[self.phase](now_ns)
+        return self._wanted, ""
+
+    def _waiting(self, now_ns: int) -> bool:
+        """True while an input has yet to arrive for the first time; fails after a while."""
+        missing, limit = self._missing(), self._start_timeout()
+        if missing and self._in_phase(now_ns) > limit:
+            self._fail_here(f"no {' and no '.join(missing)} has arrived within {limit:g} s{self._refused}")
+        return bool(missing)
+
+    def _enter(self, phase: str) -> None:
+        self.phase = phase
+        self._phase_since_ns = self._now_ns or 0
+        self.watchdog.reset()
+
+    def _in_phase(self, now_ns: int) -> float:
+        """Seconds since this phase began."""
+        return (now_ns - self._phase_since_ns) * NANOSECOND
+
+    def _sensor_pose(self) -> Array:
+        assert self._pose is not None
+        return self._pose.T
+
+    def _fail(self, reason: str) -> Array:
+        """Fail, after leaving the surface."""
+        self.reason = self.reason or reason
+        self._enter(STOPPING)
+        return np.zeros(6)
+
+    def _fail_here(self, reason: str) -> None:
+        """Fail where it stands: what is known does not allow to move."""
+        if self.phase not in (DONE, FAILED):
+            self.reason = self.reason or reason
+            self._enter(FAILED)
+
+    def _retreat_late(self, limit: float) -> Array:
+        """Give up leaving the surface, which is told beside why it was to be left."""
+        late = f"the retreat took longer than {limit:g} s"
+        self.reason = "; ".join(filter(None, (self.reason, late)))
+        self._enter(FAILED)
+        return np.zeros(6)
+
+    def _at_rest(self) -> bool:
+        """Whether the twist sent last was zero."""
+        return bool(np.abs(self.limiter.twist).max() <= AT_REST)
+
+    def _command(self, wanted: Array, waiting: str) -> TaskCommand:
+        """What all tasks say."""
+        assert self._now_ns is not None
+        limited = self.limiter.step(self._now_ns, wanted)
+        return TaskCommand(
+            twist=limited.twist,
+            unlimited=self._wanted.copy(),
+            phase=self.phase,
+            done=self.phase in (DONE, FAILED) and self._at_rest(),
+            succeeded=self.phase == DONE,
+            reason="; ".join(filter(None, (self.reason, waiting))),
+            limited=limited.reason,
+        )
