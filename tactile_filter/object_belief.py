@@ -135,36 +135,47 @@ def object_belief(contacts: Mapping[str, Contact], settings: ObjectSettings | No
         If a contact is no Gaussian.
     """
     settings = ObjectSettings() if settings is None else settings
-    gate = gate_threshold(settings.gate_probability)
-    split = {name: object_from_contact(c, settings.correlated_share) for name, c in contacts.items()}
-    order = sorted(split, key=lambda name: (_log_determinant(split[name].cov), name))
+    known = {name: object_from_contact(c, settings.correlated_share) for name, c in contacts.items()}
+    return fuse_contacts(known, settings.gate_probability)
+
+
+def fuse_contacts(known: Mapping[str, SplitGaussian], gate_probability: float = 1.0) -> ObjectBelief:
+    """The same, of what each contact knows of the object's pose T_wo."""
+    gate = gate_threshold(gate_probability)
+    order = sorted(known, key=lambda name: (_log_determinant(known[name].cov), name))
     pose: SplitGaussian | None = None
     used, refused = [], {}
     for name in order:
         if pose is None:
-            pose = split[name]
+            pose = known[name]
         else:
-            weight = intersection_weight(pose, split[name])
-            nis = _disagreement(pose, split[name], weight)
+            nis = _disagreement(pose, known[name])
             if not nis <= gate:
                 refused[name] = nis
                 continue
-            pose = fuse_split(pose, split[name], weight)
+            pose = fuse_split(pose, known[name])
         used.append(name)
     return ObjectBelief(pose, tuple(used), refused)
 
 
-def object_from_contact(contact: Contact, correlated_share: float = 0.0) -> SplitGaussian:
+def object_from_contact(
+    contact: Contact, correlated_share: float = 0.0, place_share: float = 1.0
+) -> SplitGaussian:
     """What one contact knows of the object's pose, T_wo = T_ws X_sf T_of^-1.
 
-    The share of the belief's covariance, and all of the feature's place, count as correlated.
+    Parameters
+    ----------
+    correlated_share, place_share : float
+        Shares of the covariances of its belief and of the feature's place that count as correlated. A place
+        that was found by other contacts is correlated with them; one that was measured may be independent.
     """
     T_ws = contact.T_world_sensor
     mean = T_ws @ contact.belief.mean @ se3.inverse(contact.T_object_feature.mean)
     mean = se3.orthonormalized(mean)
-    own = _moved(T_ws, contact.belief.cov)
-    place = _moved(mean, contact.T_object_feature.cov)
-    return SplitGaussian(mean, (1.0 - correlated_share) * own, correlated_share * own + place)
+    own = moved_covariance(T_ws, contact.belief.cov)
+    place = moved_covariance(mean, contact.T_object_feature.cov)
+    independent = (1.0 - correlated_share) * own + (1.0 - place_share) * place
+    return SplitGaussian(mean, independent, correlated_share * own + place_share * place)
 
 
 def contact_from_object(
@@ -176,7 +187,7 @@ def contact_from_object(
     """
     T_sw = se3.inverse(T_world_sensor)
     mean = T_sw @ pose.mean @ T_object_feature.mean
-    cov = _moved(T_sw, pose.cov + _moved(pose.mean, T_object_feature.cov))
+    cov = moved_covariance(T_sw, pose.cov + moved_covariance(pose.mean, T_object_feature.cov))
     return PoseGaussian(se3.orthonormalized(mean), cov)
 
 
@@ -188,7 +199,7 @@ def estimate_feature(pose: PoseGaussian, belief: PoseGaussian, T_world_sensor: A
     """
     T_ow = se3.inverse(pose.mean)
     mean = T_ow @ T_world_sensor @ belief.mean
-    cov = _moved(T_ow, pose.cov + _moved(T_world_sensor, belief.cov))
+    cov = moved_covariance(T_ow, pose.cov + moved_covariance(T_world_sensor, belief.cov))
     return PoseGaussian(se3.orthonormalized(mean), cov)
 
 
@@ -214,8 +225,10 @@ def intersection_weight(a: SplitGaussian, b: SplitGaussian) -> float:
 
     The determinant, unlike the trace, does not depend on the units of length.
     """
-    if not a.correlated.any() and not b.correlated.any():
-        return 0.5  # it has no effect
+    if not a.correlated.any():
+        return _SMALLEST_WEIGHT if b.correlated.any() else 0.5  # without both it has no effect
+    if not b.correlated.any():
+        return 1.0 - _SMALLEST_WEIGHT
 
     def cost(weight: float) -> float:
         # |(A^-1 + B^-1)^-1| = |A| |B| / |A + B|
@@ -237,16 +250,19 @@ def intersection_weight(a: SplitGaussian, b: SplitGaussian) -> float:
     return 0.5 * (low + high)
 
 
-def _disagreement(a: SplitGaussian, b: SplitGaussian, weight: float) -> float:
-    """NIS of b against a, with covariances that hold whatever the correlation of the two."""
-    return innovation(b.mean, b.weighted(1.0 - weight), a.mean, a.weighted(weight)).nis
-
-
-def _moved(T: Array, cov: Array) -> Array:
-    """Left covariance of T X, given that of X."""
+def moved_covariance(T: Array, cov: Array) -> Array:
+    """Left covariance (6, 6) of T X, given that of X."""
     adjoint = se3.adjoint(T)
     moved = adjoint @ cov @ adjoint.T
     return 0.5 * (moved + moved.T)
+
+
+def _disagreement(a: SplitGaussian, b: SplitGaussian) -> float:
+    """NIS of b against a, with covariances that hold whatever the correlation of the two.
+
+    Not with the weight of the fusion: where that takes next to nothing of b, b would never disagree.
+    """
+    return innovation(b.mean, b.weighted(0.5), a.mean, a.weighted(0.5)).nis
 
 
 def _log_determinant(cov: Array) -> float:
