@@ -35,7 +35,7 @@ def export_onnx(
     for index, block in enumerate(network.base):
         assert isinstance(block, ConvBlock)
         stride = settings.first_stride if index == 0 else 1
-        last = graph.block(f"block{index + 1}", last, *_folded(block, stride), stride)
+        last = graph.block(f"block{index + 1}", last, *_folded(block, stride), stride, block.pooled)
     last = graph.node("Flatten", [last], "features", axis=1)
     head = network.head
     weight = graph.constant("head.weight", (head.gain * head.weight.detach()).numpy())

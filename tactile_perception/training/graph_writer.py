@@ -46,8 +46,8 @@ class GraphWriter:
         name = "shape." + "x".join(map(str, shape))
         return self.node("Reshape", [source, self.constant(name, np.array(shape, dtype=np.int64))], output)
 
-    def block(self, name: str, source: str, weight: NDArray, bias: NDArray, stride: int) -> str:
-        """Convolution, ReLU, max-pooling (in the order that runtimes fuse)."""
+    def block(self, name: str, source: str, weight: NDArray, bias: NDArray, stride: int, pooled: bool) -> str:
+        """Convolution, ReLU and, if `pooled`, max-pooling (in the order that runtimes fuse)."""
         parameters = [self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
         last = self.node(
             "Conv",
@@ -58,6 +58,8 @@ class GraphWriter:
             strides=[stride, stride],
         )
         last = self.node("Relu", [last], f"{name}.relu")
+        if not pooled:
+            return last
         return self.node("MaxPool", [last], f"{name}.pool", kernel_shape=[2, 2], strides=[2, 2])
 
     def softbound(self, source: str, output: str, bounds: tuple[float, ...]) -> str:

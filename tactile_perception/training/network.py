@@ -13,19 +13,23 @@ from tactile_perception.training.settings import NetworkSettings
 
 
 class ConvBlock(nn.Sequential):
-    """3x3 convolution, batch normalization, ReLU, 2x2 max-pooling: halves the image's side.
+    """3x3 convolution, batch normalization, ReLU and, if `pooled`, 2x2 max-pooling that halves the side.
 
     The maximum commutes with ReLU, so pooling comes first and ReLU works on a quarter of the values. The
     normalization makes a bias of the convolution redundant.
     """
 
-    def __init__(self, inputs: int, outputs: int, momentum: float) -> None:
+    def __init__(self, inputs: int, outputs: int, momentum: float, pooled: bool = True) -> None:
         super().__init__(
             nn.Conv2d(inputs, outputs, kernel_size=3, padding=1, bias=False),
             nn.BatchNorm2d(outputs, momentum=momentum),
-            nn.MaxPool2d(2),
+            nn.MaxPool2d(2) if pooled else nn.Identity(),
             nn.ReLU(inplace=True),
         )
+
+    @property
+    def pooled(self) -> bool:
+        return isinstance(self[2], nn.MaxPool2d)
 
 
 class FirstBlock(ConvBlock):
@@ -158,19 +162,12 @@ class PoseNetwork(nn.Module):
         self.settings = settings
         self.distribution: Head = make_head(settings)
         momentum = settings.batch_norm_momentum
-        blocks = [ConvBlock(a, b, momentum) for a, b in pairwise(settings.channels)]
+        blocks = [
+            ConvBlock(a, b, momentum, pooled=index < settings.poolings)
+            for index, (a, b) in enumerate(pairwise(settings.channels), start=1)
+        ]
         self.base = nn.Sequential(FirstBlock(settings.first_stride, settings.channels[0], momentum), *blocks)
-        side = settings.image_size // settings.first_stride // 2 ** len(settings.channels)
-        if side < 1:
-            raise ValueError(
-                f"{len(settings.channels)} blocks halve an image of {settings.image_size} pixels to nothing"
-            )
-        if settings.image_size % settings.first_stride:
-            raise ValueError(
-                f"image_size = {settings.image_size}: must be a multiple of "
-                f"first_stride = {settings.first_stride}"
-            )
-        features = settings.channels[-1] * side * side
+        features = settings.channels[-1] * settings.last_side**2
         dropouts = self.distribution.dropouts
         shared = settings.head == "mse" and len(set(dropouts)) == 1
         self.head = MultiDropoutLinear(features, dropouts, settings.head_gain, shared)

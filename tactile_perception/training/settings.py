@@ -21,6 +21,11 @@ class NetworkSettings(Settings):
     channels: tuple[int, ...] = setting(
         (16, 32, 64, 128, 256), lower=1, doc="features of each block: convolution, batch norm, ReLU, max-pool"
     )
+    unpooled_blocks: int = setting(
+        0,
+        lower=0,
+        doc="so many of the last blocks have no max-pool, which leaves a larger map; the paper's: 0",
+    )
     batch_norm_momentum: float = setting(
         0.01, lower=1e-4, upper=1.0, doc="weight of a batch in the running statistics (0.01: Keras's default)"
     )
@@ -50,6 +55,25 @@ class NetworkSettings(Settings):
         length=6,
         doc="weights of the components in the loss of the head mse (paper, eq. mse_loss_def)",
     )
+
+    @property
+    def poolings(self) -> int:
+        """Number of blocks that halve the image's side; the first always does."""
+        return max(1, len(self.channels) - self.unpooled_blocks)
+
+    @property
+    def last_side(self) -> int:
+        """Side of the last feature map; `SettingError` if the image cannot be divided so."""
+        if self.image_size % self.first_stride:
+            raise SettingError(
+                f"image_size = {self.image_size}: must be a multiple of first_stride = {self.first_stride}"
+            )
+        side = self.image_size // self.first_stride // 2**self.poolings
+        if side < 1:
+            raise SettingError(
+                f"{self.poolings} blocks halve an image of {self.image_size} pixels to nothing"
+            )
+        return side
 
 
 @dataclass(frozen=True)

@@ -33,12 +33,13 @@ def images(count: int, side: int, seed: int = 0) -> np.ndarray:
     return result
 
 
-@pytest.fixture(params=[1, 2], ids=["stride 1", "stride 2"])
+@pytest.fixture(params=[(1, 0), (2, 0), (1, 1)], ids=["stride 1", "stride 2", "last block unpooled"])
 def model(request, tmp_path, model_metadata) -> Path:
     """An untrained network whose answers depend on the image."""
     torch.manual_seed(0)
+    stride, unpooled = request.param
     settings = NetworkSettings(
-        image_size=64, first_stride=request.param, channels=(8, 16, 64, 64), head_gain=1.0
+        image_size=64, first_stride=stride, channels=(8, 16, 64, 64), unpooled_blocks=unpooled, head_gain=1.0
     )
     network = PoseNetwork(settings)
     torch.nn.init.normal_(network.head.weight, std=0.05)
@@ -68,7 +69,7 @@ def test_answers_stay_nearly_the_same(model, tmp_path, reduce_range):
 def test_the_file_is_smaller_and_tells_that_it_is_quantized(model, tmp_path):
     out = quantize(model, images(7, 64), tmp_path / "q.onnx")
     before, after = Estimator(model).metadata, Estimator(out).metadata
-    assert out.stat().st_size < 0.6 * model.stat().st_size
+    assert out.stat().st_size < 0.75 * model.stat().st_size
     assert after.preprocessing == before.preprocessing
     assert after.training_data == before.training_data
     assert after.training["quantization"]["images"] == 7

@@ -172,11 +172,11 @@ def test_first_block_is_convolution_and_normalization(stride):
         torch.testing.assert_close(value, plain.get_buffer(name), rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("stride, unpooled", [(1, 0), (2, 0), (1, 1)])
 @pytest.mark.parametrize("name", HEADS)
-def test_exported_model_answers_like_the_network(tmp_path, name, stride):
+def test_exported_model_answers_like_the_network(tmp_path, name, stride, unpooled):
     torch.manual_seed(3)
-    settings = SMALL.replaced(head=name, first_stride=stride, channels=(4, 6))
+    settings = SMALL.replaced(head=name, first_stride=stride, channels=(4, 6), unpooled_blocks=unpooled)
     network = PoseNetwork(settings)
     with torch.no_grad():
         network.head.weight.normal_(std=0.2)
@@ -211,6 +211,14 @@ def test_exported_model_holds_the_bounds_of_sigma_and_stays_a_gaussian(tmp_path,
         np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 1.0 / bound, rtol=1e-5)
         estimate = estimator.estimate(np.zeros((480, 640), np.uint8))
         assert np.all(np.linalg.eigvalsh(estimate.cov) > 0.0)
+
+
+def test_blocks_without_pooling_leave_a_larger_map_and_the_first_always_pools():
+    sides = {n: SMALL.replaced(unpooled_blocks=n).last_side for n in range(4)}
+    assert sides == {0: 4, 1: 8, 2: 16, 3: 16}
+    network = PoseNetwork(SMALL.replaced(unpooled_blocks=1))
+    assert network.base(torch.zeros(1, 1, 32, 32)).shape == (1, 8, 8, 8)
+    assert [block.pooled for block in network.base] == [True, True, False]
 
 
 def test_a_network_without_uncertainty_is_not_exported_without_its_errors(tmp_path):
