@@ -1,10 +1,9 @@
 """Errors of a network on real images: of one trained on simulated ones they tell what a simulator is worth.
 
-    PYTHONPATH=. python bench/sim_to_real.py DATA/val --model MODEL.onnx [--redraw] [--limit 1000]
+    PYTHONPATH=. python bench/sim_to_real.py DATA/val --model MODEL.onnx [--limit 1000]
 
 Prints mean absolute error and mean error by component and depth, and how much of the error in angle follows
-the label's shear. With `--redraw` the markers are found and drawn again as discs of one size before the
-network sees them, which takes out what differs between simulated and real images but for the markers' places.
+the label's shear.
 """
 
 from __future__ import annotations
@@ -17,22 +16,17 @@ import numpy as np
 from tactile_perception.dataset import open_folder
 from tactile_perception.estimator import Estimator, shipped_model
 from tactile_perception.labels import COMPONENTS, labels_from_euler, network_from_pose
-from tactile_perception.markers import detect, redrawn
 
 DEPTHS = ((0.5, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6.5))  # mm
-DISC_RADIUS = 6.17  # px, of the real markers: 119.5 px^2
 
 
-def errors(folder: Path, model: Path, redraw: bool, limit: int | None) -> tuple[np.ndarray, np.ndarray]:
+def errors(folder: Path, model: Path, limit: int | None) -> tuple[np.ndarray, np.ndarray]:
     """Labels (n, 6) xi_sf in mm and rad, and errors of the network's means (n, 6)."""
     data, estimator = open_folder(folder), Estimator(model)
     order = np.random.default_rng(0).permutation(len(data))[:limit]
     labels, found = labels_from_euler(data.euler_mm_deg[order]), []
     for i in order:
-        image = data.image(i)
-        if redraw:
-            image = redrawn(detect(image), image.shape, DISC_RADIUS)
-        found.append(network_from_pose(estimator.estimate_processed(image).mean))
+        found.append(network_from_pose(estimator.estimate_processed(data.image(i)).mean))
     return labels, np.array(found) - labels
 
 
@@ -44,10 +38,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--model", type=Path, default=shipped_model())
-    parser.add_argument("--redraw", action="store_true", help="draw the markers again as discs of one size")
     parser.add_argument("--limit", type=int, help="images (default: all)")
     args = parser.parse_args()
-    labels, error = errors(args.data, args.model, args.redraw, args.limit)
+    labels, error = errors(args.data, args.model, args.limit)
     print(f"{len(labels)} images   " + " ".join(f"{name:>8s}" for name in COMPONENTS) + "   (mm, rad)")
     print("MAE           " + shown(np.abs(error).mean(axis=0)))
     print("mean error    " + shown(error.mean(axis=0)))

@@ -51,12 +51,8 @@ from tactile_filter.settings import Settings
 from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_perception.dataset_layout import DatasetError
-from tactile_perception.preprocessing import (
-    ImageError,
-    PreprocessingSettings,
-    Preprocessor,
-    check_image,
-)
+from tactile_perception.image import ImageError, check_image
+from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.presence import ContactPresence, PresenceSettings
 
 

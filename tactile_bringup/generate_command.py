@@ -20,7 +20,6 @@ from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_filter.yaml_file import read_yaml
 from tactile_perception.command_settings import name_and_value
 from tactile_perception.dataset_writer import DatasetWriter, write_processed
-from tactile_perception.markers import detect, redrawn
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 
 
@@ -45,10 +44,6 @@ def register(commands: Any) -> None:
         metavar="NAME",
         help="sensor of config/sensors, or a sensor file (default: the built-in one)",
     )
-    parser.add_argument(
-        "--redraw", type=float, default=0.0, metavar="PX",
-        help="find the markers and draw them again as discs of this radius (0: images as they are)",
-    )  # fmt: skip
     parser.add_argument("--config", type=Path, help="YAML file with collection settings (SI)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="change one of them"
@@ -97,15 +92,13 @@ def _generate_split(
     preprocessing = PreprocessingSettings()
     parameters = {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings)}
     parameters["sensor"] = dataclasses.asdict(sensor.sensor)
-    if arguments.redraw:
-        parameters["redraw"] = arguments.redraw
     if sensor.variation is not None:
         parameters["variation"] = dataclasses.asdict(sensor.variation)
     check_same_run(folder, parameters)
     started = time.monotonic()
     with DatasetWriter(folder, preprocessing) as writer:
         missing = sorted(set(range(1, count + 1)) - writer.done)
-        store = StoreSample(folder, preprocessing, start, arguments.redraw)
+        store = StoreSample(folder, preprocessing, start)
         samples = generate(
             settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
             processes=arguments.processes, each=store, variation=sensor.variation,
@@ -121,16 +114,11 @@ def _generate_split(
 class StoreSample:
     """Pre-processes and stores a sample's image in the process that made it; gives its number and label."""
 
-    def __init__(
-        self, folder: Path, preprocessing: PreprocessingSettings, start: int, redraw: float = 0.0
-    ) -> None:
-        self.folder, self.start, self.redraw = folder, start, redraw
+    def __init__(self, folder: Path, preprocessing: PreprocessingSettings, start: int) -> None:
+        self.folder, self.start = folder, start
         self._preprocessor = Preprocessor(preprocessing)
 
     def __call__(self, sample: Sample) -> tuple[int, list[float]]:
         number = sample.index - self.start + 1
-        image = self._preprocessor.binary(sample.image)
-        if self.redraw:
-            image = redrawn(detect(image), (image.shape[0], image.shape[1]), self.redraw)
-        write_processed(self.folder, number, image)
+        write_processed(self.folder, number, self._preprocessor.binary(sample.image))
         return number, sample.euler_mm_deg.tolist()

@@ -26,7 +26,7 @@ from tactile_bringup.message_definitions import type_fields
 from tactile_bringup.replay import BELIEF_TYPE, pose_rows
 from tactile_bringup.replay_topics import ESTIMATE, PRESENCE, ReplayError, wanted_topics
 from tactile_perception.estimator import EstimateError, Estimator, ModelError
-from tactile_perception.preprocessing import ImageError
+from tactile_perception.image import ImageError
 from tactile_perception.presence import ContactPresence, PresenceSettings
 
 Array = NDArray[Any]

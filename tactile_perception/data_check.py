@@ -19,8 +19,8 @@ from tactile_perception.data_conventions import Conventions, find_conventions
 from tactile_perception.data_statistics import LabelStatistics, label_statistics
 from tactile_perception.dataset import TactileFolder
 from tactile_perception.dataset_images import read_image
+from tactile_perception.image import ImageError
 from tactile_perception.marker_flow import FlowError, FlowSettings, MarkerFlow, measure
-from tactile_perception.preprocessing import ImageError
 
 LEVELS = ("ok", "note", "warning", "error")
 _USUAL_DEPTH_MM, _USUAL_ANGLE_DEG = 20.0, 90.0

@@ -11,7 +11,7 @@ import hashlib
 import os
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,8 +38,9 @@ from tactile_perception.dataset_layout import (
 )
 from tactile_perception.dataset_table import Row, read_conventions, read_table
 from tactile_perception.dataset_writer import DatasetWriter
+from tactile_perception.image import Image, ImageError
 from tactile_perception.labels import labels_from_euler
-from tactile_perception.preprocessing import Image, ImageError, PreprocessingSettings, Preprocessor
+from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 
 __all__ = [
     "DatasetError",
@@ -163,7 +164,7 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
 def read_dataset(
     folder: Path | str,
     preprocessing: PreprocessingSettings | None = None,
-    size: int | None = None,
+    changes: Mapping[str, Any] | None = None,
     limit: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TactileDataset:
@@ -171,16 +172,17 @@ def read_dataset(
 
     Parameters
     ----------
-    size : int, optional
-        Side of the pre-processed images, if not the folder's.
+    preprocessing : PreprocessingSettings, optional
+        If not those that the folder states.
+    changes : mapping, optional
+        Settings of the pre-processing that are to be others, as the size.
     limit : int, optional
         Take this many samples, spread evenly over the rows (published tables are sorted by depth).
     progress : callable, optional
         Called with (done, total).
     """
     source = open_folder(folder, preprocessing)
-    if size is not None:
-        source.preprocessing = source.preprocessing.replaced(size=size)
+    source.preprocessing = source.preprocessing.replaced(**(changes or {}))
     chosen = np.arange(len(source))
     if limit is not None and limit < len(source):
         chosen = np.linspace(0, len(source) - 1, limit).round().astype(int)

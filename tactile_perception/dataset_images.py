@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tactile_perception.preprocessing import Image, ImageError
+from tactile_perception.image import Image, ImageError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 #: What the file of a whole image ends with; a decoder fills what is cut off with gray and says nothing.

@@ -33,7 +33,8 @@ from tactile_perception.dataset_layout import (
     image_name,
     image_number,
 )
-from tactile_perception.preprocessing import Image, ImageError, PreprocessingSettings, Preprocessor
+from tactile_perception.image import Image, ImageError
+from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 
 IMAGE_KINDS = ("processed", "raw", "both")
 LOCK_NAME = ".writing"

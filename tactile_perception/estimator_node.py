@@ -31,7 +31,7 @@ from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes
 from tactile_filter.settings import Settings, setting
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimator import EstimateError, Estimator, EstimatorSettings, ModelError
-from tactile_perception.preprocessing import ImageError
+from tactile_perception.image import ImageError
 from tactile_perception.presence import ContactPresence, PresenceSettings
 
 

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from tactile_filter.settings import Settings, setting
 from tactile_perception.dataset import TactileFolder
+from tactile_perception.image import Image, ImageError
 from tactile_perception.marker_tracking import track
 from tactile_perception.markers import detect
-from tactile_perception.preprocessing import Image, ImageError, Preprocessor
+from tactile_perception.preprocessing import Preprocessor
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_perception.image import Image
 from tactile_perception.markers import DensityChange, DetectedMarkers
-from tactile_perception.preprocessing import Image
 
 FULL_SCALE = 0.5  # change of density (markers per squared spacing) shown in the strongest color
 _GREEN, _ORANGE = (80, 220, 80), (40, 160, 255)  # BGR: found, split off a merged blob

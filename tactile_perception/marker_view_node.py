@@ -21,9 +21,9 @@ from tactile_bringup.ros.parameters import SettingsParameters
 from tactile_bringup.ros.qos import IMAGE
 from tactile_bringup.ros.stamps import SECOND_NS
 from tactile_filter.settings import Settings, setting
+from tactile_perception.image import ImageError
 from tactile_perception.marker_view import side_by_side
 from tactile_perception.markers import DetectedMarkers, DetectionSettings, density_change, detect
-from tactile_perception.preprocessing import ImageError
 
 
 @dataclass(frozen=True)

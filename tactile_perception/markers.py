@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tactile_filter.settings import SettingError, Settings, setting
-from tactile_perception.preprocessing import Image, ImageError
+from tactile_perception.image import Image, ImageError
 
 Array = NDArray[np.float64]
 _LARGEST_SHARE = 0.02  # of the image, from which a blob is no marker

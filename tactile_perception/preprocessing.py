@@ -1,5 +1,8 @@
 """Pre-processing of tactile images: crop, median, adaptive threshold, circle mask, resize, [0, 1].
 
+Where `redraw_radius` says so, the markers of the thresholded image are found and drawn again before it is
+resized.
+
 The steps that the published settings need are in C (`_csrc`), in integers; what these do not cover (another
 median, Gaussian weights, enlarging) is OpenCV's.
 """
@@ -15,16 +18,12 @@ from numpy.typing import NDArray
 
 from tactile_filter.settings import SettingError, Settings, setting
 from tactile_perception import _image
-
-Image = NDArray[np.uint8]
+from tactile_perception.image import Image, check_image
+from tactile_perception.markers import detect, redrawn
 
 _THRESHOLD_METHODS = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
 #: Limits of the C functions: 16-bit sums over this many pixels.
 _C_MAX_BLOCK = _C_MAX_RATIO = 255
-
-
-class ImageError(ValueError):
-    """An image of the wrong size, type or number of channels."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +50,14 @@ class PreprocessingSettings(Settings):
     circle_mask_radius: int = setting(
         230, unit="px", lower=0, doc="black outside this circle around the crop's center; 0: no mask"
     )
+    redraw_radius: float = setting(
+        0.0,
+        unit="px",
+        lower=0.0,
+        upper=50.0,
+        doc="find the markers and draw them again as discs of this radius: networks trained on simulated "
+        "images; 0: the image as it is",
+    )
     size: int = setting(128, unit="px", lower=16, upper=512, doc="side of the network's square input")
 
     def __post_init__(self) -> None:
@@ -73,25 +80,6 @@ class PreprocessingSettings(Settings):
         """(rows, columns) of a cropped image."""
         x0, y0, x1, y1 = self.bbox
         return y1 - y0, x1 - x0
-
-
-def check_image(image: object, shape: tuple[int, int], what: str) -> Image:
-    """`image` if it is uint8 of this (rows, columns); `ImageError` saying what it is instead otherwise."""
-    if not isinstance(image, np.ndarray):
-        raise ImageError(f"{what}: must be a NumPy array, is {type(image).__name__}")
-    if image.ndim == 3 and image.shape[2] == 1:
-        image = image[:, :, 0]
-    if image.ndim != 2:
-        raise ImageError(
-            f"{what}: must be a gray image (mono8) of {shape[1]}x{shape[0]}, has the shape {image.shape}"
-        )
-    if image.dtype != np.uint8:
-        raise ImageError(f"{what}: must be 8-bit (mono8, uint8), is {image.dtype}")
-    if image.shape != shape:
-        raise ImageError(
-            f"{what}: must be {shape[1]}x{shape[0]} pixels, is {image.shape[1]}x{image.shape[0]}"
-        )
-    return image
 
 
 class Preprocessor:
@@ -164,7 +152,9 @@ class Preprocessor:
             cv2.bitwise_and(result, self._mask, dst=result)
 
     def _resize(self, crop: Image, result: Image) -> None:
-        side, shape = self.settings.size, crop.shape
+        side, shape = self.settings.size, (crop.shape[0], crop.shape[1])
+        if self.settings.redraw_radius:
+            crop = redrawn(detect(crop), shape, self.settings.redraw_radius)
         if side <= min(shape) and shape[0] <= _C_MAX_RATIO * side:
             _image.shrink(result, _adjacent_columns(crop))
         else:

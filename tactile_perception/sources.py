@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.dataset import DatasetError, TactileFolder
+from tactile_perception.image import Image, ImageError
 from tactile_perception.labels import EULER_COMPONENTS, EULER_UNITS, surface_contact_pose
-from tactile_perception.preprocessing import Image, ImageError
 
 POSE_COLUMNS = tuple(f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True))
 _NANOSECONDS = 1_000_000_000

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from tactile_perception.dataset import DatasetError, TactileDataset, read_dataset
 from tactile_perception.holdback import split_holdback
-from tactile_perception.preprocessing import Image, PreprocessingSettings
+from tactile_perception.image import Image
+from tactile_perception.preprocessing import PreprocessingSettings
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
 
@@ -63,11 +64,13 @@ def load_data(
 ) -> RunData:
     """Read the folders; `DatasetError` if they cannot be used or do not fit together."""
     train_dir, validation_dir = data_folders(data_dir, validation_dir)
-    size = config.network.image_size
+    network = config.network
+    changes = {"size": network.image_size, "redraw_radius": network.redraw_radius}
     scale = SCALE if config.augmentation.active else 1
-    training = read_dataset(train_dir, size=scale * size, limit=limit, progress=progress)
-    validation = read_dataset(validation_dir, size=size, progress=progress)
-    preprocessing = training.preprocessing.replaced(size=size)
+    large = {**changes, "size": scale * network.image_size}
+    training = read_dataset(train_dir, changes=large, limit=limit, progress=progress)
+    validation = read_dataset(validation_dir, changes=changes, progress=progress)
+    preprocessing = training.preprocessing.replaced(**changes)
     if preprocessing != validation.preprocessing:
         raise DatasetError(
             f"{train_dir} and {validation_dir} were pre-processed differently: "

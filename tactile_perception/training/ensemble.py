@@ -146,7 +146,7 @@ def _calibrated(
     path: Path, metadata: ModelMetadata, holdback: float, data: Path, settings: CalibrationSettings
 ) -> ModelMetadata:
     train_dir = data / "train" if (data / "train").is_dir() else data
-    samples = read_dataset(train_dir, size=metadata.preprocessing.size)
+    samples = read_dataset(train_dir, metadata.preprocessing)
     if samples.sha256 != metadata.training_data.get("sha256"):
         raise EnsembleError(f"{train_dir}: is not what the networks were trained on")
     _, chosen = split_holdback(len(samples), holdback)

@@ -15,6 +15,14 @@ class NetworkSettings(Settings):
     """Convolutional base and head; the defaults are the paper's "Gaussian Density Networks"."""
 
     image_size: int = setting(128, unit="px", lower=16, upper=512, doc="side of the square input image")
+    redraw_radius: float = setting(
+        0.0,
+        unit="px",
+        lower=0.0,
+        upper=50.0,
+        doc="before it is reduced to this size, draw the image's markers again as discs of this radius in "
+        "the crop, so that only their places count; 0: the image as it is",
+    )
     first_stride: int = setting(
         1, lower=1, upper=4, doc="stride s of the first convolution, whose kernel is 3s x 3s; the paper's: 1"
     )

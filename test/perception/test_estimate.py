@@ -13,9 +13,10 @@ from tactile_perception import commands
 from tactile_perception.dataset import DatasetWriter, open_folder
 from tactile_perception.estimate_run import EstimateTable, network_row, run_estimates
 from tactile_perception.estimator import Estimator, pose_gaussian
+from tactile_perception.image import ImageError
 from tactile_perception.labels import label_from_euler, surface_contact_pose
 from tactile_perception.motion_noise import motion_filter, with_motion_noise
-from tactile_perception.preprocessing import ImageError, PreprocessingSettings
+from tactile_perception.preprocessing import PreprocessingSettings
 from tactile_perception.sources import (
     Frame,
     SourceError,

@@ -10,8 +10,8 @@ from scipy.linalg import expm, logm
 
 from tactile_perception.calibration import Calibration
 from tactile_perception.estimator import EstimateError, Estimator, ModelError, pose_gaussian, shipped_model
+from tactile_perception.image import ImageError
 from tactile_perception.labels import NETWORK_SCALE
-from tactile_perception.preprocessing import ImageError
 
 MEAN = np.array([1.2, -2.0, -3.5, 0.3, -0.4, 0.08])
 INVERSE_SIGMA = np.array([2.0, 3.0, 10.0, 80.0, 120.0, 40.0])

@@ -6,7 +6,9 @@ import pytest
 
 from tactile_filter.settings import SettingError
 from tactile_perception import _image
-from tactile_perception.preprocessing import ImageError, PreprocessingSettings, Preprocessor, as_input
+from tactile_perception.image import ImageError
+from tactile_perception.markers import detect
+from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor, as_input
 
 
 def marker_image(shift: float = 0.0, noise: float = 3.0, seed: int = 0) -> np.ndarray:
@@ -103,6 +105,25 @@ def test_processed_crop_and_camera_image_give_the_same_input():
     np.testing.assert_array_equal(
         preprocessor.from_processed(preprocessor.binary(image)), preprocessor(image)
     )
+
+
+def test_redrawn_markers_have_one_size_and_what_is_no_marker_is_gone():
+    image = marker_image()
+    image[30:33, 300:420] = 255  # a reflection
+    plain, redrawing = (Preprocessor(PreprocessingSettings(size=440, redraw_radius=r)) for r in (0.0, 8.0))
+    before, after = (detect(p.resized(plain.binary(image))) for p in (plain, redrawing))
+    assert len(after) == len(before) > 50
+    assert np.median(before.areas) < 130.0
+    assert after.areas == pytest.approx(np.pi * 8.0**2, rel=0.15)
+    np.testing.assert_array_equal(redrawing(image), redrawing.from_processed(plain.binary(image)))
+    row = 31 - plain.settings.bbox[1]
+    assert plain.resized(plain.binary(image))[row].any()
+    assert not redrawing.resized(plain.binary(image))[row].any()
+
+
+def test_an_image_without_markers_is_redrawn_black():
+    settings = PreprocessingSettings(redraw_radius=6.0)
+    assert not Preprocessor(settings).resized(np.zeros(settings.crop_shape, np.uint8)).any()
 
 
 def test_results_of_earlier_images_stay_as_they_were():

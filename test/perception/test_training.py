@@ -261,7 +261,7 @@ def test_samples_held_back_are_not_trained_on_and_calibrate_the_model(training_d
     model = train(training_data, tmp_path / "run", config).model_path
     facts = Estimator(model).metadata.training_data
     assert (facts["samples"], facts["held_back"]) == (67, 29)
-    data = read_dataset(training_data / "train", size=64)
+    data = read_dataset(training_data / "train", changes={"size": 64})
     kept, held_back = split_holdback(96, 0.3)
     assert sorted([*kept, *held_back]) == list(range(96))
     samples = Samples(data.images, data.labels).taken(held_back)
@@ -271,7 +271,7 @@ def test_samples_held_back_are_not_trained_on_and_calibrate_the_model(training_d
 
 def test_the_cnn_states_its_errors_on_validation_data_as_its_deviations(training_data, tmp_path):
     result = train(training_data, tmp_path / "run", short({"head": "mse"}))
-    data = read_dataset(training_data / "val", size=64)
+    data = read_dataset(training_data / "val", changes={"size": 64})
     mean, sigma = predictions(result.model_path, data)
     rms = np.sqrt(((data.labels - mean) ** 2).mean(axis=0))
     np.testing.assert_allclose(sigma, np.tile(rms, (32, 1)), rtol=1e-3)

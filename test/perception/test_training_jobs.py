@@ -188,7 +188,7 @@ def test_ensemble_on_the_command_line_estimates_images(repeated, tmp_path, capsy
 
 def test_ensemble_is_calibrated_on_what_its_members_held_back(training_data, tmp_path):
     """After which each component's NEES is 1 on them."""
-    data = read_dataset(training_data / "train", size=32)
+    data = read_dataset(training_data / "train", changes={"size": 32})
     facts = {
         "training_data": {"sha256": data.sha256},
         "training": {"training": {"holdback": 0.4}, "calibration": {"min_samples": 20}},
