@@ -27,9 +27,11 @@ def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.
     array of int
         All rows of data that are not the training data; empty where nothing was held back of those.
     """
-    if metadata.training_data.get("sha256") != sha256:
-        return np.arange(count)
-    runs = metadata.training.get("members", [metadata.training])
+    data, runs = metadata.training_data, metadata.training.get("members", [metadata.training])
+    parts = [float(run.get("training", {}).get("holdback", 0.0)) for run in runs]
+    used = [] if data.get("sha256") != sha256 else parts
+    while "start" in data:  # what an earlier network learned from, this one has seen, too
+        data = data["start"]
+        used += [float(data.get("holdback", 0.0))] if data.get("sha256") == sha256 else []
     # The held-back samples of a smaller part are among those of a larger one.
-    part = min(float(run.get("training", {}).get("holdback", 0.0)) for run in runs)
-    return split_holdback(count, part)[1]
+    return split_holdback(count, min(used))[1] if used else np.arange(count)

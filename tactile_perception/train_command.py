@@ -40,6 +40,10 @@ def register(subparsers: Any) -> None:
         "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", dest="changes",
         help="change one setting",
     )  # fmt: skip
+    parser.add_argument(
+        "--start", type=Path, metavar="RUN",
+        help="start from the network of a finished run, as one trained on simulated images",
+    )  # fmt: skip
     parser.add_argument("--limit", type=int, metavar="N", help="use only N training samples")
     parser.add_argument("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
     parser.add_argument(
@@ -101,6 +105,8 @@ def _config(arguments: argparse.Namespace) -> Any:
         config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
     else:
         config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
+    if arguments.start:
+        config = config.replaced("training", start=str(arguments.start.absolute()))
     return config.changed(arguments.changes)
 
 

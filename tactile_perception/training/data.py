@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from tactile_perception.image import Image
 from tactile_perception.preprocessing import PreprocessingSettings
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
+from tactile_perception.training.start import Start, load_start
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class RunData:
     preprocessing : how images become inputs of the network
     facts : number of samples and hashes, for the model's metadata
     report : lines on what was found in the folders
+    start : the network to start from; None: random weights
     """
 
     training: Samples
@@ -53,6 +56,7 @@ class RunData:
     preprocessing: PreprocessingSettings
     facts: dict[str, Any]
     report: list[str]
+    start: Start | None = None
 
 
 def load_data(
@@ -76,7 +80,8 @@ def load_data(
             f"{train_dir} and {validation_dir} were pre-processed differently: "
             f"{preprocessing} and {validation.preprocessing}"
         )
-    return arrange(training, validation, config, preprocessing)
+    data = arrange(training, validation, config, preprocessing)
+    return _started(data, config)
 
 
 def arrange(
@@ -105,6 +110,14 @@ def arrange(
         facts=facts,
         report=training.report.lines() + validation.report.lines(),
     )
+
+
+def _started(data: RunData, config: TrainConfig) -> RunData:
+    """With the network to start from, whose data belong to what the new one will have seen."""
+    if not config.training.start:
+        return data
+    start = load_start(config.training.start, config.network)
+    return dataclasses.replace(data, start=start, facts={**data.facts, "start": start.facts})
 
 
 def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Path, Path]:

@@ -101,7 +101,10 @@ class _Run:
         self.network = PoseNetwork(config.network)
         self.loss_name = self.network.distribution.name
         self.images, self.labels = self._tensors(data.training)
-        self.network.start_from(self.labels.cpu())
+        if data.start is None:
+            self.network.start_from(self.labels.cpu())
+        else:
+            self.network.load_state_dict(data.start.weights)
         self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.axis: SymmetryAxis | None = None
         self.augmenter = self._augmenter()

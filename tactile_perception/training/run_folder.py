@@ -24,8 +24,8 @@ BEST_NAME = "best.pt"
 STATE_NAME = "state.pt"
 MODEL_NAME = "model.onnx"
 RESULT_NAME = "result.json"
-#: Settings that may change when a run is resumed.
-_NO_RESULT = {"threads", "max_minutes"}
+#: Settings that may change when a run is resumed; what a start is, the facts about the data tell.
+_NO_RESULT = {"threads", "max_minutes", "start"}
 
 
 @dataclass(frozen=True)

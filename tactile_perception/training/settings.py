@@ -112,6 +112,10 @@ class TrainingSettings(Settings):
         upper=0.5,
         doc="part of the training data kept out of training to calibrate the uncertainty on at the end",
     )
+    start: str = setting(
+        "",
+        doc="folder of a finished run, as one on simulated images, to start from its network; '': random",
+    )
     seed: int = setting(0, lower=0, doc="seed of weights, shuffling, dropout and augmentation")
     precision: str = setting("bf16", choices=("fp32", "bf16"), doc="arithmetic of the convolutional base")
     channels_last: bool = setting(True, doc="memory layout that CPU kernels prefer")

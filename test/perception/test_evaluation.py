@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -25,7 +26,7 @@ from tactile_perception.evaluation.metrics import (
 from tactile_perception.evaluation.models import open_models
 from tactile_perception.evaluation.predictions import Predictions, euler_of, moment_matched
 from tactile_perception.evaluation.report import summary
-from tactile_perception.holdback import split_holdback
+from tactile_perception.holdback import split_holdback, unseen_rows
 from tactile_perception.labels import euler_from_label, network_from_pose
 from tactile_perception.preprocessing import PreprocessingSettings
 
@@ -323,6 +324,18 @@ def test_of_training_data_only_what_was_held_back_is_evaluated(
     assert note.startswith(f"only the {SAMPLES // 4} samples held back from training")
     whole = load_data(folder, open_models([constant_model()], threads=1))
     np.testing.assert_array_equal(data.labels, whole.labels[split_holdback(SAMPLES, 0.25)[1]])
+
+
+@pytest.mark.parametrize("own, part", [("same", 0.1), ("other", 0.3)])
+def test_data_of_the_network_that_training_started_from_count_as_seen(model_metadata, own, part):
+    start = {"sha256": "same", "holdback": 0.3}
+    metadata = dataclasses.replace(
+        model_metadata(),
+        training_data={"sha256": own, "start": start},
+        training={"training": {"holdback": 0.1}},
+    )
+    np.testing.assert_array_equal(unseen_rows(metadata, "same", 100), split_holdback(100, part)[1])
+    assert len(unseen_rows(metadata, "new", 100)) == 100
 
 
 def test_a_limit_takes_samples_from_the_whole_table(folder, constant_model):

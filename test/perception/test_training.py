@@ -9,6 +9,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
+from tactile_filter.settings import SettingError  # noqa: E402
 from tactile_perception import train_command  # noqa: E402
 from tactile_perception.dataset import DatasetError, read_dataset  # noqa: E402
 from tactile_perception.estimator import Estimator  # noqa: E402
@@ -176,6 +177,30 @@ def test_training_stops_when_validation_stops_improving(training_data, tmp_path,
     result = train(training_data, tmp_path / "run", config, limit=16)
     assert result.stopped == "no better validation loss in 2 epochs"
     assert (len(result.epochs), result.best.number) == (4, 1)
+
+
+def test_a_run_starts_from_the_network_of_another_and_tells_so(run, training_data, tmp_path):
+    first, folder = run
+    slow = QUICK.replaced("training", rise_epochs=0, hold_epochs=1, decay_epochs=0, learning_rate_peak=1e-9)
+    plain = train(training_data, tmp_path / "plain", slow)
+    started = train(training_data, tmp_path / "started", slow.replaced("training", start=str(folder)))
+    assert started.best.validation_loss < plain.best.validation_loss - 1.0
+    assert started.best.validation_loss < first.best.validation_loss + 1.0  # another batch's statistics
+    data = Estimator(started.model_path).metadata.training_data
+    assert data["start"]["samples"] == data["samples"] and len(data["start"]["weights_sha256"]) == 64
+
+
+@pytest.mark.parametrize(
+    "start, message",
+    [
+        ("nowhere", "is not the folder of a finished run"),
+        ("other", r"channels = \(8, 16, 32, 32\), this one"),
+    ],
+)
+def test_a_start_that_does_not_fit_is_refused(run, training_data, tmp_path, start, message):
+    config = QUICK.replaced("training", start=str(run[1] if start == "other" else tmp_path / start))
+    with pytest.raises(SettingError, match=message):
+        train(training_data, tmp_path / "b", config.replaced("network", channels=(8, 16, 16, 16)))
 
 
 def test_a_folder_that_holds_a_run_is_not_overwritten(run, training_data):
