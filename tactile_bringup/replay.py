@@ -167,6 +167,7 @@ def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
     rows["nis_dof"] = [belief.nis_dof for belief in beliefs]
     rows["flags"] = [int(belief.flags) for belief in beliefs]
     rows["rejected"] = [belief.rejected for belief in beliefs]
+    rows["inflation"] = [belief.inflation for belief in beliefs]
     return rows
 
 

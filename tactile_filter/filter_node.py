@@ -286,6 +286,7 @@ def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:
         belief.nis_dof,
         int(belief.flags),
         belief.rejected,
+        belief.inflation,
         *latency,
     )
 

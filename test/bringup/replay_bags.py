@@ -114,7 +114,7 @@ class Recording:
         euler = se3.euler_from_pose(se3.inverse(belief.mean)) if valid else np.full(6, np.nan)
         message = make(
             STATE, header(belief.stamp_ns, f"{arm}/tactile_sensor"), xi, belief.cov.reshape(36), euler,
-            belief.nis, belief.nis_dof, int(belief.flags), belief.rejected,
+            belief.nis, belief.nis_dof, int(belief.flags), belief.rejected, belief.inflation,
             make("builtin_interfaces/msg/Duration", 0, 8_000_000),
         )  # fmt: skip
         self.add(f"/{arm}/contact/state", STATE, message, belief.stamp_ns)

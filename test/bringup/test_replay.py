@@ -120,6 +120,21 @@ def test_what_the_live_filter_published_is_what_the_replay_gives(tmp_path):
     assert found == Agreement(common=55, identical=55, only_live=0, only_replayed=5)
 
 
+def test_by_how_much_unlikely_estimates_were_inflated_is_part_of_what_is_compared(tmp_path):
+    settings = FilterSettings(robust="student_t")
+    inputs, (run,) = replayed(with_live(recording(), settings).write(tmp_path / "bag"), settings)
+    assert agreement(run.states, inputs.arms[0].live).identical == 55
+    assert run.states["inflation"].tolist() == [belief.inflation for belief in run.beliefs]
+    assert len(set(run.states["inflation"][6:])) > 40
+
+
+def test_a_bag_of_a_version_that_had_no_such_field_is_compared_in_what_it_has(tmp_path):
+    inputs, (run,) = replayed(with_live(recording()).write(tmp_path / "bag"))
+    live = inputs.arms[0].live
+    live.values = live.values[[name for name in live.values.dtype.names if name != "inflation"]]
+    assert agreement(run.states, live).identical == 55
+
+
 def test_events_that_the_live_filter_dropped_are_left_out_unless_asked_for(tmp_path):
     dropped = {START_NS + k * STEP_NS for k in (20, 21, 30)}
     source = with_live(recording(touching=lambda k: True), skip=dropped)

@@ -105,6 +105,7 @@ def assert_as_library(feed, states) -> None:
         np.testing.assert_allclose(state.covariance.reshape(6, 6), belief.cov, rtol=1e-6, atol=1e-15)
         np.testing.assert_allclose(state.euler, se3.euler_from_pose(se3.inverse(belief.mean)), atol=1e-12)
         assert state.flags == int(belief.flags) and state.nis_dof == belief.nis_dof
+        assert state.inflation == belief.inflation == 1.0
         if belief.nis_dof:
             assert state.nis == pytest.approx(belief.nis, rel=1e-6)
 

@@ -97,12 +97,12 @@ def test_a_message_arrives_as_it_was_sent(prefix: Path):
 
     sent = ContactState(xi=np.arange(6.0), covariance=np.arange(36.0), nis=float("nan"), nis_dof=6)
     sent.flags = ContactState.GATED | ContactState.PREDICTED_ONLY
-    sent.latency.nanosec = 7
+    sent.latency.nanosec, sent.inflation = 7, 1.5
     received = deserialize_message(serialize_message(sent), ContactState)
     assert np.array_equal(received.covariance, np.arange(36.0))
     assert np.isnan(received.nis)
     assert received.flags == sent.flags
-    assert received.latency == sent.latency
+    assert (received.latency, received.inflation) == (sent.latency, sent.inflation)
 
 
 def interface_files(root: Path) -> list[Path]:
