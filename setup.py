@@ -21,6 +21,7 @@ NODES = {
     "estimator": "tactile_perception.estimator_node",
     "marker_view": "tactile_perception.marker_view_node",
     "filter": "tactile_filter.filter_node",
+    "object": "tactile_filter.object_node",
     "controller": "tactile_control.controller_node",
     "sim": "tactile_drivers.sim_node",
     "collector": "tactile_bringup.collector_node",

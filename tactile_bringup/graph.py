@@ -2,7 +2,8 @@
 
 One description, built from scene, task and options, from which `tactile launch` starts processes and
 `launch/*.launch.py` builds its launch description. Only what the scene names is in it: one estimator, filter
-and controller for each of its arms; the simulator that is the cell; a recorder where one is asked for.
+and controller for each of its arms; the simulator that is the cell; and where they are asked for, a recorder
+and a belief over one object that all arms touch.
 """
 
 from __future__ import annotations
@@ -43,6 +44,10 @@ _SHARED_TOPICS = (
     Topic("/tf", "tf2_msgs/msg/TFMessage"),
     Topic("/tf_static", "tf2_msgs/msg/TFMessage", "latched"),
     Topic("/sim/markers", "visualization_msgs/msg/MarkerArray", "latched"),
+)
+_OBJECT_TOPICS = (
+    Topic("/object/belief", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    Topic("/object/latency", "tactile_msgs/msg/StageLatency", "sensor"),
 )
 IMAGE = Topic("tactile/image", "sensor_msgs/msg/Image", "sensor")
 
@@ -109,6 +114,10 @@ class GraphOptions:
         Whether images go into the bag, compressed without loss.
     marker_view : bool
         Whether each sensor with images gets a node that publishes a picture of its markers.
+    object_belief : bool
+        Whether the contacts of all arms are fused into one belief over the object that they touch.
+    object_file : Path or None
+        Where they touch it (`tactile_filter.object_file`); None: that is found by touch.
     """
 
     rate: float | None = None
@@ -117,6 +126,8 @@ class GraphOptions:
     record: Path | None = None
     record_images: bool = False
     marker_view: bool = False
+    object_belief: bool = False
+    object_file: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -173,6 +184,7 @@ def build_graph(
     paths: Sequence[str] = (),
     options: GraphOptions | None = None,
     filter_values: Mapping[str, Any] | None = None,
+    object_values: Mapping[str, Any] | None = None,
 ) -> Graph:
     """The graph of a task on a scene.
 
@@ -184,6 +196,8 @@ def build_graph(
         Names of the paths that will be run; kept with the recording.
     filter_values : mapping, optional
         Parameter -> value, for the filter of every arm.
+    object_values : mapping, optional
+        Parameter -> value, for the belief over the object, if the options ask for it.
     """
     options = options or GraphOptions()
     feeling = tuple(arm for arm in scene.arms if arm.camera_rate is not None)
@@ -195,6 +209,9 @@ def build_graph(
                 nodes.append(_marker_view(arm))
         nodes += [_filter(arm, filter_values or {}), _controller(arm, controller)]
     topics = tuple(_topics(scene.arms))
+    if options.object_belief:
+        nodes.append(_object(feeling, object_values or {}))
+        topics += _OBJECT_TOPICS
     if options.record is not None:
         nodes.insert(0, _recorder(task, scene, paths, topics, nodes, options))
     return Graph(task, scene.name, tuple(arm.name for arm in feeling), tuple(nodes), topics)
@@ -269,6 +286,11 @@ def _controller(arm: ArmOutline, groups: Mapping[str, Mapping[str, Any]]) -> Nod
     return NodeProcess(
         "controller", f"/{arm.name}", "tactile_control.controller_node", "controller", parameters
     )
+
+
+def _object(arms: Sequence[ArmOutline], values: Mapping[str, Any]) -> NodeProcess:
+    parameters = {"arms": [arm.name for arm in arms], **values}
+    return NodeProcess("object", "/", "tactile_filter.object_node", "object", parameters)
 
 
 def _recorder(

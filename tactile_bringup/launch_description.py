@@ -34,6 +34,11 @@ ARGUMENTS = {
     "record": ("", "folder of a new bag to record; empty: none"),
     "record_images": ("false", "whether images are recorded as well (true, false)"),
     "marker_view": ("false", "whether to publish a picture of the markers for RViz (true, false)"),
+    "object_belief": (
+        "false",
+        "whether to fuse the contacts of all arms into one belief over their object (true, false), "
+        "or the file that says where they touch it",
+    ),
     "headless": ("false", "whether to do without RViz (true, false)"),
     "run": ("true", "whether to run the task's paths once all nodes are active, then end (true, false)"),
 }
@@ -68,7 +73,13 @@ def _options(given: dict[str, str]) -> GraphOptions:
         record=Path(given["record"]).absolute() if given["record"] else None,
         record_images=_flag(given, "record_images"),
         marker_view=_flag(given, "marker_view"),
+        object_belief=_is_file(given["object_belief"]) or _flag(given, "object_belief"),
+        object_file=Path(given["object_belief"]).absolute() if _is_file(given["object_belief"]) else None,
     )
+
+
+def _is_file(text: str) -> bool:
+    return text.endswith((".yaml", ".yml"))
 
 
 def _flag(given: dict[str, str], name: str) -> bool:

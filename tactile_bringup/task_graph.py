@@ -14,6 +14,7 @@ from tactile_control.files import load_task, task_path
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_filter.files import load_filter_settings
+from tactile_filter.object_file import load_object
 from tactile_filter.settings import SettingError
 
 
@@ -42,8 +43,21 @@ def load_task_graph(task: str, scene: str, options: GraphOptions) -> TaskGraph:
     paths = described.goals(_start(loaded))
     names = [path.name for path in paths]
     filter_values = dataclasses.asdict(load_filter_settings())
-    graph = build_graph(described.name, outline(loaded), groups, names, options, filter_values)
+    object_values = _object_values(loaded, options)
+    graph = build_graph(described.name, outline(loaded), groups, names, options, filter_values, object_values)
     return TaskGraph(graph, paths, loaded)
+
+
+def _object_values(scene: Scene, options: GraphOptions) -> dict[str, Any]:
+    """The parameters of the belief over the object, from its file; none without one."""
+    if options.object_file is None:
+        return {}
+    arms = [arm.name for arm in scene.arms.values() if arm.sensor is not None]
+    settings, places = load_object(options.object_file, arms)
+    values = dataclasses.asdict(settings)
+    for arm, place in places.items():
+        values |= {f"place.{arm}.{name}": value for name, value in dataclasses.asdict(place).items()}
+    return values
 
 
 def _start(scene: Scene) -> NDArray[np.float64]:

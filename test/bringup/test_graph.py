@@ -62,6 +62,34 @@ def test_the_marker_view_is_there_only_where_it_is_asked_for_and_has_images():
     assert not any("view" in name for name in names(graph_of(*arms)))
 
 
+def test_the_belief_over_an_object_is_there_only_where_it_is_asked_for():
+    arms = (ArmOutline("left"), ArmOutline("right", images=False), ArmOutline("blind", camera_rate=None))
+    graph = graph_of(*arms, options=GraphOptions(object_belief=True, record=Path("/bags/one")))
+    assert graph.node("/object").parameters == {"arms": ["left", "right"]}
+    assert (
+        "/object/belief geometry_msgs/msg/PoseWithCovarianceStamped reliable"
+        in (graph.nodes[0].parameters["topics"])
+    )
+    plain = graph_of(*arms)
+    assert "/object" not in names(plain) and "object" not in str(plain.topics)
+
+
+def test_the_object_node_gets_the_values_of_its_file(tmp_path):
+    file = tmp_path / "box.yaml"
+    file.write_text("settings: {max_age: 0.1}\nplaces: {arm: {position: [0, 0.03, 0]}}\n")
+    options = GraphOptions(object_belief=True, object_file=file)
+    values = load_task_graph("surface_following", "ramp", options).graph.node("/object").parameters
+    assert (values["arms"], values["max_age"]) == (["arm"], 0.1)
+    assert (values["place.arm.given"], values["place.arm.pose"][1]) == (True, 0.03)
+
+
+def test_a_place_of_an_arm_that_the_scene_does_not_have_is_refused(tmp_path):
+    file = tmp_path / "box.yaml"
+    file.write_text("places: {left: {}}\n")
+    with pytest.raises(SettingError, match=r"box\.yaml:1: places: unknown name 'left'; valid: arm"):
+        load_task_graph("surface_following", "ramp", GraphOptions(object_belief=True, object_file=file))
+
+
 def test_nothing_is_recorded_unless_asked_for():
     assert "/recorder" not in names(graph_of(ArmOutline("left")))
 
@@ -137,7 +165,8 @@ def test_every_node_of_a_graph_is_an_executable_of_the_package():
         pytest.skip("the tests run without the source tree")
     assignments = [n for n in ast.parse(setup.read_text()).body if isinstance(n, ast.Assign)]
     executables = next(ast.literal_eval(a.value) for a in assignments if a.targets[0].id == "NODES")
-    for node in graph_of(ArmOutline("left"), options=GraphOptions(record=Path("/b"))).nodes:
+    options = GraphOptions(record=Path("/b"), marker_view=True, object_belief=True)
+    for node in graph_of(ArmOutline("left"), options=options).nodes:
         assert executables[node.executable] == node.module
 
 
