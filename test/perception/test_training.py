@@ -31,6 +31,7 @@ QUICK = TrainConfig(
     NetworkSettings(image_size=64, channels=(8, 16, 32, 32), batch_norm_momentum=0.2, head_gain=1.0),
     TrainingSettings(batch_size=8, rise_epochs=1, hold_epochs=5, decay_epochs=8, seed=3, threads=1),
 )
+CONFIGS = Path(__file__).parents[2] / "config" / "perception"
 
 
 @pytest.fixture(autouse=True)
@@ -203,6 +204,13 @@ def test_a_start_that_does_not_fit_is_refused(run, training_data, tmp_path, star
         train(training_data, tmp_path / "b", config.replaced("network", channels=(8, 16, 16, 16)))
 
 
+def test_the_shipped_start_fits_the_configuration_that_it_is_for():
+    start, real = (
+        TrainConfig.from_file(CONFIGS / name) for name in ("gdn_simulated_start.yaml", "gdn_symmetry.yaml")
+    )
+    assert start.network == real.network
+
+
 def test_a_folder_that_holds_a_run_is_not_overwritten(run, training_data):
     with pytest.raises(FileExistsError, match="holds another run"):
         train(training_data, run[1], QUICK)
@@ -260,12 +268,11 @@ def test_a_mistake_in_a_configuration_file_is_told_with_its_line(training_data, 
 
 
 def test_the_configurations_named_after_the_paper_hold_its_values():
-    folder = Path(__file__).parents[2] / "config" / "perception"
-    cnn = TrainConfig.from_file(folder / "cnn_lloyd_lepora.yaml")
+    cnn = TrainConfig.from_file(CONFIGS / "cnn_lloyd_lepora.yaml")
     assert cnn.training == TrainingSettings() and not cnn.augmentation.active
     assert cnn.network == NetworkSettings(head="mse", dropout_mean=(0.1,) * 6)
-    assert TrainConfig.from_file(folder / "gdn_lloyd_lepora.yaml") == TrainConfig()
-    assert TrainConfig.from_file(folder / "tactip_sim.yaml").network == NetworkSettings()
+    assert TrainConfig.from_file(CONFIGS / "gdn_lloyd_lepora.yaml") == TrainConfig()
+    assert TrainConfig.from_file(CONFIGS / "tactip_sim.yaml").network == NetworkSettings()
 
 
 def short(network: dict | None = None, **training) -> TrainConfig:
