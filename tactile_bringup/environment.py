@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 DOMAINS = range(1, 101)  # above 101 the ports collide with the ephemeral ones of Linux
-_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST = 7400, 250, 10
+_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST, _PORTS_PER_PARTICIPANT = 7400, 250, 10, 2
+_PARTICIPANTS = 32  # of a domain whose ports are looked at
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -62,7 +63,7 @@ def ros_environment(log_folder: Path, base: Mapping[str, str] | None = None) -> 
 
 
 def free_domain_id(start: int | None = None) -> int:
-    """A domain in which no participant of this host has its first port; each process starts elsewhere."""
+    """A domain without participants on this host; each process starts its search elsewhere."""
     first = os.getpid() if start is None else start
     for step in range(len(DOMAINS)):
         domain = DOMAINS[(first + step) % len(DOMAINS)]
@@ -74,9 +75,15 @@ def free_domain_id(start: int | None = None) -> int:
 
 
 def _is_free(domain: int) -> bool:
+    """Looks behind the first port, too: a process's second participant takes the second in any domain."""
+    first = _PORT_BASE + _PORTS_PER_DOMAIN * domain + _FIRST_UNICAST
+    return all(_is_unused(first + _PORTS_PER_PARTICIPANT * number) for number in range(_PARTICIPANTS))
+
+
+def _is_unused(port: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.bind(("", _PORT_BASE + _PORTS_PER_DOMAIN * domain + _FIRST_UNICAST))
+            probe.bind(("", port))
         except OSError:
             return False
     return True

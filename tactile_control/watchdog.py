@@ -1,8 +1,9 @@
 """Watchdog: ages of the inputs against their limits, and the ramp to rest when one is too old.
 
 From the moment an input goes silent to zero twist it takes its age limit plus `ramp_time`: with the defaults
-180 ms, so that the arm is commanded to rest within 200 ms. The message says which input, how old it is, and
-its limit. At rest it waits: an input that is back within `patience` was a hiccup, one that is not has failed.
+180 ms, so that the arm is commanded to rest within 200 ms; a controller that was itself held up meanwhile
+commands rest at once. The message says which input, how old it is, and its limit. At rest it waits: an input
+that is back within `patience` was a hiccup, one that is not has failed.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class Watchdog:
         if self._since_ns is None:
             self._since_ns = now_ns
         elapsed = (now_ns - self._since_ns) * NANOSECOND
-        scale = self._ramp(elapsed)
+        scale = self._ramp(max(elapsed, self._overdue(now_ns, stamps_ns)))
         return WatchdogState(scale, "; ".join(reasons), scale == 0.0 and elapsed >= self.settings.patience)
 
     def _complaint(self, now_ns: int, name: str, stamp_ns: int | None) -> str:
@@ -98,6 +99,17 @@ class Watchdog:
         if age < -self.settings.future_tolerance:
             return f"{name} is stamped {-age * 1e3:.0f} ms ahead of the clock"
         return ""
+
+    def _overdue(self, now_ns: int, stamps_ns: Mapping[str, int | None]) -> float:
+        """For how long an input has been too old, s; it may have been so before anybody looked."""
+        return max(
+            (
+                (now_ns - stamp) * NANOSECOND - self.settings.limit(name)
+                for name, stamp in stamps_ns.items()
+                if stamp is not None
+            ),
+            default=0.0,
+        )
 
     def _ramp(self, elapsed: float) -> float:
         ramp = self.settings.ramp_time

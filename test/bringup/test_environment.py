@@ -34,8 +34,9 @@ def test_a_domain_that_is_none_is_refused(text):
         ros_environment(Path("logs"), {"ROS_DOMAIN_ID": text})
 
 
-def test_a_domain_in_use_is_passed_over():
+@pytest.mark.parametrize("number", [0, 1, 9])
+def test_a_domain_in_use_by_whichever_participant_is_passed_over(number):
     domain = free_domain_id(start=40)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(("", 7400 + 250 * domain + 10))
+        participant.bind(("", 7400 + 250 * domain + 10 + 2 * number))
         assert free_domain_id(start=DOMAINS.index(domain)) != domain

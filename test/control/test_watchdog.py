@@ -34,8 +34,16 @@ def test_it_recovers_when_inputs_come_back():
     watchdog = Watchdog(WatchdogSettings())
     assert not watchdog.step(130 * MS, {"belief": 0}).ok
     assert watchdog.step(140 * MS, {"belief": 135 * MS}).scale == 1.0
-    assert watchdog.step(250 * MS, {"belief": 135 * MS}).scale == 1.0 - 0.0  # the ramp starts anew
-    assert watchdog.step(290 * MS, {"belief": 135 * MS}).scale == pytest.approx(0.5)
+    assert watchdog.step(239 * MS, {"belief": 135 * MS}).scale == pytest.approx(0.95)  # the ramp starts anew
+    assert watchdog.step(275 * MS, {"belief": 135 * MS}).scale == pytest.approx(0.5)
+
+
+def test_one_who_was_held_up_while_an_input_grew_old_commands_rest_at_once_and_still_has_patience():
+    watchdog = Watchdog(WatchdogSettings())
+    assert watchdog.step(10 * MS, FRESH).ok
+    state = watchdog.step(5000 * MS, FRESH)
+    assert state.scale == 0.0 and not state.failed
+    assert watchdog.step(5010 * MS, {"belief": 5005 * MS}).ok
 
 
 def test_a_stamp_from_the_future_is_refused():

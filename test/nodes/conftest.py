@@ -3,7 +3,7 @@
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,8 +15,9 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: m
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
-from lifecycle_msgs.srv import ChangeState  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
+from rclpy.action import ActionClient  # noqa: E402
 from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
@@ -30,7 +31,8 @@ from tactile_bringup.ros.dds_profile import use_dds_profile  # noqa: E402
 ARM = "arm"
 BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
 SECOND = 1_000_000_000
-OTHER_SIDE = 0.3  # s; we know a subscriber a little earlier than it knows us
+PATIENCE = 60.0  # s; a wait ends as soon as it can: only a test that fails waits as long, on any machine
+DEPTH = 2000  # messages that wait for us while the test itself is held up
 
 
 class Graph:
@@ -41,7 +43,7 @@ class Graph:
         environment = ros_environment(folder, base)
         self.variables = environment.variables
         self.folder = folder
-        self.processes = ProcessGroup(grace_s=5.0, kill_after_s=1.0)
+        self.processes = ProcessGroup(grace_s=20.0, kill_after_s=1.0)
         use_dds_profile()
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=environment.domain_id)
@@ -51,10 +53,13 @@ class Graph:
         self.executor = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.clients: dict[str, Any] = {}
+        self.actions: list[ActionClient] = []
         self.diagnostics = self.collect(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
 
     def close(self) -> None:
         self.processes.close()
+        for action in self.actions:  # one that is left keeps the whole participant alive
+            action.destroy()
         self.executor.remove_node(self.node)
         self.node.destroy_node()
         self.context.shutdown()
@@ -80,9 +85,48 @@ class Graph:
         log = self.log(name)
         child = self.processes.start(name, [*command, *arguments], self.variables, log)
         if wait:
-            ready = self.wait(lambda: "active" in log.read_text(), 15.0)
-            assert ready, f"{name} is not active:\n{tail(log)}"
+            self.wait_until_active(name)
+            self.settle()
         return child.process
+
+    def wait_until_active(self, name: str) -> None:
+        """Wait until a started node is active; fails at once if it ends instead."""
+        child = self.processes.children[name]
+        self.wait(lambda: "active" in child.log.read_text() or child.process.poll() is not None)
+        assert "active" in child.log.read_text(), f"{name} is not active:\n{tail(child.log)}"
+
+    def settle(self) -> None:
+        """Wait until each node under test knows every topic that this process has opened so far.
+
+        That we know the other side says nothing about what it knows. But what a process opens is announced in
+        order: a node that answers a client made now has heard of all that was made before.
+        """
+        for name in self.nodes():
+            client = self.node.create_client(GetState, f"{name}/get_state")
+            self._ask(client, GetState.Request(), name)
+            self.node.destroy_client(client)
+
+    def nodes(self) -> list[str]:
+        """Full names of the nodes under test, waiting for all of them to be seen."""
+
+        def seen() -> list[str]:
+            found = self.node.get_node_names_and_namespaces()
+            return [f"{space.rstrip('/')}/{name}" for name, space in found if name != "test"]
+
+        def running() -> int:
+            return sum(child.process.poll() is None for child in self.processes.children.values())
+
+        assert self.wait(lambda: len(seen()) >= running()), f"of {running()} nodes only {seen()} are seen"
+        return seen()
+
+    def _ask(self, client: Any, request: Any, name: str) -> Any:
+        """The answer to a question that may be asked twice."""
+        assert self.wait(client.service_is_ready), f"{name} does not answer"
+        for _ in range(round(PATIENCE)):
+            future = client.call_async(request)
+            if self.wait(future.done, 1.0):
+                return future.result()
+        raise AssertionError(f"no answer from {name}")
 
     def arm(self) -> "Arm":
         """An arm of the test's own, which publishes TF."""
@@ -107,7 +151,9 @@ class Graph:
             for status in found
         ]
 
-    def wait_for_report(self, node: str, condition: Callable[[SimpleNamespace], bool], timeout: float = 5.0):
+    def wait_for_report(
+        self, node: str, condition: Callable[[SimpleNamespace], bool], timeout: float = PATIENCE
+    ):
         """The first report of a node for which the condition holds."""
 
         def found() -> list[SimpleNamespace]:
@@ -135,7 +181,7 @@ class Graph:
     def spin(self, seconds: float) -> None:
         self.wait(lambda: False, seconds)
 
-    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+    def wait(self, condition: Callable[[], bool], timeout: float = PATIENCE) -> bool:
         """Process messages until the condition holds; False if it does not within the timeout (s)."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
@@ -143,6 +189,13 @@ class Graph:
                 return True
             self.executor.spin_once(timeout_sec=0.005)
         return condition()
+
+    def ticks(self, period: float) -> Iterator[None]:
+        """Again and again at this period (s) as long as patience lasts; processes messages in between."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            yield
+            self.spin(period)
 
     def every(self, period: float, seconds: float, action: Callable[[], None]) -> None:
         """Call `action` at this period for so long, processing messages in between."""
@@ -156,27 +209,35 @@ class Graph:
     # ---- topics, services, parameters ----
 
     def collect(self, message_type: type, topic: str, profile: QoSProfile = qos.STATE) -> list:
+        """The messages from now on; the nodes that run already know that we listen."""
         messages: list = []
-        self.node.create_subscription(message_type, topic, messages.append, profile)
+        deep = QoSProfile(depth=DEPTH, reliability=profile.reliability, durability=profile.durability)
+        self.node.create_subscription(message_type, topic, messages.append, deep)
+        self.settle()
         return messages
 
-    def publisher(self, message_type: type, topic: str, profile: QoSProfile = qos.STATE, wait: bool = True):
-        """A publisher that (unless told otherwise) has a subscriber already, which knows it as well."""
+    def publisher(self, message_type: type, topic: str, profile: QoSProfile = qos.STATE):
+        """A publisher that has a subscriber already, which knows it as well."""
         publisher = self.node.create_publisher(message_type, topic, profile)
-        if wait:
-            assert self.wait(lambda: publisher.get_subscription_count() > 0, 5.0), (
-                f"nobody listens to {topic}"
-            )
-            self.spin(OTHER_SIDE)
+        assert self.wait(lambda: publisher.get_subscription_count() > 0), f"nobody listens to {topic}"
+        self.settle()
         return publisher
 
-    def call(self, service_type: type, name: str, request: Any, timeout: float = 5.0) -> Any:
+    def action(self, action_type: type, name: str) -> ActionClient:
+        """A client of an action whose server is there."""
+        client = ActionClient(self.node, action_type, name)
+        self.actions.append(client)
+        assert self.wait(client.server_is_ready), f"no action {name}"
+        self.settle()
+        return client
+
+    def call(self, service_type: type, name: str, request: Any) -> Any:
         if name not in self.clients:
             self.clients[name] = self.node.create_client(service_type, name)
         client = self.clients[name]
-        assert self.wait(client.service_is_ready, timeout), f"no service {name}"
+        assert self.wait(client.service_is_ready), f"no service {name}"
         future = client.call_async(request)
-        assert self.wait(future.done, timeout), f"no answer from {name}"
+        assert self.wait(future.done), f"no answer from {name}"
         return future.result()
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:

@@ -66,13 +66,13 @@ class Camera:
     """Publishes images of the test's choice and keeps what the estimator answers."""
 
     def __init__(self, graph, model: str) -> None:
-        graph.start(ESTIMATOR, {"model": model, "presence.reference_frames": REFERENCE_FRAMES})
+        parameters = {"model": model, "presence.reference_frames": REFERENCE_FRAMES}
+        graph.start(ESTIMATOR, {**parameters, "diagnostics_period": 0.02})
         self.graph = graph
         self.images = graph.publisher(Image, "tactile/image", qos.IMAGE)
         self.estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
         self.presences = graph.collect(ContactPresence, "contact/presence")
         self.latencies = graph.collect(StageLatency, "latency", qos.LATENCY)
-        graph.spin(0.3)  # discovery of the three subscriptions
 
     def restart(self) -> None:
         """A new start of the estimator, with a new reference."""
@@ -80,26 +80,29 @@ class Camera:
         for answers in (self.estimates, self.presences, self.latencies):
             answers.clear()
         self.stamp_ns = time.time_ns()
+        self.sent = 0
         self.reference()
 
     def send(self, image: np.ndarray | None = None, message: Image | None = None, after: int = 1) -> int:
-        """Publish an image (of a contact, by default) `after` periods after the last; returns its stamp."""
+        """Publish an image (of a contact, by default) `after` periods after the last; returns its stamp.
+
+        Waits until it was taken: the next one would push it out.
+        """
         self.stamp_ns += after * PERIOD_NS
         if message is None:
             message = image_message(self.stamp_ns, SENSOR, dots(5) if image is None else image)
         message.header.stamp = image_message(self.stamp_ns, SENSOR, WHITE).header.stamp
         self.images.publish(message)
-        self.graph.spin(0.02)
+        self.sent += 1
+        self.graph.wait_for_count("estimator", "tactile/image messages", self.sent)
         return self.stamp_ns
 
     def reference(self) -> None:
         for _ in range(REFERENCE_FRAMES):
             self.send(dots())
 
-    def answered(self, stamp_ns: int, timeout: float = 2.0) -> bool:
-        return self.graph.wait(
-            lambda: stamp_ns in [ns_from_time(m.header.stamp) for m in self.estimates], timeout
-        )
+    def answered(self, stamp_ns: int) -> bool:
+        return self.graph.wait(lambda: stamp_ns in stamps(self.estimates))
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +136,7 @@ def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_th
 
 def test_presence_compares_with_the_first_images_and_carries_the_stamp(camera):
     same, other = camera.send(dots()), camera.send()
-    assert camera.graph.wait(lambda: other in stamps(camera.presences), 2.0)
+    assert camera.graph.wait(lambda: other in stamps(camera.presences))
     by_stamp = {ns_from_time(m.header.stamp): m for m in camera.presences}
     assert not by_stamp[same].in_contact and by_stamp[same].score < by_stamp[other].score
     assert by_stamp[other].in_contact and by_stamp[other].score > by_stamp[other].threshold
@@ -144,14 +147,14 @@ def test_the_age_of_the_estimates_is_told(camera):
     key = "estimator: age of outputs, median and largest (ms)"
     report = camera.graph.wait_for_report("estimator", lambda report: key in report.values)
     median, largest = map(float, report.values[key].split())
-    assert 0.0 < median <= largest < 5000.0
+    assert 0.0 < median <= largest < 100_000.0
 
 
 def test_without_contact_there_is_no_estimate(camera):
     untouched, touched = camera.send(dots()), camera.send()
     assert camera.answered(touched)
     assert [ns_from_time(m.header.stamp) for m in camera.estimates] == [touched]
-    assert camera.graph.wait(lambda: {untouched, touched} <= stamps(camera.presences), 2.0)
+    assert camera.graph.wait(lambda: {untouched, touched} <= stamps(camera.presences))
 
 
 def test_nothing_is_published_before_the_reference_is_there_nor_while_a_new_one_is_taken(camera):
@@ -159,9 +162,9 @@ def test_nothing_is_published_before_the_reference_is_there_nor_while_a_new_one_
     answer = camera.graph.call(Trigger, "estimator/capture_reference", Trigger.Request())
     assert answer.success
     camera.reference()
-    camera.graph.spin(0.1)
-    assert not camera.estimates and not camera.presences
-    assert camera.answered(camera.send())
+    answered = camera.send()
+    assert camera.answered(answered)
+    assert stamps(camera.estimates) == stamps(camera.presences) == {answered}
 
 
 @pytest.mark.parametrize(
@@ -194,7 +197,7 @@ def test_lost_images_are_counted_by_their_stamps(camera):
     assert camera.answered(camera.send())
     assert camera.answered(camera.send(after=4))
     assert camera.graph.wait_for_count("estimator", "images lost", 3).values["images lost"] == "3"
-    assert camera.graph.wait(lambda: camera.latencies and camera.latencies[-1].dropped[-1] == 3, 2.0)
+    assert camera.graph.wait(lambda: camera.latencies and camera.latencies[-1].dropped[-1] == 3)
 
 
 def test_an_image_older_than_the_last_is_refused_but_a_clock_set_back_is_followed(camera):
@@ -213,14 +216,14 @@ def test_a_camera_that_falls_silent_is_told_with_age_and_limit(camera):
 
 def test_a_missing_model_ends_the_process_with_the_file_in_the_message(graph):
     process = graph.start(ESTIMATOR, {"model": "/nowhere/model.onnx"}, wait=False)
-    assert graph.wait(lambda: process.poll() is not None, 10.0)
+    assert graph.wait(lambda: process.poll() is not None)
     assert process.returncode == 1
     assert "/nowhere/model.onnx: there is no such model file" in graph.log(ESTIMATOR).read_text()
 
 
 def test_a_model_of_the_wrong_shape_ends_the_process_with_the_right_shape_in_the_message(graph, tmp_path):
     process = graph.start(ESTIMATOR, {"model": write_model(tmp_path / "model.onnx", outputs=5)}, wait=False)
-    assert graph.wait(lambda: process.poll() is not None, 10.0)
+    assert graph.wait(lambda: process.poll() is not None)
     assert process.returncode == 1
     log = graph.log(ESTIMATOR).read_text()
     assert "must have mu float32 (N, 6)" in log

@@ -41,15 +41,17 @@ class Feed:
         self.states = graph.collect(ContactState, "contact/state")
         self.beliefs = graph.collect(PoseWithCovarianceStamped, "contact/belief")
         self.arm = graph.arm()
-        graph.spin(0.3)  # discovery
 
     def restart(self) -> None:
         """A new start of the filter, in a time later than all before."""
         self.graph.restart("filter")
+        self.tf_timeout(5.0)
         self.states.clear()
         self.beliefs.clear()
-        self.graph.spin(0.15)
         self.stamp_ns = time.time_ns() - SECOND // 10
+
+    def tf_timeout(self, seconds: float) -> None:
+        assert self.graph.set_parameter("filter", "inputs.tf_timeout", seconds).successful
 
     def pose(self, k: int) -> np.ndarray:
         """Where the sensor is at step k: it moves along y and turns about x."""
@@ -75,19 +77,19 @@ class Feed:
     def send_estimate(self, stamp_ns: int, estimate: PoseGaussian) -> None:
         self.estimates.publish(gaussian_message(stamp_ns, SENSOR, estimate.mean, estimate.cov))
 
-    def state(self, stamp_ns: int, timeout: float = 2.0) -> ContactState | None:
+    def state(self, stamp_ns: int, **timeout: float) -> ContactState | None:
         """The state of that stamp, waiting for it; None if it does not come."""
 
         def found():
             return [m for m in self.states if ns_from_time(m.header.stamp) == stamp_ns]
 
-        self.graph.wait(lambda: bool(found()), timeout)
+        self.graph.wait(lambda: bool(found()), **timeout)
         return found()[0] if found() else None
 
 
 @pytest.fixture(scope="module")
 def running(shared_graph):
-    process = shared_graph.start(FILTER, {"inputs.tf_timeout": 0.2})
+    process = shared_graph.start(FILTER)
     return Feed(shared_graph, process)
 
 
@@ -115,13 +117,13 @@ def test_beliefs_are_those_of_the_library_with_the_images_stamps(feed):
     states = [feed.state(stamp) for stamp in stamps]
     assert None not in states
     assert_as_library(feed, states)
-    assert 0.0 < ns_from_time(states[-1].latency) / SECOND < 10.0
+    assert 0.0 < ns_from_time(states[-1].latency) / SECOND < 100.0
 
 
 def test_belief_and_state_say_the_same(feed):
     stamp_ns = feed.step(0)
     state = feed.state(stamp_ns)
-    assert feed.graph.wait(lambda: bool(feed.beliefs), 2.0)
+    assert feed.graph.wait(lambda: bool(feed.beliefs))
     belief = gaussian_from_message(feed.beliefs[-1].pose)
     np.testing.assert_allclose(belief.mean, se3.exp(state.xi), atol=1e-12)
     np.testing.assert_allclose(belief.cov, state.covariance.reshape(6, 6), rtol=1e-6, atol=1e-15)
@@ -129,14 +131,13 @@ def test_belief_and_state_say_the_same(feed):
 
 def test_the_belief_is_a_frame_of_tf_too(feed):
     transforms = feed.graph.collect(TFMessage, "/tf", qos.TF)
-    feed.graph.spin(0.3)  # discovery
     stamp_ns = feed.step(0)
     state = feed.state(stamp_ns)
 
     def contact():
         return [t for m in transforms for t in m.transforms if t.child_frame_id == "arm/contact"]
 
-    assert feed.graph.wait(lambda: bool(contact()), 2.0)
+    assert feed.graph.wait(lambda: bool(contact()))
     assert contact()[0].header.frame_id == SENSOR and ns_from_time(contact()[0].header.stamp) == stamp_ns
     T_sensor_contact = matrix_from_transform(contact()[0].transform)
     np.testing.assert_allclose(T_sensor_contact, se3.exp(state.xi), atol=1e-12)
@@ -172,10 +173,9 @@ def test_frames_that_came_while_the_node_was_held_up_are_answered(feed):
         feed.step(sent)
         feed.graph.spin(PERIOD_NS / SECOND)
     feed.process.send_signal(signal.SIGCONT)
-    feed.graph.spin(0.2)
     last = feed.step(sent + 1)
     assert feed.state(last)
-    assert feed.graph.wait(lambda: len(feed.states) == sent + 2, 2.0)
+    assert feed.graph.wait(lambda: len(feed.states) == sent + 2)
 
 
 def test_an_estimate_waits_for_its_transform(feed):
@@ -186,6 +186,7 @@ def test_an_estimate_waits_for_its_transform(feed):
 
 
 def test_without_tf_an_estimate_is_dropped_after_the_deadline_counted_and_told(feed):
+    feed.tf_timeout(0.05)
     stamp_ns = feed.step(0, tf=False)
     report = feed.graph.wait_for_count("filter", "estimates dropped")
     assert "arm/base" in report.message or "arm/tactile_sensor" in report.message
@@ -194,6 +195,7 @@ def test_without_tf_an_estimate_is_dropped_after_the_deadline_counted_and_told(f
 
 
 def test_the_transform_of_another_stamp_is_never_used_in_its_place(feed):
+    feed.tf_timeout(0.05)
     assert feed.state(feed.step(0)) is not None
     stamp_ns = feed.step(1, tf=False)
     report = feed.graph.wait_for_count("filter", "estimates dropped")
@@ -228,7 +230,7 @@ def test_without_contact_no_estimate_is_waited_for(feed):
     stamp_ns = feed.stamp_ns + PERIOD_NS
     feed.arm.at(stamp_ns, feed.pose(1))
     feed.send_presence(stamp_ns, in_contact=False)
-    assert feed.state(stamp_ns, timeout=0.15).flags & ContactState.NO_CONTACT
+    assert feed.state(stamp_ns).flags & ContactState.NO_CONTACT
 
 
 def test_an_estimate_that_is_not_a_number_is_refused_and_the_belief_predicted(feed):
@@ -281,11 +283,12 @@ def test_a_stamp_that_comes_twice_is_refused(feed):
     feed.state(feed.step(0))
     for _ in itertools.repeat(None, 2):
         feed.step(0)
-    feed.graph.spin(0.2)
-    assert len(feed.states) == 1
+    assert feed.state(feed.step(1))
+    assert len(feed.states) == 2
 
 
 def test_an_estimate_that_comes_late_is_put_in_its_place(feed):
+    feed.tf_timeout(0.05)
     assert feed.graph.set_parameter("filter", "history", 0.2).successful
     stamps = [feed.step(k) if k != 2 else feed.stamp_ns + 2 * PERIOD_NS for k in range(4)]
     feed.state(stamps[3])

@@ -8,7 +8,6 @@ import signal
 
 import numpy as np
 import pytest
-from rclpy.action import ActionClient
 
 from tactile_bringup.ros import qos
 from tactile_bringup.ros.conversions import pose_from_matrix
@@ -22,12 +21,19 @@ from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLat
 SIM, FILTER = "tactile_drivers.sim_node", "tactile_filter.filter_node"
 CONTROLLER = "tactile_control.controller_node"
 SECOND = 1_000_000_000
+# a machine that holds up a process only delays the task
+WHATEVER_THE_LOAD = {
+    "watchdog.patience": 30.0,
+    "task.start_timeout": 30.0,
+    "task.approach_timeout": 60.0,
+    "task.settle_timeout": 60.0,
+}
 
 
 class Cell:
     """The running graph on the ramp, near the surface."""
 
-    def __init__(self, graph, folder) -> None:
+    def __init__(self, graph, folder, length: float = 0.1) -> None:
         text = config_path("scenes/ramp.yaml").read_text().replace("fidelity: image", "fidelity: ideal")
         assert "0.062]" in text
         text = text.replace("0.062]", "0.053]")  # 3 mm above the ramp instead of 12
@@ -42,16 +48,15 @@ class Cell:
         self.statuses = graph.collect(ControllerStatus, "controller/status")
         self.arms = graph.collect(ArmStatus, "arm/status")
         self.latencies = graph.collect(StageLatency, "latency", qos.LATENCY)
-        graph.start(CONTROLLER, parameters, wait=False)
+        graph.start(CONTROLLER, {**parameters, **WHATEVER_THE_LOAD}, wait=False)
         graph.start(FILTER, wait=False)
         graph.start(SIM, {"scene": str(folder / "ramp.yaml"), "seed": 1}, namespace="")
         for module in (FILTER, CONTROLLER):
-            assert graph.wait(lambda module=module: "active" in graph.log(module).read_text(), 10.0)
-        self.client = ActionClient(graph.node, RunTask, "run_task")
-        assert graph.wait(self.client.server_is_ready, 5.0)
-        assert graph.wait(lambda: bool(self.statuses) and bool(self.arms), 5.0)
+            graph.wait_until_active(module)
+        self.client = graph.action(RunTask, "run_task")
+        assert graph.wait(lambda: bool(self.statuses) and bool(self.arms))
         arm = load_scene(folder / "ramp.yaml").arms["arm"]
-        self.goal = dataclasses.replace(task.goals(arm.T_base_start)[0], length=0.02)
+        self.goal = dataclasses.replace(task.goals(arm.T_base_start)[0], length=length)
 
     def send(self):
         goal = self.goal
@@ -63,23 +68,29 @@ class Cell:
             start=[pose_from_matrix(goal.start)] if goal.start is not None else [],
         )
         future = self.client.send_goal_async(request)
-        assert self.graph.wait(future.done, 5.0) and future.result().accepted
+        assert self.graph.wait(future.done) and future.result().accepted
         return future.result()
 
-    def result(self, handle, timeout: float):
+    def result(self, handle):
         future = handle.get_result_async()
-        assert self.graph.wait(future.done, timeout), self.statuses[-1]
+        assert self.graph.wait(future.done), self.statuses[-1]
         return future.result().result
 
     def following(self):
         handle = self.send()
-        assert self.graph.wait(lambda: self.statuses[-1].phase_name == "follow", 15.0), self.statuses[-1]
-        self.graph.spin(0.7)
-        assert np.linalg.norm(self.arms[-1].twist[:3]) > 0.005
+
+        def underway() -> bool:
+            return (
+                self.statuses[-1].phase_name == "follow" and np.linalg.norm(self.arms[-1].twist[:3]) > 0.005
+            )
+
+        assert self.graph.wait(underway), self.statuses[-1]
         return handle
 
     def assert_at_rest_within(self, since_ns: int, seconds: float) -> None:
-        self.graph.spin(0.6)
+        """In the arm's own time: that it moves no later, however long it takes until we hear of it."""
+        until_ns = since_ns + round((seconds + 0.3) * SECOND)
+        assert self.graph.wait(lambda: ns_from_time(self.arms[-1].header.stamp) > until_ns)
         moving = [ns_from_time(m.header.stamp) for m in self.arms if np.any(np.array(m.twist) != 0.0)]
         assert np.all(np.array(self.arms[-1].twist) == 0.0)
         assert (moving[-1] - since_ns) / SECOND < seconds
@@ -90,8 +101,9 @@ def cell(graph, tmp_path):
     return Cell(graph, tmp_path)
 
 
-def test_the_ramp_is_followed_at_depth_and_along_the_normal(cell):
-    result = cell.result(cell.send(), 30.0)
+def test_the_ramp_is_followed_at_depth_and_along_the_normal(graph, tmp_path):
+    cell = Cell(graph, tmp_path, length=0.02)
+    result = cell.result(cell.send())
     assert result.success, result.reason
     started = next(ns_from_time(m.header.stamp) for m in cell.statuses if m.phase_name == "follow")
     ended = max(ns_from_time(m.header.stamp) for m in cell.statuses if m.phase_name == "follow")
@@ -105,6 +117,9 @@ def test_the_ramp_is_followed_at_depth_and_along_the_normal(cell):
 
 def test_each_exposure_is_answered_or_counted_as_dropped(cell):
     cell.following()
+    assert cell.graph.wait(
+        lambda: sum(len(m.exposed) for m in cell.latencies if m.stage == "controller") > 150
+    )
     seen: dict[str, dict[int, int]] = {"camera": {}, "filter": {}, "controller": {}}
     for message in cell.latencies:
         for exposed, dropped in zip(message.exposed, message.dropped, strict=True):
@@ -120,40 +135,40 @@ def test_each_exposure_is_answered_or_counted_as_dropped(cell):
 
 def test_a_filter_that_stops_brings_the_arm_to_rest_and_the_task_ends_with_the_reason(cell):
     handle = cell.following()
-    stopped_ns = cell.graph.now_ns()
+    assert cell.graph.set_parameter("controller", "watchdog.patience", 1.0).successful
     stopped = cell.graph.processes.children[FILTER].process
     stopped.send_signal(signal.SIGSTOP)
     try:
-        cell.assert_at_rest_within(stopped_ns, 0.3)
-        result = cell.result(handle, 5.0)
+        cell.assert_at_rest_within(cell.graph.now_ns(), 0.3)
+        result = cell.result(handle)
     finally:
         stopped.send_signal(signal.SIGCONT)
     assert not result.success and "belief" in result.reason and "limit" in result.reason
 
 
-def test_a_filter_that_pauses_brings_the_arm_to_rest_and_the_task_goes_on(cell):
+def test_a_filter_that_pauses_brings_the_arm_to_rest_and_the_task_goes_on(graph, tmp_path):
+    cell = Cell(graph, tmp_path, length=0.04)
     handle = cell.following()
-    paused_ns = cell.graph.now_ns()
     paused = cell.graph.processes.children[FILTER].process
     paused.send_signal(signal.SIGSTOP)
     try:
-        cell.assert_at_rest_within(paused_ns, 0.3)
+        cell.assert_at_rest_within(cell.graph.now_ns(), 0.3)
     finally:
         paused.send_signal(signal.SIGCONT)
-    result = cell.result(handle, 15.0)
+    result = cell.result(handle)
     assert result.success, result.reason
 
 
 def test_a_controller_that_is_killed_leaves_the_arm_at_rest_by_the_arms_own_watchdog(cell):
     cell.following()
-    killed_ns = cell.graph.now_ns()
     cell.graph.processes.children[CONTROLLER].process.kill()
-    cell.assert_at_rest_within(killed_ns, 0.3)
+    cell.assert_at_rest_within(cell.graph.now_ns(), 0.3)
     assert "no command for" in cell.arms[-1].reason
 
 
 def test_a_controller_that_is_shut_down_brings_the_arm_to_rest_at_once(cell):
     cell.following()
-    stopped_ns = cell.graph.now_ns()
-    assert cell.graph.stop(CONTROLLER) == 0
-    cell.assert_at_rest_within(stopped_ns, 0.25)
+    stopped = cell.graph.processes.children[CONTROLLER].process
+    stopped.send_signal(signal.SIGINT)
+    cell.assert_at_rest_within(cell.graph.now_ns(), 0.25)
+    assert cell.graph.wait(lambda: stopped.poll() is not None) and stopped.returncode == 0
