@@ -101,10 +101,9 @@ class _Run:
         self.network = PoseNetwork(config.network)
         self.loss_name = self.network.distribution.name
         self.images, self.labels = self._tensors(data.training)
-        if data.start is None:
-            self.network.start_from(self.labels.cpu())
-        else:
-            self.network.load_state_dict(data.start.weights)
+        self.network.start_from(self.labels.cpu())
+        if data.start is not None:
+            data.start.give(self.network)
         self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
         self.axis: SymmetryAxis | None = None
         self.augmenter = self._augmenter()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from tactile_filter.settings import SettingError
 from tactile_perception.training.config import TrainConfig
@@ -17,6 +17,7 @@ from tactile_perception.training.settings import NetworkSettings
 
 #: Settings of a network in which the two may differ; all others decide which weights there are and what for.
 _FREE = {
+    "head",
     "batch_norm_momentum",
     "dropout_mean",
     "dropout_inverse_sigma",
@@ -28,10 +29,14 @@ _FREE = {
 
 @dataclass(frozen=True)
 class Start:
-    """Weights of a finished run, and for the model's metadata what they come from."""
+    """Weights of a finished run, without its head's if that is of another kind; and what they come from."""
 
     weights: dict[str, Tensor]
     facts: dict[str, Any]
+
+    def give(self, network: nn.Module) -> None:
+        """Put the weights into a network; what they lack stays as it is."""
+        network.load_state_dict({**network.state_dict(), **self.weights})
 
 
 def load_start(run: Path | str, network: NetworkSettings) -> Start:
@@ -55,4 +60,7 @@ def load_start(run: Path | str, network: NetworkSettings) -> Start:
     facts = json.loads(folder.file(FACTS_NAME).read_text())
     facts["holdback"] = config.training.holdback
     facts["weights_sha256"] = hashlib.sha256(folder.file(BEST_NAME).read_bytes()).hexdigest()
-    return Start(folder.load_best(), facts)
+    weights = folder.load_best()
+    if config.network.head != network.head:
+        weights = {name: value for name, value in weights.items() if not name.startswith("head.")}
+    return Start(weights, facts)

@@ -15,7 +15,8 @@ from tactile_perception.dataset import DatasetError, read_dataset  # noqa: E402
 from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.labels import labels_from_euler, network_from_pose  # noqa: E402
 from tactile_perception.training.augmentation import Augmenter  # noqa: E402
-from tactile_perception.training.data import Samples, split_holdback  # noqa: E402
+from tactile_perception.training.data import Samples, load_data, split_holdback  # noqa: E402
+from tactile_perception.training.network import PoseNetwork  # noqa: E402
 from tactile_perception.training.progress import Progress  # noqa: E402
 from tactile_perception.training.run_folder import RunFolder  # noqa: E402
 from tactile_perception.training.settings import (  # noqa: E402
@@ -189,6 +190,17 @@ def test_a_run_starts_from_the_network_of_another_and_tells_so(run, training_dat
     assert started.best.validation_loss < first.best.validation_loss + 1.0  # another batch's statistics
     data = Estimator(started.model_path).metadata.training_data
     assert data["start"]["samples"] == data["samples"] and len(data["start"]["weights_sha256"]) == 64
+
+
+def test_a_start_with_another_head_gives_all_but_the_head(run, training_data, tmp_path):
+    config = QUICK.replaced("network", head="full_gaussian").replaced("training", start=str(run[1]))
+    start = load_data(training_data, None, config).start
+    network = PoseNetwork(config.network)
+    before = network.head.weight.clone()
+    start.give(network)
+    best = RunFolder(run[1]).load_best()
+    torch.testing.assert_close(network.base[0][0].weight, best["base.0.0.weight"])
+    torch.testing.assert_close(network.head.weight, before)
 
 
 @pytest.mark.parametrize(
