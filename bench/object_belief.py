@@ -74,7 +74,7 @@ def last_pose(tracker: ObjectTracker, steps: Steps) -> SplitGaussian:
     """The object after all steps."""
     for k, updates in enumerate(steps):
         found = tracker.step(k * STEP_NS, updates)
-    assert found.belief.pose is not None, found.reason
+    assert found is not None and found.belief.pose is not None
     return found.belief.pose
 
 

@@ -61,7 +61,8 @@ class ObjectInputSettings(Settings):
     )  # fmt: skip
     wait: float = setting(
         0.02, lower=0.0, upper=1.0, unit="s",
-        doc="the belief of one arm waits this long for those of the others up to its stamp",
+        doc="the belief of one arm waits this long for those of the others up to its stamp, unless they have "
+        "been silent for longer than forget_after",
     )  # fmt: skip
     age_limit: float = setting(
         0.25, lower=0.0, upper=60.0, unit="s",
@@ -227,7 +228,7 @@ class ObjectNode(ManagedNode):
     def _hand_on(self) -> None:
         """Take what need not wait any more."""
         wait_ns = round(self.inputs.value.wait * SECOND_NS)
-        silence_ns = round(self.settings.value.max_age * SECOND_NS)
+        silence_ns = round(self.settings.value.forget_after * SECOND_NS)
         for group in self.merge.take(time.monotonic_ns(), wait_ns, silence_ns):
             self._process(group)
 
@@ -235,7 +236,10 @@ class ObjectNode(ManagedNode):
 
     def _process(self, group: EventGroup) -> None:
         updates = {arm: update for arm, (update, _) in group.parts.items()}
-        self.last = found = self.tracker.step(group.stamp_ns, updates)
+        found = self.tracker.step(group.stamp_ns, updates)
+        if found is None:
+            return
+        self.last = found
         for arm, nis in found.belief.refused.items():
             self.count(f"{arm}: contacts refused")
             self.warn(f"{arm} refused", f"contact of {arm} refused: NIS {nis:.4g} against the others")

@@ -222,22 +222,22 @@ class ObjectTracker:
         self._forget()
         self.resets[reason] += 1
 
-    def step(self, stamp_ns: int, updates: Mapping[str, ContactUpdate | None]) -> TrackedObject:
+    def step(self, stamp_ns: int, updates: Mapping[str, ContactUpdate | None]) -> TrackedObject | None:
         """Take what is new of some contacts at a stamp, and say what is known of the object then.
+
+        For a stamp that is not later than the last one the answer is None: what is new counts from the next
+        step on, and nothing is told twice or backwards.
 
         Parameters
         ----------
         updates : mapping
             By sensor; None: it has no contact.
-
-        A stamp that is not later than the last one changes contacts that know of no later one, but the answer
-        is empty: nothing is told twice or backwards.
         """
         for name in sorted(updates):
             self._check_name(name)
             self._update(name, stamp_ns, updates[name])
         if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
-            return TrackedObject(stamp_ns, _NOTHING, reason="the stamp is not later than the last one")
+            return None
         self._stamp_ns = stamp_ns
         self._end_forgotten(stamp_ns)
         return self._answer(stamp_ns)

@@ -33,7 +33,8 @@ FEATURES = {
 }
 CONTACT = se3.exp([1e-3, 0, -3e-3, 0.1, 0, 0])
 NAMES = tuple(FEATURES)
-PARAMETERS = {"arms": list(NAMES), "inputs.tf_timeout": 0.1}
+# on a busy machine the beliefs of one stamp may come far apart
+PARAMETERS = {"arms": list(NAMES), "inputs.tf_timeout": 0.3, "inputs.wait": 0.5, "forget_after": 10.0}
 
 
 class Feed:
@@ -94,13 +95,13 @@ class Feed:
     def both(self, k: int) -> int:
         return [self.believe(arm, k) for arm in NAMES][-1]
 
-    def at(self, stamp_ns: int, timeout: float = 2.0) -> PoseGaussian | None:
+    def at(self, stamp_ns: int) -> PoseGaussian | None:
         """The object's belief at that stamp, waiting for it; None if it does not come."""
 
         def found():
             return [m for m in self.found if ns_from_time(m.header.stamp) == stamp_ns]
 
-        self.graph.wait(lambda: bool(found()), timeout)
+        self.graph.wait(lambda: bool(found()))
         return gaussian_from_message(found()[0].pose) if found() else None
 
     def report(self, name: str, text: str):
@@ -192,7 +193,7 @@ def test_the_object_is_a_frame_of_tf_too(feed):
     def frames():
         return [t for m in feed.transforms for t in m.transforms if t.child_frame_id == "object"]
 
-    assert feed.graph.wait(lambda: bool(frames()), 2.0)
+    assert feed.graph.wait(lambda: bool(frames()))
     assert frames()[0].header.frame_id == "world"
     np.testing.assert_allclose(matrix_from_transform(frames()[0].transform), belief.mean, atol=1e-12)
     for k in range(1, 4):
@@ -262,7 +263,7 @@ def test_a_jump_back_in_time_starts_anew(feed, tf):
 def test_a_parameter_out_of_range_is_refused_with_its_range_and_the_old_value_stays(feed):
     for name, value, why in (
         ("max_age", -1.0, "Max: 10"),
-        ("max_age", 0.6, "must not be longer than forget_after"),
+        ("forget_after", 0.01, "must not be longer than forget_after"),
         ("place.left.sigma", [0.0] * 5, "6 elements"),
         ("place.left.sigma", [0.0] * 5 + [-1.0], "must lie in"),
     ):
@@ -287,7 +288,7 @@ def test_latency_is_told_from_the_exposure(feed):
         feed.at(feed.both(k))
     feed.latencies.clear()
     stamp_ns = feed.both(3)
-    assert feed.graph.wait(lambda: bool(feed.latencies), 2.0)
+    assert feed.graph.wait(lambda: bool(feed.latencies))
     (message,) = feed.latencies[:1]
     assert message.stage == "object" and ns_from_time(message.exposed[-1]) == stamp_ns
 
@@ -303,5 +304,13 @@ def test_an_arm_that_says_nothing_is_told(feed):
 )
 def test_without_arms_to_listen_to_it_does_not_start(graph, arms, complaint):
     process = graph.start(NODE, {"arms": [f"'{arm}'" for arm in arms]}, wait=False, namespace="")
-    assert graph.wait(lambda: process.poll() is not None, 10.0)
+    assert graph.wait(lambda: process.poll() is not None)
     assert process.returncode == 1 and complaint in graph.log(NODE).read_text()
+
+
+def test_sigint_ends_it_with_exit_code_0(graph):
+    graph.start(NODE, PARAMETERS, namespace="")
+    feed = Feed(graph)
+    feed.start_ns = time.time_ns()
+    feed.at(feed.both(0))
+    assert graph.stop(NODE) == 0
