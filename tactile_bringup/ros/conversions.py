@@ -1,35 +1,27 @@
-"""Messages <-> NumPy: poses, transforms, twists, Gaussians with left covariance, images.
+"""Messages <-> NumPy: poses, transforms, images; what is sent at the rate of the camera is in `wire`.
 
-Poses are `T_parent_child` (4, 4) in meters, twists [v, omega] (6,) in m/s and rad/s, covariances left ones
-over [rho, phi]. Whatever comes in is checked; `MessageError` says what was wrong and what would be right.
+Poses are `T_parent_child` (4, 4) in meters. Whatever comes in is checked; `MessageError` says what was wrong
+and what would be right.
 """
 
 from __future__ import annotations
 
-import array
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import (
     Point,
     Pose,
-    PoseWithCovariance,
-    PoseWithCovarianceStamped,
     Quaternion,
     Transform,
     TransformStamped,
-    Twist,
-    TwistStamped,
     Vector3,
 )
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from tactile_bringup.ros.stamps import time_from_ns
-from tactile_filter import pose_covariance
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.pose_numbers import MessageError as MessageError
 from tactile_filter.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
 from tactile_filter.pose_numbers import matrix_from_quaternion as matrix_from_quaternion
@@ -71,38 +63,6 @@ def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Ar
     return TransformStamped(header=header(stamp_ns, parent), child_frame_id=child, transform=transform)
 
 
-def vector_from_twist(twist: Twist) -> Array:
-    """[v, omega] (6,) of a Twist message; may hold NaN, which is for the limiter to refuse."""
-    v, omega = twist.linear, twist.angular
-    return np.array((v.x, v.y, v.z, omega.x, omega.y, omega.z))
-
-
-def twist_stamped(stamp_ns: int, frame_id: str, twist: ArrayLike) -> TwistStamped:
-    """TwistStamped message of [v, omega] (6,) in `frame_id`."""
-    vx, vy, vz, wx, wy, wz = np.asarray(twist, dtype=np.float64).tolist()
-    message = Twist(linear=Vector3(x=vx, y=vy, z=vz), angular=Vector3(x=wx, y=wy, z=wz))
-    return TwistStamped(header=header(stamp_ns, frame_id), twist=message)
-
-
-def gaussian_from_message(message: PoseWithCovariance) -> PoseGaussian:
-    """Gaussian with left covariance of a PoseWithCovariance, whose covariance is about the header's axes.
-
-    Raises
-    ------
-    MessageError
-        If a number is not finite or a variance is negative.
-    """
-    p, q = message.pose.position, message.pose.orientation
-    return gaussian_from_numbers((p.x, p.y, p.z, q.x, q.y, q.z, q.w, *message.covariance))
-
-
-def gaussian_message(stamp_ns: int, frame_id: str, mean: Array, cov: Array) -> PoseWithCovarianceStamped:
-    """PoseWithCovarianceStamped of a mean (4, 4) with left covariance (6, 6), both in `frame_id`."""
-    ros = pose_covariance.ros_from_left(cov, mean[:3, 3])
-    pose = PoseWithCovariance(pose=pose_from_matrix(mean), covariance=np.ascontiguousarray(ros).reshape(36))
-    return PoseWithCovarianceStamped(header=header(stamp_ns, frame_id), pose=pose)
-
-
 def array_from_image(message: Image) -> NDArray[np.uint8]:
     """Gray image (height, width) uint8 that shares the message's memory (a row view where rows are padded).
 
@@ -128,18 +88,6 @@ def checked_image(
     if len(pixels) != step * height:
         raise MessageError(f"data has {len(pixels)} bytes, must have step * height = {step * height}")
     return pixels.reshape(height, step)[:, :width]
-
-
-def image_message(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> Image:
-    """Image message, mono8, of a gray image (height, width) uint8; one copy, no element is looked at."""
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise MessageError(f"image: must be uint8 (height, width), is {image.dtype} {image.shape}")
-    data: Any = array.array("B")
-    data.frombytes(np.ascontiguousarray(image).data.cast("B"))
-    height, width = image.shape
-    return Image(
-        header=header(stamp_ns, frame_id), height=height, width=width, encoding=MONO8, step=width, data=data
-    )
 
 
 def _quaternion(q: Sequence[float]) -> Quaternion:

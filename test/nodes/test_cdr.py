@@ -8,12 +8,15 @@ pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, the
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistStamped
 from hypothesis import given
 from hypothesis import strategies as st
+from messages import gaussian_message, twist_stamped
 from rclpy.serialization import deserialize_message, serialize_message
 from tf2_msgs.msg import TFMessage
 
 from tactile_bringup.ros import cdr
 from tactile_bringup.ros.cdr import HeadedReader, Layout, numbers_of, transforms_from_bytes
-from tactile_bringup.ros.conversions import gaussian_message, transform_stamped, twist_stamped
+from tactile_bringup.ros.conversions import (
+    transform_stamped,
+)
 from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes, twist_bytes
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactState, ContactTruth, ControllerStatus

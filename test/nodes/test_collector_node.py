@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
+from messages import image_message, vector_from_twist
 from sensor_msgs.msg import Image
 
 from tactile_bringup.ros import qos
-from tactile_bringup.ros.conversions import image_message, vector_from_twist
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_control.collection_geometry import contact_frame
 from tactile_drivers.scene import load_scene

@@ -5,9 +5,12 @@ import math
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
+from messages import vector_from_twist
 
 from tactile_bringup.ros import qos
-from tactile_bringup.ros.conversions import header, vector_from_twist
+from tactile_bringup.ros.conversions import (
+    header,
+)
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_filter import se3
 from tactile_msgs.action import RunTask

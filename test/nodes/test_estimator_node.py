@@ -5,11 +5,11 @@ import time
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from messages import gaussian_from_message, image_message
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from tactile_bringup.ros import qos
-from tactile_bringup.ros.conversions import gaussian_from_message, image_message
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_msgs.msg import ContactPresence, StageLatency
 from tactile_perception.estimator import Estimator

@@ -4,11 +4,11 @@ import time
 
 import numpy as np
 import pytest
+from messages import image_message
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from tactile_bringup.ros import qos
-from tactile_bringup.ros.conversions import image_message
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.tactip import TacTip

@@ -5,12 +5,11 @@ import time
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from messages import gaussian_from_message, gaussian_message
 from tf2_msgs.msg import TFMessage
 
 from tactile_bringup.ros import qos
 from tactile_bringup.ros.conversions import (
-    gaussian_from_message,
-    gaussian_message,
     header,
     matrix_from_transform,
     transform_stamped,

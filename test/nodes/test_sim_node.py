@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
+from messages import twist_stamped, vector_from_twist
 from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 
@@ -11,8 +12,6 @@ from tactile_bringup.ros.conversions import (
     array_from_image,
     matrix_from_pose,
     matrix_from_transform,
-    twist_stamped,
-    vector_from_twist,
 )
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_drivers.scene import load_scene
