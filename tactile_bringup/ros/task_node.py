@@ -6,6 +6,7 @@ goal the twist is zero, and so is the last one when the node is deactivated or s
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -53,7 +54,7 @@ class Run:
         return due
 
 
-class TaskNode(ManagedNode):
+class TaskNode(ManagedNode, ABC):
     """Base of nodes that run tasks; fill in `objection`, `accept`, `step`, `travelled` and `periods`."""
 
     run: Run | None = None
@@ -61,25 +62,25 @@ class TaskNode(ManagedNode):
 
     # What a node fills in.
 
+    @abstractmethod
     def objection(self, goal: RunTask.Goal) -> str:
         """'' or why the goal cannot be run, with what would be right."""
-        raise NotImplementedError
 
+    @abstractmethod
     def accept(self, handle: Any) -> Run | None:
         """What the goal starts; None if it could be concluded at once (see `conclude`)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def step(self) -> None:
         """One step of what runs, or a zero twist; sets `last_step_ns`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def travelled(self) -> float:
         """Path length (m) that the result of the goal under way is to tell."""
-        raise NotImplementedError
 
+    @abstractmethod
     def periods(self) -> tuple[float, float]:
         """The longest times (s) between two steps, with a goal and without."""
-        raise NotImplementedError
 
     def forget(self) -> None:
         """Forget inputs; called when the clock jumps back."""

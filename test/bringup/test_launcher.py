@@ -3,14 +3,11 @@
 import os
 import re
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
-
-from tactile_bringup.shared_memory import orphans
+from launched import Launched
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = pytest.mark.ros
@@ -18,81 +15,20 @@ pytestmark = pytest.mark.ros
 FAKES = Path(__file__).parent / "fakes"
 
 
-class Launch:
-    """`launch_fake.py` as a process of its own, with its output in a file; watched while it runs."""
+class Launch(Launched):
+    """`launch_fake.py` with its fake cell."""
 
     def __init__(self, folder: Path, fault: str = "", seconds: float = 0.3, paths: int = 1) -> None:
-        self.folder = folder
-        self.output_file = folder / "output"
-        self.segments: set[tuple[str, int]] = set()
-        script = str(FAKES / "launch_fake.py")
-        paths_given = os.pathsep.join(filter(None, [str(FAKES), os.environ.get("PYTHONPATH")]))
-        self.process = subprocess.Popen(
-            [sys.executable, script, str(folder), fault, str(seconds), str(paths)],
-            env={**os.environ, "PYTHONPATH": paths_given},
-            stdout=self.output_file.open("w"),
-            stderr=subprocess.STDOUT,
-        )
-
-    @property
-    def output(self) -> str:
-        return self.output_file.read_text()
-
-    def wait_for(self, text: str, timeout_s: float = 15.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        while text not in self.output:
-            assert time.monotonic() < deadline, f"no '{text}' in:\n{self.output}"
-            assert self.process.poll() is None, f"ended without '{text}':\n{self.output}"
-            self.note_segments()
-            time.sleep(0.05)
-
-    def end(self, timeout_s: float = 20.0) -> int:
-        deadline = time.monotonic() + timeout_s
-        while self.process.poll() is None:
-            assert time.monotonic() < deadline, f"does not end:\n{self.output}"
-            self.note_segments()
-            time.sleep(0.05)
-        return self.process.returncode
-
-    def running(self) -> list[int]:
-        """Processes of this launch, told by their command line."""
-        return [pid for pid in map(int, filter(str.isdigit, os.listdir("/proc"))) if self._is_ours(pid)]
-
-    def note_segments(self) -> None:
-        """Remember name and inode of the shared memory that our processes have mapped."""
-        for pid in self.running():
-            try:
-                lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
-            except OSError:
-                continue
-            fields = [line.split(None, 5) for line in lines if "/dev/shm/fastdds" in line]
-            self.segments |= {(f[5], int(f[4])) for f in fields}
-
-    def left(self) -> list[str]:
-        """Processes and shared memory of this launch that are still there."""
-        processes = [f"process {pid}" for pid in self.running()]
-        dead = set(map(str, orphans()))  # another launch may have taken over a port file meanwhile
-        return processes + [name for name, inode in self.segments if _inode(name) == inode and name in dead]
-
-    def leaves_nothing(self, timeout_s: float = 8.0) -> bool:
-        assert self.segments or "ROS domain" not in self.output, "no shared memory was seen to be in use"
-        deadline = time.monotonic() + timeout_s
-        while self.left() and time.monotonic() < deadline:
-            time.sleep(0.1)
-        return self.left() == []
-
-    def _is_ours(self, pid: int) -> bool:
-        try:
-            return str(self.folder).encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
-        except OSError:
-            return False
-
-
-def _inode(name: str) -> int | None:
-    try:
-        return os.stat(name).st_ino
-    except FileNotFoundError:
-        return None
+        command = [
+            sys.executable,
+            str(FAKES / "launch_fake.py"),
+            str(folder),
+            fault,
+            str(seconds),
+            str(paths),
+        ]
+        given = os.pathsep.join(filter(None, [str(FAKES), os.environ.get("PYTHONPATH")]))
+        super().__init__(folder, command, PYTHONPATH=given)
 
 
 @pytest.fixture
@@ -105,9 +41,7 @@ def start(tmp_path):
 
     yield start
     for launch in launches:
-        if launch.process.poll() is None:
-            launch.process.kill()
-            launch.process.wait()
+        launch.kill()
 
 
 def test_a_task_that_is_done_ends_with_0_and_leaves_nothing(start):
@@ -165,7 +99,7 @@ def test_a_signal_during_the_start_ends_it(start):
     launch.wait_for("ROS domain")
     launch.process.send_signal(signal.SIGINT)
     assert launch.end() == 130
-    assert launch.running() == []
+    assert not launch.running()
 
 
 def test_a_node_that_ignores_signals_is_killed_and_said_so(start):

@@ -1,0 +1,93 @@
+"""A launch as a process of its own, watched while it runs: what it says, how it ends, what it leaves."""
+
+import os
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from tactile_bringup.shared_memory import orphans
+
+PATIENCE = 120.0  # s; a wait ends as soon as it can: only a test that fails waits as long, on any machine
+
+
+class Launched:
+    """Its output goes to a file in its folder, by whose name its processes are told."""
+
+    def __init__(self, folder: Path, command: list[str], **variables: str) -> None:
+        self.folder = folder
+        self.output_file = folder / "output"
+        self.segments: set[tuple[str, int]] = set()
+        self.process = subprocess.Popen(
+            command,
+            env={**os.environ, **variables},
+            stdout=self.output_file.open("w"),
+            stderr=subprocess.STDOUT,
+        )
+
+    @property
+    def output(self) -> str:
+        return self.output_file.read_text()
+
+    def wait_for(self, text: str) -> None:
+        self._wait(lambda: text in self.output or self.process.poll() is not None, f"no '{text}'")
+        assert text in self.output, f"ended without '{text}':\n{self.output}"
+
+    def end(self) -> int:
+        self._wait(lambda: self.process.poll() is not None, "does not end")
+        return self.process.returncode
+
+    def kill(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
+    def running(self) -> dict[int, list[str]]:
+        """Processes of this launch and their command lines."""
+        lines = {int(pid): _command(pid) for pid in filter(str.isdigit, os.listdir("/proc"))}
+        return {pid: words for pid, words in lines.items() if str(self.folder) in " ".join(words)}
+
+    def left(self) -> list[str]:
+        """Processes and shared memory of this launch that are still there."""
+        processes = [f"process {pid}" for pid in self.running()]
+        dead = set(map(str, orphans()))  # another launch may have taken over a port file meanwhile
+        return processes + [name for name, inode in self.segments if _inode(name) == inode and name in dead]
+
+    def leaves_nothing(self) -> bool:
+        """Whether all of it goes; what a keeper ends takes a while."""
+        assert self.segments or "ROS domain" not in self.output, "no shared memory was seen to be in use"
+        deadline = time.monotonic() + 0.25 * PATIENCE
+        while self.left() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        return self.left() == []
+
+    def _wait(self, condition: Callable[[], bool], complaint: str) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, f"{complaint}:\n{self.output}"
+            self._note_segments()
+            time.sleep(0.05)
+
+    def _note_segments(self) -> None:
+        """Remember name and inode of the shared memory that our processes have mapped."""
+        for pid in self.running():
+            try:
+                lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
+            except OSError:
+                continue
+            fields = [line.split(None, 5) for line in lines if "/dev/shm/fastdds" in line]
+            self.segments |= {(f[5], int(f[4])) for f in fields}
+
+
+def _command(pid: str) -> list[str]:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    except OSError:  # it ended
+        return []
+
+
+def _inode(name: str) -> int | None:
+    try:
+        return os.stat(name).st_ino
+    except FileNotFoundError:
+        return None
