@@ -467,19 +467,40 @@ def latency(record: RunRecord) -> Figure:
         p50, p99 = np.percentile(ordered, [50, 99])
         spread.step(ordered, share, color=color, lw=2.0, label=f"{name}: p50 {p50:.1f}, p99 {p99:.1f} ms")
         spread.plot([p50, p99], [0.5, 0.99], "o", color=color, ms=4)
-    for name, limit in LATENCY_REQUIREMENT.items():
-        spread.axvline(limit, color=REFERENCE, ls="--", lw=1.2)
-        text = f"{name} of {COMMAND_STAGE} \u2264 {limit:g} ms "
-        spread.text(limit, 0.03, text, color=REFERENCE, fontsize=9, ha="right")
+    right = _latency_axis(stages)
+    _draw_latency_requirements(spread, right)
     spread.set(
         ylabel="part of the frames", ylim=(0.0, 1.02), title="time from exposure to each stage's output"
     )
-    spread.legend(loc="center right")
+    spread.legend(loc="center right", bbox_to_anchor=(0.88, 0.5))  # left of the last requirement
     _stack(stack, stages)
-    largest = max(float(np.percentile(values, 99.9)) for values in stages.values())
-    stack.set_xlim(0.0, max(28.0, 1.1 * largest))
-    stack.set_xlabel("milliseconds after the exposure")
+    stack.set_xlim(0.0, right)
+    stack.set_xlabel("milliseconds after the exposure" + _beyond(stages, right))
     return figure
+
+
+def _latency_axis(stages: dict[str, Array]) -> float:
+    """Where the axis ends, ms: behind the requirements and the 99th percentiles; the tail may lie beyond."""
+    p99 = max(float(np.percentile(values, 99)) for values in stages.values())
+    return max(1.12 * max(LATENCY_REQUIREMENT.values()), 1.25 * p99)
+
+
+def _draw_latency_requirements(axes: Any, right: float) -> None:
+    """A line a requirement, its label on the side with room, one above the other so that none overlap."""
+    for row, (name, limit) in enumerate(LATENCY_REQUIREMENT.items()):
+        axes.axvline(limit, color=REFERENCE, ls="--", lw=1.2)
+        text = f" {name} of {COMMAND_STAGE} \u2264 {limit:g} ms "
+        side = "left" if limit < 0.5 * right else "right"
+        axes.text(limit, 0.03 + 0.06 * row, text, color=REFERENCE, fontsize=9, ha=side)
+
+
+def _beyond(stages: dict[str, Array], right: float) -> str:
+    """How many frames of the last stage are later than the picture shows."""
+    name, values = list(stages.items())[-1]
+    late = values[values > right]
+    if len(late) == 0:
+        return ""
+    return f" ({len(late)} of {len(values)} frames of the {name} lie beyond, the latest at {late.max():.0f})"
 
 
 def _stack(axes: Any, stages: dict[str, Array]) -> None:

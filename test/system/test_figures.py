@@ -95,3 +95,24 @@ def test_euler_sigmas_are_those_of_sampled_poses():
     ]
     expected = figures.euler_sigmas(GaussianSeries([0], X_sf[None], cov[None]))[0]
     np.testing.assert_allclose(np.std(sampled, axis=0), expected, rtol=0.06)
+
+
+@pytest.mark.parametrize("late", [0.02, 0.3, 5.0])
+@pytest.mark.parametrize("share", [0.002, 0.3])
+def test_labels_of_the_latency_lie_inside_the_axes_whatever_the_outliers(late, share):
+    record = made_up()
+    seconds = np.full(1000, 0.006)
+    seconds[: round(share * len(seconds))] = late
+    record.latency = {"controller": StageSeries(np.arange(1000) * 16_666_667, seconds)}
+    with figures.style():
+        figure = figures.latency(record)
+        figure.draw_without_rendering()
+    axes, stack = figure.axes
+    frame = axes.get_window_extent()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) == 2 and not boxes[0].overlaps(boxes[1])
+    for box in boxes:
+        assert frame.x0 <= box.x0 and box.x1 <= frame.x1
+    hidden = late * 1e3 > stack.get_xlim()[1]
+    told = f"({round(share * 1000)} of 1000 frames of the controller lie beyond" in stack.get_xlabel()
+    assert told == hidden
