@@ -1,5 +1,6 @@
 """The object node: aligns and fuses the contacts of several arms, and names those it leaves out."""
 
+import sys
 import time
 
 import numpy as np
@@ -21,7 +22,7 @@ from tactile_filter.object_tracker import ContactUpdate, ObjectTracker, TrackerS
 from tactile_msgs.msg import ContactState, StageLatency
 from tactile_msgs.srv import ResetFilter
 
-NODE = "tactile_filter.object_node"
+NODE, FILTER, SIM = "tactile_filter.object_node", "tactile_filter.filter_node", "tactile_drivers.sim_node"
 SECOND = 1_000_000_000
 STEP = 16_666_667
 COV = np.diag([1e-7, 1e-7, 1e-8, 1e-4, 1e-4, 4e-4])
@@ -106,6 +107,22 @@ class Feed:
     def report(self, name: str, text: str):
         """A report whose value of that name has that text in it."""
         return self.graph.wait_for_report("object", lambda report: text in report.values.get(name, ""))
+
+
+TABLE = """
+rate: 60
+arms:
+  left:
+    base: {position: [-0.45, 0.1, 0.0]}
+    start: {position: [0.0, 0.1, 0.017], rotation_deg: [0, 180, 0]}
+    sensor: {fidelity: ideal, camera_rate: 30}
+  right:
+    base: {position: [-0.45, -0.1, 0.0]}
+    start: {position: [0.0, -0.1, 0.017], rotation_deg: [0, 180, 0]}
+    sensor: {fidelity: ideal, camera_rate: 30}
+surfaces:
+  table: {shape: plane}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -305,6 +322,24 @@ def test_without_arms_to_listen_to_it_does_not_start(graph, arms, complaint):
     process = graph.start(NODE, {"arms": [f"'{arm}'" for arm in arms]}, wait=False, namespace="")
     assert graph.wait(lambda: process.poll() is not None)
     assert process.returncode == 1 and complaint in graph.log(NODE).read_text()
+
+
+def test_two_simulated_arms_that_press_on_one_table_know_it_as_one_object(graph, tmp_path):
+    """The real chain: simulator, a filter for each arm, and this node; the arms stand still, 3 mm deep."""
+    scene = tmp_path / "table.yaml"
+    scene.write_text(TABLE)
+    graph.start(NODE, PARAMETERS, namespace="")
+    for arm in NAMES:
+        graph._start(f"{arm} filter", [sys.executable, "-m", FILTER], None, True, arm)
+    found = graph.collect(PoseWithCovarianceStamped, "/object/belief")
+    graph.start(SIM, {"scene": str(scene)}, namespace="")
+    graph.wait_for_report("object", lambda report: report.values.get("contacts used") == "left, right")
+    assert graph.wait(lambda: len(found) > 20)
+    feature = np.array([0.0, 0.1, 0.02])  # where the left sensor's center was when it touched the table
+    belief = gaussian_from_message(found[-1].pose)
+    sigma = np.sqrt(np.diag(found[-1].pose.covariance.reshape(6, 6)))
+    assert (np.abs(belief.mean[:3, 3] - feature) < 5.0 * sigma[:3]).all()
+    np.testing.assert_allclose(belief.mean[:3, 2], [0.0, 0.0, -1.0], atol=5.0 * sigma[3:].max())
 
 
 def test_sigint_ends_it_with_exit_code_0(graph):
