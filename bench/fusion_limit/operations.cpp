@@ -33,6 +33,7 @@ static int operator<=(Number a, Number b) { return (int)(counted(0), a.value <= 
 static int operator==(Number a, Number b) { return (int)(counted(0), a.value == b.value); }
 
 static Number FMA(Number a, Number b, Number c) { return counted(std::fma(a.value, b.value, c.value)); }
+static Number FNMA(Number a, Number b, Number c) { return counted(std::fma(-a.value, b.value, c.value)); }
 static Number MIN(Number a, Number b) { return counted(a.value < b.value ? a.value : b.value); }
 static Number SQRT(Number a) {
   divisions++;
@@ -59,6 +60,8 @@ extern "C" {
 #define SKEWNESS ROTATION_TOLERANCE
 #define ELEM_BYTES 8
 #define UNROLL
+#define INLINE static inline
+#define MOST 2
 static int any_counted(int mask) { return mask; }
 #include "fusion_lanes.h"
 
@@ -66,9 +69,10 @@ static int any_counted(int mask) { return mask; }
 // the counts of a fusion with so many iterations
 static void count(int iterations) {
   Pose_counted first, second, y, mean;
+  Pose_counted relative;
   Side_counted side[2];
   Factor_counted factor;
-  V full[36], packed[21], step[6], lower[21], cov[21], square = Number(0);
+  V full[36], packed[21], root[6], step[6], lower[21], cov[21], square = Number(0);
   M bad = 0;
   set_identity_counted(&first);
   set_identity_counted(&second);
@@ -82,28 +86,27 @@ static void count(int iterations) {
       full[i] = Number(i % 7 == 0 ? 1.0 + k : 0.1);
     }
     symmetric_part_counted(packed, full, &bad);
-    set_whitening_counted(side + k, packed, &bad);
+    factorize_counted(&factor, packed, &bad);
+    set_roots_counted(root, &factor);
+    set_whitening_counted(side + k, &factor, root);
   }
-  set_identity_counted(&side[0].relative);
-  set_relative_counted(&side[1].relative, &first, &second);
+  set_relative_counted(&relative, &first, &second);
   for (int i = 0; i < iterations; i++) {
-    V information[2][21], gradient[2][6];
+    V information[21], gradient[6], xi[2][6], e[2], de[2];
+    Pose_counted difference[2] = {y};
+    product_counted(difference + 1, &y, &relative);
+    log_all_counted(xi, e, de, difference, 2);
     for (int k = 0; k < 2; k++) {
-      contribution_counted(information[k], gradient[k], &y, side + k, JACOBIAN_ORDER_2);
+      contribution_counted(information, gradient, xi[k], e[k], de[k], side + k, JACOBIAN_ORDER_2, k);
     }
-    for (int j = 0; j < 21; j++) {
-      information[0][j] = information[0][j] + information[1][j];
-    }
-    for (int j = 0; j < 6; j++) {
-      gradient[0][j] = gradient[0][j] + gradient[1][j];
-    }
-    factorize_counted(&factor, information[0], &bad);
-    square = gauss_newton_counted(step, gradient[0], &factor);
+    factorize_counted(&factor, information, &bad);
+    square = gauss_newton_counted(step, gradient, &factor);
     perturb_counted(&y, step);
   }
   product_counted(&mean, &y, &first);
   orthonormalize_counted(mean.rot);
-  inverse_factor_counted(lower, &factor);
+  set_roots_counted(root, &factor);
+  inverse_factor_counted(lower, &factor, root);
   square_lower_counted(cov, lower);
   square = SQRT(square);
   std::printf("instructions_%d %ld\ndivisions_%d %ld\n", iterations, instructions, iterations, divisions);

@@ -69,8 +69,9 @@ static int problem_model(Model* model, const Problem* problem, const Motion* mot
   if (!pair_model(&model->pair, &problem->pair, &motion->y, JACOBIAN_EXACT)) {
     return 0;
   }
-  double packed[21];
-  inverse_factor_d1(packed, &model->pair.information);
+  double packed[21], root[6];
+  set_roots_d1(root, &model->pair.information);
+  inverse_factor_d1(packed, &model->pair.information, root);
   memset(model->factor, 0, sizeof(model->factor));
   memcpy(model->step, model->pair.step, sizeof(model->step));
   model->square = model->pair.square;
@@ -104,7 +105,7 @@ static double problem_cost(const Problem* problem, const Motion* motion) {
   Pose_d2 both, difference;
   Vec_d2 xi[6], residual[6], e, de;
   spread_d2(&both, &motion->y);
-  product_d2(&difference, &both, &problem->pair.side.relative);
+  product_d2(&difference, &both, &problem->pair.relative);
   log_d2(xi, &e, &de, &difference);
   Vec_d2 cost = whitened_residual_d2(residual, xi, &problem->pair.side);
   return cost[0] + cost[1];
@@ -152,7 +153,7 @@ static void add_curvature(double hessian[36], const Problem* problem, const Moti
   Side_d1 side;
   double xi[6], residual[6], weighted[6], diag[9], corner[9], directions[6][6] = {{0}};
   for (int i = 0; i < 9; i++) {
-    relative.rot[i] = problem->pair.side.relative.rot[i][k];
+    relative.rot[i] = problem->pair.relative.rot[i][k];
     side.ur[i] = problem->pair.side.ur[i][k];
   }
   for (int i = 0; i < 6; i++) {
@@ -160,7 +161,7 @@ static void add_curvature(double hessian[36], const Problem* problem, const Moti
     side.lr[i] = problem->pair.side.lr[i][k];
   }
   for (int i = 0; i < 3; i++) {
-    relative.pos[i] = problem->pair.side.relative.pos[i][k];
+    relative.pos[i] = problem->pair.relative.pos[i][k];
   }
   Bend bend;
   product_d1(&difference, &motion->y, &relative);
@@ -328,10 +329,10 @@ static double versine_of(const double rot[9]) {
 
 static void plain_relative(Pose_d1* res, const Problem* problem, int k) {
   for (int i = 0; i < 9; i++) {
-    res->rot[i] = problem->pair.side.relative.rot[i][k];
+    res->rot[i] = problem->pair.relative.rot[i][k];
   }
   for (int i = 0; i < 3; i++) {
-    res->pos[i] = problem->pair.side.relative.pos[i][k];
+    res->pos[i] = problem->pair.relative.pos[i][k];
   }
 }
 
@@ -404,9 +405,9 @@ static void round_sides(Problem* problem) {
   for (int k = 0; k < 2; k++) {
     const RobustSide* side = problem->robust.side + k;
     for (int i = 0; i < 3; i++) {
-      plain->relative.pos[i][k] = dd_round(side->relative.pos[i]);
+      problem->pair.relative.pos[i][k] = dd_round(side->relative.pos[i]);
       for (int j = 0; j < 3; j++) {
-        plain->relative.rot[3*i+j][k] = dd_round(side->relative.rot[3*i+j]);
+        problem->pair.relative.rot[3*i+j][k] = dd_round(side->relative.rot[3*i+j]);
         plain->ur[3*i+j][k] = dd_round(side->lower[6*(3+j)+i]);
         if (j >= i) {
           plain->ul[i*(5-i)/2+j][k] = dd_round(side->lower[6*j+i]);

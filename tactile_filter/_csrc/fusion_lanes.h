@@ -1,5 +1,7 @@
 // The arithmetic of the fusion on LANES fusions side by side, one in each lane of a vector. A template: included
 // once for each kind of vector, which lanes_begin.h describes. Each lane gets the same bits whatever their number.
+// Long chains, where each result waits for the one before, take `count` cases at a time, step by step: the one fills
+// what the other waits.
 //
 // All poses are relative to the first mean: Y = X X_1^-1, Z_k = X_1 X_k^-1, so that xi_k = log(Y Z_k), and what is
 // sought is a small motion known to its own last digit. Packed lower triangles hold 00, 10, 11, 20, ...
@@ -8,48 +10,67 @@ typedef struct {
   V rot[9], pos[3];
 } NAME(Pose);
 
-// one of the two inputs: Z_k, and what whitens its errors, the upper triangular [[ul, ur], [0, lr]] with
+// what whitens the errors of one of the two inputs, the upper triangular [[ul, ur], [0, lr]] with
 // covariance^-1 = upper' * upper; ul and lr are upper triangular and hold 00, 01, 02, 11, 12, 22
 typedef struct {
-  NAME(Pose) relative;
   V ul[6], ur[9], lr[6];
 } NAME(Side);
 
 // mat = unit' * diag(pivot) * unit with unit lower triangular of which the strictly lower part is held
 typedef struct {
-  V unit[15], inverse[6];
+  V unit[15], inverse[6];  // of pivot
 } NAME(Factor);
 
 
-// polynomial of even degree; of doubles its even and odd powers apart, of floats, where the square of a small
-// argument would be subnormal and slow, by Horner's rule
-static inline V NAME(polynomial)(const double* coef, int degree, V x) {
-  V even = SPLAT(coef[degree]);
+// polynomials of even degree; of doubles even and odd powers apart, of floats, where the square of a small argument
+// would be subnormal and slow, by Horner's rule
+INLINE void NAME(polynomials)(V res[], const double* coef, int degree, const V x[], int count) {
 #if ELEM_BYTES == 4
   UNROLL
-  for (int i = degree - 1; i >= 0; i--) {
-    even = FMA(even, x, SPLAT(coef[i]));
+  for (int i = degree; i >= 0; i--) {
+    UNROLL
+    for (int n = 0; n < count; n++) {
+      res[n] = i == degree ? SPLAT(coef[i]) : FMA(res[n], x[n], SPLAT(coef[i]));
+    }
   }
-  return even;
 #else
-  V square = x*x, odd = SPLAT(coef[degree-1]);
+  V square[MOST], odd[MOST];
   UNROLL
-  for (int i = degree - 2; i > 0; i -= 2) {
-    even = FMA(even, square, SPLAT(coef[i]));
-    odd = FMA(odd, square, SPLAT(coef[i-1]));
+  for (int n = 0; n < count; n++) {
+    square[n] = x[n]*x[n];
+    res[n] = SPLAT(coef[degree]);
+    odd[n] = SPLAT(coef[degree-1]);
   }
-  return FMA(odd, x, FMA(even, square, SPLAT(coef[0])));
+  UNROLL
+  for (int i = degree - 2; i >= 0; i -= 2) {
+    UNROLL
+    for (int n = 0; n < count; n++) {
+      res[n] = FMA(res[n], square[n], SPLAT(coef[i]));
+      odd[n] = i > 0 ? FMA(odd[n], square[n], SPLAT(coef[i-1])) : odd[n];
+    }
+  }
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    res[n] = FMA(odd[n], x[n], res[n]);
+  }
 #endif
 }
 
 
-static inline V NAME(dot3)(const V a[3], const V b[3]) {
+INLINE V NAME(polynomial)(const double* coef, int degree, V x) {
+  V res;
+  NAME(polynomials)(&res, coef, degree, &x, 1);
+  return res;
+}
+
+
+INLINE V NAME(dot3)(const V a[3], const V b[3]) {
   return FMA(a[2], b[2], FMA(a[1], b[1], a[0]*b[0]));
 }
 
 
 // res = a * b
-static inline void NAME(product)(NAME(Pose)* res, const NAME(Pose)* a, const NAME(Pose)* b) {
+INLINE void NAME(product)(NAME(Pose)* res, const NAME(Pose)* a, const NAME(Pose)* b) {
   UNROLL
   for (int i = 0; i < 3; i++) {
     const V* row = a->rot + 3*i;
@@ -63,7 +84,7 @@ static inline void NAME(product)(NAME(Pose)* res, const NAME(Pose)* a, const NAM
 
 
 // replace the rotation by the nearest one, which is near
-static inline void NAME(orthonormalize)(V rot[9]) {
+INLINE void NAME(orthonormalize)(V rot[9]) {
   V excess[9], factor[9], res[9];
   UNROLL
   for (int i = 0; i < 3; i++) {
@@ -99,74 +120,102 @@ static inline void NAME(orthonormalize)(V rot[9]) {
 }
 
 
-// factorize a packed matrix from its last row up; `poor` gets the lanes whose pivots are not well above rounding
-static inline void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poor) {
-  // a pivot that is no number makes all after it none, and with them `least`
-  V left[21], least = SPLAT(LARGEST), trace = SPLAT(0);
+// factorize packed matrices from the last row up; `poor` gets the lanes whose pivots are not well above rounding
+INLINE void NAME(factorize_all)(NAME(Factor)* const res[], const V* const packed[], M* const poor[], int count) {
+  V left[MOST][21];
   UNROLL
-  for (int i = 0; i < 21; i++) {
-    left[i] = packed[i];
+  for (int n = 0; n < count; n++) {
+    UNROLL
+    for (int i = 0; i < 21; i++) {
+      left[n][i] = packed[n][i];
+    }
   }
   UNROLL
   for (int i = 5; i >= 0; i--) {
-    V *row = left + i*(i+1)/2, pivot = row[i];
-    V inverse = SPLAT(1) / pivot;
-    trace = trace + packed[i*(i+1)/2+i];
-    least = MIN(least, FMA(SPLAT(-POOR_PIVOT), packed[i*(i+1)/2+i], pivot));
-    res->inverse[i] = inverse;
     UNROLL
-    for (int j = 0; j < i; j++) {
-      V scaled = row[j]*inverse;
-      res->unit[i*(i-1)/2+j] = scaled;
+    for (int n = 0; n < count; n++) {
+      V *row = left[n] + i*(i+1)/2, inverse = SPLAT(1) / row[i];
+      res[n]->inverse[i] = inverse;
       UNROLL
-      for (int k = j; k < i; k++) {
-        left[k*(k+1)/2+j] = FMA(-row[k], scaled, left[k*(k+1)/2+j]);
+      for (int j = 0; j < i; j++) {
+        V scaled = row[j]*inverse;
+        res[n]->unit[i*(i-1)/2+j] = scaled;
+        UNROLL
+        for (int k = j; k < i; k++) {
+          left[n][k*(k+1)/2+j] = FNMA(row[k], scaled, left[n][k*(k+1)/2+j]);
+        }
       }
     }
   }
-  *poor |= NOT(least > SPLAT(0)) | NOT(trace <= SPLAT(LARGEST));
+
+  // a pivot that is no number makes all after it none, and with them `least`
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    V least = SPLAT(LARGEST), trace = SPLAT(0);
+    UNROLL
+    for (int i = 5; i >= 0; i--) {
+      int ii = i*(i+1)/2 + i;
+      trace = trace + packed[n][ii];
+      least = MIN(least, FNMA(SPLAT(POOR_PIVOT), packed[n][ii], left[n][ii]));
+    }
+    *poor[n] |= NOT(least > SPLAT(0)) | NOT(trace <= SPLAT(LARGEST));
+  }
+}
+
+
+INLINE void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poor) {
+  NAME(factorize_all)(&res, &packed, &poor, 1);
 }
 
 
 // vec = unit^-T vec
-static inline void NAME(solve_transposed)(V vec[6], const NAME(Factor)* factor) {
+INLINE void NAME(solve_transposed)(V vec[6], const NAME(Factor)* factor) {
   UNROLL
   for (int i = 5; i > 0; i--) {
     UNROLL
     for (int j = 0; j < i; j++) {
-      vec[j] = FMA(-factor->unit[i*(i-1)/2+j], vec[i], vec[j]);
+      vec[j] = FNMA(factor->unit[i*(i-1)/2+j], vec[i], vec[j]);
     }
   }
 }
 
 
 // vec = unit^-1 vec
-static inline void NAME(solve)(V vec[6], const NAME(Factor)* factor) {
+INLINE void NAME(solve)(V vec[6], const NAME(Factor)* factor) {
   UNROLL
   for (int j = 0; j < 5; j++) {
     UNROLL
     for (int i = j + 1; i < 6; i++) {
-      vec[i] = FMA(-factor->unit[i*(i-1)/2+j], vec[j], vec[i]);
+      vec[i] = FNMA(factor->unit[i*(i-1)/2+j], vec[j], vec[i]);
     }
   }
 }
 
 
+// what inverse_factor needs: apart from it, as roots take time in which there is something else to do
+INLINE void NAME(set_roots)(V root[6], const NAME(Factor)* factor) {
+  UNROLL
+  for (int i = 5; i >= 0; i--) {
+    root[i] = SQRT(factor->inverse[i]);
+  }
+}
+
+
 // packed lower factor of the inverse: mat^-1 = res * res'
-static inline void NAME(inverse_factor)(V res[21], const NAME(Factor)* factor) {
+INLINE void NAME(inverse_factor)(V res[21], const NAME(Factor)* factor, const V root[6]) {
   UNROLL
   for (int j = 0; j < 6; j++) {
     V column[6];
-    column[j] = SQRT(factor->inverse[j]);
+    column[j] = root[j];
     UNROLL
     for (int i = j + 1; i < 6; i++) {
-      column[i] = -factor->unit[i*(i-1)/2+j]*column[j];
+      column[i] = FNMA(factor->unit[i*(i-1)/2+j], column[j], SPLAT(0));
     }
     UNROLL
     for (int k = j + 1; k < 5; k++) {
       UNROLL
       for (int i = k + 1; i < 6; i++) {
-        column[i] = FMA(-factor->unit[i*(i-1)/2+k], column[k], column[i]);
+        column[i] = FNMA(factor->unit[i*(i-1)/2+k], column[k], column[i]);
       }
     }
     UNROLL
@@ -178,7 +227,7 @@ static inline void NAME(inverse_factor)(V res[21], const NAME(Factor)* factor) {
 
 
 // res = mat * mat', both packed, mat lower triangular
-static inline void NAME(square_lower)(V res[21], const V mat[21]) {
+INLINE void NAME(square_lower)(V res[21], const V mat[21]) {
   UNROLL
   for (int i = 0; i < 6; i++) {
     UNROLL
@@ -196,17 +245,17 @@ static inline void NAME(square_lower)(V res[21], const V mat[21]) {
 
 // packed symmetric part of a covariance; `bad` gets the lanes that are not symmetric. What is not finite is left to
 // `factorize`
-static inline void NAME(symmetric_part)(V res[21], const V cov[36], M* bad) {
+INLINE void NAME(symmetric_part)(V res[21], const V cov[36], M* bad) {
   V least = SPLAT(0);
   UNROLL
   for (int i = 0; i < 6; i++) {
+    V scale = SPLAT(ASYMMETRY*ASYMMETRY)*cov[7*i];
     res[i*(i+1)/2+i] = cov[7*i];
     UNROLL
     for (int j = 0; j < i; j++) {
       V difference = cov[6*i+j] - cov[6*j+i];
-      V scale = SPLAT(ASYMMETRY*ASYMMETRY) * (cov[7*i]*cov[7*j]);
-      least = MIN(least, FMA(-difference, difference, scale));
-      res[i*(i+1)/2+j] = FMA(SPLAT(0.5), cov[6*i+j], SPLAT(0.5)*cov[6*j+i]);
+      least = MIN(least, FNMA(difference, difference, scale*cov[7*j]));
+      res[i*(i+1)/2+j] = FMA(SPLAT(-0.5), difference, cov[6*i+j]);
     }
   }
   *bad |= NOT(least == SPLAT(0));
@@ -214,7 +263,7 @@ static inline void NAME(symmetric_part)(V res[21], const V cov[36], M* bad) {
 
 
 // `bad` gets the lanes whose pose is none
-static inline void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
+INLINE void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
   const V *r = pose->rot, *p = pose->pos;
   V least = SPLAT(0);
   UNROLL
@@ -222,7 +271,7 @@ static inline void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
     UNROLL
     for (int j = 0; j <= i; j++) {
       V error = FMA(r[6+i], r[6+j], FMA(r[3+i], r[3+j], r[i]*r[j])) - SPLAT(i == j ? 1 : 0);
-      least = MIN(least, FMA(-error, error, SPLAT(SKEWNESS*SKEWNESS)));
+      least = MIN(least, FNMA(error, error, SPLAT(SKEWNESS*SKEWNESS)));
     }
   }
 
@@ -233,14 +282,12 @@ static inline void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
 }
 
 
-// whitening of an input from its packed covariance
-static inline void NAME(set_whitening)(NAME(Side)* side, const V packed[21], M* poor) {
-  NAME(Factor) factor;
+// whitening of an input from the factor of its covariance
+INLINE void NAME(set_whitening)(NAME(Side)* side, const NAME(Factor)* factor, const V root[6]) {
   V lower[21];
-  NAME(factorize)(&factor, packed, poor);
 
   // the transpose of the inverse's lower factor, by blocks
-  NAME(inverse_factor)(lower, &factor);
+  NAME(inverse_factor)(lower, factor, root);
   UNROLL
   for (int i = 0; i < 3; i++) {
     UNROLL
@@ -258,7 +305,7 @@ static inline void NAME(set_whitening)(NAME(Side)* side, const V packed[21], M* 
 
 
 // res = X_1 X_2^-1, its rotation made orthonormal
-static inline void NAME(set_relative)(NAME(Pose)* res, const NAME(Pose)* first, const NAME(Pose)* second) {
+INLINE void NAME(set_relative)(NAME(Pose)* res, const NAME(Pose)* first, const NAME(Pose)* second) {
   UNROLL
   for (int i = 0; i < 3; i++) {
     UNROLL
@@ -274,7 +321,7 @@ static inline void NAME(set_relative)(NAME(Pose)* res, const NAME(Pose)* first, 
 }
 
 
-static inline void NAME(set_identity)(NAME(Pose)* res) {
+INLINE void NAME(set_identity)(NAME(Pose)* res) {
   UNROLL
   for (int i = 0; i < 9; i++) {
     res->rot[i] = SPLAT(i % 4 == 0 ? 1 : 0);
@@ -305,40 +352,65 @@ static __attribute__((noinline, cold, unused)) void NAME(log_irregular)(V phi[3]
 
 
 // xi = log(pose), with the coefficients of the inverse Jacobian at xi
-static inline void NAME(log)(V xi[6], V* e, V* de, const NAME(Pose)* pose) {
-  const V *r = pose->rot, *t = pose->pos;
-  V* phi = xi + 3;
-  V versine = SPLAT(0.5)*(((SPLAT(1) - r[0]) + (SPLAT(1) - r[4])) + (SPLAT(1) - r[8]));
-  V half_turn = SPLAT(0.5)*NAME(polynomial)(FIT_TURN, 12, versine);
-  phi[0] = half_turn*(r[7] - r[5]);
-  phi[1] = half_turn*(r[2] - r[6]);
-  phi[2] = half_turn*(r[3] - r[1]);
-  V x = NAME(dot3)(phi, phi);
-  *e = NAME(polynomial)(FIT_COT, 6, x);
-  *de = NAME(polynomial)(FIT_D_COT, 6, x);
-  M irregular = NOT(versine <= SPLAT(REGULAR_VERSINE));
-  if (NAME(any)(irregular)) {
-    NAME(log_irregular)(phi, e, de, pose, irregular);
+INLINE void NAME(log_all)(V xi[][6], V e[], V de[], const NAME(Pose) pose[], int count) {
+  V versine[MOST], turn[MOST], x[MOST];
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    const V* r = pose[n].rot;
+    versine[n] = SPLAT(0.5)*(((SPLAT(1) - r[0]) + (SPLAT(1) - r[4])) + (SPLAT(1) - r[8]));
+  }
+  NAME(polynomials)(turn, FIT_TURN, 12, versine, count);
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    const V* r = pose[n].rot;
+    V half_turn = SPLAT(0.5)*turn[n];
+    xi[n][3] = half_turn*(r[7] - r[5]);
+    xi[n][4] = half_turn*(r[2] - r[6]);
+    xi[n][5] = half_turn*(r[3] - r[1]);
+    x[n] = NAME(dot3)(xi[n] + 3, xi[n] + 3);
+  }
+  NAME(polynomials)(e, FIT_COT, 6, x, count);
+  NAME(polynomials)(de, FIT_D_COT, 6, x, count);
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    M irregular = NOT(versine[n] <= SPLAT(REGULAR_VERSINE));
+    if (NAME(any)(irregular)) {
+      NAME(log_irregular)(xi[n] + 3, e + n, de + n, pose + n, irregular);
+    }
   }
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
-  V turned[3], twice[3];
   UNROLL
-  for (int i = 0; i < 3; i++) {
-    int j = (i + 1) % 3, k = (i + 2) % 3;
-    turned[i] = FMA(phi[j], t[k], -(phi[k]*t[j]));
+  for (int n = 0; n < count; n++) {
+    const V *t = pose[n].pos, *phi = xi[n] + 3;
+    V turned[3], twice[3];
+    UNROLL
+    for (int i = 0; i < 3; i++) {
+      int j = (i + 1) % 3, k = (i + 2) % 3;
+      turned[i] = FMA(phi[j], t[k], -(phi[k]*t[j]));
+    }
+    UNROLL
+    for (int i = 0; i < 3; i++) {
+      int j = (i + 1) % 3, k = (i + 2) % 3;
+      twice[i] = FMA(phi[j], turned[k], -(phi[k]*turned[j]));
+      xi[n][i] = FMA(e[n], twice[i], FMA(SPLAT(-0.5), turned[i], t[i]));
+    }
   }
+}
+
+
+INLINE void NAME(log)(V xi[6], V* e, V* de, const NAME(Pose)* pose) {
+  V all[1][6];
+  NAME(log_all)(all, e, de, pose, 1);
   UNROLL
-  for (int i = 0; i < 3; i++) {
-    int j = (i + 1) % 3, k = (i + 2) % 3;
-    twice[i] = FMA(phi[j], turned[k], -(phi[k]*turned[j]));
-    xi[i] = FMA(*e, twice[i], FMA(SPLAT(-0.5), turned[i], t[i]));
+  for (int i = 0; i < 6; i++) {
+    xi[i] = all[0][i];
   }
 }
 
 
 // blocks of the inverse left Jacobian [[diag, corner], [0, diag]] with its coefficients e and de
-static inline void NAME(inverse_jacobian)(V diag[9], V corner[9], const V xi[6], V e, V de) {
+INLINE void NAME(inverse_jacobian)(V diag[9], V corner[9], const V xi[6], V e, V de) {
   const V *r = xi, *p = xi + 3;
   V along = NAME(dot3)(p, r), scale = de*along;
 
@@ -348,7 +420,7 @@ static inline void NAME(inverse_jacobian)(V diag[9], V corner[9], const V xi[6],
   for (int i = 0; i < 3; i++) {
     int j = (i + 1) % 3, k = (i + 2) % 3;
     V squares = FMA(p[j], p[j], p[k]*p[k]);
-    diag[4*i] = FMA(-e, squares, SPLAT(1));
+    diag[4*i] = FNMA(e, squares, SPLAT(1));
     V mixed = FMA(p[j], r[j], p[k]*r[k]);
     corner[4*i] = FMA(SPLAT(-2)*e, mixed, -(scale*squares));
 
@@ -363,7 +435,7 @@ static inline void NAME(inverse_jacobian)(V diag[9], V corner[9], const V xi[6],
 
 
 // residual of one input, whitened; returns its squared norm
-static inline V NAME(whitened_residual)(V res[6], const V xi[6], const NAME(Side)* side) {
+INLINE V NAME(whitened_residual)(V res[6], const V xi[6], const NAME(Side)* side) {
   const V *ul = side->ul, *ur = side->ur, *lr = side->lr, *rho = xi, *phi = xi + 3;
   UNROLL
   for (int i = 0; i < 3; i++) {
@@ -381,38 +453,36 @@ static inline V NAME(whitened_residual)(V res[6], const V xi[6], const NAME(Side
 }
 
 
-// res = upper * mat, upper triangular as in Side
-static inline void NAME(multiply_upper)(V res[9], const V upper[6], const V mat[9]) {
-  UNROLL
-  for (int j = 0; j < 3; j++) {
-    res[j] = FMA(upper[2], mat[6+j], FMA(upper[1], mat[3+j], upper[0]*mat[j]));
-    res[3+j] = FMA(upper[4], mat[6+j], upper[3]*mat[3+j]);
-    res[6+j] = upper[5]*mat[6+j];
-  }
-}
-
-
-// res += a' * b, of a symmetric one the lower half
-static inline void NAME(add_transposed_product)(V res[9], const V a[9], const V b[9], int symmetric) {
+// res = upper * mat, upper triangular as in Side; res may be mat
+INLINE void NAME(multiply_upper)(V res[9], const V upper[6], const V mat[9]) {
   UNROLL
   for (int i = 0; i < 3; i++) {
+    const V* row = upper + i*(5-i)/2;
     UNROLL
     for (int j = 0; j < 3; j++) {
-      if (!symmetric || j <= i) {
-        res[3*i+j] = FMA(a[6+i], b[6+j], FMA(a[3+i], b[3+j], FMA(a[i], b[j], res[3*i+j])));
+      V sum = row[i]*mat[3*i+j];
+      UNROLL
+      for (int k = i + 1; k < 3; k++) {
+        sum = FMA(row[k], mat[3*k+j], sum);
       }
+      res[3*i+j] = sum;
     }
   }
 }
 
 
-// what one input adds to the information (packed) and the gradient at the motion y; returns its squared residual
-static inline V NAME(contribution)(V information[21], V gradient[6], const NAME(Pose)* y,
-                                   const NAME(Side)* side, int order) {
-  NAME(Pose) difference;
-  V xi[6], residual[6], e, de, diag[9], corner[9];
-  NAME(product)(&difference, y, &side->relative);
-  NAME(log)(xi, &e, &de, &difference);
+// column i of a by column j of b
+INLINE V NAME(columns)(const V a[9], int i, const V b[9], int j) {
+  return FMA(a[6+i], b[6+j], FMA(a[3+i], b[3+j], a[i]*b[j]));
+}
+
+
+// what one input has in the information (packed) and the gradient, where its error is xi and the coefficients of the
+// inverse Jacobian are e and de, is set or added; returns its squared residual. The order is one that needs few
+// registers
+INLINE V NAME(contribution)(V information[21], V gradient[6], const V xi[6], V e, V de, const NAME(Side)* side,
+                            int order, int add) {
+  V residual[6], ul[9], ur[9], lr[9], lower[6], slope[3];
   V cost = NAME(whitened_residual)(residual, xi, side);
   if (order == JACOBIAN_ORDER_2) {
     e = SPLAT(1.0/12);
@@ -421,59 +491,61 @@ static inline V NAME(contribution)(V information[21], V gradient[6], const NAME(
     e = FMA(NAME(dot3)(xi + 3, xi + 3), SPLAT(1.0/720), SPLAT(1.0/12));
     de = SPLAT(1.0/360);
   }
-  NAME(inverse_jacobian)(diag, corner, xi, e, de);
+  NAME(inverse_jacobian)(ul, ur, xi, e, de);
 
-  // whitened Jacobian [[ul, ur], [0, lr]]
-  V ul[9], ur[9], lr[9];
-  NAME(multiply_upper)(ul, side->ul, diag);
-  NAME(multiply_upper)(lr, side->lr, diag);
-  NAME(multiply_upper)(ur, side->ul, corner);
+  // of the whitened Jacobian [[ul, ur], [0, lr]] first the lower rows
+  NAME(multiply_upper)(lr, side->lr, ul);
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j <= i; j++) {
+      lower[i*(i+1)/2+j] = NAME(columns)(lr, i, lr, j);
+    }
+    slope[i] = FMA(lr[6+i], residual[5], FMA(lr[3+i], residual[4], lr[i]*residual[3]));
+  }
+
+  // the upper ones take the place of the Jacobian
+  NAME(multiply_upper)(ur, side->ul, ur);
   UNROLL
   for (int i = 0; i < 3; i++) {
     const V* row = side->ur + 3*i;
     UNROLL
     for (int j = 0; j < 3; j++) {
-      ur[3*i+j] = FMA(row[2], diag[6+j], FMA(row[1], diag[3+j], FMA(row[0], diag[j], ur[3*i+j])));
+      ur[3*i+j] = FMA(row[2], ul[6+j], FMA(row[1], ul[3+j], FMA(row[0], ul[j], ur[3*i+j])));
     }
   }
-
-  V block[3][9];
-  UNROLL
-  for (int i = 0; i < 9; i++) {
-    block[0][i] = block[1][i] = block[2][i] = SPLAT(0);
-  }
-  NAME(add_transposed_product)(block[0], ul, ul, 1);
-  NAME(add_transposed_product)(block[1], ur, ul, 0);
-  NAME(add_transposed_product)(block[2], ur, ur, 1);
-  NAME(add_transposed_product)(block[2], lr, lr, 1);
+  NAME(multiply_upper)(ul, side->ul, ul);
   UNROLL
   for (int i = 0; i < 3; i++) {
+    V upper = FMA(ul[6+i], residual[2], FMA(ul[3+i], residual[1], ul[i]*residual[0]));
+    V below = FMA(ur[6+i], residual[2], FMA(ur[3+i], residual[1], FMA(ur[i], residual[0], slope[i])));
+    gradient[i] = add ? gradient[i] + upper : upper;
+    gradient[3+i] = add ? gradient[3+i] + below : below;
     UNROLL
     for (int j = 0; j < 3; j++) {
-      information[(3+i)*(4+i)/2+j] = block[1][3*i+j];
+      int n = i*(i+1)/2 + j, m = (3+i)*(4+i)/2 + j;
+      V mixed = NAME(columns)(ur, i, ul, j);
+      information[m] = add ? information[m] + mixed : mixed;
       if (j <= i) {
-        information[i*(i+1)/2+j] = block[0][3*i+j];
-        information[(3+i)*(4+i)/2+3+j] = block[2][3*i+j];
+        V sum = FMA(ur[6+i], ur[6+j], FMA(ur[3+i], ur[3+j], FMA(ur[i], ur[j], lower[n])));
+        upper = NAME(columns)(ul, i, ul, j);
+        information[n] = add ? information[n] + upper : upper;
+        information[m+3] = add ? information[m+3] + sum : sum;
       }
     }
-    V upper = FMA(ul[6+i], residual[2], FMA(ul[3+i], residual[1], ul[i]*residual[0]));
-    V lower = FMA(ur[6+i], residual[2], FMA(ur[3+i], residual[1], ur[i]*residual[0]));
-    lower = FMA(lr[6+i], residual[5], FMA(lr[3+i], residual[4], FMA(lr[i], residual[3], lower)));
-    gradient[i] = upper;
-    gradient[3+i] = lower;
   }
   return cost;
 }
 
 
 // gradient -> Gauss-Newton step by the information's factor; returns its squared length in standard deviations
-static inline V NAME(gauss_newton)(V step[6], V gradient[6], const NAME(Factor)* factor) {
+INLINE V NAME(gauss_newton)(V step[6], V gradient[6], const NAME(Factor)* factor) {
   NAME(solve_transposed)(gradient, factor);
   V square = SPLAT(0);
   UNROLL
   for (int i = 0; i < 6; i++) {
     step[i] = -gradient[i]*factor->inverse[i];
-    square = FMA(-gradient[i], step[i], square);
+    square = FNMA(gradient[i], step[i], square);
   }
   NAME(solve)(step, factor);
   return square;
@@ -494,7 +566,7 @@ static __attribute__((noinline, cold, unused)) void NAME(exp_irregular)(V coef[3
 
 
 // y = exp(xi^) * y
-static inline void NAME(perturb)(NAME(Pose)* y, const V xi[6]) {
+INLINE void NAME(perturb)(NAME(Pose)* y, const V xi[6]) {
   const V *rho = xi, *phi = xi + 3;
   V x = NAME(dot3)(phi, phi), coef[3];
   coef[0] = NAME(polynomial)(FIT_SIN, 6, x);
@@ -512,8 +584,8 @@ static inline void NAME(perturb)(NAME(Pose)* y, const V xi[6]) {
   for (int i = 0; i < 3; i++) {
     int j = (i + 1) % 3, k = (i + 2) % 3;
     V product = (coef[1]*phi[i])*phi[j];
-    motion.rot[4*i] = FMA(-coef[1], FMA(phi[j], phi[j], phi[k]*phi[k]), SPLAT(1));
-    motion.rot[3*i+j] = FMA(-coef[0], phi[k], product);
+    motion.rot[4*i] = FNMA(coef[1], FMA(phi[j], phi[j], phi[k]*phi[k]), SPLAT(1));
+    motion.rot[3*i+j] = FNMA(coef[0], phi[k], product);
     motion.rot[3*j+i] = FMA(coef[0], phi[k], product);
     turned[i] = FMA(phi[j], rho[k], -(phi[k]*rho[j]));
   }

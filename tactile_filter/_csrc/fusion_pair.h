@@ -15,8 +15,9 @@
 #include "lanes_end.h"
 
 typedef struct {
-  Side_d2 side;   // both inputs
-  Pose_d1 base;   // mean of the first
+  Pose_d2 relative;  // Z_k of both inputs
+  Side_d2 side;
+  Pose_d1 base;      // mean of the first
 } Pair;
 
 // Gauss-Newton model at a motion
@@ -31,7 +32,8 @@ typedef struct {
 // both inputs; returns 0 if one is no Gaussian or close enough to none for another way
 static inline int pair_set(Pair* pair, const FusionInput input[2]) {
   Pose_d2 pose, first;
-  Vec_d2 packed[21], full[36];
+  Factor_d2 factor;
+  Vec_d2 packed[21], full[36], root[6];
   Mask_d2 bad = {0};
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
@@ -53,15 +55,17 @@ static inline int pair_set(Pair* pair, const FusionInput input[2]) {
   }
   check_pose_d2(&pose, &bad);
   symmetric_part_d2(packed, full, &bad);
-  set_whitening_d2(&pair->side, packed, &bad);
-  set_relative_d2(&pair->side.relative, &first, &pose);
+  factorize_d2(&factor, packed, &bad);
+  set_roots_d2(root, &factor);
+  set_whitening_d2(&pair->side, &factor, root);
+  set_relative_d2(&pair->relative, &first, &pose);
 
   // the first relative to itself is exactly the identity
   for (int i = 0; i < 9; i++) {
-    pair->side.relative.rot[i][0] = i % 4 == 0;
+    pair->relative.rot[i][0] = i % 4 == 0;
   }
   for (int i = 0; i < 3; i++) {
-    pair->side.relative.pos[i][0] = 0;
+    pair->relative.pos[i][0] = 0;
   }
   return rows && !any_d2(bad);
 }
@@ -79,10 +83,12 @@ static inline void spread_d2(Pose_d2* res, const Pose_d1* pose) {
 
 // returns 0 if the information's pivots ask for another way
 static inline int pair_model(PairModel* model, const Pair* pair, const Pose_d1* y, int order) {
-  Pose_d2 both;
-  Vec_d2 information[21], gradient[6];
+  Pose_d2 both, difference;
+  Vec_d2 information[21], gradient[6], xi[6], e, de;
   spread_d2(&both, y);
-  Vec_d2 cost = contribution_d2(information, gradient, &both, &pair->side, order);
+  product_d2(&difference, &both, &pair->relative);
+  log_d2(xi, &e, &de, &difference);
+  Vec_d2 cost = contribution_d2(information, gradient, xi, e, de, &pair->side, order, 0);
 
   double sum[21], slope[6];
   UNROLL
@@ -104,10 +110,11 @@ static inline int pair_model(PairModel* model, const Pair* pair, const Pose_d1* 
 // mean, covariance and factor
 static inline void pair_finish(FusionOutput* res, const Pair* pair, const Pose_d1* y, const Factor_d1* information) {
   Pose_d1 mean;
-  double factor[21], cov[21];
+  double factor[21], cov[21], root[6];
+  set_roots_d1(root, information);
   product_d1(&mean, y, &pair->base);
   orthonormalize_d1(mean.rot);
-  inverse_factor_d1(factor, information);
+  inverse_factor_d1(factor, information, root);
   square_lower_d1(cov, factor);
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {

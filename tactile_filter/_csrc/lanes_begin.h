@@ -45,7 +45,7 @@ typedef MASK_ELEM M __attribute__((vector_size(BYTES)));
 #endif
 
 
-static inline V NAME(fma)(V a, V b, V c) {
+INLINE V NAME(fma)(V a, V b, V c) {
 #if !HAS_FMA
   return a*b + c;
 #elif LANES == 1
@@ -70,7 +70,33 @@ static inline V NAME(fma)(V a, V b, V c) {
 }
 
 
-static inline V NAME(sqrt)(V a) {
+// c - a*b
+INLINE V NAME(fnma)(V a, V b, V c) {
+#if !HAS_FMA
+  return c - a*b;
+#elif defined(__aarch64__) && LANES > 1 && ELEM_BYTES == 8
+  return (V)vfmsq_f64((float64x2_t)c, (float64x2_t)a, (float64x2_t)b);
+#elif defined(__aarch64__) && LANES > 1
+  return (V)vfmsq_f32((float32x4_t)c, (float32x4_t)a, (float32x4_t)b);
+#elif BYTES == 16 && ELEM_BYTES == 8
+  return (V)_mm_fnmadd_pd((__m128d)a, (__m128d)b, (__m128d)c);
+#elif BYTES == 16
+  return (V)_mm_fnmadd_ps((__m128)a, (__m128)b, (__m128)c);
+#elif BYTES == 32 && ELEM_BYTES == 8
+  return (V)_mm256_fnmadd_pd((__m256d)a, (__m256d)b, (__m256d)c);
+#elif BYTES == 32
+  return (V)_mm256_fnmadd_ps((__m256)a, (__m256)b, (__m256)c);
+#elif BYTES == 64 && ELEM_BYTES == 8
+  return (V)_mm512_fnmadd_pd((__m512d)a, (__m512d)b, (__m512d)c);
+#elif BYTES == 64
+  return (V)_mm512_fnmadd_ps((__m512)a, (__m512)b, (__m512)c);
+#else
+  return SCALAR_FMA(-a, b, c);
+#endif
+}
+
+
+INLINE V NAME(sqrt)(V a) {
 #if LANES == 1
   return SCALAR_SQRT(a);
 #elif defined(__aarch64__) && ELEM_BYTES == 8
@@ -100,7 +126,7 @@ static inline V NAME(sqrt)(V a) {
 
 
 // the smaller one; where one is no number it is b, or no number
-static inline V NAME(min)(V a, V b) {
+INLINE V NAME(min)(V a, V b) {
 #if LANES == 1
   return a < b ? a : b;
 #elif defined(__aarch64__) && ELEM_BYTES == 8
@@ -129,7 +155,7 @@ static inline V NAME(min)(V a, V b) {
 }
 
 
-static inline int NAME(any)(M mask) {
+INLINE int NAME(any)(M mask) {
 #if LANES == 1
   return mask != 0;
 #elif defined(__x86_64__) && BYTES == 16
@@ -147,58 +173,103 @@ static inline int NAME(any)(M mask) {
 #endif
 }
 
-// whether there is a transpose for this vector
-#if defined(__x86_64__) && ELEM_BYTES == 8 && (LANES == 8 || LANES == 4)
-#define HAS_TRANSPOSE 1
+#if LANES > 1
+// elements of 16 bytes, within which elements can change places cheaply
+#define BLOCK (16/ELEM_BYTES)
+
+
+// 16 bytes from each of so many places `step` elements apart that a vector is full
+INLINE V NAME(load_blocks)(const ELEM* from, int64_t step) {
+#if defined(__x86_64__) && BYTES == 64
+  __m512d res = _mm512_castpd128_pd512(_mm_loadu_pd((const double*)from));
+  res = _mm512_insertf64x2(res, _mm_loadu_pd((const double*)(from + step)), 1);
+  res = _mm512_insertf64x2(res, _mm_loadu_pd((const double*)(from + 2*step)), 2);
+  return (V)_mm512_insertf64x2(res, _mm_loadu_pd((const double*)(from + 3*step)), 3);
+#elif defined(__x86_64__) && BYTES == 32
+  __m256d res = _mm256_castpd128_pd256(_mm_loadu_pd((const double*)from));
+  return (V)_mm256_insertf128_pd(res, _mm_loadu_pd((const double*)(from + step)), 1);
 #else
-#define HAS_TRANSPOSE 0
+  V res;
+  (void)step;
+  memcpy(&res, from, sizeof(V));
+  return res;
+#endif
+}
+
+
+// one of them to its place
+INLINE void NAME(store_block)(ELEM* to, V v, int which) {
+#if defined(__x86_64__) && BYTES == 64
+  _mm_storeu_pd((double*)to, which == 0   ? _mm512_castpd512_pd128((__m512d)v)
+                             : which == 1 ? _mm512_extractf64x2_pd((__m512d)v, 1)
+                             : which == 2 ? _mm512_extractf64x2_pd((__m512d)v, 2)
+                                          : _mm512_extractf64x2_pd((__m512d)v, 3));
+#elif defined(__x86_64__) && BYTES == 32
+  _mm_storeu_pd((double*)to,
+                which == 0 ? _mm256_castpd256_pd128((__m256d)v) : _mm256_extractf128_pd((__m256d)v, 1));
+#else
+  (void)which;
+  memcpy(to, &v, sizeof(V));
+#endif
+}
+
+
+#if defined(__x86_64__) || defined(__aarch64__)
+#if defined(__aarch64__)
+#define LOW_(a, b) vzip1q_f64((float64x2_t)(a), (float64x2_t)(b))
+#define HIGH_(a, b) vzip2q_f64((float64x2_t)(a), (float64x2_t)(b))
+#define LOW_HALF_(a, b) vzip1q_f32((float32x4_t)(a), (float32x4_t)(b))
+#define HIGH_HALF_(a, b) vzip2q_f32((float32x4_t)(a), (float32x4_t)(b))
+#elif BYTES == 16
+#define LOW_(a, b) _mm_unpacklo_pd((__m128d)(a), (__m128d)(b))
+#define HIGH_(a, b) _mm_unpackhi_pd((__m128d)(a), (__m128d)(b))
+#define LOW_HALF_(a, b) _mm_unpacklo_ps((__m128)(a), (__m128)(b))
+#define HIGH_HALF_(a, b) _mm_unpackhi_ps((__m128)(a), (__m128)(b))
+#elif BYTES == 32
+#define LOW_(a, b) _mm256_unpacklo_pd((__m256d)(a), (__m256d)(b))
+#define HIGH_(a, b) _mm256_unpackhi_pd((__m256d)(a), (__m256d)(b))
+#define LOW_HALF_(a, b) _mm256_unpacklo_ps((__m256)(a), (__m256)(b))
+#define HIGH_HALF_(a, b) _mm256_unpackhi_ps((__m256)(a), (__m256)(b))
+#else
+#define LOW_(a, b) _mm512_unpacklo_pd((__m512d)(a), (__m512d)(b))
+#define HIGH_(a, b) _mm512_unpackhi_pd((__m512d)(a), (__m512d)(b))
+#define LOW_HALF_(a, b) _mm512_unpacklo_ps((__m512)(a), (__m512)(b))
+#define HIGH_HALF_(a, b) _mm512_unpackhi_ps((__m512)(a), (__m512)(b))
 #endif
 
-#if HAS_TRANSPOSE && LANES == 8
-#define LOW(a, b) (V)_mm512_unpacklo_pd((__m512d)(a), (__m512d)(b))
-#define HIGH(a, b) (V)_mm512_unpackhi_pd((__m512d)(a), (__m512d)(b))
-#define EVEN(a, b) (V)_mm512_shuffle_f64x2((__m512d)(a), (__m512d)(b), 0x88)
-#define ODD(a, b) (V)_mm512_shuffle_f64x2((__m512d)(a), (__m512d)(b), 0xdd)
-
-// the matrix of eight vectors transposed
-static inline void NAME(transpose)(V r[8]) {
-  V low[4], high[4], quad[8];
-  UNROLL
-  for (int i = 0; i < 4; i++) {
-    low[i] = LOW(r[2*i], r[2*i+1]);
-    high[i] = HIGH(r[2*i], r[2*i+1]);
-  }
-  UNROLL
-  for (int i = 0; i < 2; i++) {
-    quad[i] = EVEN(low[2*i], low[2*i+1]);
-    quad[2+i] = EVEN(high[2*i], high[2*i+1]);
-    quad[4+i] = ODD(low[2*i], low[2*i+1]);
-    quad[6+i] = ODD(high[2*i], high[2*i+1]);
-  }
-  UNROLL
-  for (int i = 0; i < 4; i++) {
-    r[i] = EVEN(quad[2*i], quad[2*i+1]);
-    r[4+i] = ODD(quad[2*i], quad[2*i+1]);
+// rows into columns, within each block
+INLINE void NAME(transpose_blocks)(V v[BLOCK]) {
+#if ELEM_BYTES == 8
+  V low = (V)LOW_(v[0], v[1]), high = (V)HIGH_(v[0], v[1]);
+  v[0] = low;
+  v[1] = high;
+#else
+  V a = (V)LOW_HALF_(v[0], v[1]), b = (V)LOW_HALF_(v[2], v[3]);
+  V c = (V)HIGH_HALF_(v[0], v[1]), d = (V)HIGH_HALF_(v[2], v[3]);
+  v[0] = (V)LOW_(a, b);
+  v[1] = (V)HIGH_(a, b);
+  v[2] = (V)LOW_(c, d);
+  v[3] = (V)HIGH_(c, d);
+#endif
+}
+#undef LOW_
+#undef HIGH_
+#undef LOW_HALF_
+#undef HIGH_HALF_
+#else
+INLINE void NAME(transpose_blocks)(V v[BLOCK]) {
+  for (int i = 0; i < BLOCK; i++) {
+    for (int j = 0; j < i; j++) {
+      ELEM swap = v[i][j];
+      v[i][j] = v[j][i];
+      v[j][i] = swap;
+    }
   }
 }
-#undef LOW
-#undef HIGH
-#undef EVEN
-#undef ODD
-#elif HAS_TRANSPOSE
-// the matrix of four vectors transposed
-static inline void NAME(transpose)(V r[4]) {
-  __m256d a = _mm256_unpacklo_pd((__m256d)r[0], (__m256d)r[1]);
-  __m256d b = _mm256_unpackhi_pd((__m256d)r[0], (__m256d)r[1]);
-  __m256d c = _mm256_unpacklo_pd((__m256d)r[2], (__m256d)r[3]);
-  __m256d d = _mm256_unpackhi_pd((__m256d)r[2], (__m256d)r[3]);
-  r[0] = (V)_mm256_permute2f128_pd(a, c, 0x20);
-  r[1] = (V)_mm256_permute2f128_pd(b, d, 0x20);
-  r[2] = (V)_mm256_permute2f128_pd(a, c, 0x31);
-  r[3] = (V)_mm256_permute2f128_pd(b, d, 0x31);
-}
+#endif
 #endif
 
 #define FMA NAME(fma)
+#define FNMA NAME(fnma)
 #define SQRT NAME(sqrt)
 #define MIN NAME(min)

@@ -16,8 +16,9 @@
 #undef LANE
 #undef NOT
 #undef SPLAT
-#undef HAS_TRANSPOSE
+#undef BLOCK
 #undef FMA
+#undef FNMA
 #undef SQRT
 #undef MIN
 #undef ELEM_BYTES

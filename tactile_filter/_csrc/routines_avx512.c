@@ -4,7 +4,7 @@
 #pragma clang attribute push(__attribute__((target("avx2,fma,avx512f,avx512vl,avx512dq"))), \
                              apply_to = function)
 #else
-#pragma GCC target("avx2,fma,avx512f,avx512vl,avx512dq")
+#pragma GCC target("avx2,fma,avx512f,avx512vl,avx512dq,tune=icelake-server")
 #endif
 
 #define ROUTINES routines_avx512

@@ -20,6 +20,12 @@
 #define UNROLL _Pragma("GCC unroll 36")
 #endif
 
+// how many cases a function of fusion_lanes.h takes at most, to do them step by step side by side
+#define MOST 2
+
+// with a choice of its own the compiler leaves calls in the middle of what has to stay in registers
+#define INLINE static inline __attribute__((always_inline))
+
 // below this fraction of its diagonal element a pivot in twice the precision is rounding
 #define SMALLEST_PIVOT 1e-28
 
