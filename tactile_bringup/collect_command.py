@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_filter.settings import SettingError, Settings, unknown_name
+from tactile_perception.command_settings import add_set_option, name_and_value
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,9 +47,7 @@ def register(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--images", default="both", help="keep processed images, raw ones, or both (both)")
     parser.add_argument("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", dest="changes", help="one of them"
-    )
+    add_set_option(parser, "one of them", "SECTION.NAME=VALUE")
     parser.add_argument(
         "--external", action="store_true", help="driver and camera run already: start no simulation"
     )
@@ -222,7 +221,6 @@ def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapp
     from tactile_control.limiter import LimiterSettings
     from tactile_drivers.sampling import SamplingSettings
     from tactile_filter.yaml_file import read_yaml
-    from tactile_perception.command_settings import name_and_value
     from tactile_perception.preprocessing import PreprocessingSettings
     from tactile_perception.presence import PresenceSettings
 

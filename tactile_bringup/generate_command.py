@@ -18,7 +18,7 @@ from tactile_drivers.sampling import VALIDATION_START
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_filter.yaml_file import read_yaml
-from tactile_perception.command_settings import name_and_value
+from tactile_perception.command_settings import add_set_option, name_and_value, refuse
 from tactile_perception.dataset_writer import DatasetWriter, write_processed
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
 
@@ -45,9 +45,7 @@ def register(commands: Any) -> None:
         help="sensor of config/sensors, or a sensor file (default: the built-in one)",
     )
     parser.add_argument("--config", type=Path, help="YAML file with collection settings (SI)")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="change one of them"
-    )
+    add_set_option(parser, "change one of them")
     parser.set_defaults(run=run_generate)
 
 
@@ -61,8 +59,7 @@ def run_generate(arguments: argparse.Namespace) -> int:
             if count > 0:
                 _generate_split(arguments, sensor, settings, name, count, start, console)
     except (ValueError, OSError) as error:
-        console.print(f"tactile data generate: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
+        return refuse(console, "data generate", error)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
         return 130

@@ -8,6 +8,8 @@ from typing import Any
 
 from rich.console import Console
 
+from tactile_perception.command_settings import add_set_option, name_and_value, needs_extra, refuse
+
 MODEL_NAME = "model.onnx"
 
 
@@ -22,10 +24,7 @@ def register(subparsers: Any) -> None:
     parser.add_argument("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
     parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes",
-        help="change a setting of the calibration, as margin=[1.1,1.1,1.1,1,1,1]",
-    )  # fmt: skip
+    add_set_option(parser, "change a setting of the calibration, as margin=[1.1,1.1,1.1,1,1,1]")
     parser.set_defaults(run=run_calibrate)
 
 
@@ -35,17 +34,12 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     try:
         from tactile_perception.training.recalibration import recalibrate
     except ModuleNotFoundError as error:
-        if error.name not in ("torch", "onnx"):
-            raise
-        text = f"tactile calibrate needs {error.name}: pip install 'tactile_servoing[train]'"
-        console.print(text, markup=False)
-        return 2
+        return needs_extra(console, "calibrate", error)
     model = arguments.model / MODEL_NAME if arguments.model.is_dir() else arguments.model
     try:
         calibration = recalibrate(model, arguments.data, arguments.out, _settings(model, arguments.changes))
     except (ValueError, OSError) as error:
-        console.print(f"tactile calibrate: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
+        return refuse(console, "calibrate", error)
     print(
         f"{arguments.out}: calibrated on {calibration.samples} samples; "
         f"standard error of the joint NEES / 6: {calibration.nees_error:.3f}"
@@ -56,7 +50,6 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
 def _settings(model: Path, changes: list[str]) -> Any:
     """The calibration settings of the model's training with some of them changed."""
     from tactile_perception.calibration import CalibrationSettings
-    from tactile_perception.command_settings import name_and_value
     from tactile_perception.estimator import Estimator
 
     trained = Estimator(model).metadata.training.get("calibration", {})

@@ -1,12 +1,37 @@
-"""Settings changed on the command line: texts of the form NAME=VALUE."""
+"""What commands have in common: settings changed by NAME=VALUE, and how they refuse."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from tactile_filter.settings import SettingError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+EXTRA = ("torch", "onnx")  # libraries of the extra `train`
+
+
+def add_set_option(parser: Any, doc: str, metavar: str = "NAME=VALUE") -> None:
+    """Add `--set`, which may be given again and again; its texts become `changes`."""
+    parser.add_argument("--set", action="append", default=[], metavar=metavar, dest="changes", help=doc)
+
+
+def refuse(console: Console, command: str, error: Exception) -> int:
+    """Print what was wrong with a command; returns the exit status of that."""
+    console.print(f"tactile {command}: {error}", markup=False, style="red", soft_wrap=True)
+    return 1
+
+
+def needs_extra(console: Console, command: str, error: ModuleNotFoundError) -> int:
+    """Print how to install what a command of the extra `train` lacks; returns the exit status of that."""
+    if error.name not in EXTRA:
+        raise error
+    text = f"tactile {command} needs {error.name}: pip install 'tactile_servoing[train]'"
+    console.print(text, markup=False, soft_wrap=True)
+    return 2
 
 
 def name_and_value(change: str, example: str) -> tuple[str, Any]:

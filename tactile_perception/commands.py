@@ -20,6 +20,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from tactile_perception.command_settings import refuse
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 
@@ -65,8 +66,7 @@ def run_estimate(arguments: argparse.Namespace) -> int:
         else:
             table = _estimate_video(arguments, estimator, console)
     except (ValueError, OSError) as error:
-        console.print(f"tactile estimate: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
+        return refuse(console, "estimate", error)
     _write_estimates(arguments, table)
     return 0
 

@@ -10,6 +10,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from tactile_perception.command_settings import add_set_option, name_and_value, refuse
+
 MODES = ("network", "filter")
 
 
@@ -61,10 +63,7 @@ def _register_filter(group: Any) -> None:
         "--estimate-noise", action="store_true",
         help="also with sigma_phi estimated from the innovations of the first 500 samples",
     )  # fmt: skip
-    group.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes",
-        help="change a setting of the filter (the paper's, without a gate)",
-    )  # fmt: skip
+    add_set_option(group, "change a setting of the filter (the paper's, without a gate)")
 
 
 def run_evaluate(arguments: argparse.Namespace) -> int:
@@ -76,8 +75,7 @@ def run_evaluate(arguments: argparse.Namespace) -> int:
         else:
             _run_network(arguments, console)
     except (ValueError, OSError) as error:
-        console.print(f"tactile evaluate: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
+        return refuse(console, "evaluate", error)
     return 0
 
 
@@ -125,7 +123,6 @@ def _run_filter(arguments: argparse.Namespace, console: Console) -> None:
 
 def _experiment(arguments: argparse.Namespace) -> Any:
     from tactile_filter.settings import SettingError
-    from tactile_perception.command_settings import name_and_value
     from tactile_perception.evaluation.filter_experiment import SIGMAS, Experiment
 
     for sigma in arguments.sigma or ():

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from tactile_perception.command_settings import refuse
+
 
 def register(subparsers: Any) -> None:
     """Add `markers` to argparse subparsers."""
@@ -31,8 +33,7 @@ def run_markers(arguments: argparse.Namespace) -> int:
         for line in _markers(arguments):
             print(line)
     except (ValueError, OSError) as error:
-        console.print(f"tactile markers: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
+        return refuse(console, "markers", error)
     return 0
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from tactile_perception.command_settings import add_set_option, name_and_value, needs_extra, refuse
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.model_metadata import RUN_MODELS
 
@@ -37,9 +38,7 @@ def register(subparsers: Any) -> None:
         "--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model"
     )
     parser.add_argument("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="change one setting"
-    )  # fmt: skip
+    add_set_option(parser, "change one setting")
     parser.set_defaults(run=run_quantize)
 
 
@@ -49,11 +48,7 @@ def run_quantize(arguments: argparse.Namespace) -> int:
     try:
         from tactile_perception.training.quantization import QuantizationSettings, quantize
     except ModuleNotFoundError as error:
-        if error.name != "onnx":
-            raise
-        console.print("tactile quantize needs onnx: pip install 'tactile_servoing[train]'", markup=False)
-        return 2
-    from tactile_perception.command_settings import name_and_value
+        return needs_extra(console, "quantize", error)
 
     try:
         changes = dict(name_and_value(change, "images=300") for change in arguments.changes)
@@ -62,8 +57,7 @@ def run_quantize(arguments: argparse.Namespace) -> int:
         quantize(source, training_images(arguments.data, source, settings.images), out, settings)
         _compare(Console(), [source, out], _validation(arguments.data, arguments.val))
     except (ValueError, OSError) as error:
-        console.print(f"tactile quantize: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
+        return refuse(console, "quantize", error)
     if arguments.install:
         arguments.install.write_bytes(out.read_bytes())
     print(f"model: {out}")

@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from tactile_perception.command_settings import add_set_option, needs_extra, refuse
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.profiles import profile
 from tactile_perception.quantize_command import quantize_run
@@ -36,10 +37,7 @@ def register(subparsers: Any) -> None:
         "--profile", metavar="NAME",
         help="a choice between speed and accuracy, of config/perception/profiles.yaml",
     )  # fmt: skip
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="SECTION.NAME=VALUE", dest="changes",
-        help="change one setting",
-    )  # fmt: skip
+    add_set_option(parser, "change one setting", "SECTION.NAME=VALUE")
     parser.add_argument(
         "--start", type=Path, metavar="RUN",
         help="start from the network of a finished run, as one trained on simulated images",
@@ -80,21 +78,13 @@ def run_train(arguments: argparse.Namespace) -> int:
     try:
         from tactile_perception.training.jobs import JobError
     except ModuleNotFoundError as error:
-        return _missing_package(error, console)
+        return needs_extra(console, "train", error)
     try:
         if arguments.repeat is None:
             return _train_one(arguments)
         return _train_many(arguments, console)
     except (ValueError, OSError, FloatingPointError, JobError) as error:
-        console.print(f"tactile train: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
-
-
-def _missing_package(error: ModuleNotFoundError, console: Console) -> int:
-    if error.name not in ("torch", "onnx"):
-        raise error
-    console.print(f"needs {error.name}: pip install 'tactile_servoing[train]'", markup=False)
-    return 2
+        return refuse(console, "train", error)
 
 
 def _config(arguments: argparse.Namespace) -> Any:
@@ -229,11 +219,10 @@ def run_ensemble(arguments: argparse.Namespace) -> int:
     try:
         from tactile_perception.training.ensemble import write_ensemble
     except ModuleNotFoundError as error:
-        return _missing_package(error, console)
+        return needs_extra(console, "ensemble", error)
     try:
         path = write_ensemble(arguments.runs, arguments.out, arguments.data)
     except (ValueError, OSError) as error:
-        console.print(f"tactile ensemble: {error}", markup=False, style="red", soft_wrap=True)
-        return 1
+        return refuse(console, "ensemble", error)
     print(f"model: {path} ({len(arguments.runs)} networks, {path.stat().st_size / 1e6:.1f} MB)")
     return 0
