@@ -29,6 +29,14 @@ pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PATH_LENGTH = 0.04  # m
+# a machine that holds up a process only delays the task
+SETTINGS = """settings:
+  watchdog: {patience: 30.0}
+  task:
+    start_timeout: 60.0
+    approach_timeout: 100.0
+    settle_timeout: 100.0
+"""
 
 
 @pytest.fixture(scope="session")
@@ -39,10 +47,8 @@ def configuration(tmp_path_factory) -> Path:
     task = folder / "tasks" / "surface_following.yaml"
     text, changed = re.subn(r"(name: ramp, .*length: )[\d.]+", rf"\g<1>{PATH_LENGTH}", task.read_text())
     assert changed == 1, "the task file has one path named ramp"
-    # a machine that holds up a process only delays the task
-    text, changed = re.subn(r"^settings:\n", "settings:\n  watchdog: {patience: 30.0}\n", text, flags=re.M)
-    assert changed == 1
-    task.write_text(text)
+    assert "settings:\n  task:\n" in text
+    task.write_text(text.replace("settings:\n  task:\n", SETTINGS))
     return folder
 
 
