@@ -258,8 +258,10 @@ class Arm:
         self.tf = graph.publisher(TFMessage, "/tf", qos.TF)
         static = graph.publisher(TFMessage, "/tf_static", qos.TF_STATIC)
         static.publish(TFMessage(transforms=[transform_stamped(0, TOOL, SENSOR, np.eye(4))]))
+        self.newest_ns = 0
 
     def at(self, stamp_ns: int, T_base_tool: np.ndarray | None = None) -> None:
+        self.newest_ns = max(self.newest_ns, stamp_ns)
         T = np.eye(4) if T_base_tool is None else T_base_tool
         self.tf.publish(TFMessage(transforms=[transform_stamped(stamp_ns, BASE, TOOL, T)]))
 

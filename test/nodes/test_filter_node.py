@@ -42,8 +42,13 @@ class Feed:
         self.arm = graph.arm()
 
     def restart(self) -> None:
-        """A new start of the filter, in a time later than all before."""
+        """A new start of the filter, in a time later than all before.
+
+        Steps are sent faster than their stamps go on; a pose of the last test that is later than the first of
+        this one would be taken for where the arm is on its way to.
+        """
         self.graph.restart("filter")
+        assert self.graph.wait(lambda: time.time_ns() - SECOND // 10 > self.arm.newest_ns)
         self.tf_timeout(5.0)
         self.states.clear()
         self.beliefs.clear()
