@@ -19,6 +19,7 @@ from tactile_perception.preprocessing import PreprocessingSettings
 ESTIMATOR = "tactile_perception.estimator_node"
 SENSOR = "arm/tactile_sensor"
 PERIOD_NS = 16_666_667
+SECOND = 1_000_000_000
 REFERENCE_FRAMES = 3
 
 
@@ -69,6 +70,7 @@ class Camera:
         parameters = {"model": model, "presence.reference_frames": REFERENCE_FRAMES}
         graph.start(ESTIMATOR, {**parameters, "diagnostics_period": 0.02})
         self.graph = graph
+        self.stamp_ns = 0
         self.images = graph.publisher(Image, "tactile/image", qos.IMAGE)
         self.estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
         self.presences = graph.collect(ContactPresence, "contact/presence")
@@ -79,7 +81,8 @@ class Camera:
         self.graph.restart("estimator")
         for answers in (self.estimates, self.presences, self.latencies):
             answers.clear()
-        self.stamp_ns = time.time_ns()
+        # images are sent faster than their stamps go on; none is to be of the future
+        self.stamp_ns = max(self.stamp_ns, time.time_ns() - SECOND)
         self.sent = 0
         self.reference()
 
