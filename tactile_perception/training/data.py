@@ -68,7 +68,8 @@ def load_data(
 ) -> RunData:
     """Read the folders; `DatasetError` if they cannot be used or do not fit together."""
     train_dir, validation_dir = data_folders(data_dir, validation_dir)
-    network = config.network
+    network, run = config.network, config.training.start
+    start = load_start(run, network) if run else None  # before the images: it may be refused
     changes = {"size": network.image_size, "redraw_radius": network.redraw_radius}
     scale = SCALE if config.augmentation.active else 1
     large = {**changes, "size": scale * network.image_size}
@@ -81,7 +82,10 @@ def load_data(
             f"{preprocessing} and {validation.preprocessing}"
         )
     data = arrange(training, validation, config, preprocessing)
-    return _started(data, config)
+    if start is None:
+        return data
+    # what the start has learned from, the new network will have seen as well
+    return dataclasses.replace(data, start=start, facts={**data.facts, "start": start.facts})
 
 
 def arrange(
@@ -110,14 +114,6 @@ def arrange(
         facts=facts,
         report=training.report.lines() + validation.report.lines(),
     )
-
-
-def _started(data: RunData, config: TrainConfig) -> RunData:
-    """With the network to start from, whose data belong to what the new one will have seen."""
-    if not config.training.start:
-        return data
-    start = load_start(config.training.start, config.network)
-    return dataclasses.replace(data, start=start, facts={**data.facts, "start": start.facts})
 
 
 def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Path, Path]:
