@@ -18,20 +18,15 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
-from tf2_msgs.msg import TFMessage
 
 from tactile_bringup.ros.cdr import HeadedReader
-from tactile_bringup.ros.conversions import (
-    MessageError,
-    gaussian_from_numbers,
-    transform_stamped,
-)
+from tactile_bringup.ros.conversions import MessageError, gaussian_from_numbers
 from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ManagedNode, lost_counter, run
 from tactile_bringup.ros.parameters import SettingsParameters
-from tactile_bringup.ros.qos import STATE, TF
+from tactile_bringup.ros.qos import STATE
 from tactile_bringup.ros.stamps import SECOND_NS
-from tactile_bringup.ros.transforms import TransformGate, TransformListener
+from tactile_bringup.ros.transforms import FramePublisher, TransformGate, TransformListener
 from tactile_bringup.ros.wire import gaussian_bytes, headed_bytes, read_gaussian
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
@@ -84,18 +79,20 @@ class FilterNode(ManagedNode):
         )
         self.filter = ContactFilter(self.settings.value)
         self.monitor = ConsistencyMonitor(self.consistency.value)
-        self.no_contact_ns = self.tf_ns = -1
+        self.no_contact_ns = -1
         self.join = measurement_join()
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""
         self.belief_out = self.publisher(PoseWithCovarianceStamped, "contact/belief", STATE)
         self.state_out = self.publisher(ContactState, "contact/state", STATE)
-        self.tf_out = self.publisher(TFMessage, "/tf", TF)
         self.latency = LatencyPublisher(self, "filter", self.sensor_frame)
-        self.contact_frame = f"{self.arm}/contact"
+        contact_frame = f"{self.arm}/contact"
+        self.frame_out = FramePublisher(
+            self, self.sensor_frame, contact_frame, rate=lambda: self.inputs.value.tf_rate
+        )
         self.transforms = TransformListener(
-            self, on_update=self._pump, on_jump=self._jumped, ignore=(self.contact_frame,)
+            self, on_update=self._pump, on_jump=self._jumped, ignore=(contact_frame,)
         )
         self.gate = TransformGate(
             self,
@@ -207,11 +204,7 @@ class FilterNode(ManagedNode):
         """What people and their tools look at; the controller does not wait for it."""
         stamp_ns, mean = belief.stamp_ns, belief.mean
         self.belief_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, mean, belief.cov))
-        rate = self.inputs.value.tf_rate
-        if rate and abs(stamp_ns - self.tf_ns) * rate >= 0.95 * SECOND_NS:
-            self.tf_ns = stamp_ns
-            contact = transform_stamped(stamp_ns, self.sensor_frame, self.contact_frame, mean)
-            self.tf_out.publish(TFMessage(transforms=[contact]))
+        self.frame_out.publish(stamp_ns, mean)
 
     def publish_diagnostics(self) -> None:
         """Add what the filter refused and how consistent it is."""
@@ -246,7 +239,8 @@ class FilterNode(ManagedNode):
         self._reset(reason)
         self.join.clear()
         self.monitor.reset()
-        self.no_contact_ns = self.tf_ns = -1
+        self.no_contact_ns = -1
+        self.frame_out.clear()
 
     def _reset(self, reason: str, stamp_ns: int | None = None) -> None:
         self.filter.reset(reason, stamp_ns)

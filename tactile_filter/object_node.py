@@ -21,16 +21,15 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
-from tf2_msgs.msg import TFMessage
 
 from tactile_bringup.ros.cdr import HeadedReader
-from tactile_bringup.ros.conversions import MessageError, gaussian_from_numbers, transform_stamped
+from tactile_bringup.ros.conversions import MessageError, gaussian_from_numbers
 from tactile_bringup.ros.latency import LatencyPublisher
 from tactile_bringup.ros.managed_node import ManagedNode, lost_counter, run
 from tactile_bringup.ros.parameters import SettingsParameters, declare_read_only
-from tactile_bringup.ros.qos import STATE, TF
+from tactile_bringup.ros.qos import STATE
 from tactile_bringup.ros.stamps import SECOND_NS
-from tactile_bringup.ros.transforms import TransformGate, TransformListener
+from tactile_bringup.ros.transforms import FramePublisher, TransformGate, TransformListener
 from tactile_bringup.ros.wire import gaussian_bytes, read_gaussian
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
 from tactile_filter.object_merge import EventGroup, EventMerge
@@ -186,12 +185,13 @@ class ObjectNode(ManagedNode):
         self.tracker = ObjectTracker(self.arms, self.settings.value, known)
         self.merge = EventMerge(self.arms)
         self.last: TrackedObject | None = None
-        self.tf_ns = -1
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""
         self.belief_out = self.publisher(PoseWithCovarianceStamped, "object/belief", STATE)
-        self.tf_out = self.publisher(TFMessage, "/tf", TF)
+        self.frame_out = FramePublisher(
+            self, self.world_frame, self.object_frame, rate=lambda: self.inputs.value.tf_rate
+        )
         self.latency = LatencyPublisher(self, "object", self.world_frame, "object/latency")
         self.transforms = TransformListener(
             self, on_update=self._pump, on_jump=self._transforms_jumped, ignore=(self.object_frame,)
@@ -248,16 +248,9 @@ class ObjectNode(ManagedNode):
         pose = found.belief.pose.gaussian
         emitted_ns = self.now_ns()
         self.belief_out.publish(gaussian_bytes(found.stamp_ns, self.world_frame, pose.mean, pose.cov))
-        self._publish_frame(found.stamp_ns, pose.mean)
+        self.frame_out.publish(found.stamp_ns, pose.mean)
         received_ns = min(received for _, received in group.parts.values())
         self.latency.note(found.stamp_ns, received_ns, emitted_ns, self._dropped())
-
-    def _publish_frame(self, stamp_ns: int, mean: NDArray[np.float64]) -> None:
-        rate = self.inputs.value.tf_rate
-        if rate and abs(stamp_ns - self.tf_ns) * rate >= 0.95 * SECOND_NS:
-            self.tf_ns = stamp_ns
-            frame = transform_stamped(stamp_ns, self.world_frame, self.object_frame, mean)
-            self.tf_out.publish(TFMessage(transforms=[frame]))
 
     def _dropped(self) -> int:
         return sum(contact.dropped() for contact in self.contacts)
@@ -296,7 +289,8 @@ class ObjectNode(ManagedNode):
 
     def _reset(self, reason: str) -> None:
         self.tracker.reset(reason)
-        self.last, self.tf_ns = None, -1
+        self.last = None
+        self.frame_out.clear()
         self.count(f"resets: {reason}")
 
     def _serve_reset(

@@ -252,6 +252,35 @@ class TransformListener:
         self._newest_ns[child] = max(stamp_ns, self._newest_ns.get(child, 0))
 
 
+class FramePublisher:
+    """Publishes a pose as a frame on /tf, at most so often.
+
+    Parameters
+    ----------
+    parent, child : frames
+    rate : callable
+        The highest rate in Hz, by the poses' stamps; 0: never.
+    """
+
+    def __init__(self, node: ManagedNode, parent: str, child: str, rate: Callable[[], float]) -> None:
+        self._frames = parent, child
+        self._rate = rate
+        self._out = node.publisher(TFMessage, "/tf", TF)
+        self.clear()
+
+    def clear(self) -> None:
+        """The next pose is published, whatever its stamp."""
+        self._newest_ns = -1
+
+    def publish(self, stamp_ns: int, T_parent_child: Array) -> None:
+        """Publish the pose, unless the last one was too short a time ago."""
+        rate = self._rate()
+        if rate and abs(stamp_ns - self._newest_ns) * rate >= 0.95 * SECOND_NS:
+            self._newest_ns = stamp_ns
+            frame = transform_stamped(stamp_ns, *self._frames, T_parent_child)
+            self._out.publish(TFMessage(transforms=[frame]))
+
+
 class TransformGate:
     """Holds joined events until T_target_source at their stamp is there; hands them out by stamp.
 
