@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.export import export_onnx
 from tactile_perception.training.network import PoseNetwork
 from tactile_perception.training.quantization import QuantizationSettings, quantize
-from tactile_perception.training.settings import NetworkSettings, TrainingSettings
 
 CONFIG = "perception/dial.yaml"
 SIMULATED = {"--train": "2000", "--val": "500", "--seed": "1"}
@@ -93,15 +91,16 @@ def untrained(out: Path, names: list[str] | None, images: NDArray[np.uint8]) -> 
 
 
 def dial_configs(epochs: int | None = None) -> dict[str, TrainConfig]:
-    """Training configurations by name; `epochs` in place of the file's."""
+    """Training configurations by name; `epochs` in place of the training file's."""
     root = read_yaml(config_path(CONFIG))
-    root.allow("networks", "training")
-    training = root.settings("training", TrainingSettings)
+    root.allow("config", "networks")
+    base = TrainConfig.from_file(config_path(f"perception/{root.text('config')}"))
     if epochs is not None:
-        training = dataclasses.replace(training, decay_epochs=epochs - training.rise_epochs)
-    names = root.section("networks").values
-    networks = {name: root.section("networks").settings(name, NetworkSettings) for name in names}
-    return {name: TrainConfig(network=network, training=training) for name, network in networks.items()}
+        training = base.training
+        before = training.rise_epochs + training.hold_epochs
+        base = base.replaced("training", decay_epochs=epochs - before)
+    networks = root.section("networks").values
+    return {name: base.replaced("network", **network) for name, network in networks.items()}
 
 
 def _write(config: TrainConfig, file: Path) -> Path:

@@ -3,11 +3,11 @@
     python bench/perception/dial.py [DATA] [--out out/dial] [--only "64 M" ...] [--run NAME=RUN ...]
 
 DATA is a folder of the public layout with train/ and val/ in it; without it, simulated samples are generated.
-Each network of config/perception/dial.yaml is trained on it by the same short schedule (a finished run is not
-trained again), quantized to 8-bit integers, and measured: errors and calibration on val/, and the time of a
-whole estimate, pre-processing included, one after another and at 60 Hz. `--run` adds networks that were
-trained otherwise; `--only` without names trains none; `--untrained` measures times alone and needs no data.
-Leaves dial.csv, dial.md and pareto.png in --out.
+Each network of config/perception/dial.yaml is trained on it by the same file (a finished run is not
+trained again; --epochs shortens it), quantized to 8-bit integers, and measured: errors and calibration on
+val/, and the time of a whole estimate, pre-processing included, one after another and at 60 Hz. `--run` adds
+networks that were trained otherwise; `--only` without names trains none; `--untrained` measures times alone
+and needs no data. Leaves dial.csv, dial.md and pareto.png in --out.
 
 All models are timed in turn, over and over, so that what else the machine does meets them all alike.
 """
@@ -196,7 +196,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("data", type=Path, nargs="?", help="data folder with train/ and val/ in it")
     parser.add_argument("--out", type=Path, default=Path("out/dial"))
     parser.add_argument("--only", nargs="*", metavar="NAME", help="networks of config/perception/dial.yaml")
-    parser.add_argument("--epochs", type=int, help="in place of the file's schedule")
+    parser.add_argument("--epochs", type=int, help="in place of the training file's")
     parser.add_argument("--run", type=_named_run, action="append", default=[], metavar="NAME=RUN")
     parser.add_argument(
         "--untrained", action="store_true", help="times only, of networks with random weights"

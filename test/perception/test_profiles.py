@@ -24,13 +24,14 @@ def test_profiles_name_a_network_that_can_be_built(name):
 
 def test_the_networks_that_the_benchmark_compares_can_be_built():
     pytest.importorskip("torch", reason="building a network needs PyTorch (the extra 'train')")
+    from tactile_perception.training.config import TrainConfig
     from tactile_perception.training.network import PoseNetwork
-    from tactile_perception.training.settings import NetworkSettings, TrainingSettings
 
     dial = read_yaml(config_path("perception/dial.yaml"))
-    assert dial.settings("training", TrainingSettings).holdback > 0.0
-    for section in dial.sections("networks").values():
-        PoseNetwork(section.checked(NetworkSettings, section.values))
+    training = TrainConfig.from_file(config_path(f"perception/{dial.text('config')}"))
+    assert training.training.holdback > 0.0  # else there would be nothing to calibrate on
+    for network in dial.section("networks").values.values():
+        PoseNetwork(training.replaced("network", **network).network)
 
 
 def test_faster_profiles_are_quantized():
