@@ -99,8 +99,8 @@ def dial_configs(epochs: int | None = None) -> dict[str, TrainConfig]:
         training = base.training
         before = training.rise_epochs + training.hold_epochs
         base = base.replaced("training", decay_epochs=epochs - before)
-    networks = root.section("networks").values
-    return {name: base.replaced("network", **network) for name, network in networks.items()}
+    networks = root.sections("networks")
+    return {name: base.replaced("network", **network.values) for name, network in networks.items()}
 
 
 def _write(config: TrainConfig, file: Path) -> Path:
