@@ -1,3 +1,6 @@
+from collections.abc import Callable
+from typing import NoReturn
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,14 +25,8 @@ def innovation(
     mean_1: ArrayLike, cov_1: ArrayLike, mean_2: ArrayLike, cov_2: ArrayLike, /
 ) -> tuple[float, Array]: ...
 def fuse(
-    mean_1: ArrayLike,
-    cov_1: ArrayLike,
-    mean_2: ArrayLike,
-    cov_2: ArrayLike,
-    iterations: int,
-    order: int,
-    /,
-) -> FusionResult | int: ...
+    mean_1: ArrayLike, cov_1: ArrayLike, mean_2: ArrayLike, cov_2: ArrayLike, plan: str | tuple[int, int], /
+) -> FusionResult: ...
 def check(mean: ArrayLike, cov: ArrayLike, /) -> int: ...
 def fuse_batch(
     mean_1: AnyArray,
@@ -45,5 +42,11 @@ def fuse_batch(
     order: int,
     /,
 ) -> tuple[int, int] | None: ...
-def set_result_type(result: type, statuses: tuple, /) -> None: ...
+def set_up(
+    result: type,
+    statuses: tuple,
+    plans: dict[str, tuple[int, int]],
+    refuse: Callable[[int, tuple[ArrayLike, ...]], NoReturn],
+    /,
+) -> None: ...
 def instruction_set(name: str = ..., /) -> str: ...

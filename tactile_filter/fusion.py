@@ -6,6 +6,8 @@ The algorithm is the paper's "SE(3) data fusion" (its Algorithm, after Barfoot a
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -70,14 +72,13 @@ def fuse(
     ValueError
         If an array has the wrong shape or an option is unknown.
     """
-    if iterations is None and jacobian_order is None and mode in _PLANS:
-        count, order = _PLANS[mode]
-    else:
-        count, order = _plan(mode, iterations, jacobian_order)
-    answer = _fusion.fuse(mean_1, cov_1, mean_2, cov_2, count, order)
-    if isinstance(answer, int):
-        raise FusionError(_fault(answer, (mean_1, cov_1, mean_2, cov_2)))
-    return answer
+    # Tens of nanoseconds count: the usual call goes straight to C, which knows the modes and calls `_refuse`.
+    if iterations is None and jacobian_order is None:
+        try:
+            return _fuse(mean_1, cov_1, mean_2, cov_2, mode)
+        except KeyError:
+            pass  # no mode, as `_plan` will say
+    return _fuse(mean_1, cov_1, mean_2, cov_2, _plan(mode, iterations, jacobian_order))
 
 
 def fuse_batch(
@@ -157,12 +158,12 @@ def _plan(mode: str, iterations: int | None, jacobian_order: int | str | None) -
     return count, JACOBIAN_ORDERS[order]
 
 
-_fusion.set_result_type(FusionResult, tuple(FusionStatus))
-_PLANS = {mode: _plan(mode, None, None) for mode in MODES}
+def _refuse(code: int, inputs: tuple[ArrayLike, ...]) -> NoReturn:
+    raise FusionError(_fault(code, inputs))
 
 
 def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _INPUTS, pair: str = "") -> str:
-    """What is wrong with the argument that `_fusion.fuse` has refused."""
+    """What is wrong with the argument at which `_fusion` has found a fault."""
     index, lack = divmod(code, 16)
     if lack == 5:
         return (
@@ -196,3 +197,8 @@ def _covariance_fault(cov: NDArray[np.float64]) -> str:
             f"of its symmetric part the {smallest}"
         )
     return f"is not positive definite: {smallest}"
+
+
+_PLANS = {mode: _plan(mode, None, None) for mode in MODES}
+_fusion.set_up(FusionResult, tuple(FusionStatus), _PLANS, _refuse)
+_fuse = _fusion.fuse

@@ -7,9 +7,11 @@
 #define MAX_ITERATIONS 100000
 #define MAX_STATUS 3
 
-// the class of results, a tuple with these six: mean, cov, factor, iterations, status, step
-static PyTypeObject* result_type = NULL;
+// what fusion.py gives the module with set_up
+static PyTypeObject* result_type = NULL;  // a tuple of these six: mean, cov, factor, iterations, status, step
 static PyObject* statuses[MAX_STATUS] = {NULL};
+static PyObject* plans = NULL;            // dict, mode -> (iterations, order)
+static PyObject* refuse = NULL;           // raises for (fault, (mean_1, cov_1, mean_2, cov_2))
 
 
 static PyObject* new_result(const FusionOutput* output) {
@@ -57,30 +59,48 @@ static int read_plan(int* iterations, int* order, PyObject* const* args) {
 }
 
 
+// as read_plan, from a mode or from a tuple of both
+static int read_mode(int* iterations, int* order, PyObject* arg) {
+  PyObject* plan = PyTuple_CheckExact(arg) ? arg : PyDict_GetItemWithError(plans, arg);
+  if (!plan) {
+    if (!PyErr_Occurred()) {
+      PyErr_SetObject(PyExc_KeyError, arg);
+    }
+    return 0;
+  }
+  if (!PyTuple_CheckExact(plan) || PyTuple_GET_SIZE(plan) != 2) {
+    PyErr_SetString(PyExc_TypeError, "fuse: a plan is a tuple of two");
+    return 0;
+  }
+  return read_plan(iterations, order, &PyTuple_GET_ITEM(plan, 0));
+}
+
+
 static const char fuse_doc[] =
-  "fuse(mean_1, cov_1, mean_2, cov_2, iterations, order, /)\n--\n\n"
-  "The FusionResult, or an int if the inputs cannot be fused: 16 * (index of the argument at fault) + what it\n"
-  "lacks. order: 2, 4, 0 for the exact Jacobian, or -1 for iterations to convergence, `iterations` at most.";
+  "fuse(mean_1, cov_1, mean_2, cov_2, plan, /)\n--\n\n"
+  "The FusionResult. plan: a mode (else KeyError), or the number of iterations and the order: 2, 4, 0 for the exact Jacobian, or\n"
+  "-1 for iterations to convergence, at most so many.";
 
 static PyObject* fuse(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   int iterations, order;
-  if (nargs != 6) {
-    return PyErr_Format(PyExc_TypeError, "fuse takes 6 arguments, got %zd", nargs);
+  if (nargs != 5) {
+    return PyErr_Format(PyExc_TypeError, "fuse takes 5 arguments, got %zd", nargs);
   }
   if (!result_type) {
-    PyErr_SetString(PyExc_RuntimeError, "set_result_type has not been called");
+    PyErr_SetString(PyExc_RuntimeError, "set_up has not been called");
     return NULL;
   }
   double mean[2][16], cov[2][36];
   FusionInput input[2];
-  if (!read_plan(&iterations, &order, args + 4) || !read_input(input, mean[0], cov[0], args, 0)
+  if (!read_mode(&iterations, &order, args[4]) || !read_input(input, mean[0], cov[0], args, 0)
       || !read_input(input + 1, mean[1], cov[1], args + 2, 1)) {
     return NULL;
   }
   FusionOutput output;
   int fault = module_routines->fuse(&output, input, iterations, order);
-  return fault ? PyLong_FromLong(fault) : new_result(&output);
+  return fault ? PyObject_CallFunction(refuse, "i(OOOO)", fault, args[0], args[1], args[2], args[3])
+               : new_result(&output);
 }
 
 
@@ -165,23 +185,25 @@ static PyObject* fuse_batch(PyObject* module, PyObject* const* args, Py_ssize_t 
 }
 
 
-static const char set_result_type_doc[] =
-  "set_result_type(type, statuses, /)\n--\n\nThe class of results, a named tuple of six, and its statuses.";
+static const char set_up_doc[] =
+  "set_up(type, statuses, plans, refuse, /)\n--\n\n"
+  "The class of results, a named tuple of six, its statuses, (iterations, order) by mode, and what is called with a\n"
+  "fault, 16 * (index of the argument at fault) + what it lacks, and the four arguments, and raises.";
 
-static PyObject* set_result_type(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+static PyObject* set_up(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
-  if (nargs != 2 || !PyType_Check(args[0]) || !PyType_IsSubtype((PyTypeObject*)args[0], &PyTuple_Type)
-      || !PyTuple_Check(args[1]) || PyTuple_GET_SIZE(args[1]) != MAX_STATUS) {
-    PyErr_SetString(PyExc_TypeError, "set_result_type takes a class of tuples and a tuple of three statuses");
+  if (nargs != 4 || !PyType_Check(args[0]) || !PyType_IsSubtype((PyTypeObject*)args[0], &PyTuple_Type)
+      || !PyTuple_Check(args[1]) || PyTuple_GET_SIZE(args[1]) != MAX_STATUS || !PyDict_CheckExact(args[2])
+      || !PyCallable_Check(args[3])) {
+    PyErr_SetString(PyExc_TypeError, "set_up takes a class of tuples, a tuple of three, a dict and a callable");
     return NULL;
   }
-  Py_INCREF(args[0]);
-  Py_XSETREF(result_type, (PyTypeObject*)args[0]);
+  Py_XSETREF(result_type, (PyTypeObject*)Py_NewRef(args[0]));
   for (int i = 0; i < MAX_STATUS; i++) {
-    PyObject* status = PyTuple_GET_ITEM(args[1], i);
-    Py_INCREF(status);
-    Py_XSETREF(statuses[i], status);
+    Py_XSETREF(statuses[i], Py_NewRef(PyTuple_GET_ITEM(args[1], i)));
   }
+  Py_XSETREF(plans, Py_NewRef(args[2]));
+  Py_XSETREF(refuse, Py_NewRef(args[3]));
   Py_RETURN_NONE;
 }
 
@@ -212,7 +234,7 @@ static PyMethodDef methods[] = {
   METHOD(fuse),
   METHOD(fuse_batch),
   METHOD(instruction_set),
-  METHOD(set_result_type),
+  METHOD(set_up),
   MODULE_SE3_METHODS
   {NULL, NULL, 0, NULL}
 };
