@@ -75,8 +75,8 @@ def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
         paths=json.loads(bag.note.get("paths", "[]")),
     )
     record.pose = rows.series(PoseSeries, "arm/pose", _pose_row)
-    record.truth = rows.series(TruthSeries, "sim/truth", _truth_row)
-    record.estimate = rows.series(GaussianSeries, "contact/estimate", _gaussian_row)
+    record.truth = rows.series(TruthSeries, "sim/truth", truth_row)
+    record.estimate = rows.series(GaussianSeries, "contact/estimate", gaussian_row)
     record.belief = rows.series(BeliefSeries, "contact/state", _belief_row)
     record.presence = rows.series(PresenceSeries, "contact/presence", _presence_row)
     record.command = rows.series(CommandSeries, "controller/status", _command_row)
@@ -112,11 +112,12 @@ def _ns(time: Any) -> int:
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
-def _stamp(message: Any) -> int:
+def stamp_of(message: Any) -> int:
+    """Stamp of a message's header, ns."""
     return _ns(message.header.stamp)
 
 
-def _matrix(pose: Any) -> Array:
+def pose_matrix(pose: Any) -> Array:
     """T (4, 4) of a geometry_msgs/Pose."""
     q = np.array([pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z])
     w, x, y, z = q / np.linalg.norm(q)
@@ -131,31 +132,33 @@ def _matrix(pose: Any) -> Array:
 
 
 def _pose_row(message: Any) -> dict[str, Any]:
-    return {"stamp_ns": _stamp(message), "T_base_sensor": _matrix(message.pose)}
+    return {"stamp_ns": stamp_of(message), "T_base_sensor": pose_matrix(message.pose)}
 
 
-def _truth_row(message: Any) -> dict[str, Any]:
+def truth_row(message: Any) -> dict[str, Any]:
+    """Columns of `TruthSeries`."""
     T_fs = se3.pose_from_euler(np.asarray(message.euler))
     T_fs[2, 3] = message.depth
     return {
-        "stamp_ns": _stamp(message),
+        "stamp_ns": stamp_of(message),
         "T_fs": T_fs,
         "slip_fraction": message.slip_fraction,
         "in_contact": message.in_contact,
     }
 
 
-def _gaussian_row(message: Any) -> dict[str, Any]:
-    mean = _matrix(message.pose.pose)
+def gaussian_row(message: Any) -> dict[str, Any]:
+    """Stamp, mean and left covariance of a PoseWithCovarianceStamped."""
+    mean = pose_matrix(message.pose.pose)
     cov = left_from_ros(np.reshape(message.pose.covariance, (6, 6)), mean[:3, 3])
-    return {"stamp_ns": _stamp(message), "mean": mean, "cov": cov}
+    return {"stamp_ns": stamp_of(message), "mean": mean, "cov": cov}
 
 
 def _belief_row(message: Any) -> dict[str, Any] | None:
     if message.flags & INVALID or not np.isfinite(message.xi).all():
         return None
     return {
-        "stamp_ns": _stamp(message),
+        "stamp_ns": stamp_of(message),
         "mean": se3.exp(np.asarray(message.xi)),
         "cov": np.reshape(message.covariance, (6, 6)),
         "nis": message.nis,
@@ -165,12 +168,12 @@ def _belief_row(message: Any) -> dict[str, Any] | None:
 
 
 def _presence_row(message: Any) -> dict[str, Any]:
-    return {"stamp_ns": _stamp(message), "score": message.score, "in_contact": message.in_contact}
+    return {"stamp_ns": stamp_of(message), "score": message.score, "in_contact": message.in_contact}
 
 
 def _command_row(message: Any) -> dict[str, Any]:
     return {
-        "stamp_ns": _stamp(message),
+        "stamp_ns": stamp_of(message),
         "twist": np.asarray(message.limited),
         "unlimited": np.asarray(message.unlimited),
         "error": np.asarray(message.error),
@@ -182,7 +185,7 @@ def _command_row(message: Any) -> dict[str, Any]:
 
 
 def _arm_row(message: Any) -> dict[str, Any]:
-    return {"stamp_ns": _stamp(message), "twist": np.asarray(message.twist)}
+    return {"stamp_ns": stamp_of(message), "twist": np.asarray(message.twist)}
 
 
 def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
@@ -231,9 +234,14 @@ def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:
     return result
 
 
-def _arm_of(bag: Bag, arm: str | None) -> str:
+def arms_of(bag: Bag) -> list[str]:
+    """The arms with a controller, by name."""
     suffix = "/controller/status"
-    arms = sorted({topic[1 : -len(suffix)] for topic in bag.topics if topic.endswith(suffix)})
+    return sorted({topic[1 : -len(suffix)] for topic in bag.topics if topic.endswith(suffix)})
+
+
+def _arm_of(bag: Bag, arm: str | None) -> str:
+    arms = arms_of(bag)
     if arm is None and len(arms) == 1:
         return arms[0]
     if arm is None or arm not in arms:

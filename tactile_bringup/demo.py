@@ -69,19 +69,22 @@ def _make_room(bag: Path) -> bool:
 
 
 def _deliver(bag: Path, folder: Path, outcome: Outcome, console: Console) -> int:
-    """Report, pictures and summary, also of a run that failed as far as it went."""
-    from tactile_bringup.bag_reader import read_run
+    """Report, pictures and summary of each arm, also of a run that failed as far as it went."""
+    from tactile_bringup.bag import read_bag
+    from tactile_bringup.bag_reader import arms_of, run_from_bag
     from tactile_bringup.bag_writer import BagError
 
     try:
-        record = read_run(bag)
+        recorded = read_bag(bag)
+        records = [run_from_bag(recorded, arm) for arm in arms_of(recorded)] or [run_from_bag(recorded)]
     except (BagError, ValueError) as error:
         print(f"tactile demo: no report: {error}", file=sys.stderr)
         return outcome.exit_code or 1
-    if outcome.exit_code:
-        record.result |= {"succeeded": False, "reason": outcome.reason.splitlines()[0]}
-    _write(record, bag, folder, console)
-    return outcome.exit_code or (0 if record.result["succeeded"] else 1)
+    for record in records:
+        if outcome.exit_code:
+            record.result |= {"succeeded": False, "reason": outcome.reason.splitlines()[0]}
+        _write(record, bag, folder / record.arm if len(records) > 1 else folder, console)
+    return outcome.exit_code or (0 if all(record.result["succeeded"] for record in records) else 1)
 
 
 def _write(record: RunRecord, bag: Path, folder: Path, console: Console) -> None:
@@ -90,9 +93,10 @@ def _write(record: RunRecord, bag: Path, folder: Path, console: Console) -> None
     from tactile_bringup.figures import write_figures
     from tactile_bringup.metrics import summary_rows, write_report
 
+    folder.mkdir(parents=True, exist_ok=True)
     values = write_report(record, folder / REPORT)
     pictures = write_figures(record, folder)
-    table = Table(title=f"{record.task} on {record.scene}, real ROS nodes, seed {record.seed}")
+    table = Table(title=f"{record.task} on {record.scene}, {record.arm}, real ROS nodes, seed {record.seed}")
     for name in ("", "measured", "wanted"):
         table.add_column(name, justify="left" if not name else "right")
     for row in summary_rows(values):

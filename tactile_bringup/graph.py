@@ -116,8 +116,9 @@ class GraphOptions:
         Whether each sensor with images gets a node that publishes a picture of its markers.
     object_belief : bool
         Whether the contacts of all arms are fused into one belief over the object that they touch.
-    object_file : Path or None
-        Where they touch it (`tactile_filter.object_file`); None: that is found by touch.
+    object_file : str
+        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object_file`);
+        empty: that is found by touch.
     """
 
     rate: float | None = None
@@ -127,7 +128,7 @@ class GraphOptions:
     record_images: bool = False
     marker_view: bool = False
     object_belief: bool = False
-    object_file: Path | None = None
+    object_file: str = ""
 
 
 @dataclass(frozen=True)

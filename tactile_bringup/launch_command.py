@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 TASK_HELP = "task: the name of one of config/tasks, or a task file of your own"
 DEFAULT_SCENE = "ramp"
-FOUND = Path()  # no file of the object: where it is touched is found by touch
+FOUND = ""  # no file of the object: where it is touched is found by touch
 EXIT_CODES = """exit codes: 0 the task was done; 1 it failed; 2 an option, scene or task file is wrong;
 3 a node ended by itself; 4 nodes were not ready in time; 130 ended by Ctrl-C; 143 ended by SIGTERM"""
 
@@ -34,9 +34,9 @@ def register(subparsers: Any) -> None:
         "--marker-view", action="store_true", help="publish a picture of the markers (tactile/marker_view)"
     )
     parser.add_argument(
-        "--object-belief", nargs="?", type=Path, const=FOUND, metavar="FILE",
+        "--object-belief", nargs="?", const=FOUND, metavar="NAME",
         help="fuse the contacts of all arms into one belief over the object that they touch (object/belief); "
-        "FILE: where they touch it (default: found by touch)",
+        "NAME: one of config/objects, or a file, that says where they touch it (default: found by touch)",
     )  # fmt: skip
     parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
     parser.add_argument(
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         record_images=arguments.record_images,
         marker_view=arguments.marker_view,
         object_belief=arguments.object_belief is not None,
-        object_file=None if arguments.object_belief == FOUND else _absolute(arguments.object_belief),
+        object_file=arguments.object_belief or "",
     )
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = Console()
@@ -111,7 +111,9 @@ def launch_graph(loaded: TaskGraph, folder: Path, console: Console, headless: bo
 
     from tactile_bringup.launcher import Launcher
     from tactile_bringup.progress import Display
+    from tactile_bringup.view import write_view
 
+    write_view(loaded.graph, folder)
     live = console.is_terminal and not headless
     with Display(console, live) as display:
         outcome = Launcher(loaded.graph, loaded.paths, folder.absolute(), display).run()

@@ -22,9 +22,10 @@ from launch import LaunchContext, LaunchDescription
 from tactile_bringup.graph import Graph, GraphOptions, NodeProcess
 from tactile_bringup.processes import describe_exit
 from tactile_bringup.task_graph import load_task_graph
-from tactile_filter.config_paths import config_path
+from tactile_bringup.view import write_view
 
 PACKAGE = "tactile_servoing"
+FLAGS = ("true", "false")
 ARGUMENTS = {
     "scene": ("ramp", "scene of config/scenes, or the path of a scene file"),
     "task_file": ("", "a task file of your own in place of the packaged one"),
@@ -37,7 +38,7 @@ ARGUMENTS = {
     "object_belief": (
         "false",
         "whether to fuse the contacts of all arms into one belief over their object (true, false), "
-        "or the file that says where they touch it",
+        "or what says where they touch it: one of config/objects, or the path of a file",
     ),
     "headless": ("false", "whether to do without RViz (true, false)"),
     "run": ("true", "whether to run the task's paths once all nodes are active, then end (true, false)"),
@@ -59,13 +60,14 @@ def _actions(task: str, context: LaunchContext) -> list[Any]:
     graph = load_task_graph(task, given["scene"], _options(given)).graph
     actions = [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
     if not _flag(given, "headless"):
-        actions += _viewer(graph)
+        actions += _viewer(graph, Path(launch_config.log_dir))
     if _flag(given, "run"):
         actions.append(_runner(task, given["scene"]))
     return actions
 
 
 def _options(given: dict[str, str]) -> GraphOptions:
+    places = "" if given["object_belief"].lower() in FLAGS else given["object_belief"]
     return GraphOptions(
         rate=float(given["rate"]) or None,
         seed=int(given["seed"]),
@@ -73,18 +75,14 @@ def _options(given: dict[str, str]) -> GraphOptions:
         record=Path(given["record"]).absolute() if given["record"] else None,
         record_images=_flag(given, "record_images"),
         marker_view=_flag(given, "marker_view"),
-        object_belief=_is_file(given["object_belief"]) or _flag(given, "object_belief"),
-        object_file=Path(given["object_belief"]).absolute() if _is_file(given["object_belief"]) else None,
+        object_belief=bool(places) or _flag(given, "object_belief"),
+        object_file=places,
     )
-
-
-def _is_file(text: str) -> bool:
-    return text.endswith((".yaml", ".yml"))
 
 
 def _flag(given: dict[str, str], name: str) -> bool:
     text = given[name].lower()
-    if text not in ("true", "false"):
+    if text not in FLAGS:
         raise ValueError(f"{name}:={given[name]}: must be true or false")
     return text == "true"
 
@@ -119,11 +117,11 @@ def _shut_down(what: str) -> Callable[[ProcessExited, LaunchContext], list[Any] 
     return on_exit
 
 
-def _viewer(graph: Graph) -> list[Any]:
+def _viewer(graph: Graph, folder: Path) -> list[Any]:
     """RViz where it is installed; closing it ends nothing."""
     try:
         get_package_prefix("rviz2")
     except PackageNotFoundError:
         return [LogInfo(msg="rviz2 is not installed: going without (headless:=true says so beforehand)")]
-    arguments = ["-d", str(config_path(f"rviz/{graph.task}.rviz"))]
+    arguments = ["-d", str(write_view(graph, folder))]
     return [Node(package="rviz2", executable="rviz2", arguments=arguments, output="log")]

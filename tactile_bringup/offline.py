@@ -348,7 +348,9 @@ def _arm_name(scene: Scene, wanted: str | None) -> str:
     if wanted is None and len(names) == 1:
         return names[0]
     if wanted not in names:
-        raise SettingError(f"scene {scene.name}: name one of its arms with a sensor: {', '.join(names)}")
+        raise SettingError(
+            f"scene {scene.name}: --arm must name an arm with a sensor; there are: {', '.join(names)}"
+        )
     return wanted
 
 

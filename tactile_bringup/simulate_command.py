@@ -26,6 +26,7 @@ def register(subparsers: Any) -> None:
     parser.add_argument(
         "--fidelity", choices=("image", "ideal"), help="image or ideal sensor (default: the scene's)"
     )
+    parser.add_argument("--arm", metavar="NAME", help="which arm runs the task (default: the only one)")
     parser.add_argument("--model", type=Path, help="ONNX model for images (default: the shipped one)")
     parser.add_argument("--seed", type=int, default=0, help="seed of all noise (default: 0)")
     parser.add_argument("--latency", type=float, default=10.0, help="exposure to command in ms (default: 10)")
@@ -50,6 +51,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
             model=arguments.model,
             seed=arguments.seed,
             latency=arguments.latency * 1e-3,
+            arm=arguments.arm,
             paths=tuple(arguments.paths),
         )
         record = run_offline(scene, task, options, _Ticker() if sys.stderr.isatty() else None)

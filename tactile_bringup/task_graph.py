@@ -13,6 +13,7 @@ from tactile_bringup.graph import ArmOutline, Graph, GraphOptions, SceneOutline,
 from tactile_control.files import load_task, task_path
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
+from tactile_filter.config_paths import named_file
 from tactile_filter.files import load_filter_settings
 from tactile_filter.object_file import load_object
 from tactile_filter.settings import SettingError
@@ -50,10 +51,11 @@ def load_task_graph(task: str, scene: str, options: GraphOptions) -> TaskGraph:
 
 def _object_values(scene: Scene, options: GraphOptions) -> dict[str, Any]:
     """The parameters of the belief over the object, from its file; none without one."""
-    if options.object_file is None:
+    if not options.object_file:
         return {}
+    file = named_file("object", options.object_file)
     arms = [arm.name for arm in scene.arms.values() if arm.sensor is not None]
-    settings, places = load_object(options.object_file, arms)
+    settings, places = load_object(file, arms)
     values = dataclasses.asdict(settings)
     for arm, place in places.items():
         values |= {f"place.{arm}.{name}": value for name, value in dataclasses.asdict(place).items()}

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
+from tactile_bringup.ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
 from tactile_bringup.ros.cdr import HeadedReader
 from tactile_bringup.ros.conversions import MessageError, gaussian_from_numbers
 from tactile_bringup.ros.latency import LatencyPublisher
@@ -33,36 +33,11 @@ from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
 from tactile_filter.contact_belief import UNUSABLE, belief_vectors, nothing
 from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import Settings, setting
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
-from tactile_msgs.srv import ResetFilter
 
 PRESENCE = "contact/presence"
 read_presence = HeadedReader(ContactPresence)
-
-
-@dataclass(frozen=True)
-class FilterInputSettings(Settings):
-    """How long the filter waits for what it needs."""
-
-    tf_timeout: float = setting(
-        0.05,
-        lower=0.0,
-        upper=5.0,
-        unit="s",
-        doc="an estimate waits this long for the sensor's pose at its stamp",
-    )
-    age_limit: float = setting(
-        0.25, lower=0.005, upper=60.0, unit="s", doc="longer silence of the estimator is told in /diagnostics"
-    )
-    tf_rate: float = setting(
-        15.0,
-        lower=0.0,
-        upper=1000.0,
-        unit="Hz",
-        doc="the belief is published as frame <arm>/contact on /tf as well, at most this often; 0: never",
-    )
 
 
 class FilterNode(ManagedNode):
@@ -71,9 +46,7 @@ class FilterNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("filter")
         self.settings = SettingsParameters(self, FilterSettings(), on_change=self._change_settings)
-        self.inputs = SettingsParameters(
-            self, FilterInputSettings(), prefix="inputs", read_only=("age_limit",)
-        )
+        self.inputs = declare_inputs(self, BeliefInputSettings())
         self.consistency = SettingsParameters(
             self, ConsistencySettings(), prefix="consistency", on_change=self._change_consistency
         )
@@ -108,7 +81,7 @@ class FilterNode(ManagedNode):
         self.subscribe(
             PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit, raw=True
         )
-        self.serve(ResetFilter, "~/reset", self._serve_reset)
+        serve_reset(self, lambda: self._reset("service"), "the next measurement starts a new belief")
 
     def activate(self) -> None:
         """Start without a belief and without pending inputs."""
@@ -245,18 +218,6 @@ class FilterNode(ManagedNode):
     def _reset(self, reason: str, stamp_ns: int | None = None) -> None:
         self.filter.reset(reason, stamp_ns)
         self.count(f"resets: {reason}")
-
-    def _serve_reset(
-        self, request: ResetFilter.Request, response: ResetFilter.Response
-    ) -> ResetFilter.Response:
-        response.success = self.active
-        response.message = (
-            "the next measurement starts a new belief" if self.active else "the node is not active"
-        )
-        if self.active:
-            self.get_logger().info(f"reset: {request.reason or 'no reason given'}")
-            self._reset("service")
-        return response
 
     def _change_settings(self, settings: FilterSettings) -> None:
         self.filter.configure(settings)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from tactile_filter.object_tracker import PlaceSettings, TrackerSettings
+from tactile_filter.object_settings import PlaceSettings, TrackerSettings
 from tactile_filter.settings import unknown_name
 from tactile_filter.yaml_file import Section, read_yaml
 

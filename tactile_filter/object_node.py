@@ -5,7 +5,7 @@ takes `contact/belief` and, to know at once when a contact ends, `contact/state`
 sensor's pose in the world, at the belief's stamp, up to `inputs.tf_timeout`; each stamp waits for the other
 arms up to `inputs.wait`. What then is known of the object goes out as `object/belief` in the world's frame
 with the stamp of the newest belief in it, and as a frame on /tf; /diagnostics names the contacts that were
-used, refused, too old or without a place. A backward jump of the clock and `~/reset`
+used, refused, too old, sliding or without a place. A backward jump of the clock and `~/reset`
 (tactile_msgs/ResetFilter) forget all contacts and the places that were found for them.
 """
 
@@ -22,6 +22,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
+from tactile_bringup.ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
 from tactile_bringup.ros.cdr import HeadedReader
 from tactile_bringup.ros.conversions import MessageError, gaussian_from_numbers
 from tactile_bringup.ros.latency import LatencyPublisher
@@ -33,17 +34,11 @@ from tactile_bringup.ros.transforms import FramePublisher, TransformGate, Transf
 from tactile_bringup.ros.wire import gaussian_bytes, read_gaussian
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
 from tactile_filter.object_merge import EventGroup, EventMerge
-from tactile_filter.object_tracker import (
-    ContactUpdate,
-    ObjectTracker,
-    PlaceSettings,
-    TrackedObject,
-    TrackerSettings,
-)
+from tactile_filter.object_settings import PlaceSettings, TrackerSettings
+from tactile_filter.object_tracker import ContactUpdate, ObjectTracker, TrackedObject
 from tactile_filter.pose_covariance import ros_from_left
-from tactile_filter.settings import SettingError, Settings, setting
+from tactile_filter.settings import SettingError, setting
 from tactile_msgs.msg import ContactState
-from tactile_msgs.srv import ResetFilter
 
 MERGE_PERIOD = 0.005  # s; how late a deadline may be kept
 read_state = HeadedReader(ContactState)
@@ -51,25 +46,13 @@ FLAGS = 50  # among a state's numbers: behind xi, covariance, euler, nis and nis
 
 
 @dataclass(frozen=True)
-class ObjectInputSettings(Settings):
-    """How long the node waits for what it needs."""
+class ObjectInputSettings(BeliefInputSettings):
+    """How long the node waits for what it needs, other arms included."""
 
-    tf_timeout: float = setting(
-        0.05, lower=0.0, upper=5.0, unit="s",
-        doc="a belief waits this long for its sensor's pose in the world at its stamp",
-    )  # fmt: skip
     wait: float = setting(
         0.02, lower=0.0, upper=1.0, unit="s",
         doc="the belief of one arm waits this long for those of the others up to its stamp, unless they have "
         "been silent for longer than forget_after",
-    )  # fmt: skip
-    age_limit: float = setting(
-        0.25, lower=0.0, upper=60.0, unit="s",
-        doc="longer silence of an arm's filter is told in /diagnostics; 0: never",
-    )  # fmt: skip
-    tf_rate: float = setting(
-        15.0, lower=0.0, upper=1000.0, unit="Hz",
-        doc="the belief is published as a frame on /tf as well, at most this often; 0: never",
     )  # fmt: skip
 
 
@@ -168,9 +151,7 @@ class ObjectNode(ManagedNode):
             self, "object_frame", "object", "name of the object's frame on /tf"
         )
         self.settings = SettingsParameters(self, TrackerSettings(), on_change=self._change_settings)
-        self.inputs = SettingsParameters(
-            self, ObjectInputSettings(), prefix="inputs", read_only=("age_limit",)
-        )
+        self.inputs = declare_inputs(self, ObjectInputSettings())
         self.places = {
             arm: SettingsParameters(
                 self,
@@ -198,7 +179,7 @@ class ObjectNode(ManagedNode):
         )
         self.contacts = [ArmInput(self, arm) for arm in self.arms]
         self.timer(MERGE_PERIOD, self._hand_on)
-        self.serve(ResetFilter, "~/reset", self._serve_reset)
+        serve_reset(self, lambda: self._reset("service"), "the next contacts count anew")
 
     def activate(self) -> None:
         """Start without contacts and without pending inputs."""
@@ -268,12 +249,14 @@ class ObjectNode(ManagedNode):
         if found is None:
             return values | {"object": "nothing heard yet"}
         stale = [f"{arm} ({age * 1e3:.0f} ms)" for arm, age in found.stale.items()]
+        sliding = [f"{arm} (shear {ratio:.2f} of depth)" for arm, ratio in found.sliding.items()]
         refused = [f"{arm} (NIS {nis:.4g})" for arm, nis in found.belief.refused.items()]
         return values | {
             "object": found.reason or _sigma_text(found),
             "contacts used": ", ".join(sorted(found.belief.used)) or "none",
             "contacts refused": ", ".join(refused) or "none",
             "contacts too old": ", ".join(stale) or "none",
+            "contacts that may slide": ", ".join(sliding) or "none",
             "contacts without a place": ", ".join(found.unplaced) or "none",
             "stamps overtaken": str(self.merge.overtaken),
         }
@@ -292,16 +275,6 @@ class ObjectNode(ManagedNode):
         self.last = None
         self.frame_out.clear()
         self.count(f"resets: {reason}")
-
-    def _serve_reset(
-        self, request: ResetFilter.Request, response: ResetFilter.Response
-    ) -> ResetFilter.Response:
-        response.success = self.active
-        response.message = "the next contacts count anew" if self.active else "the node is not active"
-        if self.active:
-            self.get_logger().info(f"reset: {request.reason or 'no reason given'}")
-            self._reset("service")
-        return response
 
     def _change_settings(self, settings: TrackerSettings) -> None:
         self.tracker.configure(settings)

@@ -10,6 +10,11 @@ All contacts are taken to one stamp, that of the newest belief: added up as they
 the object back to where it was. Until then the object is taken to stand still, within what `object_speed` and
 `object_turn_rate` say. Such motion is common to all contacts that are older, and counts as correlated.
 
+A contact that slides says nothing of where the object is: its feature frame is dragged along with the sensor,
+as if the object moved. One sensor cannot tell the two apart, but a contact slides only at the limit of
+friction: one that is sheared by more than `slide_shear` of its depth is left out, its place is forgotten, and
+only when its shear has gone back it is given a new one by what the others know.
+
 Who repeats whom: a place that was found carries the errors that the contacts used for it had then, and those
 have them still, for nobody knows how fast such errors fade. So as long as the place is in use all that these
 contacts know counts as correlated, and a contact cannot confirm what was told by itself.
@@ -18,8 +23,9 @@ contacts know counts as correlated, and a contact cannot confirm what was told b
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -33,78 +39,20 @@ from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object_belief import (
     Contact,
     ObjectBelief,
-    ObjectSettings,
     SplitGaussian,
     estimate_feature,
     fuse_contacts,
     moved_covariance,
     object_from_contact,
 )
+from tactile_filter.object_settings import TrackerSettings
 from tactile_filter.propagation import usable_pose
-from tactile_filter.settings import SettingError, Settings, setting, unknown_name
+from tactile_filter.settings import unknown_name
 
 Array = NDArray[np.float64]
 
 _NOTHING = ObjectBelief(None, (), {})
-
-
-@dataclass(frozen=True)
-class TrackerSettings(ObjectSettings):
-    """How the contacts of several sensors become one belief over the object, and for how long each counts."""
-
-    max_age: float = setting(
-        0.05, lower=0.0, upper=10.0, unit="s",
-        doc="a contact whose last belief is older than this, at the stamp of the object's, is left out",
-    )  # fmt: skip
-    object_speed: float = setting(
-        0.02, lower=0.0, upper=10.0, unit="m/s",
-        doc="standard deviation of the object's velocity: what a belief of an earlier stamp says less of",
-    )  # fmt: skip
-    object_turn_rate: float = setting(
-        0.2, lower=0.0, upper=100.0, unit="rad/s", doc="standard deviation of the object's angular velocity"
-    )
-    forget_after: float = setting(
-        0.5, lower=0.0, upper=3600.0, unit="s",
-        doc="a contact that nothing was heard of for longer has ended, and a place found for it is forgotten",
-    )  # fmt: skip
-    replace_after: float = setting(
-        0.5, lower=0.0, upper=3600.0, unit="s",
-        doc="a contact that was refused for longer, because it slid for instance, is given a new place by "
-        "what the others know; a place that is given stays",
-    )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.max_age > self.forget_after:
-            raise SettingError(
-                f"max_age = {self.max_age:g} s: must not be longer than forget_after "
-                f"= {self.forget_after:g} s"
-            )
-
-
-@dataclass(frozen=True)
-class PlaceSettings(Settings):
-    """Where on the object the contact of one sensor is."""
-
-    given: bool = setting(
-        False, doc="whether pose says where the contact is on the object; otherwise that is found by touch"
-    )
-    pose: tuple[float, ...] = setting(
-        (0.0,) * 6, length=6, lower=-1e3, upper=1e3,
-        doc="of the contact's feature frame in the object's: x, y, z (m), alpha, beta, gamma (rad), "
-        "extrinsic xyz",
-    )  # fmt: skip
-    sigma: tuple[float, ...] = setting(
-        (0.0,) * 6, length=6, lower=0.0, upper=1e3,
-        doc="standard deviations of that along (m) and about (rad) the feature frame's own x, y, z",
-    )  # fmt: skip
-
-    def place(self) -> PoseGaussian | None:
-        """T_object_feature with its covariance; None if it is to be found."""
-        if not self.given:
-            return None
-        mean = se3.pose_from_euler(np.array(self.pose))
-        return PoseGaussian(mean, moved_covariance(mean, np.diag(np.square(self.sigma))))
+_STICKS_AGAIN = 0.8  # of the limit: a contact at its very limit is not taken for another with every belief
 
 
 class ContactUpdate(NamedTuple):
@@ -125,6 +73,8 @@ class TrackedObject:
         Its pose is None where no contact tells it; `reason` says why.
     stale : dict
         Contacts left out because of their belief's age, by name, in s.
+    sliding : dict
+        Contacts left out because they may slide, by name, with their shear over their depth.
     unplaced : tuple of str
         Contacts left out because their place on the object was not known at this stamp.
     reason : str
@@ -134,6 +84,7 @@ class TrackedObject:
     stamp_ns: int
     belief: ObjectBelief
     stale: dict[str, float] = field(default_factory=dict)
+    sliding: dict[str, float] = field(default_factory=dict)
     unplaced: tuple[str, ...] = ()
     reason: str = ""
 
@@ -163,6 +114,7 @@ class _Held:
     update: ContactUpdate
     place: _Place | None
     refused_since_ns: int | None = None
+    slides: bool = False
 
 
 class ObjectTracker:
@@ -272,9 +224,16 @@ class ObjectTracker:
             touch = _Touch(name, self._touches)
             given = self._given.get(name)
             place = None if given is None else _Place(given, given=True)
-            self._held[name] = _Held(touch, stamp_ns, stamp_ns, usable, place)
-        else:
-            self._held[name] = dataclasses.replace(held, stamp_ns=stamp_ns, update=usable)
+            held = _Held(touch, stamp_ns, stamp_ns, usable, place)
+        self._held[name] = self._followed(dataclasses.replace(held, stamp_ns=stamp_ns, update=usable))
+
+    def _followed(self, held: _Held) -> _Held:
+        """The contact with what its last belief tells of whether it slides."""
+        limit = self.settings.slide_shear
+        shear = shear_ratio(held.update.belief.mean)
+        if limit > 0.0 and shear > (_STICKS_AGAIN * limit if held.slides else limit):
+            return dataclasses.replace(held, slides=True, place=None, refused_since_ns=None)
+        return dataclasses.replace(held, slides=False)
 
     def _usable(self, update: ContactUpdate) -> ContactUpdate | None:
         """The update with an orthonormal sensor pose; None, and counted, if it cannot be used."""
@@ -302,7 +261,10 @@ class ObjectTracker:
         limit_ns = self.settings.max_age * SECOND_NS
         ages = {name: stamp_ns - held.stamp_ns for name, held in sorted(self._held.items())}
         stale = {name: age_ns / SECOND_NS for name, age_ns in ages.items() if age_ns > limit_ns}
-        fresh = [name for name in ages if name not in stale]
+        sliding = {
+            name: shear_ratio(self._held[name].update.belief.mean) for name in ages if self._held[name].slides
+        }
+        fresh = [name for name in ages if name not in stale and name not in sliding]
         self._define_frame(fresh)
         placed = [name for name in fresh if self._held[name].place is not None]
         unplaced = tuple(name for name in fresh if name not in placed)
@@ -312,12 +274,12 @@ class ObjectTracker:
             belief = fuse_contacts(known, self.settings.gate_probability)
         except FusionError as error:
             reason = f"the contacts cannot be fused: {error}"
-            return TrackedObject(stamp_ns, _NOTHING, stale, unplaced, reason)
+            return TrackedObject(stamp_ns, _NOTHING, stale, sliding, unplaced, reason)
         if belief.pose is not None:
             self._note_refused(belief, stamp_ns)
             self._find_places(belief, unplaced, stamp_ns)
-        reason = "" if belief.pose is not None else "no contact whose place on the object is known"
-        return TrackedObject(stamp_ns, belief, stale, unplaced, reason)
+        reason = "" if belief.pose is not None else _why_nothing(ages.keys(), sliding)
+        return TrackedObject(stamp_ns, belief, stale, sliding, unplaced, reason)
 
     def _define_frame(self, fresh: Sequence[str]) -> None:
         """Where nothing else says what the object's frame is, let the oldest contact do so."""
@@ -378,3 +340,15 @@ class ObjectTracker:
             if not held.place.given and stamp_ns - since_ns > self.settings.replace_after * SECOND_NS:
                 held = dataclasses.replace(held, place=None, refused_since_ns=None)
             self._held[name] = held
+
+
+def shear_ratio(X_sf: Array) -> float:
+    """How far a contact is sheared along the surface, over its depth; inf where it has none."""
+    x, y, depth = se3.inverse(X_sf)[:3, 3]
+    return math.hypot(x, y) / depth if depth > 0.0 else math.inf
+
+
+def _why_nothing(held: Collection[str], sliding: Collection[str]) -> str:
+    if len(sliding) == len(held):
+        return "all contacts may slide"
+    return "no contact whose place on the object is known"

@@ -45,6 +45,7 @@ def test_an_unknown_command_ends_with_2_and_lists_the_commands(capsys):
         (["--scene", "/no/such/scene.yaml"], "/no/such/scene.yaml: no such scene file"),
         (["--model", "/no/such.onnx"], "--model /no/such.onnx: no such file"),
         (["--rate", "0.5"], "--rate 0.5: must lie in [1, 240] Hz"),
+        (["--object-belief", "two_arm"], "did you mean 'two_arms'"),
         (["--record-images"], "--record-images needs --record BAG"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -77,7 +78,7 @@ def test_the_belief_over_an_object_is_there_only_where_it_is_asked_for():
 def test_the_object_node_gets_the_values_of_its_file(tmp_path):
     file = tmp_path / "box.yaml"
     file.write_text("settings: {max_age: 0.1}\nplaces: {arm: {position: [0, 0.03, 0]}}\n")
-    options = GraphOptions(object_belief=True, object_file=file)
+    options = GraphOptions(object_belief=True, object_file=str(file))
     values = load_task_graph("surface_following", "ramp", options).graph.node("/object").parameters
     assert (values["arms"], values["max_age"]) == (["arm"], 0.1)
     assert (values["place.arm.given"], values["place.arm.pose"][1]) == (True, 0.03)
@@ -87,7 +88,7 @@ def test_a_place_of_an_arm_that_the_scene_does_not_have_is_refused(tmp_path):
     file = tmp_path / "box.yaml"
     file.write_text("places: {left: {}}\n")
     with pytest.raises(SettingError, match=r"box\.yaml:1: places: unknown name 'left'; valid: arm"):
-        load_task_graph("surface_following", "ramp", GraphOptions(object_belief=True, object_file=file))
+        load_task_graph("surface_following", "ramp", GraphOptions(object_belief=True, object_file=str(file)))
 
 
 def test_nothing_is_recorded_unless_asked_for():
@@ -151,7 +152,15 @@ def test_an_unknown_node_is_an_error_that_lists_those_there_are():
         graph_of(ArmOutline("left")).node("/left/camera")
 
 
-@pytest.mark.parametrize("scene", ["plane", "ramp", "dome"])
+def test_the_packaged_object_has_places_for_all_arms_of_its_scene():
+    options = GraphOptions(object_belief=True, object_file="two_arms")
+    values = load_task_graph("surface_following", "two_arms", options).graph.node("/object").parameters
+    assert values["place.left.given"] and values["place.right.given"]
+    with pytest.raises(FileNotFoundError, match=r"object: unknown name 'two_arm' .did you mean 'two_arms'"):
+        load_task_graph("surface_following", "two_arms", replace(options, object_file="two_arm"))
+
+
+@pytest.mark.parametrize("scene", config_names("scenes"))
 def test_every_node_of_the_packaged_scenes_exists_as_module(scene):
     loaded = load_task_graph("surface_following", scene, GraphOptions(record=Path("/bags/one")))
     assert loaded.graph.scene == scene and loaded.paths

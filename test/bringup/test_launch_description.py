@@ -9,6 +9,7 @@ import yaml
 
 from tactile_bringup.graph import GraphOptions
 from tactile_bringup.task_graph import load_task_graph
+from tactile_bringup.view import write_view
 from tactile_filter.config_paths import config_path
 
 needs_launch = pytest.mark.skipif(
@@ -25,9 +26,30 @@ def test_rviz_shows_image_frames_belief_and_twist_of_topics_that_exist():
     displays = config["Visualization Manager"]["Displays"]
     kinds = {display["Class"].split("/")[1] for display in displays}
     assert {"Image", "TF", "PoseWithCovariance", "TwistStamped"} <= kinds
-    graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
+    graph = load_task_graph("surface_following", "ramp", GraphOptions(object_belief=True)).graph
     published = {topic.name for topic in graph.topics} | {"/arm/tactile/image", "/arm/tactile/marker_view"}
     assert {topic for display in displays for topic in topics_of(display)} <= published
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_the_view_of_a_launch_shows_each_arm_and_the_object_where_there_is_one(tmp_path, asked):
+    graph = load_task_graph("surface_following", "two_arms", GraphOptions(object_belief=asked)).graph
+    config = yaml.safe_load(write_view(graph, tmp_path / "run").read_text())
+    displays = config["Visualization Manager"]["Displays"]
+    shown = {topic: display for display in displays for topic in topics_of(display)}
+    for arm in ("left", "right"):
+        display = shown[f"/{arm}/contact/belief"]
+        assert display["Name"] == f"Believed contact ({arm})" and display["Enabled"]
+    assert not any(topic.startswith("/arm/") for topic in shown)
+    believed = shown["/object/belief"]
+    assert (believed["Enabled"], believed["Value"]) == (asked, asked)
+    assert len({display["Name"] for display in displays}) == len(displays)
+
+
+def test_the_view_of_one_arm_is_the_packaged_one(tmp_path):
+    graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
+    packaged = yaml.safe_load(config_path("rviz/surface_following.rviz").read_text())
+    assert yaml.safe_load(write_view(graph, tmp_path).read_text()) == packaged
 
 
 @needs_launch

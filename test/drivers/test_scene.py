@@ -90,8 +90,22 @@ def test_in_the_packaged_scenes_the_sensor_starts_over_the_top_with_y_along_the_
     np.testing.assert_allclose(arm.T_base_start, np.linalg.inv(arm.T_world_base) @ arm.T_world_start)
 
 
+def test_in_the_scene_of_two_arms_both_start_alike_and_point_at_one_object_from_apart():
+    scene = load_scene("two_arms")
+    left, right = scene.arms.values()
+    assert [arm.name for arm in (left, right)] == ["left", "right"]
+    np.testing.assert_allclose(left.T_base_start, right.T_base_start, atol=1e-15)
+    (surface,) = scene.surfaces.values()
+    for arm in (left, right):
+        T = np.linalg.inv(surface.T_world_surface) @ arm.T_world_start
+        gap = surface.make().distance(T[None, :3, 3])[0] - arm.sensor.model.skin.radius
+        assert 0.010 <= gap <= 0.015
+        np.testing.assert_allclose(T[:3, 2], -surface.make().normal(T[None, :3, 3])[0], atol=1e-6)
+    assert np.linalg.norm(left.T_world_start[:3, 3] - right.T_world_start[:3, 3]) > 0.1
+
+
 def test_all_packaged_scenes_load():
-    assert {"ramp", "dome", "plane"} <= set(config_names("scenes"))
+    assert {"ramp", "dome", "plane", "two_arms"} <= set(config_names("scenes"))
     for name in config_names("scenes"):
         assert load_scene(name).name == name
 

@@ -7,7 +7,7 @@ import pytest
 
 from tactile_filter import se3
 from tactile_filter.object_file import load_object
-from tactile_filter.object_tracker import TrackerSettings
+from tactile_filter.object_settings import TrackerSettings
 from tactile_filter.settings import SettingError
 
 ARMS = ["left", "right"]

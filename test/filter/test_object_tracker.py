@@ -9,7 +9,8 @@ from tactile_filter.consistency import nees
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object_belief import Contact, ObjectSettings, object_belief, object_from_contact
 from tactile_filter.object_merge import EventMerge
-from tactile_filter.object_tracker import ContactUpdate, ObjectTracker, PlaceSettings, TrackerSettings
+from tactile_filter.object_settings import PlaceSettings, TrackerSettings
+from tactile_filter.object_tracker import ContactUpdate, ObjectTracker, shear_ratio
 from tactile_filter.propagation import predict
 from tactile_filter.settings import SettingError
 
@@ -318,12 +319,74 @@ def test_the_order_in_which_sensors_arrive_changes_no_bit():
     assert told[0] == told[1] == told[2]
 
 
+# ---- contacts that slide ----
+
+
+def sheared(name, ratio, along=0.0) -> ContactUpdate:
+    """A contact 3 mm deep with that shear over its depth, its feature frame dragged `along` m so far."""
+    X_sf = se3.exp([-3e-3 * ratio, 0, -3e-3, 0, 0, 0])
+    feature = OBJECT @ FEATURES[name] @ se3.exp([along, 0, 0, 0, 0, 0])
+    return ContactUpdate(PoseGaussian(X_sf, COV), feature @ se3.inverse(X_sf))
+
+
+def test_the_shear_of_a_contact_is_told_as_part_of_its_depth():
+    assert shear_ratio(sheared("left", 0.7).belief.mean) == pytest.approx(0.7)
+    tilted = se3.inverse(se3.pose_from_euler([1e-3, 2e-3, 4e-3, 0.2, -0.1, 0.3]))
+    assert shear_ratio(tilted) == pytest.approx(np.sqrt(5.0) / 4.0)
+    assert shear_ratio(se3.exp([0, 0, 1e-3, 0, 0, 0])) == np.inf  # off the surface
+
+
+@pytest.mark.parametrize("places", [None, "given"])
+def test_a_contact_that_slides_is_left_out_by_name_and_the_other_holds_the_object(places):
+    tracker = tracker_of("left", "right", places=given("left", "right") if places else None)
+    frame = OBJECT if places else OBJECT @ FEATURES["left"]
+    for k in range(3):
+        tracker.step(START + k * STEP, {name: sheared(name, 0.2) for name in ("left", "right")})
+    for k in range(3, 30):
+        left = sheared("left", 1.2, 1e-3 * (k - 2))
+        found = tracker.step(START + k * STEP, {"left": left, "right": sheared("right", 0.3)})
+        assert found.belief.used == ("right",) and found.sliding == {"left": pytest.approx(1.2)}
+        np.testing.assert_allclose(found.belief.pose.mean, frame, atol=1e-9)
+
+
+def test_a_contact_that_slid_is_placed_anew_where_its_shear_has_gone_back_for_good():
+    tracker = tracker_of("left", "right", places=given("left", "right"))
+    for k, ratio in enumerate((0.2, 0.2, 1.1, 0.9, 0.7, 0.7)):
+        left = sheared("left", ratio, 0.02 if k > 2 else 0.0)
+        found = tracker.step(START + k * STEP, {"left": left, "right": sheared("right", 0.2)})
+        assert list(found.sliding) == (["left"] if k in (2, 3) else [])  # 0.9 is too near to the limit yet
+        assert found.unplaced == (("left",) if k == 4 else ())
+    assert sorted(found.belief.used) == ["left", "right"]
+    np.testing.assert_allclose(found.belief.pose.mean, OBJECT, atol=1e-9)
+
+
+def test_where_all_contacts_slide_nothing_is_told_until_one_sticks_and_defines_the_frame():
+    tracker = tracker_of("left", "right")
+    for k in range(3):
+        tracker.step(START + k * STEP, {name: sheared(name, 0.2) for name in ("left", "right")})
+    found = tracker.step(START + 3 * STEP, {name: sheared(name, 1.5) for name in ("left", "right")})
+    assert found.belief.pose is None and found.reason == "all contacts may slide"
+    update = sheared("right", 0.1)
+    found = tracker.step(START + 4 * STEP, {"left": sheared("left", 1.5), "right": update})
+    np.testing.assert_allclose(found.belief.pose.mean, update.T_world_sensor @ update.belief.mean, atol=1e-14)
+
+
+def test_a_given_place_counts_again_with_the_next_contact():
+    tracker = tracker_of("left", places=given("left"))
+    tracker.step(START, {"left": sheared("left", 1.5)})
+    found = tracker.step(START + STEP, {"left": sheared("left", 0.1)})
+    assert found.reason == "no contact whose place on the object is known"
+    tracker.step(START + 2 * STEP, {"left": None})
+    found = tracker.step(START + 3 * STEP, {"left": sheared("left", 0.1)})
+    np.testing.assert_allclose(found.belief.pose.mean, OBJECT, atol=1e-9)
+
+
 # ---- what is wrong ----
 
 
 def slid(*, places=None, **settings):
-    """Two contacts that agree, until the less certain one slides 12 mm."""
-    tracker = tracker_of("left", "right", places=places, **settings)
+    """Two contacts that agree, until the less certain one slides 12 mm, which its shear does not tell."""
+    tracker = tracker_of("left", "right", places=places, slide_shear=0.0, **settings)
     for k in range(3):
         tracker.step(START + k * STEP, {"left": update("left"), "right": update("right", cov=2 * COV)})
     off = update("right", np.array([12e-3, 0, 0, 0, 0, 0]), cov=2 * COV)

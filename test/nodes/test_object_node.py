@@ -18,7 +18,8 @@ from tactile_bringup.ros.conversions import (
 from tactile_bringup.ros.stamps import ns_from_time
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.object_tracker import ContactUpdate, ObjectTracker, TrackerSettings
+from tactile_filter.object_settings import TrackerSettings
+from tactile_filter.object_tracker import ContactUpdate, ObjectTracker
 from tactile_msgs.msg import ContactState, StageLatency
 from tactile_msgs.srv import ResetFilter
 
@@ -195,7 +196,7 @@ def test_a_contact_that_is_too_old_is_left_out_and_named(feed):
 def test_a_contact_that_disagrees_is_refused_counted_and_named(feed):
     for k in range(3):
         feed.at(feed.both(k))
-    off = se3.exp([12e-3, 0, 0, 0, 0, 0]) @ CONTACT
+    off = se3.exp([0, 0, -12e-3, 0, 0, 0]) @ CONTACT
     feed.believe("left", 3)
     feed.at(feed.believe("right", 3, cov=2 * COV, mean=off))
     report = feed.graph.wait_for_count("object", "right: contacts refused")

@@ -103,6 +103,15 @@ def test_an_unknown_path_is_named_with_those_there_are():
         run_offline("dome", options=with_paths("theta_9"))
 
 
+def test_of_two_arms_the_one_that_is_named_runs_the_task():
+    record = run_offline("two_arms", options=with_paths(arm="right"))
+    values = metrics.report(record)
+    requirements(values)
+    assert (values["arm"], round(values["path_length_mm"])) == ("right", 60)
+    with pytest.raises(SettingError, match="--arm must name an arm with a sensor; there are: left, right"):
+        run_offline("two_arms", options=IDEAL)
+
+
 def test_a_surface_out_of_reach_fails_with_the_reason():
     task = load_task(config_path("tasks/surface_following.yaml"), "plane")
     task = type(task)(
