@@ -31,9 +31,10 @@ static void add_changes(int32_t* restrict sums, const float* restrict image,
                         int n) {
   for (int x = 0; x < n; x++) {
     float change = fabsf(image[x] - reference[x]) - noise[x];
-    int32_t fixed = (int32_t)(change * ONE + 0.5f);
-    fixed = fixed > 0 ? fixed : 0;
-    sums[x] += sign * fixed;
+    // so that it fits an integer; the comparisons fail for a NaN, which is no change
+    change = change > 0.0f ? change : 0.0f;
+    change = change < 1.0f ? change : 1.0f;
+    sums[x] += sign * (int32_t)(change * ONE + 0.5f);
   }
 }
 

@@ -8,6 +8,18 @@
 enum { MAX_PIXELS = 1 << 24, SHRINK_MAX_RATIO = 255 };
 
 
+// 1 if the pixels of a 2-D array are as many as the C functions can count; else 0 with an error set
+static int check_size(PyArrayObject* array, const char* name) {
+  npy_intp rows = PyArray_DIM(array, 0), cols = PyArray_DIM(array, 1);
+  if (rows < 1 || cols < 1 || rows > (MAX_PIXELS - 1) / cols) {
+    PyErr_Format(PyExc_ValueError, "%s: must have 1 to 2^24 - 1 pixels, has %zd x %zd", name,
+                 (Py_ssize_t)rows, (Py_ssize_t)cols);
+    return 0;
+  }
+  return 1;
+}
+
+
 // 1 if an array is a 2-D image of bytes whose pixels lie side by side; else 0 with an error set
 static int check_image(PyArrayObject* array, const char* name, int contiguous) {
   if (PyArray_TYPE(array) != NPY_UINT8 || PyArray_NDIM(array) != 2
@@ -17,18 +29,12 @@ static int check_image(PyArrayObject* array, const char* name, int contiguous) {
                  contiguous ? ", contiguous" : " and adjacent columns");
     return 0;
   }
-  npy_intp rows = PyArray_DIM(array, 0), cols = PyArray_DIM(array, 1);
-  if (rows < 1 || cols < 1 || rows >= MAX_PIXELS || cols >= MAX_PIXELS || rows*cols >= MAX_PIXELS) {
-    PyErr_Format(PyExc_ValueError, "%s: must have 1 to 2^24 - 1 pixels, has %zd x %zd", name,
-                 (Py_ssize_t)rows, (Py_ssize_t)cols);
-    return 0;
-  }
-  return 1;
+  return check_size(array, name);
 }
 
 
-// 1 if a result can be written: as check_image, contiguous and of the shape of `image`
-static int check_result(PyArrayObject* array, const char* name, PyArrayObject* image) {
+// 1 if an array is a contiguous image of the shape of `image`; else 0 with an error set
+static int check_alike(PyArrayObject* array, const char* name, PyArrayObject* image) {
   if (!check_image(array, name, 1)) {
     return 0;
   }
@@ -37,6 +43,12 @@ static int check_result(PyArrayObject* array, const char* name, PyArrayObject* i
     return 0;
   }
   return 1;
+}
+
+
+// 1 if a result can be written, as check_alike; else 0 with an error set
+static int check_result(PyArrayObject* array, const char* name, PyArrayObject* image) {
+  return check_alike(array, name, image) && PyArray_FailUnlessWriteable(array, name) == 0;
 }
 
 
@@ -79,7 +91,7 @@ static PyObject* py_threshold_mean(PyObject* module, PyObject* args) {
   if (!PyArg_ParseTuple(args, "O!O!iiO!", &PyArray_Type, &res, &PyArray_Type, &image, &block,
                         &offset, &PyArray_Type, &mask)
       || !check_image(image, "image", 0) || !check_result(res, "res", image)
-      || !check_result(mask, "mask", image)) {
+      || !check_alike(mask, "mask", image)) {
     return NULL;
   }
   if (block < 3 || block > THRESHOLD_MAX_BLOCK || block % 2 == 0 || offset < -255 || offset > 255) {
@@ -105,7 +117,8 @@ static PyObject* py_shrink(PyObject* module, PyObject* args) {
   PyArrayObject *res, *image;
   (void)module;
   if (!PyArg_ParseTuple(args, "O!O!", &PyArray_Type, &res, &PyArray_Type, &image)
-      || !check_image(image, "image", 0) || !check_image(res, "res", 1)) {
+      || !check_image(image, "image", 0) || !check_image(res, "res", 1)
+      || PyArray_FailUnlessWriteable(res, "res") < 0) {
     return NULL;
   }
   int size = rows_of(res);
@@ -128,7 +141,7 @@ static PyObject* py_shrink(PyObject* module, PyObject* args) {
 static const char largest_change_doc[] =
   "largest_change(image, reference, noise, window, /)\n--\n\n"
   "Largest mean over window x window pixels of max(0, |image - reference| - noise), to 1e-5.\n"
-  "All (rows, cols) float32 within 0 and 1; window: 1 to 129.";
+  "All (rows, cols) float32 within 0 and 1; window: 1 to 129. More than 1 counts as 1, NaN as 0.";
 
 static PyObject* py_largest_change(PyObject* module, PyObject* args) {
   PyArrayObject* images[3];
@@ -140,11 +153,13 @@ static PyObject* py_largest_change(PyObject* module, PyObject* args) {
   }
   for (int i = 0; i < 3; i++) {
     if (PyArray_TYPE(images[i]) != NPY_FLOAT || PyArray_NDIM(images[i]) != 2
-        || !PyArray_IS_C_CONTIGUOUS(images[i]) || PyArray_SIZE(images[i]) < 1
-        || PyArray_SIZE(images[i]) >= MAX_PIXELS || !PyArray_SAMESHAPE(images[i], images[0])) {
-      return PyErr_Format(PyExc_TypeError,
-                          "image, reference, noise: must be float32 of one shape, contiguous");
+        || !PyArray_ISCARRAY_RO(images[i]) || !PyArray_SAMESHAPE(images[i], images[0])) {
+      return PyErr_Format(PyExc_TypeError, "image, reference, noise: must be float32 of one shape with two "
+                          "axes, contiguous, aligned and in native byte order");
     }
+  }
+  if (!check_size(images[0], "image")) {
+    return NULL;
   }
   if (window < 1 || window > CHANGE_MAX_WINDOW) {
     return PyErr_Format(PyExc_ValueError, "window = %d: must be 1 to %d", window,

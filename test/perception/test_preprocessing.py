@@ -254,6 +254,16 @@ def test_images_may_lie_in_memory_in_any_way():
     np.testing.assert_array_equal(Preprocessor()(upside_down[::-1]), expected)
 
 
+def read_only(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
+
+
+def huge(rows: int, cols: int) -> np.ndarray:
+    """An image that says to be this large, of a few bytes; nothing may read it."""
+    return np.lib.stride_tricks.as_strided(np.zeros(8, np.uint8), (rows, cols), (0, 1))
+
+
 @pytest.mark.parametrize(
     "call, error, message",
     [
@@ -264,6 +274,12 @@ def test_images_may_lie_in_memory_in_any_way():
         (lambda a, b: _image.threshold_mean(a, b, 4, 5, b), ValueError, "block = 4"),
         (lambda a, b: _image.threshold_mean(a, b, 257, 5, b), ValueError, "block = 257"),
         (lambda a, b: _image.threshold_mean(a, b, 5, 5, b[1:]), ValueError, "mask: must have the shape"),
+        (lambda a, b: _image.median5(read_only(a), b), ValueError, "res is read-only"),
+        (lambda a, b: _image.threshold_mean(read_only(a), b, 5, 5, b), ValueError, "res is read-only"),
+        (lambda a, b: _image.shrink(read_only(a), b), ValueError, "res is read-only"),
+        (lambda a, b: _image.median5(a, b[:0]), ValueError, "image: must have 1 to .* pixels, has 0 x 8"),
+        (lambda a, b: _image.median5(a, huge(2**12, 2**12)), ValueError, "has 4096 x 4096"),
+        (lambda a, b: _image.median5(a, huge(2**40, 2**20)), ValueError, "must have 1 to"),
         (lambda a, b: _image.shrink(np.empty((9, 9), np.uint8), b), ValueError, "res: must be square"),
         (lambda a, b: _image.shrink(np.empty((2, 3), np.uint8), b), ValueError, "res: must be square"),
     ],

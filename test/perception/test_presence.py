@@ -161,6 +161,18 @@ def test_a_window_of_another_size_is_refused(window):
 
 def test_images_of_another_type_or_shape_are_refused():
     image = np.zeros((8, 8), np.float32)
-    for other in (image.astype(np.float64), image[1:], image[:, ::2], image[0]):
+    swapped = image.astype(image.dtype.newbyteorder())
+    unaligned = np.zeros(4 * 64 + 1, np.uint8)[1:].view(np.float32).reshape(8, 8)
+    for other in (image.astype(np.float64), image[1:], image[:, ::2], image[0], swapped, unaligned):
         with pytest.raises(TypeError, match="float32 of one shape"):
             _image.largest_change(image, other, image, 3)
+
+
+@pytest.mark.parametrize(
+    "value, expected", [(7.0, 1.0), (-7.0, 1.0), (1e30, 1.0), (np.inf, 1.0), (np.nan, 0.0)]
+)
+def test_what_is_no_image_is_a_full_change_or_none(value, expected):
+    """Numbers that a prepared image never has must not overflow the sums."""
+    image = np.full((128, 128), value, np.float32)
+    nothing = np.zeros((128, 128), np.float32)
+    assert _image.largest_change(image, nothing, nothing, 129) == pytest.approx(expected, abs=1e-6)

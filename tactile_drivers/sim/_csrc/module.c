@@ -5,6 +5,8 @@
 #include <Python.h>
 #include <numpy/arrayobject.h>
 
+#include <limits.h>
+
 #include "contact.h"
 #include "render.h"
 
@@ -12,9 +14,10 @@
 // check type, shape and layout; extents below zero match anything
 static int check(PyArrayObject* array, const char* name, int type, int rows, int columns) {
   int ndim = columns == 0 ? 1 : 2;
-  if (PyArray_TYPE(array) != type || !PyArray_IS_C_CONTIGUOUS(array) ||
-      PyArray_NDIM(array) != ndim) {
-    PyErr_Format(PyExc_TypeError, "%s: wrong type, layout or number of dimensions", name);
+  if (PyArray_TYPE(array) != type || !PyArray_ISCARRAY_RO(array) || PyArray_NDIM(array) != ndim) {
+    PyErr_Format(PyExc_TypeError,
+                 "%s: wrong type or number of dimensions, or not contiguous, aligned and in native "
+                 "byte order", name);
     return 0;
   }
   npy_intp* shape = PyArray_DIMS(array);
@@ -22,7 +25,18 @@ static int check(PyArrayObject* array, const char* name, int type, int rows, int
     PyErr_Format(PyExc_ValueError, "%s: wrong shape", name);
     return 0;
   }
+  // elements are counted in int
+  if (PyArray_SIZE(array) > INT_MAX) {
+    PyErr_Format(PyExc_ValueError, "%s: too large", name);
+    return 0;
+  }
   return 1;
+}
+
+
+// the same of an array that is written to
+static int check_result(PyArrayObject* array, const char* name, int type, int rows, int columns) {
+  return check(array, name, type, rows, columns) && PyArray_FailUnlessWriteable(array, name) == 0;
 }
 
 
@@ -59,8 +73,10 @@ static PyObject* py_solve(PyObject* self, PyObject* args) {
   }
   if (!check(active, "active", NPY_INT32, -1, 0)) return NULL;
   int m = (int)PyArray_DIM(active, 0);
-  if (!check(force, "force", NPY_DOUBLE, m, 3) || !check(state, "state", NPY_UINT8, m, 0) ||
-      !check(residual, "residual", NPY_FLOAT, m, 3) || !check(normal, "normal", NPY_DOUBLE, m, 3) ||
+  if (!check_result(force, "force", NPY_DOUBLE, m, 3) ||
+      !check_result(state, "state", NPY_UINT8, m, 0) ||
+      !check_result(residual, "residual", NPY_FLOAT, m, 3) ||
+      !check(normal, "normal", NPY_DOUBLE, m, 3) ||
       !check(compliance, "compliance", NPY_FLOAT, -1, -1)) {
     return NULL;
   }
@@ -109,8 +125,8 @@ static PyObject* py_displacement(PyObject* self, PyObject* args) {
     PyErr_SetString(PyExc_ValueError, "compliance: must be square, three rows a node");
     return NULL;
   }
-  if (!check(out, "out", NPY_FLOAT, dof / 3, 3) || !check(force, "force", NPY_DOUBLE, m, 3) ||
-      !check_active(active, dof / 3)) {
+  if (!check_result(out, "out", NPY_FLOAT, dof / 3, 3) ||
+      !check(force, "force", NPY_DOUBLE, m, 3) || !check_active(active, dof / 3)) {
     return NULL;
   }
   Py_BEGIN_ALLOW_THREADS;
@@ -138,10 +154,10 @@ static PyObject* py_render(PyObject* self, PyObject* args) {
                         &PyArray_Type, &blobs, &softness, &noise, &seed, &PyArray_Type, &canvas)) {
     return NULL;
   }
-  if (!check(image, "image", NPY_UINT8, -1, -1)) return NULL;
+  if (!check_result(image, "image", NPY_UINT8, -1, -1)) return NULL;
   int height = (int)PyArray_DIM(image, 0), width = (int)PyArray_DIM(image, 1);
   if (!check(background, "background", NPY_FLOAT, height, width) ||
-      !check(canvas, "canvas", NPY_FLOAT, height, width) ||
+      !check_result(canvas, "canvas", NPY_FLOAT, height, width) ||
       !check(blobs, "blobs", NPY_DOUBLE, -1, 4)) {
     return NULL;
   }

@@ -60,7 +60,7 @@ void render(uint8_t* image, const float* background, int height, int width, cons
   if (noise) add_noise(canvas, count, noise, seed);
   for (int k = 0; k < count; k++) {
     float value = canvas[k] + 0.5f;
-    value = value < 0 ? 0 : value;
+    value = value > 0 ? value : 0;  // NaN is black, too
     image[k] = (uint8_t)(value > 255 ? 255 : value);
   }
 }
