@@ -37,9 +37,9 @@ class TrackerSettings(ObjectSettings):
         "what the others know; a place that is given stays",
     )  # fmt: skip
     slide_shear: float = setting(
-        1.0, lower=0.0, upper=100.0,
-        doc="a contact sheared by more than this part of its depth may slide: it is left out, and its place "
-        "is forgotten, a given one too; 0: contacts never slide",
+        0.5, lower=0.0, upper=100.0,
+        doc="a contact sheared by clearly more than this part of its depth may slide: it is left out, and "
+        "its place is forgotten, a given one too; 0: contacts never slide",
     )  # fmt: skip
 
     def __post_init__(self) -> None:

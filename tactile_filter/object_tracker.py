@@ -52,7 +52,8 @@ from tactile_filter.settings import unknown_name
 Array = NDArray[np.float64]
 
 _NOTHING = ObjectBelief(None, (), {})
-_STICKS_AGAIN = 0.8  # of the limit: a contact at its very limit is not taken for another with every belief
+_CLEARLY = 3.0  # standard deviations beyond the limit: noise at a light touch is no slip
+_STICKS_AGAIN = 0.8  # of the limit: a contact at its very limit does not change with every belief
 
 
 class ContactUpdate(NamedTuple):
@@ -229,9 +230,7 @@ class ObjectTracker:
 
     def _followed(self, held: _Held) -> _Held:
         """The contact with what its last belief tells of whether it slides."""
-        limit = self.settings.slide_shear
-        shear = shear_ratio(held.update.belief.mean)
-        if limit > 0.0 and shear > (_STICKS_AGAIN * limit if held.slides else limit):
+        if may_slide(held.update.belief, self.settings.slide_shear, held.slides):
             return dataclasses.replace(held, slides=True, place=None, refused_since_ns=None)
         return dataclasses.replace(held, slides=False)
 
@@ -346,6 +345,27 @@ def shear_ratio(X_sf: Array) -> float:
     """How far a contact is sheared along the surface, over its depth; inf where it has none."""
     x, y, depth = se3.inverse(X_sf)[:3, 3]
     return math.hypot(x, y) / depth if depth > 0.0 else math.inf
+
+
+def may_slide(belief: PoseGaussian, limit: float, slides: bool) -> bool:
+    """Whether a contact is sheared by clearly more than `limit` of its depth.
+
+    Parameters
+    ----------
+    limit : float
+        0: no contact slides.
+    slides : bool
+        Whether it did so far; then it sticks again only when its shear is clearly below the limit.
+    """
+    if limit == 0.0:
+        return False
+    x, y, depth = se3.inverse(belief.mean)[:3, 3]
+    shear = math.hypot(x, y)
+    if slides:
+        return shear > _STICKS_AGAIN * limit * depth
+    # X_fs = mean^-1 exp(-eps^) has the translation p - R^T rho
+    gradient = belief.mean[:3, :3] @ (x / shear, y / shear, -limit) if shear > 0.0 else np.zeros(3)
+    return bool(shear - limit * depth > _CLEARLY * math.sqrt(gradient @ belief.cov[:3, :3] @ gradient))
 
 
 def _why_nothing(held: Collection[str], sliding: Collection[str]) -> str:

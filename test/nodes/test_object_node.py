@@ -325,22 +325,46 @@ def test_without_arms_to_listen_to_it_does_not_start(graph, arms, complaint):
     assert process.returncode == 1 and complaint in graph.log(NODE).read_text()
 
 
-def test_two_simulated_arms_that_press_on_one_table_know_it_as_one_object(graph, tmp_path):
-    """The real chain: simulator, a filter for each arm, and this node; the arms stand still, 3 mm deep."""
+def test_two_simulated_arms_know_one_table_and_one_of_them_goes_on_alone(graph, tmp_path):
+    """The real chain: simulator, a filter for each arm, and this node; the arms stand still, 3 mm deep.
+
+    Each contact holds the object by itself, at its own place; so both have to be heard for both to be used.
+    """
     scene = tmp_path / "table.yaml"
     scene.write_text(TABLE)
-    # whichever filter hears the simulator first: the left contact is the object's origin
-    graph.start(NODE, {**PARAMETERS, "place.left.given": True}, namespace="")
+    places = {f"place.{arm}.given": True for arm in NAMES}
+    places["place.right.pose"] = [0.0, -0.2, 0.0, 0.0, 0.0, 0.0]
+    graph.start(NODE, {**PARAMETERS, **places, "forget_after": 2.0}, namespace="")
     for arm in NAMES:
         graph._start(f"{arm} filter", [sys.executable, "-m", FILTER], None, True, arm)
     found = graph.collect(PoseWithCovarianceStamped, "/object/belief")
     graph.start(SIM, {"scene": str(scene)}, namespace="")
     graph.wait_for_report("object", lambda report: report.values.get("contacts used") == "left, right")
     assert graph.wait(lambda: len(found) > 20)
-    feature = np.array([0.0, 0.1, 0.02])  # where the left sensor's center was when it touched the table
-    belief = gaussian_from_message(found[-1].pose)
-    sigma = np.sqrt(np.diag(found[-1].pose.covariance.reshape(6, 6)))
-    assert (np.abs(belief.mean[:3, 3] - feature) < 5.0 * sigma[:3]).all()
+    assert_on_the_table(found[-1])
+    both = turn_variance(found[-1])
+
+    assert graph.stop("right filter") == 0
+    graph.diagnostics.clear()
+    graph.wait_for_report("object", lambda report: report.values.get("contacts used") == "left")
+    report = graph.wait_for_report("object", lambda report: "/right/contact/state" in report.message)
+    assert "no message" in report.message
+    found.clear()
+    assert graph.wait(lambda: len(found) > 20)
+    assert_on_the_table(found[-1])
+    assert turn_variance(found[-1]) > 1.5 * both
+
+
+def turn_variance(message) -> float:
+    """Of the rotation, which one contact alone knows less of."""
+    return np.trace(message.pose.covariance.reshape(6, 6)[3:, 3:])
+
+
+def assert_on_the_table(message) -> None:
+    """The left contact is the object's frame: where the sensor's center was when it touched the table."""
+    belief = gaussian_from_message(message.pose)
+    sigma = np.sqrt(np.diag(message.pose.covariance.reshape(6, 6)))
+    assert (np.abs(belief.mean[:3, 3] - [0.0, 0.1, 0.02]) < 5.0 * sigma[:3]).all()
     np.testing.assert_allclose(belief.mean[:3, 2], [0.0, 0.0, -1.0], atol=5.0 * sigma[3:].max())
 
 
