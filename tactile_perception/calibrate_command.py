@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from tactile_perception.command_settings import add_set_option, name_and_value, needs_extra, refuse
+from tactile_perception.whole_file import check_file
 
 MODEL_NAME = "model.onnx"
 
@@ -37,6 +38,7 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         return needs_extra(console, "calibrate", error)
     model = arguments.model / MODEL_NAME if arguments.model.is_dir() else arguments.model
     try:
+        check_file(arguments.out)
         calibration = recalibrate(model, arguments.data, arguments.out, _settings(model, arguments.changes))
     except (ValueError, OSError) as error:
         return refuse(console, "calibrate", error)

@@ -20,8 +20,9 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from tactile_perception.command_settings import refuse
+from tactile_perception.command_settings import natural_int, positive_int, refuse
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.whole_file import check_folder
 
 
 def register(subparsers: Any) -> None:
@@ -37,7 +38,7 @@ def register(subparsers: Any) -> None:
     parser.add_argument(
         "--poses", type=Path, help="table with the sensor's pose in the base for each video frame"
     )
-    parser.add_argument("--limit", type=int, metavar="N", help="stop after N images")
+    parser.add_argument("--limit", type=positive_int, metavar="N", help="stop after N images")
     parser.add_argument("--no-filter", action="store_true", help="estimator only")
     parser.add_argument(
         "--smooth", action="store_true", help="let what is filtered know what came later, too"
@@ -47,9 +48,9 @@ def register(subparsers: Any) -> None:
         help="noise of the motion between a folder's images, in mm and degrees, added and assumed",
     )  # fmt: skip
     parser.add_argument(
-        "--seed", type=int, default=0, help="order of a folder's images, and the motion's noise"
+        "--seed", type=natural_int, default=0, help="order of a folder's images, and the motion's noise"
     )
-    parser.add_argument("--threads", type=int, default=1, help="CPU threads of the estimator")
+    parser.add_argument("--threads", type=positive_int, default=1, help="CPU threads of the estimator")
     parser.set_defaults(run=run_estimate)
 
 
@@ -60,14 +61,14 @@ def run_estimate(arguments: argparse.Namespace) -> int:
     console = Console(stderr=True)
     try:
         estimator = Estimator(arguments.model or "", arguments.threads)
-        arguments.out.mkdir(parents=True, exist_ok=True)
+        check_folder(arguments.out)
         if Path(arguments.source).is_dir():
             table = _estimate_folder(arguments, estimator, console)
         else:
             table = _estimate_video(arguments, estimator, console)
+        _write_estimates(arguments, table)
     except (ValueError, OSError) as error:
         return refuse(console, "estimate", error)
-    _write_estimates(arguments, table)
     return 0
 
 
@@ -123,6 +124,7 @@ def _until_interrupted(frames: Any) -> Any:
 def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
     from tactile_perception.estimate_plots import draw_estimates, draw_series
 
+    arguments.out.mkdir(parents=True, exist_ok=True)
     table_path = arguments.out / "estimates.csv"
     table.write_csv(table_path)
     title = f"{Path(arguments.source).name}, {len(table)} images"

@@ -31,7 +31,10 @@ def read_image(path: Path) -> Image:
     for start, end in _ENDS.items():
         if data.startswith(start) and end not in data[-64:]:
             raise ImageError(f"{path}: is not a readable image (truncated, {len(data)} bytes)")
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    except cv2.error as error:  # as of a size that no image has
+        raise ImageError(f"{path}: is not a readable image: {error.err}") from error
     if image is None:
         raise ImageError(f"{path}: is not a readable image (truncated or of another format)")
     return np.asarray(image, np.uint8)

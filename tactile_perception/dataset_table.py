@@ -183,7 +183,8 @@ def _columns(columns: list[str], path: Path, report: DatasetReport) -> tuple[str
     missing = [name for name in pose if name not in columns]
     if image is None or pose[2] in missing:
         absent = [*([] if image else [" or ".join(IMAGE_COLUMNS)]), *missing]
-        raise DatasetError(f"{path}: has no column {', '.join(absent)}; its columns: {', '.join(columns)}")
+        found = ", ".join(columns) or "none"
+        raise DatasetError(f"{path}: has no column {', '.join(absent)}; its columns: {found}")
     if missing:
         report.notes.append(f"{path.name} has no column {', '.join(missing)}: taken as 0")
     groups: list[list[str | None]] = [[name if name in columns else None for name in pose]]

@@ -35,6 +35,7 @@ from tactile_perception.dataset_layout import (
 )
 from tactile_perception.image import Image, ImageError
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.whole_file import whole_file
 
 IMAGE_KINDS = ("processed", "raw", "both")
 LOCK_NAME = ".writing"
@@ -145,15 +146,13 @@ class DatasetWriter:
         """Write `targets_images.csv` from everything recorded so far and remove the journal."""
         rows = sorted(self._rows(), key=lambda row: image_number(row["sensor_image"]))
         path = self.folder / TARGETS_NAME
-        temporary = path.with_suffix(".tmp")
-        with temporary.open("w", newline="") as file:
+        with whole_file(path) as temporary, temporary.open("w", newline="") as file:
             writer = csv.DictWriter(
                 file, self._columns, restval="", lineterminator="\n", extrasaction="ignore"
             )
             writer.writeheader()
             writer.writerows(rows)
             _sync(file, self._durable)
-        temporary.replace(path)
         self._journal.unlink(missing_ok=True)
         return path
 

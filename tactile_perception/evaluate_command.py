@@ -10,7 +10,14 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from tactile_perception.command_settings import add_set_option, name_and_value, refuse
+from tactile_perception.command_settings import (
+    add_set_option,
+    name_and_value,
+    natural_int,
+    positive_int,
+    refuse,
+)
+from tactile_perception.whole_file import check_folder
 
 MODES = ("network", "filter")
 
@@ -38,8 +45,12 @@ def register(subparsers: Any) -> None:
         "--calibrate", type=Path, metavar="DIR",
         help="calibrate on this labelled folder, which no model was trained on, not as the model files say",
     )  # fmt: skip
-    parser.add_argument("--limit", type=int, metavar="N", help="use only N samples, spread over the table")
-    parser.add_argument("--threads", type=int, default=0, help="CPU threads of an inference (0: all cores)")
+    parser.add_argument(
+        "--limit", type=positive_int, metavar="N", help="use only N samples, spread over the table"
+    )
+    parser.add_argument(
+        "--threads", type=natural_int, default=0, help="CPU threads of an inference (0: all cores)"
+    )
     parser.add_argument("--no-figures", action="store_true", help="tables only")
     parser.add_argument(
         "--paper",
@@ -55,9 +66,11 @@ def _register_filter(group: Any) -> None:
         "--sigma", type=float, nargs="+", metavar="S",
         help="noises sigma_psi of the motion in mm and degrees (inf 10 1 0.1 0.01)",
     )  # fmt: skip
-    group.add_argument("--seed", type=int, default=0, help="order of the samples and noise of the motion (0)")
     group.add_argument(
-        "--repeat", type=int, default=1, metavar="N", help="mean over N orders, from --seed on"
+        "--seed", type=natural_int, default=0, help="order of the samples and noise of the motion (0)"
+    )
+    group.add_argument(
+        "--repeat", type=positive_int, default=1, metavar="N", help="mean over N orders, from --seed on"
     )
     group.add_argument(
         "--estimate-noise", action="store_true",
@@ -128,8 +141,6 @@ def _experiment(arguments: argparse.Namespace) -> Any:
     for sigma in arguments.sigma or ():
         if not sigma > 0.0:
             raise SettingError(f"--sigma {sigma:g}: must be positive, or inf")
-    if arguments.repeat < 1:
-        raise SettingError(f"--repeat {arguments.repeat}: must be at least 1")
     changes = dict(name_and_value(change, "fusion_mode=exact") for change in arguments.changes)
     return Experiment(
         sigmas=tuple(arguments.sigma or SIGMAS),
@@ -144,6 +155,8 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
     from tactile_perception.evaluation.evaluate import evaluate, load_data
     from tactile_perception.evaluation.models import open_models
 
+    out = arguments.out or Path("out/evaluate")
+    check_folder(out)  # before the images are read
     models = open_models(arguments.model, arguments.threads)
     with _progress(console) as progress:
         task = progress.add_task("reading", total=None)
@@ -156,7 +169,6 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
         )
     for line in data.report.lines() + [f"note: {note}" for note in data.notes]:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    out = arguments.out or Path("out/evaluate")
     out.mkdir(parents=True, exist_ok=True)
     return data, results, out
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_perception.command_settings import refuse
+from tactile_perception.whole_file import check_file
 
 
 def register(subparsers: Any) -> None:
@@ -43,6 +44,11 @@ def _markers(arguments: argparse.Namespace) -> list[str]:
     from tactile_perception.marker_view import draw_markers, side_by_side
     from tactile_perception.markers import density_change, detect
 
+    out = arguments.out or Path("out") / f"{arguments.image.stem}.markers.png"
+    for path in (out, *filter(None, [arguments.csv])):
+        check_file(path)
+    if not cv2.haveImageWriter(str(out)):
+        raise ValueError(f"{out}: OpenCV writes no pictures of this kind; end its name with .png")
     image = _read(arguments.image)
     markers = detect(image)
     lines = [f"{arguments.image}: {len(markers)} markers, {markers.merged.sum()} of them from merged blobs"]
@@ -62,7 +68,6 @@ def _markers(arguments: argparse.Namespace) -> list[str]:
             f"change of density, markers per squared spacing: {change.values.min():.2f} to "
             f"{change.values.max():.2f}",
         ]
-    out = arguments.out or Path("out") / f"{arguments.image.stem}.markers.png"
     out.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(out), picture):
         raise OSError(f"{out}: cannot be written")
@@ -70,20 +75,18 @@ def _markers(arguments: argparse.Namespace) -> list[str]:
     if arguments.csv is not None:
         rows = zip(markers.centers, markers.areas, markers.merged, strict=True)
         text = "".join(f"{c[0]:.3f},{c[1]:.3f},{area:.1f},{int(merged)}\n" for c, area, merged in rows)
+        arguments.csv.parent.mkdir(parents=True, exist_ok=True)
         arguments.csv.write_text("column_px,row_px,area_px2,merged\n" + text)
         lines.append(f"table: {arguments.csv}")
     return lines
 
 
 def _read(path: Path) -> Any:
-    import cv2
+    from tactile_perception.dataset_images import read_image
 
     if not path.is_file():
         raise OSError(f"{path}: there is no such file")
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise ValueError(f"{path}: is no image that OpenCV reads")
-    return image
+    return read_image(path)
 
 
 def _size(image: Any) -> str:

@@ -15,6 +15,7 @@ from rich.table import Table
 from tactile_perception.command_settings import add_set_option, name_and_value, needs_extra, refuse
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.model_metadata import RUN_MODELS
+from tactile_perception.whole_file import check_file, whole_file
 
 QUANTIZED_NAME, MODEL_NAME = RUN_MODELS
 _TIMED_RUNS = 200
@@ -54,13 +55,17 @@ def run_quantize(arguments: argparse.Namespace) -> int:
         changes = dict(name_and_value(change, "images=300") for change in arguments.changes)
         settings = QuantizationSettings().replaced(**changes)
         source, out = _paths(arguments.model, arguments.out)
-        quantize(source, training_images(arguments.data, source, settings.images), out, settings)
+        for path in (out, *filter(None, [arguments.install])):
+            check_file(path)
+        images = training_images(arguments.data, source, settings.images)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        quantize(source, images, out, settings)
+        print(f"model: {out}")
         _compare(Console(), [source, out], _validation(arguments.data, arguments.val))
+        if arguments.install:
+            install(out, arguments.install)
     except (ValueError, OSError) as error:
         return refuse(console, "quantize", error)
-    if arguments.install:
-        arguments.install.write_bytes(out.read_bytes())
-    print(f"model: {out}")
     return 0
 
 
@@ -70,9 +75,16 @@ def quantize_run(run: Path, data: Path, validation: Path | None = None) -> Path:
 
     source, out = _paths(run, None)
     quantize(source, training_images(data, source, QuantizationSettings().images), out)
-    _compare(Console(), [source, out], _validation(data, validation))
     print(f"quantized model: {out}")
+    _compare(Console(), [source, out], _validation(data, validation))
     return out
+
+
+def install(model: Path, path: Path) -> None:
+    """Copy a model file to where it is used."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(model.read_bytes())
 
 
 def _validation(data: Path, given: Path | None) -> Path | None:
@@ -88,16 +100,27 @@ def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:
 
 
 def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
-    """`count` images, spread over the folder's table, prepared as the model wants them."""
-    from tactile_perception.dataset import open_folder
+    """`count` images, spread over the folder's table, prepared as the model wants them.
+
+    Fewer where the folder has fewer or some of these cannot be read.
+    """
+    from tactile_perception.dataset import DatasetError, open_folder
     from tactile_perception.estimator import Estimator
+    from tactile_perception.image import ImageError
     from tactile_perception.preprocessing import Preprocessor
 
     preprocessing = Estimator(model).metadata.preprocessing
     folder = folder / "train" if (folder / "train").is_dir() else folder
     data, preprocessor = open_folder(folder, preprocessing), Preprocessor(preprocessing)
-    chosen = np.unique(np.linspace(0, len(data) - 1, count).round().astype(int))
-    return np.array([data.resized(int(index), preprocessor) for index in chosen])
+    found = []
+    for index in np.unique(np.linspace(0, len(data) - 1, count).round().astype(int)):
+        try:
+            found.append(data.resized(int(index), preprocessor))
+        except ImageError:
+            continue  # training has left it out, too, and named it
+    if not found:
+        raise DatasetError(f"{folder}: no readable image")
+    return np.array(found)
 
 
 def _compare(console: Console, paths: Sequence[Path], validation: Path | None) -> None:

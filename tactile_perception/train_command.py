@@ -12,10 +12,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tactile_perception.command_settings import add_set_option, needs_extra, refuse
+from tactile_perception.command_settings import add_set_option, needs_extra, positive_int, refuse
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.profiles import profile
-from tactile_perception.quantize_command import quantize_run
+from tactile_perception.quantize_command import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
+from tactile_perception.whole_file import check_file
 
 
 def register(subparsers: Any) -> None:
@@ -35,20 +36,24 @@ def register(subparsers: Any) -> None:
     )
     choice.add_argument(
         "--profile", metavar="NAME",
-        help="a choice between speed and accuracy, of config/perception/profiles.yaml",
+        help="a choice between speed and accuracy, of config/perception/profiles.yaml; a network of 8-bit "
+        f"integers is written beside the trained one, as {QUANTIZED_NAME}",
     )  # fmt: skip
     add_set_option(parser, "change one setting", "SECTION.NAME=VALUE")
     parser.add_argument(
         "--start", type=Path, metavar="RUN",
         help="start from the network of a finished run, as one trained on simulated images",
     )  # fmt: skip
-    parser.add_argument("--limit", type=int, metavar="N", help="use only N training samples")
+    parser.add_argument("--limit", type=positive_int, metavar="N", help="use only N training samples")
     parser.add_argument("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
     parser.add_argument(
-        "--repeat", type=int, metavar="N", help="train N networks from different seeds, in OUT/seed_0 and on"
+        "--repeat",
+        type=positive_int,
+        metavar="N",
+        help="train N networks from different seeds, in OUT/seed_0 and on",
     )
     parser.add_argument(
-        "--processes", type=int, default=1, metavar="P", help="with --repeat: so many runs at a time"
+        "--processes", type=positive_int, default=1, metavar="P", help="with --repeat: so many runs at a time"
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="with --repeat: run on the workers of this Dask scheduler"
@@ -107,19 +112,38 @@ def _train_one(arguments: argparse.Namespace) -> int:
     if arguments.scheduler or arguments.processes != 1:
         raise ValueError("--processes and --scheduler spread many runs: they need --repeat N")
     config = _config(arguments)
-    with TrainingProgress() as progress:
-        result = train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
-    model = result.model_path
-    _print_result(Console(), arguments.out, result.stopped)
-    if arguments.profile and profile(arguments.profile).quantized:
+    if arguments.install:
+        check_file(arguments.install)
+    if not _only_quantization_left(arguments, config):
+        with TrainingProgress() as progress:
+            train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
+    _print_result(Console(), arguments.out)
+    model = arguments.out / MODEL_NAME
+    if _quantized(arguments):
         model = quantize_run(arguments.out, arguments.data, arguments.val)
     if arguments.install:
-        arguments.install.write_bytes(model.read_bytes())
+        install(model, arguments.install)
     return 0
 
 
-def _print_result(console: Console, out: Path, stopped: str) -> None:
-    from tactile_perception.training.run_folder import MODEL_NAME, RunFolder
+def _quantized(arguments: argparse.Namespace) -> bool:
+    """Whether the profile's networks are used in 8-bit integers."""
+    return bool(arguments.profile) and profile(arguments.profile).quantized
+
+
+def _only_quantization_left(arguments: argparse.Namespace, config: Any) -> bool:
+    """Whether the run was interrupted when it was trained, but not yet quantized."""
+    from tactile_perception.training.run_folder import RunFolder
+
+    folder = RunFolder(arguments.out)
+    if not (_quantized(arguments) and folder.finished) or folder.file(QUANTIZED_NAME).exists():
+        return False
+    folder.check_same(config)
+    return True
+
+
+def _print_result(console: Console, out: Path) -> None:
+    from tactile_perception.training.run_folder import RunFolder
 
     result = RunFolder(out).result()
     table = Table(
@@ -131,15 +155,13 @@ def _print_result(console: Console, out: Path, stopped: str) -> None:
     for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True):
         table.add_row(name, f"{result['mae'][name]:.4f} {unit}")
     console.print(table)
-    console.print(f"{result['minutes']:.1f} min; stopped: {stopped}", highlight=False)
+    console.print(f"{result['minutes']:.1f} min; stopped: {result['stopped']}", highlight=False)
     console.print(f"run: {out} (model: {out / MODEL_NAME})", highlight=False, soft_wrap=True)
 
 
 def _train_many(arguments: argparse.Namespace, console: Console) -> int:
     from tactile_perception.training import jobs
 
-    if arguments.repeat < 1 or arguments.processes < 1:
-        raise ValueError("--repeat and --processes must be at least 1")
     if arguments.install:
         raise ValueError("--install takes the model of one run: leave out --repeat")
     runs = jobs.seed_jobs(
@@ -166,20 +188,27 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
         jobs.run_processes(waiting, arguments.processes, tell)
     else:
         for job in waiting:
-            _train_in_sight(job, console)
-            tell(job, "")
+            tell(job, _train_in_sight(job, console))
     _print_repeat(Console(), arguments.out, runs)
+    if _quantized(arguments):
+        for job in runs:
+            if job.folder.finished and not job.folder.file(QUANTIZED_NAME).exists():
+                quantize_run(job.folder.path, arguments.data, arguments.val)
     return 1 if errors else 0
 
 
-def _train_in_sight(job: Any, console: Console) -> None:
-    """One of many runs, in this process and with its progress."""
+def _train_in_sight(job: Any, console: Console) -> str:
+    """One of many runs, in this process and with its progress; returns why it came to nothing, or ""."""
     from tactile_perception.training.console import TrainingProgress
     from tactile_perception.training.train import train
 
     console.print(f"{job.name}", highlight=False)
-    with TrainingProgress() as progress:
-        train(job.data, job.out, job.config, job.validation, job.limit, progress)
+    try:
+        with TrainingProgress() as progress:
+            train(job.data, job.out, job.config, job.validation, job.limit, progress)
+    except FloatingPointError as error:  # of this seed; another may do
+        return str(error)
+    return ""
 
 
 def _line(name: str, result: dict[str, Any]) -> str:
@@ -221,6 +250,7 @@ def run_ensemble(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         return needs_extra(console, "ensemble", error)
     try:
+        check_file(arguments.out)
         path = write_ensemble(arguments.runs, arguments.out, arguments.data)
     except (ValueError, OSError) as error:
         return refuse(console, "ensemble", error)

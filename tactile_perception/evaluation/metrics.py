@@ -168,8 +168,9 @@ def by_predicted_sigma(labels: Array, predictions: Predictions, bins: int = 10) 
 
 
 def depth_edges(depth_mm: Array) -> Array:
-    """Whole millimeters around the depths that occur."""
-    return np.arange(np.floor(depth_mm.min()), np.ceil(depth_mm.max()) + 0.5)
+    """Whole millimeters around the depths that occur, two at least."""
+    least = np.floor(depth_mm.min())
+    return np.arange(least, max(np.ceil(depth_mm.max()), least + 1.0) + 0.5)
 
 
 def shear_of(euler_mm_deg: Array) -> Array:

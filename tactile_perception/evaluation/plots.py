@@ -118,7 +118,8 @@ def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
 def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) -> None:
     """Mean absolute error over depth and tangential displacement: it shows where the tip slips."""
     depth, shear = data.euler_mm_deg[:, 2], shear_of(data.euler_mm_deg)
-    edges = (np.linspace(0.0, depth.max(), 9), np.linspace(0.0, shear.max(), 9))
+    # from zero to the largest there is, and a micrometer where there is none
+    edges = (np.linspace(0.0, max(depth.max(), 1e-3), 9), np.linspace(0.0, max(shear.max(), 1e-3), 9))
     count = np.histogram2d(depth, shear, edges)[0]
     figure, grid = plot_grid(len(results), 6, 3.2)
     for axes_row, result in zip(grid, results, strict=True):

@@ -9,9 +9,6 @@ from rich.progress import Progress as Bars
 from tactile_perception.training.progress import Progress
 from tactile_perception.training.run_folder import Epoch
 
-#: Steps after which the first estimate of the time is worth saying.
-_FIRST_ESTIMATE = 20
-
 
 class TrainingProgress(Progress):
     """Shows a run; use as a context. Without a terminal it prints one line an epoch."""
@@ -54,7 +51,7 @@ class TrainingProgress(Progress):
             self.console.print(f"resumed after epoch {epochs_done} of {epochs}", highlight=False)
 
     def step(self, epoch: int, step: int, loss: float, seconds_left: float | None) -> None:
-        if seconds_left is not None and step >= min(_FIRST_ESTIMATE, self._steps - 1) and not self._announced:
+        if seconds_left is not None and not self._announced:
             self._announced = True
             left = duration(seconds_left)
             self.console.print(f"{self._epochs - epoch} epochs will take about {left}", highlight=False)
@@ -64,6 +61,7 @@ class TrainingProgress(Progress):
             self._bars.update(self._run, completed=epoch * self._steps + step + 1, text=text, left=left)
 
     def epoch(self, epoch: Epoch) -> None:
+        self._announced = True  # by this line
         mae = " ".join(f"{value:.4f}" for value in epoch.mae)
         mark = "  best" if epoch.best else ""
         self.console.print(

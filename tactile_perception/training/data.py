@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_perception.calibration import CalibrationError
 from tactile_perception.dataset import DatasetError, TactileDataset, read_dataset
 from tactile_perception.holdback import split_holdback
 from tactile_perception.image import Image
@@ -19,6 +20,9 @@ from tactile_perception.preprocessing import PreprocessingSettings
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.start import Start, load_start
+
+#: One sample has no deviation to start from.
+_FEWEST_SAMPLES = 2
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,27 @@ def arrange(
     )
 
 
+def check_samples(data: RunData, config: TrainConfig) -> None:
+    """Refuse data with too few samples to train on, or to calibrate on when training has ended.
+
+    Raises
+    ------
+    DatasetError, CalibrationError
+    """
+    if len(data.training) < _FEWEST_SAMPLES:
+        raise DatasetError(f"training data: {len(data.training)} samples, needs at least {_FEWEST_SAMPLES}")
+    held_back, needed = len(data.held_back), config.calibration.min_samples
+    if 0 < held_back < needed and config.network.head != "mse":
+        raise CalibrationError(
+            f"training.holdback = {config.training.holdback:g} leaves {held_back} samples to calibrate on: "
+            f"needs at least {needed} (calibration.min_samples); hold back more, or nothing"
+        )
+
+
 def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Path, Path]:
     """Training and validation folder."""
+    if not data_dir.is_dir():
+        raise DatasetError(f"{data_dir}: there is no such folder")
     train_dir = data_dir / "train" if (data_dir / "train").is_dir() else data_dir
     if validation_dir is not None:
         return train_dir, Path(validation_dir)

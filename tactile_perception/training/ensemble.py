@@ -23,6 +23,7 @@ from tactile_perception.model_metadata import (
 from tactile_perception.training.graph_writer import GraphWriter
 from tactile_perception.training.recalibration import fit_on
 from tactile_perception.training.run_folder import MODEL_NAME
+from tactile_perception.whole_file import whole_file
 
 
 class EnsembleError(ValueError):
@@ -97,9 +98,8 @@ def _write(files: Sequence[Path], path: Path, metadata: ModelMetadata) -> None:
     model = graph.model(metadata.preprocessing.size, (MEAN, COVARIANCE))
     helper.set_model_props(model, metadata.to_properties())
     onnx.checker.check_model(model)
-    temporary = path.with_suffix(".tmp")
-    onnx.save_model(model, str(temporary))
-    temporary.replace(path)
+    with whole_file(path) as temporary:
+        onnx.save_model(model, str(temporary))
 
 
 def _add_member(graph: GraphWriter, model: onnx.ModelProto, prefix: str) -> tuple[str, str]:

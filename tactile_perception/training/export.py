@@ -13,6 +13,7 @@ from torch import nn
 from tactile_perception.model_metadata import INPUT_NAME, MEAN, ModelMetadata
 from tactile_perception.training.graph_writer import GraphWriter, write_head
 from tactile_perception.training.network import ConvBlock, PoseNetwork
+from tactile_perception.whole_file import whole_file
 
 
 def export_onnx(
@@ -45,9 +46,9 @@ def export_onnx(
     model = graph.model(settings.image_size, (MEAN, second))
     helper.set_model_props(model, metadata.to_properties())
     onnx.checker.check_model(model)
-    path = Path(path)
-    onnx.save_model(model, str(path))
-    return path
+    with whole_file(path) as temporary:
+        onnx.save_model(model, str(temporary))
+    return Path(path)
 
 
 def _folded(block: ConvBlock, stride: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -18,7 +18,7 @@ from tactile_perception.model_metadata import ModelMetadata
 from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.averaging import WeightAverage
 from tactile_perception.training.config import TrainConfig
-from tactile_perception.training.data import RunData, Samples
+from tactile_perception.training.data import RunData, Samples, check_samples
 from tactile_perception.training.export import export_onnx
 from tactile_perception.training.network import PoseNetwork
 from tactile_perception.training.progress import Progress
@@ -30,11 +30,12 @@ from tactile_perception.training.time_left import TimeLeft
 _EVALUATION_BATCH = 100
 
 
-def train_network(
-    data: RunData, folder: RunFolder, config: TrainConfig, progress: Progress, resume: bool = False
-) -> TrainResult:
+def train_network(data: RunData, folder: RunFolder, config: TrainConfig, progress: Progress) -> TrainResult:
     """Train on data in memory, from the start or from the state in the run folder."""
+    # What cannot be trained is refused here, before anything is written that would be in the way of another.
+    check_samples(data, config)
     run = _Run(data, config)
+    resume = folder.open(config, data.facts, data.report)
     settings = config.training
     history = _History(run.loss_name)
     if resume:
@@ -45,13 +46,17 @@ def train_network(
         number = len(history.epochs)
         epoch, weights = run.epoch(number, history.best, progress, remaining)
         history.add(epoch, settings.epochs, settings.patience, settings.max_minutes)
+        if not run.usable:
+            history.stopped = "the network's weights were not finite any more"
         if epoch.best:
             folder.save_best(weights)
         folder.write_epochs(history.epochs, run.loss_name)
         folder.save_state(run.state(history))
         progress.epoch(epoch)
     if history.best is None:
-        raise FloatingPointError("the validation loss was never finite: lower the learning rate")
+        raise FloatingPointError(
+            f"the validation loss was never finite: lower the learning rate (stopped: {history.stopped})"
+        )
     validation = run.finish(folder, history.best)
     model_path = folder.file(MODEL_NAME)
     result = TrainResult(model_path, history.best, history.epochs, history.stopped, history.minutes)
@@ -155,6 +160,11 @@ class _Run:
             before = now
             progress.step(number, step, total / (step + 1), remaining.seconds(number, step + 1))
         return total / self.steps_per_epoch
+
+    @property
+    def usable(self) -> bool:
+        """Whether all weights are finite; once one is not, no step brings it back."""
+        return all(bool(torch.isfinite(weight).all()) for weight in self.network.parameters())
 
     def _set_rates(self, moment: float) -> None:
         rate = learning_rate(moment, self.config.training)

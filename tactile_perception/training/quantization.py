@@ -26,6 +26,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 from tactile_filter.settings import Settings, setting
 from tactile_perception.model_metadata import INPUT_NAME, MetadataError, ModelMetadata
 from tactile_perception.preprocessing import as_input
+from tactile_perception.whole_file import whole_file
 
 _BATCH = 20
 _OPERATIONS = ["Conv", "Relu", "MaxPool"]
@@ -95,7 +96,8 @@ def quantize(
         result = onnx.load_model(str(quantized))
     _correct_head(result, model, images)
     _note(result, settings, len(images))
-    onnx.save_model(result, str(out_path))
+    with whole_file(out_path) as temporary:
+        onnx.save_model(result, str(temporary))
     return Path(out_path)
 
 

@@ -20,6 +20,7 @@ from tactile_perception.estimator import Estimator
 from tactile_perception.holdback import unseen_rows
 from tactile_perception.model_metadata import ModelMetadata
 from tactile_perception.preprocessing import as_input
+from tactile_perception.whole_file import whole_file
 
 _BATCH = 50
 
@@ -79,6 +80,5 @@ def _write(model: Path, out: Path, metadata: ModelMetadata) -> None:
     del loaded.metadata_props[:]
     onnx.helper.set_model_props(loaded, metadata.to_properties())
     out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out.with_suffix(".tmp")
-    onnx.save_model(loaded, str(temporary))
-    temporary.replace(out)
+    with whole_file(out) as temporary:
+        onnx.save_model(loaded, str(temporary))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.training.config import TrainConfig
+from tactile_perception.whole_file import check_folder, whole_file
 
 CONFIG_NAME = "config.yaml"
 DATA_NAME = "data.txt"
@@ -69,31 +71,39 @@ class RunFolder:
     def finished(self) -> bool:
         return self.file(RESULT_NAME).exists()
 
-    def open(self, config: TrainConfig, data: dict[str, Any]) -> bool:
+    def check_free(self) -> None:
+        """`OSError` if there can be no run here: there is a finished one, or no folder to write to."""
+        if self.finished:
+            raise FileExistsError(f"{self.path}: holds another run; remove it or choose another folder")
+        check_folder(self.path)
+
+    def open(self, config: TrainConfig, data: dict[str, Any], report: list[str]) -> bool:
         """Make the folder, or find in it a run of the same configuration and data; True: it can be resumed.
+
+        `data` are the facts that have to agree, `report` what else was found in the data folders.
 
         Raises
         ------
         FileExistsError
             If it holds a finished run, or one that was started differently.
         """
-        if self.finished:
-            raise FileExistsError(f"{self.path}: holds another run; remove it or choose another folder")
+        self.check_free()
         self.path.mkdir(parents=True, exist_ok=True)
+        resumed = self.file(CONFIG_NAME).exists() and self.file(STATE_NAME).exists()
         if self.file(CONFIG_NAME).exists():
             self.check_same(config, data)
-            self._write_config(config)
-            return self.file(STATE_NAME).exists()
-        _write(self.file(FACTS_NAME), json.dumps(data, indent=2) + "\n")
+        else:
+            _write(self.file(FACTS_NAME), json.dumps(data, indent=2) + "\n")
         self._write_config(config)
-        return False
+        _write(self.file(DATA_NAME), "\n".join(report) + "\n")
+        return resumed
 
     def check_same(self, config: TrainConfig, data: dict[str, Any] | None = None) -> None:
         """`FileExistsError` unless the run here was started with this configuration (and these data).
 
         The calibration is fitted when training has ended, so its settings may be others.
         """
-        found, wanted = yaml.safe_load(self.file(CONFIG_NAME).read_text()), config.plain()
+        found, wanted = _plain_yaml(self.file(CONFIG_NAME)), config.plain()
         if isinstance(found, dict):
             found["calibration"] = wanted["calibration"]
         if data is not None and isinstance(found, dict):
@@ -113,17 +123,13 @@ class RunFolder:
         _save(self.file(STATE_NAME), state)
 
     def load_state(self) -> dict[str, Any]:
-        state: dict[str, Any] = torch.load(self.file(STATE_NAME), map_location="cpu", weights_only=False)
-        return state
+        return _load(self.file(STATE_NAME), weights_only=False)
 
     def save_best(self, weights: dict[str, torch.Tensor]) -> None:
         _save(self.file(BEST_NAME), weights)
 
     def load_best(self) -> dict[str, torch.Tensor]:
-        weights: dict[str, torch.Tensor] = torch.load(
-            self.file(BEST_NAME), map_location="cpu", weights_only=True
-        )
-        return weights
+        return _load(self.file(BEST_NAME), weights_only=True)
 
     def write_epochs(self, epochs: list[Epoch], loss_name: str) -> None:
         """`epochs.csv`: one line an epoch."""
@@ -157,6 +163,14 @@ class RunFolder:
         return values
 
 
+def _plain_yaml(path: Path) -> Any:
+    """What a YAML file holds; None if it is none."""
+    try:
+        return yaml.safe_load(path.read_text())
+    except yaml.YAMLError:
+        return None
+
+
 def _difference(found: Any, wanted: dict[str, dict[str, Any]]) -> str:
     """The first value that differs, in words; empty if none does."""
     if not isinstance(found, dict):
@@ -170,15 +184,23 @@ def _difference(found: Any, wanted: dict[str, dict[str, Any]]) -> str:
 
 
 def _save(path: Path, value: Any) -> None:
-    temporary = path.with_suffix(".tmp")
-    torch.save(value, temporary)
-    temporary.replace(path)
+    with whole_file(path) as temporary:
+        torch.save(value, temporary)
+
+
+def _load(path: Path, weights_only: bool) -> dict[str, Any]:
+    try:
+        values: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=weights_only)
+    except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        raise ValueError(
+            f"{path}: cannot be read ({error}); remove {path.parent} to train from the start"
+        ) from error
+    return values
 
 
 def _write(path: Path, text: str) -> None:
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(text)
-    temporary.replace(path)
+    with whole_file(path) as temporary:
+        temporary.write_text(text)
 
 
 def draw_curves(path: Path, epochs: list[Epoch], loss_name: str) -> None:

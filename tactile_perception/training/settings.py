@@ -64,6 +64,16 @@ class NetworkSettings(Settings):
         doc="weights of the components in the loss of the head mse (paper, eq. mse_loss_def)",
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.channels:
+            raise SettingError("channels = []: must name the features of one block at least")
+        lower, upper = self.inverse_sigma_bounds
+        if lower >= upper:
+            raise SettingError(
+                f"inverse_sigma_bounds = {self.inverse_sigma_bounds}: the first must be below the second"
+            )
+
     @property
     def poolings(self) -> int:
         """Number of blocks that halve the image's side; the first always does."""

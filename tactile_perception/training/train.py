@@ -8,7 +8,7 @@ from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.data import load_data
 from tactile_perception.training.loop import train_network
 from tactile_perception.training.progress import Progress
-from tactile_perception.training.run_folder import DATA_NAME, Epoch, RunFolder, TrainResult
+from tactile_perception.training.run_folder import Epoch, RunFolder, TrainResult
 
 __all__ = ["Epoch", "Progress", "TrainConfig", "TrainResult", "train"]
 
@@ -52,9 +52,6 @@ def train(
     config = config or TrainConfig()
     progress = progress or Progress()
     folder = RunFolder(out_dir)
-    if folder.finished:
-        raise FileExistsError(f"{folder.path}: holds another run; remove it or choose another folder")
+    folder.check_free()  # before the images are read
     data = load_data(Path(data_dir), validation_dir, config, limit, progress.loading)
-    resume = folder.open(config, data.facts)
-    folder.file(DATA_NAME).write_text("\n".join(data.report) + "\n")
-    return train_network(data, folder, config, progress, resume)
+    return train_network(data, folder, config, progress)

@@ -180,7 +180,6 @@ def test_a_network_without_uncertainty_is_nothing_to_filter(
     [
         (("--sigma", "0"), "--sigma 0: must be positive, or inf"),
         (("--sigma", "nan"), "--sigma nan: must be positive, or inf"),
-        (("--repeat", "0"), "--repeat 0: must be at least 1"),
         (("--set", "fusion=exact"), "unknown name 'fusion'"),
     ],
 )

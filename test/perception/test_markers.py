@@ -207,7 +207,7 @@ def test_the_command_says_what_is_wrong(tmp_path, capsys):
     image = str(tmp_path / "image.png")
     for arguments, complaint in (
         ([str(tmp_path / "none.png")], "there is no such file"),
-        ([str(tmp_path / "text.png")], "is no image that OpenCV reads"),
+        ([str(tmp_path / "text.png")], "is not a readable image"),
         ([image, "--reference", str(tmp_path / "small.png")], "is 40x40; must be 64x48"),
         ([image, "--reference", image], "0 markers found"),
     ):

@@ -11,10 +11,11 @@ pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
 from tactile_filter.settings import SettingError  # noqa: E402
 from tactile_perception import train_command  # noqa: E402
+from tactile_perception.calibration import CalibrationError  # noqa: E402
 from tactile_perception.dataset import DatasetError, read_dataset  # noqa: E402
 from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.labels import labels_from_euler, network_from_pose  # noqa: E402
-from tactile_perception.training.augmentation import Augmenter  # noqa: E402
+from tactile_perception.training.augmentation import AugmentationError, Augmenter  # noqa: E402
 from tactile_perception.training.data import Samples, load_data, split_holdback  # noqa: E402
 from tactile_perception.training.network import PoseNetwork  # noqa: E402
 from tactile_perception.training.progress import Progress  # noqa: E402
@@ -25,7 +26,6 @@ from tactile_perception.training.settings import (  # noqa: E402
     TrainingSettings,
     learning_rate,
 )
-from tactile_perception.training.time_left import TimeLeft  # noqa: E402
 from tactile_perception.training.train import TrainConfig, train  # noqa: E402
 
 QUICK = TrainConfig(
@@ -33,6 +33,12 @@ QUICK = TrainConfig(
     TrainingSettings(batch_size=8, rise_epochs=1, hold_epochs=5, decay_epochs=8, seed=3, threads=1),
 )
 CONFIGS = Path(__file__).parents[2] / "config" / "perception"
+
+
+def short(network: dict | None = None, **training) -> TrainConfig:
+    """A run of two epochs."""
+    settings = QUICK.training.replaced(rise_epochs=0, hold_epochs=1, decay_epochs=1, **training)
+    return TrainConfig(QUICK.network.replaced(**(network or {})), settings)
 
 
 @pytest.fixture(autouse=True)
@@ -118,6 +124,17 @@ class KilledIn(Progress):
             raise Killed
 
 
+class KilledAfter(Progress):
+    """Ends the run between two epochs."""
+
+    def __init__(self, epoch: int) -> None:
+        self.last = epoch
+
+    def epoch(self, epoch):
+        if epoch.number == self.last:
+            raise Killed
+
+
 def test_a_run_that_was_killed_ends_as_if_it_had_not_been(training_data, tmp_path):
     """With everything that has a state: optimizer, dropout, averaged weights, augmentation, learned axis."""
     config = TrainConfig(
@@ -154,20 +171,6 @@ def test_an_unfinished_run_is_not_resumed_as_another(training_data, tmp_path, ch
     config = QUICK.replaced("training", batch_size=4) if change else QUICK
     with pytest.raises(FileExistsError, match=message):
         train(training_data, tmp_path / "run", config, limit=48 if change else 40)
-
-
-def test_the_estimate_of_the_time_left_is_what_remains():
-    """Every step takes 1 s and every validation 3 s, by a clock of the test's own."""
-    remaining = TimeLeft(epochs=10, steps=20, batch_size=16, validation_samples=160)
-    assert remaining.seconds(0) is None
-    for _ in range(5):
-        remaining.step(1.0)
-    assert remaining.seconds(0, 5) == pytest.approx(195.0 + 10 * 3.0)
-    remaining.validation(5.0)
-    assert remaining.seconds(1) == pytest.approx(9 * 25.0)
-    for _ in range(20):
-        remaining.step(2.0)
-    assert remaining.seconds(9) == pytest.approx(45.0)
 
 
 def test_training_stops_when_validation_stops_improving(training_data, tmp_path, monkeypatch):
@@ -223,6 +226,98 @@ def test_the_shipped_start_fits_the_configuration_that_it_is_for():
     assert start.network.replaced(head=real.network.head) == real.network
 
 
+@pytest.mark.parametrize(
+    "config, limit, error, message",
+    [
+        (QUICK, 1, DatasetError, "1 samples, needs at least 2"),
+        (QUICK.replaced("training", holdback=0.3), None, CalibrationError, "leaves 29 samples .* least 100"),
+        (
+            QUICK.replaced("augmentation", symmetry=6),
+            None,
+            AugmentationError,
+            "markers do not look the same after a turn",
+        ),
+        (
+            QUICK.replaced("network", image_size=16, unpooled_blocks=0, channels=(4,) * 5),
+            None,
+            SettingError,
+            "to nothing",
+        ),
+    ],
+    ids=["one sample", "nothing to calibrate on", "no symmetry", "no image left"],
+)
+def test_what_cannot_be_trained_is_refused_and_leaves_nothing_in_the_way(
+    training_data, tmp_path, config, limit, error, message
+):
+    out = tmp_path / "run"
+    with pytest.raises(error, match=message):
+        train(training_data, out, config, limit=limit)
+    assert not out.exists()
+
+
+def test_fewer_samples_than_a_batch_are_one_batch(training_data, tmp_path):
+    config = short(batch_size=16)
+    result = train(training_data, tmp_path / "run", config, limit=3)
+    assert len(result.epochs) == 2 and np.isfinite(result.best.validation_loss)
+
+
+def test_a_network_that_runs_away_is_given_up_and_its_best_epoch_kept(training_data, tmp_path, monkeypatch):
+    from tactile_perception.training.loop import _Run
+
+    original = _Run._train_epoch
+
+    def run_away(self, number, *rest):
+        loss = original(self, number, *rest)
+        if number == 1:
+            next(self.network.parameters()).data.fill_(float("nan"))
+        return loss
+
+    monkeypatch.setattr(_Run, "_train_epoch", run_away)
+    result = train(training_data, tmp_path / "run", QUICK, limit=16)
+    assert (len(result.epochs), result.best.number) == (2, 0)
+    assert "not finite" in result.stopped
+    assert np.isfinite(RunFolder(tmp_path / "run").result()["validation_loss"])
+
+
+def test_a_network_that_never_was_finite_is_an_error_also_when_it_is_resumed(training_data, tmp_path):
+    config = QUICK.replaced("training", learning_rate_start=1e30, learning_rate_peak=1e30)
+    for _ in range(2):
+        with pytest.raises(FloatingPointError, match="never finite: lower the learning rate"):
+            train(training_data, tmp_path / "run", config, limit=16)
+    assert len((tmp_path / "run" / "epochs.csv").read_text().splitlines()) < 4  # given up at once
+
+
+@pytest.mark.parametrize("name", ["state.pt", "config.yaml"])
+def test_a_run_folder_that_was_damaged_is_named(training_data, tmp_path, name):
+    with pytest.raises(Killed):
+        train(training_data, tmp_path / "run", short(), limit=16, progress=KilledAfter(0))
+    (tmp_path / "run" / name).write_bytes(b"\x00: [")
+    with pytest.raises((ValueError, OSError), match=r"state\.pt: cannot be read|an unreadable configuration"):
+        train(training_data, tmp_path / "run", short(), limit=16)
+
+
+def test_an_export_that_was_interrupted_is_made_again(training_data, tmp_path, monkeypatch):
+    import onnx
+
+    def half(model, path):
+        Path(path).write_bytes(model.SerializeToString()[:500])
+        raise Killed
+
+    with monkeypatch.context() as patched:
+        patched.setattr(onnx, "save_model", half)
+        with pytest.raises(Killed):
+            train(training_data, tmp_path / "run", short(), limit=16)
+    assert not list((tmp_path / "run").glob("model.onnx*"))
+    assert Estimator(train(training_data, tmp_path / "run", short(), limit=16).model_path).metadata
+
+
+@pytest.mark.parametrize("place", ["file", "file/run"])
+def test_a_file_in_place_of_the_run_folder_is_told_before_data_are_read(tmp_path, place):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OSError, match=r"cannot be a folder, since .*file is a file"):
+        train(tmp_path / "no data", tmp_path / place, QUICK)
+
+
 def test_a_folder_that_holds_a_run_is_not_overwritten(run, training_data):
     with pytest.raises(FileExistsError, match="holds another run"):
         train(training_data, run[1], QUICK)
@@ -231,6 +326,8 @@ def test_a_folder_that_holds_a_run_is_not_overwritten(run, training_data):
 def test_validation_data_has_to_be_named(training_data, tmp_path):
     with pytest.raises(DatasetError, match="name the validation data with --val"):
         train(training_data / "train", tmp_path / "run", QUICK)
+    with pytest.raises(DatasetError, match="none: there is no such folder"):
+        train(tmp_path / "none", tmp_path / "run", QUICK)
 
 
 def command(*words: object) -> int:
@@ -285,12 +382,6 @@ def test_the_configurations_named_after_the_paper_hold_its_values():
     assert cnn.network == NetworkSettings(head="mse", dropout_mean=(0.1,) * 6)
     assert TrainConfig.from_file(CONFIGS / "gdn_lloyd_lepora.yaml") == TrainConfig()
     assert TrainConfig.from_file(CONFIGS / "tactip_sim.yaml").network == NetworkSettings()
-
-
-def short(network: dict | None = None, **training) -> TrainConfig:
-    """A run of two epochs."""
-    settings = QUICK.training.replaced(rise_epochs=0, hold_epochs=1, decay_epochs=1, **training)
-    return TrainConfig(QUICK.network.replaced(**(network or {})), settings)
 
 
 def predictions(model: Path, samples) -> tuple[np.ndarray, np.ndarray]:

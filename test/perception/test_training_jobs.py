@@ -102,13 +102,28 @@ def test_a_run_that_fails_in_a_process_is_told_with_its_reason(tmp_path, capsys)
     "words, message",
     [
         (["--processes", 2], "they need --repeat"),
-        (["--repeat", 0], "must be at least 1"),
         (["--repeat", 2, "--install", "m.onnx"], "leave out --repeat"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(training_data, tmp_path, capsys, words, message):
     assert train(training_data, tmp_path / "out", *words) == 1
     assert message in capsys.readouterr().err
+
+
+def test_a_seed_that_fails_does_not_stop_the_others(training_data, tmp_path, capsys, monkeypatch):
+    from tactile_perception.training import train as module
+
+    original = module.train
+
+    def fail_once(data, out, config, *rest):
+        if config.training.seed == 0:
+            raise FloatingPointError("the validation loss was never finite")
+        return original(data, out, config, *rest)
+
+    monkeypatch.setattr(module, "train", fail_once)
+    assert train(training_data, tmp_path, "--repeat", 2) == 1
+    assert "seed_0: the validation loss was never finite" in capsys.readouterr().err
+    assert [row[0] for row in rows(tmp_path)[1:]] == ["seed_1"]
 
 
 def test_a_cluster_without_dask_is_told_what_to_install(training_data, tmp_path, capsys, monkeypatch):

@@ -1,0 +1,43 @@
+"""Places for results: files that are there whole or not at all, and folders that can be written to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def whole_file(path: Path | str) -> Iterator[Path]:
+    """A file beside `path` to write to, which takes its name when all went well and else disappears::
+
+    with whole_file("run/model.onnx") as temporary:
+        onnx.save_model(model, temporary)
+    """
+    path = Path(path)
+    temporary = path.with_name(f"{path.name}.tmp")
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def check_folder(path: Path) -> None:
+    """`OSError` unless `path` is a folder that can be written to, or can become one; makes nothing.
+
+    For what takes long before it writes.
+    """
+    existing = next(part for part in (path.absolute(), *path.absolute().parents) if part.exists())
+    if not existing.is_dir():
+        raise NotADirectoryError(f"{path}: cannot be a folder, since {existing} is a file")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise PermissionError(f"{path}: no permission to write in {existing}")
+
+
+def check_file(path: Path) -> None:
+    """`OSError` unless a file can be written at `path`, in a folder that is there or can be made."""
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a folder, must be the name of a file")
+    check_folder(path.absolute().parent)
