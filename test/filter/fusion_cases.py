@@ -3,10 +3,10 @@
 import mpmath as mp
 import numpy as np
 import se3_oracle as oracle
+from contact_case import SIGMA
 
 from tactile_filter import se3
 
-CONTACT = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])  # standard deviations of an estimate, m and rad
 UNIT = np.ones(6)
 
 
@@ -45,6 +45,20 @@ def turned(rng, degrees, shift=0.3):
     )
 
 
+def random_pair(seed, separation=2.0):
+    """Two Gaussians around the same truth, `separation` standard deviations of an estimate apart."""
+    rng = np.random.default_rng(seed)
+    mean_1 = se3.exp(np.concatenate((0.02 * rng.normal(size=3), 0.4 * rng.normal(size=3))))
+    mean_2 = se3.exp(separation * SIGMA * rng.normal(size=6)) @ mean_1
+    covs = [correlated(rng, SIGMA * 10.0 ** rng.uniform(-0.5, 0.5, 6), 0.8) for _ in range(2)]
+    return mean_1, covs[0], mean_2, covs[1]
+
+
+def in_sigmas(a, b, cov):
+    """Distance of two poses in standard deviations."""
+    return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(cov), se3.log(a @ se3.inverse(b)))))
+
+
 def cases(seed):
     """Name -> (mean_1, cov_1, mean_2, cov_2)."""
     rng = np.random.default_rng(seed)
@@ -54,13 +68,13 @@ def cases(seed):
         return se3.exp(scale * rng.normal(size=6)) @ X
 
     def contact():
-        return correlated(rng, CONTACT)
+        return correlated(rng, SIGMA)
 
     grades = 10.0 ** rng.uniform(-6, 6, 6)
     lever = 0.3 * rng.normal(size=3)
     sharp, soft = np.array([2e-4, 1e-3, 5e-3, 0.05, 0.2, 0.5]), np.array([2e-3, 1e-4, 5e-3, 0.5, 0.2, 0.05])
     found = {
-        "contact": (X, contact(), near(3 * CONTACT), contact()),
+        "contact": (X, contact(), near(3 * SIGMA), contact()),
         "unit": (X, correlated(rng, UNIT), near(0.7), correlated(rng, UNIT)),
         "tiny": (X, 1e-12 * np.eye(6), near(1e-6), 1e-12 * correlated(rng, UNIT)),
         "huge": (X, 1e12 * np.eye(6), near(0.3), 1e12 * correlated(rng, UNIT)),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from contact_case import CONTACT, COV, SIGMA
 from scipy.stats import chi2
 
 from tactile_filter import se3
@@ -22,9 +23,6 @@ from tactile_filter.settings import SettingError
 
 MS = 1_000_000
 PERIOD = 16 * MS
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
-COV = np.diag(SIGMA**2)
-CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 UNGATED = FilterSettings(gate_probability=1.0)
 
 

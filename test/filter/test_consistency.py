@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from contact_case import CONTACT, SIGMA
 from scipy.stats import chi2
 
 from tactile_filter import se3
@@ -12,8 +13,6 @@ from tactile_filter.fusion import MODES
 from tactile_filter.gaussian import PoseGaussian
 
 PERIOD = 8_000_000
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
-CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 NOISE = np.repeat((2e-4, 4e-3), 3)
 SETTINGS = FilterSettings(
     process_noise_translation=2e-4, process_noise_rotation=4e-3, gate_probability=1.0, fusion_mode="fast"

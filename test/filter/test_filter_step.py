@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import step_reference as reference
+from contact_case import CONTACT, SIGMA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
@@ -16,8 +17,6 @@ from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import innovation
 
 PERIOD = 8_000_000
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
-CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 UNGATED = FilterSettings(gate_probability=1.0)
 VARIANCES = np.repeat((UNGATED.process_noise_translation**2, UNGATED.process_noise_rotation**2), 3)
 seeds = st.integers(0, 2**32 - 1)

@@ -3,37 +3,13 @@
 import numpy as np
 import pytest
 import se3_oracle as oracle
+from fusion_cases import in_sigmas, random_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_filter import se3
 from tactile_filter.fusion import MODES, FusionError, FusionStatus, check_gaussian, fuse
 from tactile_filter.fusion_reference import fuse_exact, fuse_fixed
-
-# Standard deviations of an estimate (m, rad): what the filter meets.
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
-
-
-def random_covariance(rng, spread=0.5, correlation=0.8):
-    """Standard deviations around SIGMA within factors of 10**spread, correlated."""
-    sigma = SIGMA * 10.0 ** rng.uniform(-spread, spread, 6)
-    factor = np.eye(6) + correlation * np.tril(rng.uniform(-1, 1, (6, 6)), -1)
-    correlated = factor @ factor.T
-    scale = sigma / np.sqrt(np.diag(correlated))
-    return correlated * np.outer(scale, scale)
-
-
-def random_pair(seed, separation=2.0):
-    """Two Gaussians around the same truth, `separation` standard deviations of the one apart."""
-    rng = np.random.default_rng(seed)
-    mean_1 = se3.exp(np.concatenate((0.02 * rng.normal(size=3), 0.4 * rng.normal(size=3))))
-    mean_2 = se3.exp(separation * SIGMA * rng.normal(size=6)) @ mean_1
-    return mean_1, random_covariance(rng), mean_2, random_covariance(rng)
-
-
-def in_sigmas(a, b, cov):
-    """Distance of two poses in standard deviations."""
-    return float(np.linalg.norm(np.linalg.solve(np.linalg.cholesky(cov), se3.log(a @ se3.inverse(b)))))
 
 
 def reference(pair, mode):
@@ -235,8 +211,9 @@ def test_wrong_shapes_and_options_are_named():
 def test_lists_float32_and_strided_arrays_are_taken_as_well():
     pair = random_pair(13)
     expected = fuse(*pair)
-    strided = np.asfortranarray(pair[1])
-    fused = fuse(pair[0].tolist(), strided, pair[2][::1], pair[3])
+    fused = fuse(
+        pair[0].tolist(), pair[1].tolist(), np.asfortranarray(pair[2]), np.repeat(pair[3], 2, 1)[:, ::2]
+    )
     np.testing.assert_array_equal(fused.mean, expected.mean)
     single = fuse(np.eye(4, dtype=np.float32), np.eye(6, dtype=np.float32), np.eye(4), np.eye(6))
     np.testing.assert_allclose(single.cov, 0.5 * np.eye(6), atol=1e-16)

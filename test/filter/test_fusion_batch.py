@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_fusion import in_sigmas, random_pair
+from fusion_cases import in_sigmas, random_pair
 
 from tactile_filter import _fusion, se3
 from tactile_filter.fusion import MODES, FusionError, fuse, fuse_batch

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from contact_case import CONTACT, SIGMA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,8 +13,6 @@ from tactile_filter.settings import SettingError
 
 MS = 1_000_000
 PERIOD = 8 * MS
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
-CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 KEEPING = FilterSettings(history=0.1, gate_probability=0.99, reinitialize_after=2, robust="student_t")
 
 

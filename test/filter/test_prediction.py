@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from contact_case import CONTACT
 
 from tactile_filter import se3
 from tactile_filter.prediction import ContactPredictor, PredictionSettings
 
 PERIOD = 16_000_000
-CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 START = se3.exp([0.4, 0.1, 0.2, 0.0, 3.0, 0.0])
 TWIST = np.array([0.02, 0.0, 0.001, 0.0, 0.3, 0.05])  # of the sensor in {s}
 

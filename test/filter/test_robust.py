@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from contact_case import CONTACT, SIGMA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
@@ -12,8 +13,6 @@ from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.robust import Spectrum, huber_inflation, student_t_inflation
 
 PERIOD = 8_000_000
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
-CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 seeds = st.integers(0, 2**32 - 1)
 
 

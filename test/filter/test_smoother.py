@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from contact_case import CONTACT, COV, SIGMA
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -11,9 +12,6 @@ from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
 
 PERIOD = 8_000_000
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
-COV = np.diag(SIGMA**2)
-CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 NOISE = np.repeat((1e-4, 2e-3), 3)
 SETTINGS = FilterSettings(
     process_noise_translation=1e-4, process_noise_rotation=2e-3, gate_probability=1.0, fusion_mode="exact"
