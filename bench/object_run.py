@@ -5,9 +5,9 @@
         tactile launch surface_following --scene two_arms --object-belief [two_arms] --record my_bag
 
 The object stands still. With --given its frame is the world's, as config/objects/two_arms.yaml says; without,
-places are found by touch, and it is the true feature frame of the contact that defined it, at that moment. For
-each part of the run: how many beliefs, how far they are off (RMS), NEES / 6 (1: as certain as claimed), and how
-far the true feature frame of each contact has moved: how far it slid.
+places are found by touch, and it is the true feature frame of the contact that defined it, at that moment.
+For each part of the run: how many beliefs, how far they are off (RMS), NEES / 6 (1: as certain as claimed),
+and how far the true feature frame of each contact has moved: how far it slid.
 """
 
 from __future__ import annotations
@@ -167,6 +167,8 @@ def parts_of(run: Run, bounds_mm: list[float]) -> dict[str, tuple[int, int]]:
     stamps, phases = record.command.stamp_ns, record.command.phase
     hold, follow = (stamps[phases == phase] for phase in ("settle", "follow"))
     parts = {"hold": (int(hold[0]) + SETTLED_NS, int(hold[-1]))}
+    if not len(follow):
+        return parts
     start = features.at(int(follow[0]))[:3, 3]
     slid = 1e3 * np.linalg.norm(features.T_world_feature[:, :3, 3] - start, axis=1)
     during = (features.stamp_ns >= follow[0]) & (features.stamp_ns <= follow[-1])
