@@ -46,9 +46,12 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_perception.data_check import check
     from tactile_perception.dataset import open_folder
     from tactile_perception.marker_flow import FlowSettings
+    from tactile_perception.whole_file import check_folder
 
     console = Console()
     try:
+        if arguments.out is not None:
+            check_folder(arguments.out)
         folder = open_folder(arguments.folder)
         settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
         with _Bars() as bars:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_filter.settings import SettingError, Settings, unknown_name
-from tactile_perception.command_settings import add_set_option, name_and_value
+from tactile_perception.command_settings import add_set_option, name_and_value, natural_int, positive_int
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,15 +34,17 @@ def register(commands: Any) -> None:
     )
     parser.add_argument("out", type=Path, help="data folder")
     parser.add_argument("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
-    parser.add_argument("--samples", type=int, default=6000, metavar="N", help="samples in the folder (6000)")
-    parser.add_argument("--seed", type=int, default=0, help="of the poses (0)")
+    parser.add_argument(
+        "--samples", type=positive_int, default=6000, metavar="N", help="samples in the folder (6000)"
+    )
+    parser.add_argument("--seed", type=natural_int, default=0, help="of the poses (0)")
     parser.add_argument(
         "--validation", action="store_true", help="other poses than the training data of the same seed"
     )
     parser.add_argument("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
     parser.add_argument("--surface", metavar="NAME", help="which surface (default: the only plane)")
     parser.add_argument(
-        "--touch", type=int, default=0, metavar="N",
+        "--touch", type=natural_int, default=0, metavar="N",
         help="find the surface first: 1 touch for its height, 3 and more for its tilt too (0)",
     )  # fmt: skip
     parser.add_argument("--images", default="both", help="keep processed images, raw ones, or both (both)")
@@ -130,9 +132,9 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     from tactile_drivers.scene import load_scene
     from tactile_filter import se3
     from tactile_perception.dataset_writer import IMAGE_KINDS, DatasetWriter
+    from tactile_perception.whole_file import check_folder
 
-    if arguments.samples < 1:
-        raise ValueError(f"--samples {arguments.samples}: must be at least 1")
+    check_folder(arguments.out)
     if arguments.images not in IMAGE_KINDS:
         raise ValueError(f"--images {arguments.images}: must be one of {', '.join(IMAGE_KINDS)}")
     if arguments.record is not None and arguments.record.exists():

@@ -18,9 +18,16 @@ from tactile_drivers.sampling import VALIDATION_START
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_filter.yaml_file import read_yaml
-from tactile_perception.command_settings import add_set_option, name_and_value, refuse
+from tactile_perception.command_settings import (
+    add_set_option,
+    name_and_value,
+    natural_int,
+    positive_int,
+    refuse,
+)
 from tactile_perception.dataset_writer import DatasetWriter, write_processed
 from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.whole_file import check_folder
 
 
 def register(commands: Any) -> None:
@@ -32,12 +39,19 @@ def register(commands: Any) -> None:
         "The same command goes on after an interruption; a sample depends on seed and number only.",
     )
     parser.add_argument("out", type=Path, help="folder for train/ and val/")
-    parser.add_argument("--train", type=int, default=6000, metavar="N", help="training samples (6000)")
-    parser.add_argument("--val", type=int, default=2000, metavar="N", help="validation samples (2000)")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--train", type=natural_int, default=6000, metavar="N", help="training samples (6000)"
+    )
+    parser.add_argument(
+        "--val", type=natural_int, default=2000, metavar="N", help="validation samples (2000)"
+    )
+    parser.add_argument("--seed", type=natural_int, default=0)
     cores = len(os.sched_getaffinity(0))
     parser.add_argument(
-        "--processes", type=int, default=cores, help=f"processes to spread over (as many as cores: {cores})"
+        "--processes",
+        type=positive_int,
+        default=cores,
+        help=f"processes to spread over (as many as cores: {cores})",
     )
     parser.add_argument(
         "--sensor",
@@ -53,6 +67,7 @@ def run_generate(arguments: argparse.Namespace) -> int:
     """`tactile data generate`: returns the exit status."""
     console = Console(stderr=True)
     try:
+        check_folder(arguments.out)
         sensor = load_sensor(arguments.sensor) if arguments.sensor else SensorFile()
         settings = _settings(arguments, sensor.collection)
         for name, count, start in (("train", arguments.train, 0), ("val", arguments.val, VALIDATION_START)):

@@ -60,6 +60,8 @@ def run_estimate(arguments: argparse.Namespace) -> int:
 
     console = Console(stderr=True)
     try:
+        if not arguments.motion_sigma >= 0.0:
+            raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
         estimator = Estimator(arguments.model or "", arguments.threads)
         check_folder(arguments.out)
         if Path(arguments.source).is_dir():

@@ -55,13 +55,14 @@ def run_quantize(arguments: argparse.Namespace) -> int:
         changes = dict(name_and_value(change, "images=300") for change in arguments.changes)
         settings = QuantizationSettings().replaced(**changes)
         source, out = _paths(arguments.model, arguments.out)
+        validation = _validation(arguments.data, arguments.val)
         for path in (out, *filter(None, [arguments.install])):
             check_file(path)
         images = training_images(arguments.data, source, settings.images)
         out.parent.mkdir(parents=True, exist_ok=True)
         quantize(source, images, out, settings)
         print(f"model: {out}")
-        _compare(Console(), [source, out], _validation(arguments.data, arguments.val))
+        _compare(Console(), [source, out], validation)
         if arguments.install:
             install(out, arguments.install)
     except (ValueError, OSError) as error:
@@ -88,7 +89,13 @@ def install(model: Path, path: Path) -> None:
 
 
 def _validation(data: Path, given: Path | None) -> Path | None:
-    return given or (data / "val" if (data / "val").is_dir() else None)
+    """The folder to compare on, if there is one; `DatasetError` if it is none."""
+    from tactile_perception.dataset import open_folder
+
+    folder = given or (data / "val" if (data / "val").is_dir() else None)
+    if folder is not None:
+        open_folder(folder)
+    return folder
 
 
 def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:

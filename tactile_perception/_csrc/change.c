@@ -8,6 +8,13 @@
 // a change of 1 in fixed point: the sum over a window of 129 x 129 fits 31 bits
 #define ONE 65536.0f
 
+// a float of 32 bits and its bits; those of 1
+typedef union {
+  float value;
+  int32_t bits;
+} Bits;
+enum { ONE_BITS = 0x3f800000 };
+
 
 size_t change_scratch(int cols, int window) {
   return 2*(size_t)cols + (size_t)window;
@@ -30,11 +37,11 @@ static void add_changes(int32_t* restrict sums, const float* restrict image,
                         const float* restrict reference, const float* restrict noise, int32_t sign,
                         int n) {
   for (int x = 0; x < n; x++) {
-    float change = fabsf(image[x] - reference[x]) - noise[x];
-    // so that it fits an integer; the comparisons fail for a NaN, which is no change
-    change = change > 0.0f ? change : 0.0f;
-    change = change < 1.0f ? change : 1.0f;
-    sums[x] += sign * (int32_t)(change * ONE + 0.5f);
+    Bits change = {.value = fabsf(image[x] - reference[x]) - noise[x]};
+    // within 0 and 1, so that it fits: as integers, floats have the same order and NaN is the largest
+    change.bits = change.bits > 0 ? change.bits : 0;
+    change.bits = change.bits < ONE_BITS ? change.bits : ONE_BITS;
+    sums[x] += sign * (int32_t)(change.value * ONE + 0.5f);
   }
 }
 

@@ -41,7 +41,7 @@ void shrink(uint8_t* res, int size, const uint8_t* image, int rows, int cols, pt
 size_t shrink_scratch(int size, int cols);
 
 // largest mean over a window x window patch of max(0, |image - reference| - noise), to 1e-5;
-// beyond the border the image goes on mirrored; a pixel's change is at most 1, and 0 for NaN
+// beyond the border the image goes on mirrored; a pixel's change is at most 1, NaN included
 //   image, reference, noise   rows x cols, contiguous, within 0 and 1
 //   scratch                   change_scratch(cols, window) elements
 double largest_change(const float* image, const float* reference, const float* noise, int rows,

@@ -141,7 +141,7 @@ static PyObject* py_shrink(PyObject* module, PyObject* args) {
 static const char largest_change_doc[] =
   "largest_change(image, reference, noise, window, /)\n--\n\n"
   "Largest mean over window x window pixels of max(0, |image - reference| - noise), to 1e-5.\n"
-  "All (rows, cols) float32 within 0 and 1; window: 1 to 129. More than 1 counts as 1, NaN as 0.";
+  "All (rows, cols) float32 within 0 and 1; window: 1 to 129. More than 1, or NaN, counts as 1.";
 
 static PyObject* py_largest_change(PyObject* module, PyObject* args) {
   PyArrayObject* images[3];

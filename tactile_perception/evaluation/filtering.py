@@ -116,7 +116,9 @@ def run_filter(
         means.append(mean)
         covs.append(cov)
         nis.append(belief.nis)
-    return _scored(sequence, Predictions(np.array(means), np.array(covs)), float(np.nanmean(nis)) / 6.0)
+    known = [value for value in nis if not math.isnan(value)]  # the first step has none
+    mean_nis = float(np.mean(known)) / 6.0 if known else math.nan
+    return _scored(sequence, Predictions(np.array(means), np.array(covs)), mean_nis)
 
 
 def _scored(sequence: ContactSequence, filtered: Predictions, nis: float) -> FilterRun:

@@ -168,11 +168,8 @@ def test_images_of_another_type_or_shape_are_refused():
             _image.largest_change(image, other, image, 3)
 
 
-@pytest.mark.parametrize(
-    "value, expected", [(7.0, 1.0), (-7.0, 1.0), (1e30, 1.0), (np.inf, 1.0), (np.nan, 0.0)]
-)
-def test_what_is_no_image_is_a_full_change_or_none(value, expected):
+@pytest.mark.parametrize("value", [7.0, -7.0, 1e30, np.inf, np.nan, -np.nan])
+def test_what_is_no_image_is_a_full_change(value):
     """Numbers that a prepared image never has must not overflow the sums."""
-    image = np.full((128, 128), value, np.float32)
-    nothing = np.zeros((128, 128), np.float32)
-    assert _image.largest_change(image, nothing, nothing, 129) == pytest.approx(expected, abs=1e-6)
+    image, nothing = np.full((128, 128), value, np.float32), np.zeros((128, 128), np.float32)
+    assert _image.largest_change(image, nothing, nothing, 129) == pytest.approx(1.0, abs=1e-6)

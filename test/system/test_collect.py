@@ -70,7 +70,6 @@ def test_a_killed_collection_goes_on_and_nothing_is_lost_or_there_twice(tmp_path
     "options, message",
     [
         (["--scene", "dome"], "data are collected on one flat surface"),
-        (["--samples", "0"], "--samples 0: must be at least 1"),
         (["--images", "none"], "must be one of processed, raw, both"),
         (["--arm", "left"], "--arm must name an arm"),
         (["--surface", "tabel"], "did you mean 'table'"),
