@@ -115,7 +115,6 @@ class _Held:
     update: ContactUpdate
     place: _Place | None
     refused_since_ns: int | None = None
-    slides: bool = False
 
 
 class ObjectTracker:
@@ -200,6 +199,7 @@ class ObjectTracker:
     def _forget(self) -> None:
         self.refused: Counter[str] = Counter()
         self._held: dict[str, _Held] = {}
+        self._slid: dict[str, bool] = {}  # sensors whose contact has slid since it began: whether it does now
         self._heard: dict[str, int] = {}  # the last stamp of each sensor, in contact or not
         self._stamp_ns = None
         self._touches = 0
@@ -215,6 +215,7 @@ class ObjectTracker:
         self._heard[name] = stamp_ns
         if update is None:
             self._held.pop(name, None)
+            self._slid.pop(name, None)
             return
         usable = self._usable(update)
         if usable is None:
@@ -223,16 +224,20 @@ class ObjectTracker:
         if held is None or stamp_ns - held.stamp_ns > self.settings.forget_after * SECOND_NS:
             self._touches += 1
             touch = _Touch(name, self._touches)
-            given = self._given.get(name)
+            given = None if name in self._slid else self._given.get(name)
             place = None if given is None else _Place(given, given=True)
             held = _Held(touch, stamp_ns, stamp_ns, usable, place)
-        self._held[name] = self._followed(dataclasses.replace(held, stamp_ns=stamp_ns, update=usable))
+        self._held[name] = dataclasses.replace(held, stamp_ns=stamp_ns, update=usable)
+        self._look_for_slip(name)
 
-    def _followed(self, held: _Held) -> _Held:
-        """The contact with what its last belief tells of whether it slides."""
-        if may_slide(held.update.belief, self.settings.slide_shear, held.slides):
-            return dataclasses.replace(held, slides=True, place=None, refused_since_ns=None)
-        return dataclasses.replace(held, slides=False)
+    def _look_for_slip(self, name: str) -> None:
+        """Take its place from a contact whose last belief says that it may slide."""
+        held, slid = self._held[name], self._slid.get(name, False)
+        if may_slide(held.update.belief, self.settings.slide_shear, slid):
+            self._slid[name] = True
+            self._held[name] = dataclasses.replace(held, place=None, refused_since_ns=None)
+        elif slid:
+            self._slid[name] = False
 
     def _usable(self, update: ContactUpdate) -> ContactUpdate | None:
         """The update with an orthonormal sensor pose; None, and counted, if it cannot be used."""
@@ -260,9 +265,7 @@ class ObjectTracker:
         limit_ns = self.settings.max_age * SECOND_NS
         ages = {name: stamp_ns - held.stamp_ns for name, held in sorted(self._held.items())}
         stale = {name: age_ns / SECOND_NS for name, age_ns in ages.items() if age_ns > limit_ns}
-        sliding = {
-            name: shear_ratio(self._held[name].update.belief.mean) for name in ages if self._held[name].slides
-        }
+        sliding = {n: shear_ratio(self._held[n].update.belief.mean) for n in ages if self._slid.get(n)}
         fresh = [name for name in ages if name not in stale and name not in sliding]
         self._define_frame(fresh)
         placed = [name for name in fresh if self._held[name].place is not None]

@@ -397,6 +397,19 @@ def test_a_given_place_counts_again_with_the_next_contact():
     np.testing.assert_allclose(found.belief.pose.mean, OBJECT, atol=1e-9)
 
 
+@pytest.mark.parametrize("before", [(1.5,), (1.5, 0.2)])
+def test_a_contact_that_slid_is_not_at_its_given_place_after_a_silence(before):
+    tracker = tracker_of("left", places=given("left"), forget_after=0.2)
+    for k, ratio in enumerate(before):
+        tracker.step(START + k * STEP, {"left": sheared("left", ratio)})
+    later = START + 60 * STEP
+    assert tracker.step(later, {}).reason == "no contact"
+    for k, ratio in enumerate((0.45, 0.3)):  # nothing says that it was off the object, and at its place again
+        assert tracker.step(later + k * STEP + 1, {"left": sheared("left", ratio)}).belief.pose is None
+    tracker.step(later + 9 * STEP, {"left": None})
+    assert tracker.step(later + 10 * STEP, {"left": sheared("left", 0.1)}).belief.pose is not None
+
+
 # ---- what is wrong ----
 
 
