@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tactile_perception.dataset import DatasetWriter
 from tactile_perception.model_metadata import FRAMES, ModelMetadata
 from tactile_perception.preprocessing import PreprocessingSettings
+
+sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
+
+from folders import write_folder
 
 
 @pytest.fixture
@@ -81,9 +85,6 @@ def training_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("training_data")
     rng = np.random.default_rng(0)
     for name, count in (("train", 96), ("val", 32)):
-        writer = DatasetWriter(folder / name, PreprocessingSettings())
-        for number in range(1, count + 1):
-            euler = rng.uniform([-4, -4, 0.5, -1, -1, -1], [4, 4, 6, 1, 1, 1])
-            writer.add(number, dot_image(euler, rng), euler)
-        writer.finish()
+        eulers = (rng.uniform([-4, -4, 0.5, -1, -1, -1], [4, 4, 6, 1, 1, 1]) for _ in range(count))
+        write_folder(folder / name, ((dot_image(euler, rng), euler) for euler in eulers))
     return folder

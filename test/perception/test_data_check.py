@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import write_folder
 
 from tactile_bringup import data_command
 from tactile_drivers.sim.collection import CollectionSettings, generate
@@ -16,10 +17,8 @@ from tactile_perception.data_check import check
 from tactile_perception.data_conventions import Explanation, explain, find_conventions
 from tactile_perception.data_statistics import label_statistics
 from tactile_perception.dataset import open_folder
-from tactile_perception.dataset_writer import DatasetWriter
 from tactile_perception.labels import EULER_COMPONENTS
 from tactile_perception.marker_flow import FlowError, FlowSettings, MarkerFlow, flow_of, measure
-from tactile_perception.preprocessing import PreprocessingSettings
 
 COUNT = 260
 SEED = 11
@@ -33,11 +32,8 @@ COLUMNS = dict(
 def data(tmp_path_factory) -> Path:
     """Simulated samples as `tactile data generate` makes them."""
     folder = tmp_path_factory.mktemp("data") / "train"
-    with DatasetWriter(folder, PreprocessingSettings()) as writer:
-        for sample in generate(CollectionSettings(), SEED, range(COUNT)):
-            writer.add(sample.index + 1, sample.image, sample.euler_mm_deg)
-        writer.finish()
-    return folder
+    samples = generate(CollectionSettings(), SEED, range(COUNT))
+    return write_folder(folder, ((sample.image, sample.euler_mm_deg) for sample in samples))
 
 
 @pytest.fixture(scope="module")

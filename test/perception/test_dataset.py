@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from folders import write_folder
 
 from tactile_perception.dataset import DatasetError, DatasetWriter, open_folder, read_dataset
 from tactile_perception.preprocessing import PreprocessingSettings
@@ -28,11 +29,7 @@ def camera_image(seed: int) -> np.ndarray:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A healthy folder of three samples."""
-    writer = DatasetWriter(tmp_path / "data", PreprocessingSettings())
-    for number, euler in enumerate(EULER, start=1):
-        writer.add(number, camera_image(number), euler)
-    writer.finish()
-    return tmp_path / "data"
+    return write_folder(tmp_path / "data", zip(map(camera_image, range(1, 4)), EULER, strict=True))
 
 
 def table(folder: Path) -> list[dict[str, str]]:

@@ -7,16 +7,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from folders import write_folder
 
 from tactile_filter.gaussian import PoseGaussian
 from tactile_perception import commands
-from tactile_perception.dataset import DatasetWriter, open_folder
+from tactile_perception.dataset import open_folder
 from tactile_perception.estimate_run import EstimateTable, network_row, run_estimates
 from tactile_perception.estimator import Estimator, pose_gaussian
 from tactile_perception.image import ImageError
 from tactile_perception.labels import label_from_euler, surface_contact_pose
 from tactile_perception.motion_noise import motion_filter, with_motion_noise
-from tactile_perception.preprocessing import PreprocessingSettings
 from tactile_perception.sources import (
     Frame,
     SourceError,
@@ -56,11 +56,8 @@ def frames_of(contacts: np.ndarray) -> list[Frame]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    writer = DatasetWriter(tmp_path / "data", PreprocessingSettings())
-    for number, euler in enumerate(random_contacts(12), start=1):
-        writer.add(number, np.roll(IMAGE, number, axis=1), euler)
-    writer.finish()
-    return tmp_path / "data"
+    images = (np.roll(IMAGE, number, axis=1) for number in range(1, 13))
+    return write_folder(tmp_path / "data", zip(images, random_contacts(12), strict=True))
 
 
 @pytest.fixture

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import write_folder
 from scipy.stats import multivariate_normal
 
 from tactile_perception import evaluate_command
-from tactile_perception.dataset import DatasetReport, DatasetWriter, open_folder
+from tactile_perception.dataset import DatasetReport, open_folder
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
 from tactile_perception.evaluation.metrics import (
@@ -28,11 +29,11 @@ from tactile_perception.evaluation.predictions import Predictions, euler_of, mom
 from tactile_perception.evaluation.report import summary
 from tactile_perception.holdback import split_holdback, unseen_rows
 from tactile_perception.labels import euler_from_label, network_from_pose
-from tactile_perception.preprocessing import PreprocessingSettings
 
 MU = np.array([0.5, -1.0, -3.0, 0.1, -0.2, 0.03])
 SIGMA = np.array([0.5, 0.5, 0.1, 0.01, 0.01, 0.02])
 SAMPLES = 240
+BLACK = np.zeros((480, 640), np.uint8)
 
 
 def labels_around(mean: np.ndarray, sigma: np.ndarray, count: int, seed: int = 0) -> np.ndarray:
@@ -58,13 +59,10 @@ def predictions_of(count: int = 4000, claimed: float = 1.0, seed: int = 0) -> tu
 def folder(tmp_path_factory) -> Path:
     """Labels around what the constant model answers to every image."""
     path = tmp_path_factory.mktemp("evaluation") / "val"
-    writer = DatasetWriter(path, PreprocessingSettings())
-    rng = np.random.default_rng(3)
-    for number, label in enumerate(labels_around(MU, SIGMA, SAMPLES, seed=1), start=1):
-        image = np.kron(rng.integers(0, 2, (12, 16)) * 255, np.ones((40, 40))).astype(np.uint8)
-        writer.add(number, image, euler_from_label(label))
-    writer.finish()
-    return path
+    squares = np.random.default_rng(3).integers(0, 2, (SAMPLES, 12, 16)) * 255
+    images = (np.kron(square, np.ones((40, 40))).astype(np.uint8) for square in squares)
+    eulers = map(euler_from_label, labels_around(MU, SIGMA, SAMPLES, seed=1))
+    return write_folder(path, zip(images, eulers, strict=True))
 
 
 def run(data: object, *models: object, out: Path, more: tuple[str, ...] = ()) -> int:
@@ -215,11 +213,8 @@ def test_command_writes_tables_and_figures(folder, constant_model, tmp_path, cap
 
 
 def test_calibration_data_turn_an_overconfident_model_honest(folder, constant_model, tmp_path, capsys):
-    writer = DatasetWriter(tmp_path / "held_back", PreprocessingSettings())
-    image = np.zeros((480, 640), np.uint8)
-    for number, label in enumerate(labels_around(MU, SIGMA, 150, seed=9), start=1):
-        writer.add(number, image, euler_from_label(label))
-    writer.finish()
+    labels = labels_around(MU, SIGMA, 150, seed=9)
+    write_folder(tmp_path / "held_back", ((BLACK, euler_from_label(label)) for label in labels))
     model = constant_model(MU, 3.0 / SIGMA)
     more = ("--json", "--no-figures", "--calibrate", str(tmp_path / "held_back"))
     assert run(folder, model, out=tmp_path / "out", more=more) == 0

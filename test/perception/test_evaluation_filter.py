@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import write_folder
 
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_perception import evaluate_command
-from tactile_perception.dataset import DatasetReport, DatasetWriter, open_folder
+from tactile_perception.dataset import DatasetReport, open_folder
 from tactile_perception.estimate_run import run_estimates
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
@@ -27,7 +28,6 @@ from tactile_perception.evaluation.predictions import Predictions
 from tactile_perception.evaluation.reference import paper_tables
 from tactile_perception.labels import labels_from_euler
 from tactile_perception.motion_noise import motion_filter, with_motion_noise
-from tactile_perception.preprocessing import PreprocessingSettings
 from tactile_perception.sources import folder_frames, usable_order
 
 SIGMA = np.array([0.5, 0.5, 0.1, 0.01, 0.01, 0.02])
@@ -49,13 +49,11 @@ def simulated(count: int, claimed: float = 1.0, seed: int = 0) -> tuple[Evaluati
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("filter") / "val"
-    writer = DatasetWriter(path, PreprocessingSettings())
     data, _ = simulated(40)
-    for number, euler in enumerate(data.euler_mm_deg, start=1):
-        writer.add(number, np.zeros((480, 640), np.uint8), euler)
-    writer.finish()
-    return path
+    black = np.zeros((480, 640), np.uint8)
+    return write_folder(
+        tmp_path_factory.mktemp("filter") / "val", ((black, euler) for euler in data.euler_mm_deg)
+    )
 
 
 def run(data: Path, model: Path, out: Path, *more: str) -> int:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import write_folder
 
 from tactile_perception import calibrate_command
-from tactile_perception.dataset import DatasetWriter, read_dataset
+from tactile_perception.dataset import read_dataset
 from tactile_perception.estimator import Estimator
 from tactile_perception.labels import euler_from_label
-from tactile_perception.preprocessing import PreprocessingSettings
 
 pytest.importorskip("torch", reason="the training package needs PyTorch (the extra 'train')")
 
@@ -23,13 +23,10 @@ SAMPLES = 220
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """Labels around what the constant model answers to every image."""
-    path = tmp_path_factory.mktemp("recalibration") / "data"
-    writer = DatasetWriter(path, PreprocessingSettings())
     labels = MU + np.random.default_rng(1).normal(size=(SAMPLES, 6)) * SIGMA
-    for number, label in enumerate(labels, start=1):
-        writer.add(number, np.zeros((480, 640), np.uint8), euler_from_label(label))
-    writer.finish()
-    return path
+    black = np.zeros((480, 640), np.uint8)
+    path = tmp_path_factory.mktemp("recalibration") / "data"
+    return write_folder(path, ((black, euler_from_label(label)) for label in labels))
 
 
 def run(model: Path, data: Path, out: Path, *more: str) -> int:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.linalg import expm, logm
+from tangent import hat, vee
 
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 
@@ -40,17 +41,6 @@ def square(crop: np.ndarray, side: int = SIDE) -> np.ndarray:
 def augmenter(images: np.ndarray, **settings) -> Augmenter:
     given = AugmentationSettings(**{"symmetry": 6, **settings})
     return Augmenter(images, np.arange(len(images), dtype=float), SHAPE, given)
-
-
-def hat(xi: np.ndarray) -> np.ndarray:
-    matrix = np.zeros((4, 4))
-    matrix[:3, :3] = [[0, -xi[5], xi[4]], [xi[5], 0, -xi[3]], [-xi[4], xi[3], 0]]
-    matrix[:3, 3] = xi[:3]
-    return matrix
-
-
-def vector(matrix: np.ndarray) -> np.ndarray:
-    return np.array([*matrix[:3, 3], matrix[2, 1], matrix[0, 2], matrix[1, 0]])
 
 
 def test_center_of_the_markers_is_found_in_the_images():
@@ -102,7 +92,7 @@ def test_labels_turn_as_poses_conjugated_by_a_turn_about_the_axis(sense):
     for label, turn, found in zip(labels, turns, answer, strict=True):
         about_z = expm(hat(np.array([0, 0, 0, 0, 0, sense * turn * np.pi / 3])))
         move = place @ about_z @ np.linalg.inv(place)
-        expected = vector(logm(move @ expm(hat(label)) @ np.linalg.inv(move)).real)
+        expected = vee(logm(move @ expm(hat(label)) @ np.linalg.inv(move)).real)
         np.testing.assert_allclose(found, expected, atol=2e-5)
 
 

@@ -94,17 +94,18 @@ def test_the_cnn_has_one_dropout_for_all_outputs():
 
 
 def test_dropout_is_off_in_evaluation():
-    head = MultiDropoutLinear(50, (0.7, 0.4)).eval()
-    features = torch.rand(3, 50)
-    torch.testing.assert_close(head(features), head(features))
+    torch.manual_seed(0)
+    head, features = MultiDropoutLinear(50, (0.7, 0.4), gain=0.5), torch.rand(3, 50)
+    torch.nn.init.normal_(head.weight)
+    expected = features @ (0.5 * head.weight).T + head.bias
+    torch.testing.assert_close(head.eval()(features), expected)
+    assert not torch.allclose(head.train()(features), expected)
 
 
 def test_an_untrained_network_starts_from_the_labels_statistics():
     network = PoseNetwork(NetworkSettings(image_size=64))
     labels = torch.randn(500, 6) * torch.tensor([2.0, 2, 1, 0.1, 0.1, 0.05]) + 3.0
     network.start_from(labels)
-    with torch.no_grad():
-        network.head.weight.zero_()
     raw = network.eval()(torch.rand(2, 1, 64, 64))
     torch.testing.assert_close(network.distribution.mean(raw)[0], labels.mean(dim=0))
     sigma = network.distribution.covariance(raw)[0].diagonal().sqrt()

@@ -7,20 +7,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from folders import write_folder
 
 from tactile_bringup.cli import main as tactile
-from tactile_perception.dataset import DatasetWriter
-from tactile_perception.preprocessing import PreprocessingSettings
 
 
-def write_folder(path: Path, count: int) -> Path:
+def folder_of_noise(path: Path, count: int) -> Path:
     rng = np.random.default_rng(count)
-    with DatasetWriter(path, PreprocessingSettings()) as writer:
-        for number in range(1, count + 1):
-            image = rng.integers(0, 255, (480, 640), dtype=np.uint8)
-            writer.add(number, image, rng.uniform(0.5, 5.0, 6))
-        writer.finish()
-    return path
+    samples = (
+        (rng.integers(0, 255, (480, 640), dtype=np.uint8), rng.uniform(0.5, 5.0, 6)) for _ in range(count)
+    )
+    return write_folder(path, samples)
 
 
 def spoil_table(text: str) -> Callable[[Path], object]:
@@ -62,10 +59,10 @@ SPOILED = {
 def place(tmp_path_factory) -> Path:
     """A folder with data, data that are spoiled in one way each, and files that are nothing."""
     folder = tmp_path_factory.mktemp("usage")
-    write_folder(folder / "d" / "train", 3)
-    write_folder(folder / "d" / "val", 2)
+    folder_of_noise(folder / "d" / "train", 3)
+    folder_of_noise(folder / "d" / "val", 2)
     for name, spoil in SPOILED.items():
-        spoil(write_folder(folder / name, 2))
+        spoil(folder_of_noise(folder / name, 2))
     (folder / "file").write_text("nothing")
     (folder / "bad.onnx").write_text("nothing")
     (folder / "bad.yaml").write_text("network: [1\n")
