@@ -119,13 +119,17 @@ static PyObject* check(PyObject* module, PyObject* const* args, Py_ssize_t nargs
 
 
 // data of an array of this type and number of elements, contiguous; NULL with an error set
-static void* batch_data(PyObject* arg, int type, npy_intp size) {
-  if (PyArray_Check(arg) && PyArray_TYPE((PyArrayObject*)arg) == type && PyArray_ISCARRAY_RO((PyArrayObject*)arg)
-      && PyArray_SIZE((PyArrayObject*)arg) == size) {
-    return PyArray_DATA((PyArrayObject*)arg);
+static void* batch_data(PyObject* arg, int type, npy_intp size, int written) {
+  PyArrayObject* array = (PyArrayObject*)arg;
+  if (!PyArray_Check(arg) || PyArray_TYPE(array) != type || !PyArray_ISCARRAY_RO(array)
+      || PyArray_SIZE(array) != size) {
+    PyErr_Format(PyExc_ValueError, "fuse_batch: needs contiguous arrays of one type, %zd elements here", size);
+    return NULL;
   }
-  PyErr_Format(PyExc_ValueError, "fuse_batch: needs contiguous arrays of one type, %zd elements here", size);
-  return NULL;
+  if (written && PyArray_FailUnlessWriteable(array, "out") < 0) {
+    return NULL;
+  }
+  return PyArray_DATA(array);
 }
 
 
@@ -154,12 +158,12 @@ static PyObject* fuse_batch(PyObject* module, PyObject* const* args, Py_ssize_t 
   static const int sizes[8] = {16, 36, 16, 36, 16, 36, 36, 1};
   void* data[8];
   for (int i = 0; i < 8; i++) {
-    data[i] = batch_data(args[i], type, sizes[i]*count);
+    data[i] = batch_data(args[i], type, sizes[i]*count, i >= 4);
     if (!data[i]) {
       return NULL;
     }
   }
-  batch.status = batch_data(args[8], NPY_INT32, count);
+  batch.status = batch_data(args[8], NPY_INT32, count, 1);
   if (!batch.status) {
     return NULL;
   }

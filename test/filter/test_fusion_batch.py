@@ -105,6 +105,9 @@ def test_an_answer_can_be_overwritten_by_the_next():
         fuse_batch(*(column[:4] for column in columns), out=out)
     with pytest.raises(ValueError, match="needs contiguous arrays of one type"):
         fuse_batch(*(column.astype(np.float32) for column in columns), out=out)
+    out.cov.flags.writeable = False
+    with pytest.raises(ValueError, match="out is read-only"):
+        fuse_batch(*columns, out=out)
 
 
 def test_shapes_and_instruction_sets_that_are_not_there_are_named():
