@@ -141,6 +141,8 @@ def recorded(bag: Bag) -> Run:
             for _, message in bag.decoded(f"/{arm}/sim/truth")
             if message.in_contact
         ]
+        if not rows:
+            raise SystemExit(f"{bag.folder}: arm '{arm}' touches nothing in this bag")
         stamps, poses = zip(*rows, strict=True)
         features[arm] = Features(np.array(stamps), np.array(poses))
     beliefs = [Believed(**gaussian_row(message)) for _, message in bag.decoded("/object/belief")]
