@@ -5,7 +5,8 @@ Used by bench/fusion_neon.py.
 
 from __future__ import annotations
 
-import math
+import ctypes
+import ctypes.util
 import struct
 import subprocess
 import sys
@@ -23,7 +24,7 @@ Argument = int | bytes | np.ndarray | tuple
 
 ZIG = [sys.executable, "-m", "ziglang"]
 TARGET = ["-target", "aarch64-linux-musl", "-fPIC"]
-LIBM = ["sin", "cos", "atan2", "hypot"]  # answered by this machine
+LIBM = {"sin": 1, "cos": 1, "atan2": 2, "hypot": 2}  # name -> arguments; answered by this machine
 RUNTIME = """
 #include <stddef.h>
 void* memcpy(void* res, const void* from, size_t n) {
@@ -81,9 +82,11 @@ class Machine:
             self.uc.mem_map(start, size)
         self.uc.reg_write(arm64.UC_ARM64_REG_CPACR_EL1, 3 << 20)  # floating point is not trapped
         self.symbols = self._load(image.read_bytes())
-        for name in LIBM:
+        for name, count in LIBM.items():
+            function = getattr(ctypes.CDLL(ctypes.util.find_library("m")), name)
+            function.argtypes, function.restype = [ctypes.c_double] * count, ctypes.c_double
             at = self.symbols[name]
-            self.uc.hook_add(unicorn.UC_HOOK_CODE, self._answer, getattr(math, name), begin=at, end=at)
+            self.uc.hook_add(unicorn.UC_HOOK_CODE, self._answer, function, begin=at, end=at)
 
     def _load(self, elf: bytes) -> dict[str, int]:
         """Segments to where they belong; returns the addresses of the symbols."""
@@ -106,10 +109,9 @@ class Machine:
             found[elf[names + name : elf.index(b"\0", names + name)].decode()] = value
         return found
 
-    def _answer(self, uc: unicorn.Uc, address: int, size: int, function: Callable[..., float]) -> None:
+    def _answer(self, uc: unicorn.Uc, address: int, size: int, function: Any) -> None:
         """A function of LIBM, by this machine's."""
-        numbers = [self.real(register) for register in (arm64.UC_ARM64_REG_D0, arm64.UC_ARM64_REG_D1)]
-        result = function(*numbers[: 2 if function in (math.atan2, math.hypot) else 1])
+        result = function(*(self.real(arm64.UC_ARM64_REG_D0 + n) for n in range(len(function.argtypes))))
         uc.reg_write(arm64.UC_ARM64_REG_D0, *struct.unpack("<Q", struct.pack("<d", result)))
         uc.reg_write(arm64.UC_ARM64_REG_PC, uc.reg_read(arm64.UC_ARM64_REG_LR))
 

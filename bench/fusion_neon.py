@@ -201,7 +201,7 @@ def run_extremes(fusion: ModuleType) -> None:
 
 
 def print_instructions(machine: Machine, fusion: ModuleType) -> None:
-    """What a batch of one fusion for each lane executes."""
+    """What two fusions for each lane execute; multiply-adds of 1 number would be of lanes done alone."""
     from fusion_cases import cases
 
     print("\nexecuted instructions, mode paper")
@@ -225,7 +225,7 @@ def main() -> int:
     emulated = Emulated(native, machine)
     sys.modules[native.__name__] = sys.modules["tactile_filter"]._fusion = emulated
     files = [f"test/filter/test_{name}.py" for name in TESTS]
-    failed = pytest.main([*files, "-q", "-k", f"not {STATISTICS}", *sys.argv[1:]])
+    failed = pytest.main([*files, "-q", "-o", "timeout=0", "-k", f"not {STATISTICS}", *sys.argv[1:]])
 
     from tactile_filter import fusion
 
