@@ -60,10 +60,12 @@ def main() -> int:
         options += [name, str(value)] if value else []
     if tactile(["train", str(data), "--out", str(run), *options]):
         return 1
-    models = [str(path) for path in (*args.model, run)]
-    return tactile(
-        ["evaluate", "--data", str(data / "val"), "--out", str(args.out / "evaluate"), "--model", *models]
-    )
+    for name, models in (("first_session", args.model), ("both_sessions", [run])):
+        print(f"trained on {name.replace('_', ' ')}:")
+        out = ["--out", str(args.out / name), "--no-figures"]
+        if tactile(["evaluate", "--data", str(data / "val"), *out, "--model", *map(str, models)]):
+            return 1
+    return 0
 
 
 if __name__ == "__main__":
