@@ -200,7 +200,8 @@ class ObjectTracker:
         self.refused: Counter[str] = Counter()
         self._held: dict[str, _Held] = {}
         self._slid: dict[str, bool] = {}  # sensors whose contact has slid since it began: whether it does now
-        self._heard: dict[str, int] = {}  # the last stamp of each sensor, in contact or not
+        #: The last stamp of each sensor, in contact or not.
+        self._heard: dict[str, int] = {}
         self._stamp_ns = None
         self._touches = 0
 
