@@ -78,7 +78,7 @@ class FilterNode(ManagedNode):
         )
         limit = self.inputs.value.age_limit
         self.subscribe(ContactPresence, PRESENCE, self._take_presence, STATE, limit, raw=True)
-        self.subscribe(
+        self.estimates = self.subscribe(
             PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit, raw=True
         )
         serve_reset(self, lambda: self._reset("service"), "the next measurement starts a new belief")
@@ -91,6 +91,8 @@ class FilterNode(ManagedNode):
 
     def _take_presence(self, data: bytes) -> None:
         stamp_ns, _, (_, _, in_contact) = read_presence(data)
+        if not in_contact and self.estimates is not None:
+            self.estimates.excuse()  # there are none without contact
         if not in_contact or stamp_ns > self.join.done_ns:  # else its estimate came first, as it should
             self._take("presence", stamp_ns, in_contact)
 

@@ -31,6 +31,10 @@ class InputWatch:
         self.last = time.monotonic()
         self.count += 1
 
+    def excuse(self) -> None:
+        """There was nothing to send so far: silence counts from now."""
+        self.last = time.monotonic()
+
     def restart(self) -> None:
         """The node became active: silence counts from now."""
         self.last = time.monotonic()

@@ -324,3 +324,19 @@ def test_diagnostics_tell_consistency_and_warn_of_overconfidence(feed):
         ("gate_probability", 0.999999),
     ):
         assert feed.graph.set_parameter("filter", name, value).successful
+
+
+def test_missing_estimates_are_told_in_contact_only(feed):
+    def silence(report) -> bool:
+        return "contact/estimate: no message for" in report.message
+
+    steps = itertools.count()
+    assert feed.state(feed.step(next(steps))) is not None  # estimates have come
+    end = time.monotonic() + 0.6  # age_limit is 0.25 s
+    while time.monotonic() < end:
+        feed.graph.spin(0.05)
+        feed.step(next(steps), in_contact=False)
+    assert not any(map(silence, feed.graph.reports("filter")))
+    while not feed.graph.wait(lambda: any(map(silence, feed.graph.reports("filter"))), 0.05):
+        feed.send_presence(feed.stamp_ns + next(steps) * PERIOD_NS)  # which announces an estimate
+        assert time.monotonic() < end + 10.0
