@@ -19,6 +19,7 @@ from pathlib import Path
 from tactile_bringup.cli import main as tactile
 from tactile_perception.dataset import TactileFolder, open_folder
 from tactile_perception.dataset_layout import IMAGE_PARAMS_NAME, IMAGES_NAME, TARGETS_NAME, image_name
+from tactile_perception.training.run_folder import RESULT_NAME
 
 #: The published labels' columns, of which the second half may be zero: their sum is what counts.
 COLUMNS = [f"{kind}_{axis}" for kind in ("pose", "shear") for axis in ("x", "y", "z", "Rx", "Ry", "Rz")]
@@ -58,7 +59,7 @@ def main() -> int:
     options = [text for change in args.set for text in ("--set", change)]
     for name, value in (("--config", args.config), ("--start", args.start)):
         options += [name, str(value)] if value else []
-    if tactile(["train", str(data), "--out", str(run), *options]):
+    if not (run / RESULT_NAME).exists() and tactile(["train", str(data), "--out", str(run), *options]):
         return 1
     for name, models in (("first_session", args.model), ("both_sessions", [run])):
         print(f"trained on {name.replace('_', ' ')}:")
