@@ -1,0 +1,235 @@
+// Poses, polynomials and triangular factors on LANES cases side by side, one in each lane of a vector. A template:
+// included by fusion_lanes.h for each kind of vector, which lanes_begin.h describes. Long chains, where each result waits
+// for the one before, take `count` cases at a time, step by step: the one fills what the other waits.
+//
+// Packed lower triangles hold 00, 10, 11, 20, ...
+
+typedef struct {
+  V rot[9], pos[3];
+} NAME(Pose);
+
+// mat = unit' * diag(pivot) * unit with unit lower triangular of which the strictly lower part is held
+typedef struct {
+  V unit[15], inverse[6];  // of pivot
+} NAME(Factor);
+
+
+// polynomials of even degree; of doubles even and odd powers apart, of floats, where the square of a small argument
+// would be subnormal and slow, by Horner's rule
+INLINE void NAME(polynomials)(V res[], const double* coef, int degree, const V x[], int count) {
+#if ELEM_BYTES == 4
+  UNROLL
+  for (int i = degree; i >= 0; i--) {
+    UNROLL
+    for (int n = 0; n < count; n++) {
+      res[n] = i == degree ? SPLAT(coef[i]) : FMA(res[n], x[n], SPLAT(coef[i]));
+    }
+  }
+#else
+  V square[MOST], odd[MOST];
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    square[n] = x[n]*x[n];
+    res[n] = SPLAT(coef[degree]);
+    odd[n] = SPLAT(coef[degree-1]);
+  }
+  UNROLL
+  for (int i = degree - 2; i >= 0; i -= 2) {
+    UNROLL
+    for (int n = 0; n < count; n++) {
+      res[n] = FMA(res[n], square[n], SPLAT(coef[i]));
+      odd[n] = i > 0 ? FMA(odd[n], square[n], SPLAT(coef[i-1])) : odd[n];
+    }
+  }
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    res[n] = FMA(odd[n], x[n], res[n]);
+  }
+#endif
+}
+
+
+INLINE V NAME(polynomial)(const double* coef, int degree, V x) {
+  V res;
+  NAME(polynomials)(&res, coef, degree, &x, 1);
+  return res;
+}
+
+
+INLINE V NAME(dot3)(const V a[3], const V b[3]) {
+  return FMA(a[2], b[2], FMA(a[1], b[1], a[0]*b[0]));
+}
+
+
+// res = a * b
+INLINE void NAME(product)(NAME(Pose)* res, const NAME(Pose)* a, const NAME(Pose)* b) {
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    const V* row = a->rot + 3*i;
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      res->rot[3*i+j] = FMA(row[2], b->rot[6+j], FMA(row[1], b->rot[3+j], row[0]*b->rot[j]));
+    }
+    res->pos[i] = FMA(row[2], b->pos[2], FMA(row[1], b->pos[1], FMA(row[0], b->pos[0], a->pos[i])));
+  }
+}
+
+
+// replace the rotation by the nearest one, which is near
+INLINE void NAME(orthonormalize)(V rot[9]) {
+  V excess[9], factor[9], res[9];
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j <= i; j++) {
+      V sum = FMA(rot[6+i], rot[6+j], FMA(rot[3+i], rot[3+j], rot[i]*rot[j]));
+      excess[3*i+j] = excess[3*j+i] = i == j ? sum - SPLAT(1) : sum;
+    }
+  }
+
+  // rot * (I + excess)^(-1/2); the next term of the series is below rounding
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      V square = FMA(excess[3*i+2], excess[6+j],
+                     FMA(excess[3*i+1], excess[3+j], excess[3*i]*excess[j]));
+      factor[3*i+j] = FMA(SPLAT(-0.375), square, SPLAT(0.5)*excess[3*i+j]);
+    }
+  }
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    const V* row = rot + 3*i;
+    UNROLL
+    for (int j = 0; j < 3; j++) {
+      res[3*i+j] = row[j] - FMA(row[2], factor[6+j], FMA(row[1], factor[3+j], row[0]*factor[j]));
+    }
+  }
+  UNROLL
+  for (int i = 0; i < 9; i++) {
+    rot[i] = res[i];
+  }
+}
+
+
+// factorize packed matrices from the last row up; `poor` gets the lanes whose pivots are not well above rounding
+INLINE void NAME(factorize_all)(NAME(Factor)* const res[], const V* const packed[], M* const poor[], int count) {
+  V left[MOST][21];
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    UNROLL
+    for (int i = 0; i < 21; i++) {
+      left[n][i] = packed[n][i];
+    }
+  }
+  UNROLL
+  for (int i = 5; i >= 0; i--) {
+    UNROLL
+    for (int n = 0; n < count; n++) {
+      V *row = left[n] + i*(i+1)/2, inverse = SPLAT(1) / row[i];
+      res[n]->inverse[i] = inverse;
+      UNROLL
+      for (int j = 0; j < i; j++) {
+        V scaled = row[j]*inverse;
+        res[n]->unit[i*(i-1)/2+j] = scaled;
+        UNROLL
+        for (int k = j; k < i; k++) {
+          left[n][k*(k+1)/2+j] = FNMA(row[k], scaled, left[n][k*(k+1)/2+j]);
+        }
+      }
+    }
+  }
+
+  // a pivot that is no number makes all after it none, and with them `least`
+  UNROLL
+  for (int n = 0; n < count; n++) {
+    V least = SPLAT(LARGEST), trace = SPLAT(0);
+    UNROLL
+    for (int i = 5; i >= 0; i--) {
+      int ii = i*(i+1)/2 + i;
+      trace = trace + packed[n][ii];
+      least = MIN(least, FNMA(SPLAT(POOR_PIVOT), packed[n][ii], left[n][ii]));
+    }
+    *poor[n] |= NOT(least > SPLAT(0)) | NOT(trace <= SPLAT(LARGEST));
+  }
+}
+
+
+INLINE void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poor) {
+  NAME(factorize_all)(&res, &packed, &poor, 1);
+}
+
+
+// vec = unit^-T vec
+INLINE void NAME(solve_transposed)(V vec[6], const NAME(Factor)* factor) {
+  UNROLL
+  for (int i = 5; i > 0; i--) {
+    UNROLL
+    for (int j = 0; j < i; j++) {
+      vec[j] = FNMA(factor->unit[i*(i-1)/2+j], vec[i], vec[j]);
+    }
+  }
+}
+
+
+// vec = unit^-1 vec
+INLINE void NAME(solve)(V vec[6], const NAME(Factor)* factor) {
+  UNROLL
+  for (int j = 0; j < 5; j++) {
+    UNROLL
+    for (int i = j + 1; i < 6; i++) {
+      vec[i] = FNMA(factor->unit[i*(i-1)/2+j], vec[j], vec[i]);
+    }
+  }
+}
+
+
+// what inverse_factor needs: apart from it, as roots take time in which there is something else to do
+INLINE void NAME(set_roots)(V root[6], const NAME(Factor)* factor) {
+  UNROLL
+  for (int i = 5; i >= 0; i--) {
+    root[i] = SQRT(factor->inverse[i]);
+  }
+}
+
+
+// packed lower factor of the inverse: mat^-1 = res * res'
+INLINE void NAME(inverse_factor)(V res[21], const NAME(Factor)* factor, const V root[6]) {
+  UNROLL
+  for (int j = 0; j < 6; j++) {
+    V column[6];
+    column[j] = root[j];
+    UNROLL
+    for (int i = j + 1; i < 6; i++) {
+      column[i] = FNMA(factor->unit[i*(i-1)/2+j], column[j], SPLAT(0));
+    }
+    UNROLL
+    for (int k = j + 1; k < 5; k++) {
+      UNROLL
+      for (int i = k + 1; i < 6; i++) {
+        column[i] = FNMA(factor->unit[i*(i-1)/2+k], column[k], column[i]);
+      }
+    }
+    UNROLL
+    for (int i = j; i < 6; i++) {
+      res[i*(i+1)/2+j] = column[i];
+    }
+  }
+}
+
+
+// res = mat * mat', both packed, mat lower triangular
+INLINE void NAME(square_lower)(V res[21], const V mat[21]) {
+  UNROLL
+  for (int i = 0; i < 6; i++) {
+    UNROLL
+    for (int j = 0; j <= i; j++) {
+      V sum = mat[i*(i+1)/2] * mat[j*(j+1)/2];
+      UNROLL
+      for (int k = 1; k <= j; k++) {
+        sum = FMA(mat[i*(i+1)/2+k], mat[j*(j+1)/2+k], sum);
+      }
+      res[i*(i+1)/2+j] = sum;
+    }
+  }
+}
