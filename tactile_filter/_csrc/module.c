@@ -78,8 +78,8 @@ static int read_mode(int* iterations, int* order, PyObject* arg) {
 
 static const char fuse_doc[] =
   "fuse(mean_1, cov_1, mean_2, cov_2, plan, /)\n--\n\n"
-  "The FusionResult. plan: a mode (else KeyError), or the number of iterations and the order: 2, 4, 0 for the exact Jacobian, or\n"
-  "-1 for iterations to convergence, at most so many.";
+  "The FusionResult. plan: a mode (else KeyError), or the number of iterations and the order: 2, 4, 0 for the\n"
+  "exact Jacobian, or -1 for iterations to convergence, at most so many.";
 
 static PyObject* fuse(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
