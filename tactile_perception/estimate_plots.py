@@ -40,8 +40,8 @@ def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -
             _scatter(figure, axes, actual[:, component], predicted[:, component], deviation)
             mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
             unit = NETWORK_UNITS[component]
-            axes.set_title(f"{COMPONENTS[component]}, {name}: MAE {mae:.4g} {unit}", fontsize=9)
-            axes.set(xlabel=f"actual ({unit})", ylabel="predicted")
+            axes.set_title(f"{COMPONENTS[component]}: MAE {mae:.3g} {unit}")
+            axes.set(xlabel=f"actual ({unit})", ylabel="predicted" if component else f"{name}\npredicted")
     figure.suptitle(title)
     figure.savefig(path, dpi=DPI)
 
@@ -51,6 +51,12 @@ def plot_grid(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
     figure = Figure(figsize=(3.3 * columns, height * rows + 0.3), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def shared_legend(figure: Figure, axes: Any) -> None:
+    """One legend below all plots, of the lines that these axes have."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
 
 
 def _scatter(figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: Array | None) -> None:

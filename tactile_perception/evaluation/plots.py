@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.estimate_plots import DPI, Row, draw_predicted_against_actual, plot_grid
+from tactile_perception.estimate_plots import (
+    DPI,
+    Row,
+    draw_predicted_against_actual,
+    plot_grid,
+    shared_legend,
+)
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import CURVE, shear_of
 from tactile_perception.evaluation.report import groups
@@ -51,7 +57,7 @@ def best(members: Sequence[ModelResult]) -> ModelResult:
 
 def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
     """Coverage against the nominal level of central intervals, before and after calibration."""
-    figure, grid = plot_grid(1, 6, 3.6)
+    figure, grid = plot_grid(1, 6, 4.3)
     for component, axes in enumerate(grid[0]):
         axes.plot([0.0, 1.0], [0.0, 1.0], color="black", linewidth=0.8)
         for color, result in enumerate(results):
@@ -63,13 +69,13 @@ def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
         axes.set(xlabel="nominal", title=COMPONENTS[component], aspect="equal")
         axes.grid(alpha=0.3)
     grid[0][0].set_ylabel("fraction of labels inside")
-    grid[0][0].legend(fontsize=7)
+    shared_legend(figure, grid[0][0])
     figure.savefig(path, dpi=DPI)
 
 
 def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
     """Root mean square error against predicted sigma in ten bins of as many samples each."""
-    figure, grid = plot_grid(1, 6, 3.6)
+    figure, grid = plot_grid(1, 6, 4.3)
     for component, axes in enumerate(grid[0]):
         reach = []
         for color, result in enumerate(results):
@@ -88,7 +94,7 @@ def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
         axes.set(xlabel=f"predicted sigma ({NETWORK_UNITS[component]})", title=COMPONENTS[component])
         axes.grid(alpha=0.3, which="both")
     grid[0][0].set_ylabel("root mean square error")
-    grid[0][0].legend(fontsize=7)
+    shared_legend(figure, grid[0][0])
     figure.savefig(path, dpi=DPI)
 
 
@@ -111,7 +117,7 @@ def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
             axes.set_ylim(bottom=0.0)
             axes.grid(alpha=0.3)
         axes_row[0].set_ylabel("mean absolute error")
-    grid[0][0].legend(fontsize=7)
+    shared_legend(figure, grid[0][0])
     figure.savefig(path, dpi=DPI)
 
 
@@ -129,7 +135,7 @@ def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) 
             mean = np.where(count >= _FEWEST, total / np.maximum(count, 1.0), np.nan)
             picture = axes.pcolormesh(edges[1], edges[0], mean, cmap="viridis", vmin=0.0)
             figure.colorbar(picture, ax=axes, pad=0.01)
-            axes.set_title(f"{COMPONENTS[component]} ({NETWORK_UNITS[component]}), {result.name}", fontsize=9)
-            axes.set(xlabel="shear (mm)", ylabel="depth (mm)")
+            axes.set_title(f"{COMPONENTS[component]} ({NETWORK_UNITS[component]})")
+            axes.set(xlabel="shear (mm)", ylabel="depth (mm)" if component else f"{result.name}\ndepth (mm)")
     figure.suptitle("mean absolute error")
     figure.savefig(path, dpi=DPI)
