@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_perception.dataset_layout import DatasetError
+from tactile_perception.whole_file import whole_file
 
 PARAMETERS_NAME = "collect_params.json"
 
@@ -32,6 +33,5 @@ def check_same_run(folder: Path, parameters: dict[str, Any]) -> None:
             raise DatasetError(f"{folder}: was made with another {other}; remove it or choose another folder")
         return
     folder.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(parameters, indent=2) + "\n")
-    temporary.replace(path)
+    with whole_file(path) as temporary:
+        temporary.write_text(json.dumps(parameters, indent=2) + "\n")
