@@ -18,14 +18,14 @@ C_MODULES = {
 
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.
 NODES = {
-    "estimator": "tactile_perception.estimator_node",
-    "marker_view": "tactile_perception.marker_view_node",
-    "filter": "tactile_filter.filter_node",
-    "object": "tactile_filter.object_node",
-    "controller": "tactile_control.controller_node",
-    "sim": "tactile_drivers.sim_node",
-    "collector": "tactile_bringup.collector_node",
-    "recorder": "tactile_bringup.recorder_node",
+    "estimator": "tactile_ros.nodes.estimator_node",
+    "marker_view": "tactile_ros.nodes.marker_view_node",
+    "filter": "tactile_ros.nodes.filter_node",
+    "object": "tactile_ros.nodes.object_node",
+    "controller": "tactile_ros.nodes.controller_node",
+    "sim": "tactile_ros.nodes.sim_node",
+    "collector": "tactile_ros.nodes.collector_node",
+    "recorder": "tactile_ros.nodes.recorder_node",
 }
 
 

@@ -12,10 +12,10 @@ import dataclasses
 
 import numpy as np
 
-from tactile_bringup import metrics
+from tactile_base.config_paths import config_path
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.files import load_task
-from tactile_filter.config_paths import config_path
+from tactile_records.runs import metrics
 
 SCENES = {"ramp": (), "dome": ("theta_1",)}
 

@@ -24,8 +24,8 @@ from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.consistency import nees
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
-from tactile_perception.labels import label_from_euler
-from tactile_perception.motion_noise import Drift, motion_filter
+from tactile_perception.estimating.labels import label_from_euler
+from tactile_perception.evaluation.motion_noise import Drift, motion_filter
 
 Array = NDArray[np.float64]
 
@@ -80,9 +80,9 @@ def simulated(draw: Callable[[np.random.Generator], Array], variant: dict[str, A
 
 def estimates(data: Path, model: Path) -> tuple[list[PoseGaussian], Array, Array]:
     """Estimates, true poses of the sensor and labels of all images of a folder."""
-    from tactile_perception.dataset import open_folder
+    from tactile_perception.datasets.dataset import open_folder
+    from tactile_perception.estimating.sources import folder_frames, usable_order
     from tactile_perception.estimator import Estimator
-    from tactile_perception.sources import folder_frames, usable_order
 
     folder, estimator = open_folder(data), Estimator(model, 1)
     found, poses, labels = [], [], []

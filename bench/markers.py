@@ -20,9 +20,9 @@ from scipy.spatial import cKDTree
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.tactip import TacTip
-from tactile_perception.marker_view import side_by_side
-from tactile_perception.markers import density_change, detect
-from tactile_perception.preprocessing import Preprocessor
+from tactile_perception.estimating.preprocessing import Preprocessor
+from tactile_perception.markers.detection import density_change, detect
+from tactile_perception.markers.view import side_by_side
 
 SAME = 4.0  # px, within which a marker found is one of the simulator's
 

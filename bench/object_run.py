@@ -22,18 +22,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_bringup.bag import Bag, read_bag
-from tactile_bringup.bag_reader import arms_of, gaussian_row, pose_matrix, run_from_bag, stamp_of, truth_row
+from tactile_base.config_paths import config_path
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_bringup.run_record import RunRecord
 from tactile_drivers.scene import Scene, load_scene
 from tactile_filter import se3
-from tactile_filter.config_paths import config_path
 from tactile_filter.consistency import nees
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.object_file import load_object
-from tactile_filter.object_settings import TrackerSettings
-from tactile_filter.object_tracker import ContactUpdate, ObjectTracker
+from tactile_filter.object.file import load_object
+from tactile_filter.object.settings import TrackerSettings
+from tactile_filter.object.tracker import ContactUpdate, ObjectTracker
+from tactile_records.bags.reader import Bag, read_bag
+from tactile_records.runs.from_bag import (
+    arms_of,
+    gaussian_row,
+    pose_matrix,
+    run_from_bag,
+    stamp_of,
+    truth_row,
+)
+from tactile_records.runs.record import RunRecord
 
 Array = NDArray[Any]
 GAP_NS = 300_000_000  # after a longer silence the object's frame may be another one

@@ -16,10 +16,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tactile_bringup import metrics
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.files import load_task, task_path
 from tactile_drivers.scene import load_scene
+from tactile_records.runs import metrics
 
 LATENCIES = (0.005, 0.020, 0.050)  # s
 SPEEDS = (0.010, 0.025, 0.050)  # m/s

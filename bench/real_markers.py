@@ -1,8 +1,8 @@
 """Markers of a TacTip data folder, told apart and tracked: used by what compares simulation and reality.
 
-`tactile_perception.markers` finds the markers of each image. Which is which follows from the rings at rest,
-from a regression of the marker positions on the labels, refined from shallow to deep contacts, and then from
-the neighbors: starting where the regression is right to a few pixels, each marker of an image is expected
+`tactile_perception.markers.detection` finds the markers of each image. Which is which follows from the rings
+at rest, from a regression of the marker positions on the labels, refined from shallow to deep contacts, and
+then from the neighbors: starting where the regression is right to a few pixels, each marker is expected
 where its neighbors' displacements put it, so that the matching grows over the image and follows contacts that
 slipped as well as those that stuck.
 
@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tactile_perception.dataset import TactileFolder, open_folder
-from tactile_perception.markers import detect
+from tactile_perception.datasets.dataset import TactileFolder, open_folder
+from tactile_perception.markers.detection import detect
 
 RINGS = 10
 DEPTH_STEPS = (0.7, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.1, 6.1)  # mm

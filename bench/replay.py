@@ -12,12 +12,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from tactile_bringup.bag import read_bag
-from tactile_bringup.replay import run_filter
-from tactile_bringup.replay_inputs import Inputs, inputs_of
-from tactile_bringup.replay_output import write_bag
-from tactile_bringup.replay_sweep import base_settings
-from tactile_bringup.replay_topics import wanted_topics
+from tactile_records.bags.reader import read_bag
+from tactile_records.replay.inputs import Inputs, inputs_of
+from tactile_records.replay.output import write_bag
+from tactile_records.replay.run import run_filter
+from tactile_records.replay.sweep import base_settings
+from tactile_records.replay.topics import wanted_topics
 
 PARTS = ("read", "prepare", "filter", "write", "all")
 

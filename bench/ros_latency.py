@@ -21,22 +21,22 @@ import rclpy
 from rclpy.action import ActionClient
 from rclpy.signals import SignalHandlerOptions
 
-from tactile_bringup.environment import ros_environment
-from tactile_bringup.processes import ProcessGroup, tail
-from tactile_bringup.ros import qos
-from tactile_bringup.ros.dds_profile import use_dds_profile
-from tactile_bringup.ros.managed_node import make_executor
-from tactile_bringup.ros.stamps import ns_from_time
+from tactile_bringup.launching.environment import ros_environment
+from tactile_bringup.launching.processes import ProcessGroup, tail
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import StageLatency
+from tactile_ros import qos
+from tactile_ros.dds_profile import use_dds_profile
+from tactile_ros.managed_node import make_executor
+from tactile_ros.stamps import ns_from_time
 
 ARM = "arm"
 STAGES = ("camera", "estimator", "filter", "controller")
 NODES = {
-    "sim": ("tactile_drivers.sim_node", "/"),
-    "estimator": ("tactile_perception.estimator_node", f"/{ARM}"),
-    "filter": ("tactile_filter.filter_node", f"/{ARM}"),
-    "controller": ("tactile_control.controller_node", f"/{ARM}"),
+    "sim": ("tactile_ros.nodes.sim_node", "/"),
+    "estimator": ("tactile_ros.nodes.estimator_node", f"/{ARM}"),
+    "filter": ("tactile_ros.nodes.filter_node", f"/{ARM}"),
+    "controller": ("tactile_ros.nodes.controller_node", f"/{ARM}"),
 }
 
 

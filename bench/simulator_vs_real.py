@@ -20,7 +20,7 @@ from real_markers import Tracked, track
 from tactile_drivers.sim.collection import Mounting, press_then_shear
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_drivers.sim.tactip import TacTip
-from tactile_perception.preprocessing import Preprocessor
+from tactile_perception.estimating.preprocessing import Preprocessor
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

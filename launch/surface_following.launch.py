@@ -5,7 +5,7 @@ stay up and the task is started by hand, as often as wanted: `tactile run surfac
 """
 
 from launch import LaunchDescription
-from tactile_bringup.launch_description import describe
+from tactile_bringup.launching.launch_description import describe
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -35,11 +35,12 @@ if ! up_to_date build/stamp-interfaces "$wanted"; then
 fi
 
 wanted="$(fingerprint package.xml setup.py setup.cfg resource scripts/tactile launch config \
-    tactile_filter tactile_perception tactile_control tactile_drivers tactile_bringup)"
+    tactile_base tactile_filter tactile_perception tactile_control tactile_drivers tactile_records tactile_ros \
+    tactile_bringup)"
 if ! up_to_date build/stamp-package "$wanted"; then
     # Neither setuptools nor colcon removes what a deleted or renamed source left behind.
     rm -rf build/tactile_servoing/build install/share/tactile_servoing install/lib/tactile_servoing \
-        install/lib/python3*/site-packages/tactile_{filter,perception,control,drivers,bringup,servoing-*}
+        install/lib/python3*/site-packages/tactile_{base,filter,perception,control,drivers,records,ros,bringup,servoing-*}
     build colcon-package "Python package with C extensions" tactile_servoing
     # Python 3.10 has no PYTHONSAFEPATH (see env.sh): what is started in this folder imports its sources.
     if python -c 'import sys; sys.exit(sys.version_info >= (3, 11))'; then

@@ -9,19 +9,19 @@ from collections.abc import Sequence
 
 # Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
 COMMANDS = (
-    "tactile_bringup.launch_command",
-    "tactile_bringup.run_command",
-    "tactile_bringup.demo",
-    "tactile_bringup.simulate_command",
-    "tactile_bringup.replay_command",
-    "tactile_perception.commands",
-    "tactile_perception.train_command",
-    "tactile_perception.evaluate_command",
-    "tactile_perception.calibrate_command",
-    "tactile_perception.quantize_command",
-    "tactile_perception.marker_command",
-    "tactile_bringup.data_command",
-    "tactile_bringup.doctor",
+    "tactile_bringup.commands.launch",
+    "tactile_bringup.commands.run",
+    "tactile_bringup.commands.demo",
+    "tactile_bringup.commands.simulate",
+    "tactile_bringup.commands.replay",
+    "tactile_bringup.commands.estimate",
+    "tactile_bringup.commands.train",
+    "tactile_bringup.commands.evaluate",
+    "tactile_bringup.commands.calibrate",
+    "tactile_bringup.commands.quantize",
+    "tactile_bringup.commands.markers",
+    "tactile_bringup.commands.data",
+    "tactile_bringup.commands.doctor",
 )
 
 
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from tactile_bringup.version import version
+    from tactile_base.version import version
 
     parser = argparse.ArgumentParser(
         prog="tactile", description="Servoing by touch: tactile image to pose, shear, belief, twist and arm."
@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _print_version(arguments: argparse.Namespace) -> int:
-    from tactile_bringup.version import version
+    from tactile_base.version import version
 
     print(version())
     return 0

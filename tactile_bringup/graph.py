@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from tactile_bringup.bag_writer import Topic
+from tactile_records.bags.writer import Topic
 
 RECORDER = "recorder"
 
@@ -117,7 +117,7 @@ class GraphOptions:
     object_belief : bool
         Whether the contacts of all arms are fused into one belief over the object that they touch.
     object_file : str
-        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object_file`);
+        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object.file`);
         empty: that is found by touch.
     """
 
@@ -237,7 +237,7 @@ def build_collection_graph(
     """
     options = options or GraphOptions()
     nodes = [_simulator(scene, options)] if simulate else []
-    module, name = "tactile_bringup.collector_node", "collector"
+    module, name = "tactile_ros.nodes.collector_node", "collector"
     nodes.append(NodeProcess(name, f"/{arm}", module, name, collector))
     topics = tuple(_topics([outline for outline in scene.arms if outline.name == arm]))
     if options.record is not None:
@@ -258,7 +258,7 @@ def _simulator(scene: SceneOutline, options: GraphOptions) -> NodeProcess:
     parameters: dict[str, Any] = {"scene": str(scene.file), "seed": options.seed}
     if options.rate is not None:
         parameters["camera_rate"] = float(options.rate)
-    return NodeProcess("sim", "/", "tactile_drivers.sim_node", "sim", parameters)
+    return NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters)
 
 
 def _estimator(arm: ArmOutline, options: GraphOptions) -> NodeProcess:
@@ -266,18 +266,16 @@ def _estimator(arm: ArmOutline, options: GraphOptions) -> NodeProcess:
     if options.model is not None:
         parameters["model"] = str(options.model)
     return NodeProcess(
-        "estimator", f"/{arm.name}", "tactile_perception.estimator_node", "estimator", parameters
+        "estimator", f"/{arm.name}", "tactile_ros.nodes.estimator_node", "estimator", parameters
     )
 
 
 def _marker_view(arm: ArmOutline) -> NodeProcess:
-    return NodeProcess(
-        "marker_view", f"/{arm.name}", "tactile_perception.marker_view_node", "marker_view", {}
-    )
+    return NodeProcess("marker_view", f"/{arm.name}", "tactile_ros.nodes.marker_view_node", "marker_view", {})
 
 
 def _filter(arm: ArmOutline, values: Mapping[str, Any]) -> NodeProcess:
-    return NodeProcess("filter", f"/{arm.name}", "tactile_filter.filter_node", "filter", values)
+    return NodeProcess("filter", f"/{arm.name}", "tactile_ros.nodes.filter_node", "filter", values)
 
 
 def _controller(arm: ArmOutline, groups: Mapping[str, Mapping[str, Any]]) -> NodeProcess:
@@ -285,13 +283,13 @@ def _controller(arm: ArmOutline, groups: Mapping[str, Mapping[str, Any]]) -> Nod
         f"{group}.{name}": value for group, values in groups.items() for name, value in values.items()
     }
     return NodeProcess(
-        "controller", f"/{arm.name}", "tactile_control.controller_node", "controller", parameters
+        "controller", f"/{arm.name}", "tactile_ros.nodes.controller_node", "controller", parameters
     )
 
 
 def _object(arms: Sequence[ArmOutline], values: Mapping[str, Any]) -> NodeProcess:
     parameters = {"arms": [arm.name for arm in arms], **values}
-    return NodeProcess("object", "/", "tactile_filter.object_node", "object", parameters)
+    return NodeProcess("object", "/", "tactile_ros.nodes.object_node", "object", parameters)
 
 
 def _recorder(
@@ -317,7 +315,7 @@ def _recorder(
         "images": images if options.record_images else [],
         "note": [f"{name}={text}" for name, text in note.items()],
     }
-    return NodeProcess(RECORDER, "/", "tactile_bringup.recorder_node", "recorder", parameters)
+    return NodeProcess(RECORDER, "/", "tactile_ros.nodes.recorder_node", "recorder", parameters)
 
 
 def _is_empty(value: Any) -> bool:

@@ -20,18 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_bringup.run_record import (
-    ArmSeries,
-    BeliefSeries,
-    CommandSeries,
-    GaussianSeries,
-    PoseSeries,
-    PresenceSeries,
-    RunRecord,
-    StageSeries,
-    SurfaceMesh,
-    TruthSeries,
-)
+from tactile_base.settings import SettingError
 from tactile_control.files import Task, load_task, task_path
 from tactile_control.phases import StampedPose
 from tactile_control.task import Command, StampedPresence, SurfaceFollowing, TaskInputs
@@ -40,7 +29,18 @@ from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.files import load_filter_settings
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import SettingError
+from tactile_records.runs.record import (
+    ArmSeries,
+    BeliefSeries,
+    CommandSeries,
+    GaussianSeries,
+    PoseSeries,
+    PresenceSeries,
+    RunRecord,
+    StageSeries,
+    TruthSeries,
+)
+from tactile_records.runs.surfaces import surface_mesh
 
 Array = NDArray[Any]
 
@@ -116,8 +116,8 @@ class ImagePerception:
 
     def __init__(self, model: Path | None) -> None:
         # here, since runs with an ideal sensor do without onnxruntime
+        from tactile_perception.estimating.presence import ContactPresence
         from tactile_perception.estimator import Estimator
-        from tactile_perception.presence import ContactPresence
 
         self.estimator = Estimator(model or "")
         self.presence = ContactPresence()
@@ -329,18 +329,6 @@ class _Log:
 
 def _columns(rows: list[tuple[Any, ...]]) -> list[Array]:
     return [np.array(column) for column in zip(*rows, strict=True)]
-
-
-def surface_mesh(scene: Scene, arm: str, n: int = 60) -> SurfaceMesh:
-    """All surfaces that the arm's sensor can touch, as one mesh in the arm's base."""
-    vertices, faces, count = [], [], 0
-    for placed in scene.surfaces_of(arm).values():
-        points, triangles = placed.make().mesh(n)
-        T = placed.T_base_surface(scene.arms[arm])
-        vertices.append(points @ T[:3, :3].T + T[:3, 3])
-        faces.append(triangles + count)
-        count += len(points)
-    return SurfaceMesh(np.concatenate(vertices), np.concatenate(faces)) if vertices else SurfaceMesh()
 
 
 def _arm_name(scene: Scene, wanted: str | None) -> str:

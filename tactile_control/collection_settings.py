@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 
+from tactile_base.settings import SettingError, Settings, setting
 from tactile_control.limiter import LimiterSettings
 from tactile_control.task_settings import TaskSettings
 from tactile_control.watchdog import WatchdogSettings
-from tactile_filter.settings import SettingError, Settings, setting
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.config_paths import config_folder, named_file
+from tactile_base.settings import SettingError, unknown_name
+from tactile_base.yaml_file import Section, read_yaml
 from tactile_control.task import PathGoal
 from tactile_control.task_settings import SurfaceFollowingSettings
 from tactile_filter import se3
-from tactile_filter.config_paths import config_folder, named_file
-from tactile_filter.settings import SettingError, unknown_name
-from tactile_filter.yaml_file import Section, read_yaml
 
 TASKS = ("surface_following",)
 GROUPS = tuple(item.name for item in dataclasses.fields(SurfaceFollowingSettings))

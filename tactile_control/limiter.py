@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.settings import Settings, setting
 from tactile_control.pid import CHANNELS, NANOSECOND
-from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.settings import Settings, setting
 from tactile_control.pid import (
     SPACES,
     PidOutput,
@@ -25,7 +26,6 @@ from tactile_control.pid import (
     to_local,
 )
 from tactile_filter import se3
-from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_control.limiter import LimiterSettings
 from tactile_control.pid import PidSettings
 from tactile_control.servoing import ServoingSettings
 from tactile_control.watchdog import WatchdogSettings
 from tactile_filter.prediction import PredictionSettings
-from tactile_filter.settings import SettingError, Settings, setting, unknown_name
 
 LOST_CONTACT = ("reapproach", "fail")
 

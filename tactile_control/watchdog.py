@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from tactile_base.settings import Settings, setting
 from tactile_control.pid import NANOSECOND
-from tactile_filter.settings import Settings, setting
 
 
 @dataclass(frozen=True)

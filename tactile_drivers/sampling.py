@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.settings import SettingError, Settings, setting
+from tactile_base.settings import SettingError, Settings, setting
 
 Array = NDArray[np.float64]
 

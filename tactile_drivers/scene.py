@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.config_paths import named_file
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.yaml_file import Section, read_yaml
 from tactile_drivers.sim.arm import ArmSettings
 from tactile_drivers.sim.ideal_sensor import IdealSensorSettings
 from tactile_drivers.sim.surfaces import SURFACES, Surface
 from tactile_filter import se3
-from tactile_filter.config_paths import named_file
-from tactile_filter.settings import SettingError, Settings, setting
-from tactile_filter.yaml_file import Section, read_yaml
 
 Array = NDArray[np.float64]
 

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from tactile_base.settings import Settings, setting
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_filter.filter_settings import SECOND_NS
-from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 

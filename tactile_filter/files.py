@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tactile_base.config_paths import config_path
+from tactile_base.yaml_file import read_yaml
 from tactile_filter.bayes_filter import FilterSettings
-from tactile_filter.config_paths import config_path
-from tactile_filter.yaml_file import read_yaml
 
 
 def load_filter_settings(path: str | Path | None = None) -> FilterSettings:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from tactile_filter.settings import SettingError, Settings, setting
+from tactile_base.settings import SettingError, Settings, setting
 
 SECOND_NS = 1_000_000_000
 

@@ -11,9 +11,9 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.settings import unknown_name
 from tactile_filter.fusion_result import FusionBatch, FusionError, FusionResult, FusionStatus
 from tactile_filter.native import _fusion
-from tactile_filter.settings import unknown_name
 
 __all__ = [
     "JACOBIAN_ORDERS",

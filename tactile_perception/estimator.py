@@ -10,12 +10,12 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
+from tactile_base.settings import Settings, setting
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import Settings, setting
-from tactile_perception.image import Image, ImageError
-from tactile_perception.labels import NETWORK_SCALE
-from tactile_perception.model_metadata import (
+from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.labels import NETWORK_SCALE
+from tactile_perception.estimating.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
     INVERSE_SIGMA,
@@ -25,7 +25,7 @@ from tactile_perception.model_metadata import (
     MetadataError,
     ModelMetadata,
 )
-from tactile_perception.preprocessing import Preprocessor
+from tactile_perception.estimating.preprocessing import Preprocessor
 
 Array = NDArray[np.float64]
 _WARM_UP_RUNS = 5

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tactile_bringup.shared_memory import orphans
+from tactile_bringup.launching.shared_memory import orphans
 
 PATIENCE = 120.0  # s; a wait ends as soon as it can: only a test that fails waits as long, on any machine
 

@@ -17,8 +17,8 @@ import shutil
 from pathlib import Path
 
 from tactile_bringup.cli import main as tactile
-from tactile_perception.dataset import TactileFolder, open_folder
-from tactile_perception.dataset_layout import IMAGE_PARAMS_NAME, IMAGES_NAME, TARGETS_NAME, image_name
+from tactile_perception.datasets.dataset import TactileFolder, open_folder
+from tactile_perception.datasets.layout import IMAGE_PARAMS_NAME, IMAGES_NAME, TARGETS_NAME, image_name
 from tactile_perception.training.run_folder import RESULT_NAME
 
 #: The published labels' columns, of which the second half may be zero: their sum is what counts.

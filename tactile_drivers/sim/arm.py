@@ -18,8 +18,8 @@ import numpy as np
 import ruckig
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.settings import Settings, setting
 from tactile_filter import se3
-from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 

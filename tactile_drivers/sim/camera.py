@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import Settings, setting
 from tactile_drivers.sim import _contact
-from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 _NOISE_LEVELS = 4096

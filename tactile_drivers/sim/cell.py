@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.settings import unknown_name
 from tactile_drivers.scene import ArmScene, Scene, SensorScene
 from tactile_drivers.sim.arm import NS, ArmMode, ArmStatus, SimArm
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealSensorSettings
@@ -26,7 +27,6 @@ from tactile_drivers.sim.surfaces import Surface, contact_pose
 from tactile_drivers.sim.truth import Truth, shear_of
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import unknown_name
 
 if TYPE_CHECKING:
     from tactile_drivers.sim.skin import Skin, SkinSettings

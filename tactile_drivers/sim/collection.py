@@ -26,11 +26,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import setting
 from tactile_drivers.sampling import SamplingSettings, check_ordered, sample_pose, sample_rng
 from tactile_drivers.sim.tactip import ContactTruth, TacTip, TacTipSettings
 from tactile_drivers.sim.variation import VariationSettings, varied
 from tactile_filter import se3
-from tactile_filter.settings import setting
 
 Array = NDArray[np.float64]
 R = TypeVar("R")

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import SettingError, Settings, setting
 from tactile_drivers.sim.surfaces import ContactGeometry, Surface, contact_pose
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import SettingError, Settings, setting
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import Settings, setting
 from tactile_drivers.sim.skin import Skin, ring_directions
-from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 _NEIGHBORS = 16

@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
+from tactile_base.config_paths import named_file
+from tactile_base.yaml_file import read_yaml
 from tactile_drivers.sim.collection import CollectionSettings
 from tactile_drivers.sim.tactip import TacTipSettings
 from tactile_drivers.sim.variation import VariationSettings
-from tactile_filter.config_paths import named_file
-from tactile_filter.yaml_file import read_yaml
 
 _DATA_GROUPS = ("collection", "variation")
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.settings import Settings, setting
+from tactile_base.settings import Settings, setting
 
 Array = NDArray[np.float64]
 DATA_FILE = Path(__file__).parent / "data" / "skin_compliance.npz"

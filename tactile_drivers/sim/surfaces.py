@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.settings import SettingError, Settings, setting, unknown_name
+from tactile_base.settings import SettingError, Settings, setting, unknown_name
 
 Array = NDArray[np.float64]
 

@@ -17,13 +17,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import Settings, setting
 from tactile_drivers.sim import _contact
 from tactile_drivers.sim.camera import Camera, CameraSettings
 from tactile_drivers.sim.markers import Markers, MarkerSettings
 from tactile_drivers.sim.skin import Skin, SkinSettings, load_skin
 from tactile_filter import se3
 from tactile_filter.se3 import PoseError
-from tactile_filter.settings import Settings, setting
 
 Array = NDArray[np.float64]
 _FREE, _STICK, _SLIP = 0, 1, 2

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.settings import Settings, setting
+from tactile_base.settings import Settings, setting
 
 Image = NDArray[np.uint8]
 _FULL_DEPTH = 3e-3  # m, from which the skin's field has its full size

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.calibration import fit_calibration
-from tactile_perception.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
+from tactile_perception.datasets.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
+from tactile_perception.datasets.holdback import unseen_rows
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.evaluation.calibration import fit_calibration
 from tactile_perception.evaluation.metrics import (
     Accuracy,
     Bins,
@@ -24,8 +26,6 @@ from tactile_perception.evaluation.metrics import (
 )
 from tactile_perception.evaluation.models import Model
 from tactile_perception.evaluation.predictions import Predictions, moment_matched
-from tactile_perception.holdback import unseen_rows
-from tactile_perception.preprocessing import PreprocessingSettings
 
 Array = NDArray[np.float64]
 ENSEMBLE = "ensemble"

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from tactile_filter.bayes_filter import FilterSettings
-from tactile_perception.estimate_plots import Row, draw_predicted_against_actual
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.plots import Row, draw_predicted_against_actual
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
 from tactile_perception.evaluation.filtering import (
     ContactSequence,
@@ -28,7 +29,6 @@ from tactile_perception.evaluation.filtering import (
 from tactile_perception.evaluation.plots import best
 from tactile_perception.evaluation.predictions import Predictions
 from tactile_perception.evaluation.report import file_name, groups, with_spread
-from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
 #: The paper's noises of the motion, in mm and degrees.

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.preprocessing import as_input
 from tactile_perception.estimator import Estimator, ModelError
 from tactile_perception.evaluation.predictions import Predictions
-from tactile_perception.model_metadata import ModelMetadata
-from tactile_perception.preprocessing import as_input
 
 MODEL_NAME = "model.onnx"
 #: What the heads that `tactile train` knows are called in tables.

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.estimate_plots import (
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.plots import (
     DPI,
     Row,
     draw_predicted_against_actual,
@@ -18,7 +19,6 @@ from tactile_perception.estimate_plots import (
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import CURVE, shear_of
 from tactile_perception.evaluation.report import groups
-from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
 #: Cells with fewer samples stay empty.

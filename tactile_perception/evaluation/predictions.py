@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_perception.calibration import Calibration
-from tactile_perception.labels import NETWORK_SCALE
+from tactile_perception.estimating.labels import NETWORK_SCALE
+from tactile_perception.evaluation.calibration import Calibration
 
 Array = NDArray[np.float64]
 OUTPUTS = 6

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.config_paths import config_path
-from tactile_filter.yaml_file import read_yaml
+from tactile_base.config_paths import config_path
+from tactile_base.yaml_file import read_yaml
 
 Array = NDArray[np.float64]
 _FILE = "perception/tables_lloyd_lepora.yaml"

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from tactile_perception.estimating.labels import COMPONENTS, EULER_COMPONENTS, EULER_UNITS, NETWORK_UNITS
 from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import LEVELS, Bins
 from tactile_perception.evaluation.reference import ReferenceTables
-from tactile_perception.labels import COMPONENTS, EULER_COMPONENTS, EULER_UNITS, NETWORK_UNITS
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.image import Image
+from tactile_perception.estimating.image import Image
 from tactile_perception.training.settings import AugmentationSettings
 from tactile_perception.training.symmetry import CropGeometry, find_center, turn, warped
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tactile_filter.settings import SettingError, Settings, unknown_name
-from tactile_filter.yaml_file import read_yaml
-from tactile_perception.calibration import CalibrationSettings
-from tactile_perception.command_settings import name_and_value
+from tactile_base.settings import SettingError, Settings, unknown_name
+from tactile_base.yaml_file import name_and_value, read_yaml
+from tactile_perception.evaluation.calibration import CalibrationSettings
 from tactile_perception.training.settings import AugmentationSettings, NetworkSettings, TrainingSettings
 
 SECTIONS: dict[str, type[Settings]] = {

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.calibration import CalibrationError
-from tactile_perception.dataset import DatasetError, TactileDataset, read_dataset
-from tactile_perception.holdback import split_holdback
-from tactile_perception.image import Image
-from tactile_perception.preprocessing import PreprocessingSettings
+from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset
+from tactile_perception.datasets.holdback import split_holdback
+from tactile_perception.estimating.image import Image
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.evaluation.calibration import CalibrationError
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.start import Start, load_start

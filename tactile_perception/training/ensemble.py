@@ -9,21 +9,21 @@ from pathlib import Path
 import onnx
 from onnx import helper
 
-from tactile_perception.calibration import CalibrationSettings
-from tactile_perception.dataset import read_dataset
-from tactile_perception.estimator import Estimator
-from tactile_perception.holdback import split_holdback
-from tactile_perception.model_metadata import (
+from tactile_base.whole_file import whole_file
+from tactile_perception.datasets.dataset import read_dataset
+from tactile_perception.datasets.holdback import split_holdback
+from tactile_perception.estimating.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
     INVERSE_SIGMA,
     MEAN,
     ModelMetadata,
 )
+from tactile_perception.estimator import Estimator
+from tactile_perception.evaluation.calibration import CalibrationSettings
 from tactile_perception.training.graph_writer import GraphWriter
 from tactile_perception.training.recalibration import fit_on
 from tactile_perception.training.run_folder import MODEL_NAME
-from tactile_perception.whole_file import whole_file
 
 
 class EnsembleError(ValueError):

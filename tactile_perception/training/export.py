@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from onnx import helper
 from torch import nn
 
-from tactile_perception.model_metadata import INPUT_NAME, MEAN, ModelMetadata
+from tactile_base.whole_file import whole_file
+from tactile_perception.estimating.model_metadata import INPUT_NAME, MEAN, ModelMetadata
 from tactile_perception.training.graph_writer import GraphWriter, write_head
 from tactile_perception.training.network import ConvBlock, PoseNetwork
-from tactile_perception.whole_file import whole_file
 
 
 def export_onnx(

@@ -9,7 +9,13 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from tactile_perception.model_metadata import COVARIANCE, INPUT_NAME, INVERSE_SIGMA, MEAN, OUTPUT_SHAPES
+from tactile_perception.estimating.model_metadata import (
+    COVARIANCE,
+    INPUT_NAME,
+    INVERSE_SIGMA,
+    MEAN,
+    OUTPUT_SHAPES,
+)
 from tactile_perception.training.heads import COMPONENTS_OF_MIXTURE, LOWER, OUTPUTS
 from tactile_perception.training.settings import NetworkSettings
 

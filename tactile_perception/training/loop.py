@@ -12,9 +12,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tactile_perception.calibration import Calibration, fit_calibration
-from tactile_perception.labels import COMPONENTS
-from tactile_perception.model_metadata import ModelMetadata
+from tactile_perception.estimating.labels import COMPONENTS
+from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.averaging import WeightAverage
 from tactile_perception.training.config import TrainConfig

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from onnx import numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
 
-from tactile_filter.settings import Settings, setting
-from tactile_perception.model_metadata import INPUT_NAME, MetadataError, ModelMetadata
-from tactile_perception.preprocessing import as_input
-from tactile_perception.whole_file import whole_file
+from tactile_base.settings import Settings, setting
+from tactile_base.whole_file import whole_file
+from tactile_perception.estimating.model_metadata import INPUT_NAME, MetadataError, ModelMetadata
+from tactile_perception.estimating.preprocessing import as_input
 
 _BATCH = 20
 _OPERATIONS = ["Conv", "Relu", "MaxPool"]

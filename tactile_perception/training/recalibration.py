@@ -9,18 +9,18 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from tactile_perception.calibration import (
+from tactile_base.whole_file import whole_file
+from tactile_perception.datasets.dataset import TactileDataset, read_dataset
+from tactile_perception.datasets.holdback import unseen_rows
+from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.preprocessing import as_input
+from tactile_perception.estimator import Estimator
+from tactile_perception.evaluation.calibration import (
     Calibration,
     CalibrationError,
     CalibrationSettings,
     fit_calibration,
 )
-from tactile_perception.dataset import TactileDataset, read_dataset
-from tactile_perception.estimator import Estimator
-from tactile_perception.holdback import unseen_rows
-from tactile_perception.model_metadata import ModelMetadata
-from tactile_perception.preprocessing import as_input
-from tactile_perception.whole_file import whole_file
 
 _BATCH = 50
 

@@ -13,9 +13,9 @@ import torch
 import yaml
 from numpy.typing import NDArray
 
-from tactile_perception.labels import COMPONENTS, NETWORK_UNITS
+from tactile_base.whole_file import check_folder, whole_file
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.training.config import TrainConfig
-from tactile_perception.whole_file import check_folder, whole_file
 
 CONFIG_NAME = "config.yaml"
 DATA_NAME = "data.txt"

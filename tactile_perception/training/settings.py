@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tactile_filter.settings import SettingError, Settings, setting
+from tactile_base.settings import SettingError, Settings, setting
 
 HEADS = ("mse", "gaussian", "full_gaussian", "mixture")
 

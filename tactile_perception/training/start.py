@@ -10,7 +10,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from tactile_filter.settings import SettingError
+from tactile_base.settings import SettingError
 from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.run_folder import BEST_NAME, CONFIG_NAME, FACTS_NAME, RunFolder
 from tactile_perception.training.settings import NetworkSettings

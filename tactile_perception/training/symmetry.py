@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch import Tensor, nn
 
-from tactile_perception.image import Image
+from tactile_perception.estimating.image import Image
 
 Array = NDArray[np.float64]
 

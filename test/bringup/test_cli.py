@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
+from tactile_base.version import version
 from tactile_bringup import cli
-from tactile_bringup.version import version
 
 
 def test_help_names_every_command(capsys):
@@ -75,7 +75,7 @@ def test_help_comes_without_ros_and_without_heavy_libraries():
 
 
 def test_doctor_names_what_is_missing(capsys, monkeypatch):
-    from tactile_bringup import doctor
+    from tactile_bringup.commands import doctor
 
     def absent() -> str:
         raise doctor.Missing("no such thing; build it")

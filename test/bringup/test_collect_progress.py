@@ -5,8 +5,8 @@ import math
 import pytest
 from rich.console import Console
 
-from tactile_bringup import collect_progress
-from tactile_bringup.collect_progress import CollectionDisplay, Pace, duration
+from tactile_bringup.commands import collect_progress
+from tactile_bringup.commands.collect_progress import CollectionDisplay, Pace, duration
 
 
 class Said:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_bringup.environment import DOMAINS, free_domain_id, ros_environment
+from tactile_bringup.launching.environment import DOMAINS, free_domain_id, ros_environment
 
 
 def test_a_domain_is_chosen_and_discovery_stays_on_this_host():

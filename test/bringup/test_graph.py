@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tactile_base.config_paths import config_names, config_path
+from tactile_base.settings import SettingError
 from tactile_bringup.graph import ArmOutline, GraphOptions, SceneOutline, build_graph
 from tactile_bringup.task_graph import load_task_graph
-from tactile_filter.config_paths import config_names, config_path
-from tactile_filter.settings import SettingError
 
 CONTROLLER = {"pid": {"gain": 2.0}, "task": {"speed": 0.01, "reference": (0.0, 0.0, 0.003)}}
 
@@ -143,7 +143,7 @@ def test_a_parameter_file_is_for_one_node_and_leaves_out_empty_lists():
 
 def test_a_node_is_run_under_its_name_and_namespace():
     command = graph_of(ArmOutline("left")).node("/left/filter").command(Path("p.yaml"), python="python3")
-    assert command[:4] == ["python3", "-m", "tactile_filter.filter_node", "--ros-args"]
+    assert command[:4] == ["python3", "-m", "tactile_ros.nodes.filter_node", "--ros-args"]
     assert "__node:=filter" in command and "__ns:=/left" in command and command[-1] == "p.yaml"
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tactile_base.config_paths import config_path
 from tactile_bringup.graph import GraphOptions
+from tactile_bringup.launching.view import write_view
 from tactile_bringup.task_graph import load_task_graph
-from tactile_bringup.view import write_view
-from tactile_filter.config_paths import config_path
 
 needs_launch = pytest.mark.skipif(
     importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed (it has no wheels)"
@@ -58,7 +58,7 @@ def test_the_launch_description_starts_the_nodes_of_the_graph(tmp_path, monkeypa
     from launch_ros.actions import LifecycleNode
 
     from launch import LaunchContext
-    from tactile_bringup import launch_description
+    from tactile_bringup.launching import launch_description
 
     monkeypatch.setattr(type(launch_description.launch_config), "log_dir", str(tmp_path))
     description = launch_description.describe("surface_following")

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_bringup import shared_memory
-from tactile_bringup.processes import ProcessDied, ProcessGroup, describe_exit, tail
+from tactile_bringup.launching import shared_memory
+from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, describe_exit, tail
 
 ROOT = Path(__file__).resolve().parents[2]
 POLITE = "import time\ntry:\n time.sleep(60)\nexcept KeyboardInterrupt:\n print('bye', flush=True)"
@@ -130,7 +130,7 @@ def test_a_killed_parent_leaves_no_child(tmp_path, child_code):
     code = f"""
 import os, time
 from pathlib import Path
-from tactile_bringup.processes import ProcessGroup
+from tactile_bringup.launching.processes import ProcessGroup
 group = ProcessGroup()
 folder = Path({str(tmp_path)!r})
 pids = [group.start(n, {python(child_code)!r}, os.environ, folder / n).process.pid for n in "ab"]

@@ -5,7 +5,7 @@ from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.task import Future
 
-from tactile_bringup.task_client import ANSWER_TIME, TaskClient
+from tactile_bringup.launching.task_client import ANSWER_TIME, TaskClient
 
 
 class Service:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from tactile_base.settings import SettingError
 from tactile_control.files import load_controller, load_task
-from tactile_filter.settings import SettingError
 
 TASK = """\
 task: surface_following

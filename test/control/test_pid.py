@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactile_base.settings import SettingError
 from tactile_control.pid import ControlInputError, PidSettings, TangentPid, tangent_error, to_global, to_local
 from tactile_filter import se3
-from tactile_filter.settings import SettingError
 
 STEP = 16_000_000
 DT = STEP * 1e-9

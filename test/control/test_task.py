@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from kinematic_plant import MS, Plane, Plant, Sphere, pointing_down, run
 
+from tactile_base.settings import SettingError
 from tactile_control.files import load_controller
 from tactile_control.task import (
     APPROACH,
@@ -22,7 +23,6 @@ from tactile_control.task import (
     TaskInputs,
 )
 from tactile_control.task_settings import SurfaceFollowingSettings
-from tactile_filter.settings import SettingError
 
 CONTROLLER = "config/controllers/surface_following.yaml"
 

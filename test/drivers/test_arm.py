@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tactile_base.settings import SettingError
 from tactile_drivers.sim.arm import ArmMode, ArmSettings, SimArm
 from tactile_filter import se3
-from tactile_filter.settings import SettingError
 
 MS = 1_000_000
 TASK_TWIST = np.array([0.0, 0.010, 0.0, 0.05, 0.0, 0.0])  # the paper's 10 mm/s, with some turning

@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tactile_base.settings import SettingError
 from tactile_drivers.scene import load_scene
 from tactile_drivers.sim.arm import ArmMode
 from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealSensorSettings
 from tactile_drivers.sim.surfaces import contact_pose, make_surface
 from tactile_filter import se3
-from tactile_filter.settings import SettingError
 
 NS = 1_000_000_000
 EXACT = {"sigma_position": (0.0, 0.0, 0.0), "sigma_rotation": (0.0, 0.0, 0.0)}

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import tactile_filter
+from tactile_base.config_paths import config_names, config_path
 from tactile_drivers.scene import SceneError, SensorSettings, load_scene
 from tactile_drivers.sim.arm import ArmSettings
 from tactile_drivers.sim.surfaces import SURFACES
-from tactile_filter.config_paths import config_names, config_path
 
 GOOD = """\
 description: a test
@@ -287,7 +287,7 @@ def test_installed_configuration_is_found_through_the_prefixes_of_ros(tmp_path, 
     scenes = tmp_path / "prefix" / "share" / "tactile_servoing" / "config" / "scenes"
     scenes.mkdir(parents=True)
     (scenes / "ramp.yaml").write_text(GOOD)
-    code = "from tactile_filter.config_paths import config_path; print(config_path('scenes/ramp.yaml'))"
+    code = "from tactile_base.config_paths import config_path; print(config_path('scenes/ramp.yaml'))"
     environment = os.environ | {
         "PYTHONPATH": str(site),
         "AMENT_PREFIX_PATH": f"{tmp_path}/none:{tmp_path}/prefix",

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from tactile_base.config_paths import config_names
+from tactile_base.settings import SettingError
 from tactile_drivers.sim.collection import CollectionSettings, Mounting, collect, press_then_shear
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_drivers.sim.tactip import TacTip, TacTipSettings
 from tactile_drivers.sim.variation import VariationSettings
 from tactile_filter import se3
-from tactile_filter.config_paths import config_names
-from tactile_filter.settings import SettingError
-from tactile_perception.markers import detect
+from tactile_perception.markers.detection import detect
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
+from tactile_base.settings import SettingError
 from tactile_drivers.sim.surfaces import SURFACES, contact_pose, make_surface
-from tactile_filter.settings import SettingError
 
 CASES = [
     ("plane", {}),

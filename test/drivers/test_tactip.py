@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from tactile_base.settings import SettingError
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.skin import Skin, SkinSettings, build_skin, load_skin
 from tactile_drivers.sim.surfaces import make_surface
 from tactile_drivers.sim.tactip import CameraSettings, ContactSettings, TacTip, TacTipSettings
 from tactile_filter import se3
-from tactile_filter.settings import SettingError
 
 RADIUS = SkinSettings().radius
 FACING_DOWN = se3.pose_from_euler([0.0, 0.0, RADIUS, np.pi, 0.0, 0.0])  # {f} over the plane z = 0

@@ -7,7 +7,7 @@ import pytest
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.tactip import TacTip
 from tactile_drivers.sim.variation import VariationSettings, varied
-from tactile_perception.markers import detect
+from tactile_perception.markers.detection import detect
 
 DEEP, SHALLOW = 4e-3, 0.0
 NOTHING = VariationSettings(

@@ -9,6 +9,7 @@ import yaml
 from contact_case import CONTACT, COV, SIGMA
 from scipy.stats import chi2
 
+from tactile_base.settings import SettingError
 from tactile_filter import se3
 from tactile_filter.bayes_filter import (
     BeliefFlag,
@@ -19,7 +20,6 @@ from tactile_filter.bayes_filter import (
 )
 from tactile_filter.fusion import MODES, fuse
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import SettingError
 
 MS = 1_000_000
 PERIOD = 16 * MS

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tactile_filter.config_paths import config_path, named_file
+from tactile_base.config_paths import config_path, named_file
 from tactile_filter.files import load_filter_settings
 from tactile_filter.fusion import MODES
 

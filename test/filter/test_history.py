@@ -6,10 +6,10 @@ from contact_case import CONTACT, SIGMA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_base.settings import SettingError
 from tactile_filter import history, se3
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.settings import SettingError
 
 MS = 1_000_000
 PERIOD = 8 * MS

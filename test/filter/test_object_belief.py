@@ -11,7 +11,7 @@ from tactile_filter import se3
 from tactile_filter.consistency import nees
 from tactile_filter.fusion import FusionError, fuse
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.object_belief import (
+from tactile_filter.object.belief import (
     Contact,
     ObjectSettings,
     SplitGaussian,

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from tactile_base.settings import SettingError
 from tactile_filter import se3
-from tactile_filter.object_file import load_object
-from tactile_filter.object_settings import TrackerSettings
-from tactile_filter.settings import SettingError
+from tactile_filter.object.file import load_object
+from tactile_filter.object.settings import TrackerSettings
 
 ARMS = ["left", "right"]
 

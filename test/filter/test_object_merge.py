@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_filter.object_merge import EventMerge
+from tactile_filter.object.merge import EventMerge
 
 MS = 1_000_000
 WAIT, SILENCE = 20 * MS, 50 * MS

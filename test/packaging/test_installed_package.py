@@ -10,7 +10,16 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = ("tactile_filter", "tactile_perception", "tactile_control", "tactile_drivers", "tactile_bringup")
+PACKAGES = (
+    "tactile_base",
+    "tactile_filter",
+    "tactile_perception",
+    "tactile_control",
+    "tactile_drivers",
+    "tactile_records",
+    "tactile_ros",
+    "tactile_bringup",
+)
 
 
 @pytest.fixture(scope="module")
@@ -132,4 +141,4 @@ def test_a_node_started_in_a_folder_with_sources_imports_what_is_installed(prefi
     shadow = tmp_path / "tactile_filter" / "__init__.py"
     shadow.parent.mkdir()
     shadow.write_text("raise ImportError('taken from the current folder')")
-    subprocess.run([sys.executable, "-m", "tactile_filter.settings"], cwd=tmp_path, check=True)
+    subprocess.run([sys.executable, "-m", "tactile_base.settings"], cwd=tmp_path, check=True)

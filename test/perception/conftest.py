@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_perception.model_metadata import FRAMES, ModelMetadata
-from tactile_perception.preprocessing import PreprocessingSettings
+from tactile_perception.estimating.model_metadata import FRAMES, ModelMetadata
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
 sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_perception.dataset import DatasetWriter
-from tactile_perception.preprocessing import PreprocessingSettings
+from tactile_perception.datasets.dataset import DatasetWriter
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
 
 def write_folder(path: Path, samples: Iterable[tuple[np.ndarray, np.ndarray]]) -> Path:

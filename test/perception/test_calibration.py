@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tactile_perception.calibration import (
+from tactile_perception.evaluation.calibration import (
     Calibration,
     CalibrationError,
     CalibrationSettings,

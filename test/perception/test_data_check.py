@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from folders import write_folder
 
-from tactile_bringup import data_command
+from tactile_bringup.commands import data as data_command
 from tactile_drivers.sim.collection import CollectionSettings, generate
-from tactile_perception.data_check import check
-from tactile_perception.data_conventions import Explanation, explain, find_conventions
-from tactile_perception.data_statistics import label_statistics
-from tactile_perception.dataset import open_folder
-from tactile_perception.labels import EULER_COMPONENTS
-from tactile_perception.marker_flow import FlowError, FlowSettings, MarkerFlow, flow_of, measure
+from tactile_perception.datasets.check import check
+from tactile_perception.datasets.conventions import Explanation, explain, find_conventions
+from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.datasets.statistics import label_statistics
+from tactile_perception.estimating.labels import EULER_COMPONENTS
+from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, flow_of, measure
 
 COUNT = 260
 SEED = 11

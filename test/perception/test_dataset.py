@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from folders import write_folder
 
-from tactile_perception.dataset import DatasetError, DatasetWriter, open_folder, read_dataset
-from tactile_perception.preprocessing import PreprocessingSettings
+from tactile_perception.datasets.dataset import DatasetError, DatasetWriter, open_folder, read_dataset
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
 COLUMNS = [
     "sensor_image",

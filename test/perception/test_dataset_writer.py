@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tactile_perception.dataset import DatasetError, open_folder, read_dataset
-from tactile_perception.dataset_writer import DatasetWriter
-from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.datasets.dataset import DatasetError, open_folder, read_dataset
+from tactile_perception.datasets.writer import DatasetWriter
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 
 EULER = np.array(
     [[1.0, -2.0, 3.0, 10.0, -12.0, 4.0], [0.5, 0.0, 1.0, 0.0, 5.0, -1.0], [2.0, 2.0, 5.5, 1.0, 2.0, 3.0]]
@@ -65,8 +65,8 @@ def test_two_processes_do_not_write_to_one_folder(tmp_path):
 
 WRITE = """
 import sys, numpy as np
-from tactile_perception.dataset_writer import DatasetWriter
-from tactile_perception.preprocessing import PreprocessingSettings
+from tactile_perception.datasets.writer import DatasetWriter
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
 writer = DatasetWriter(sys.argv[1], PreprocessingSettings())
 number = max(writer.done, default=0)
 while True:

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from folders import write_folder
 
+from tactile_bringup.commands import estimate as commands
 from tactile_filter.gaussian import PoseGaussian
-from tactile_perception import commands
-from tactile_perception.dataset import open_folder
-from tactile_perception.estimate_run import EstimateTable, network_row, run_estimates
-from tactile_perception.estimator import Estimator, pose_gaussian
-from tactile_perception.image import ImageError
-from tactile_perception.labels import label_from_euler, surface_contact_pose
-from tactile_perception.motion_noise import motion_filter, with_motion_noise
-from tactile_perception.sources import (
+from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.labels import label_from_euler, surface_contact_pose
+from tactile_perception.estimating.run import EstimateTable, network_row, run_estimates
+from tactile_perception.estimating.sources import (
     Frame,
     SourceError,
     folder_frames,
@@ -25,6 +23,8 @@ from tactile_perception.sources import (
     usable_order,
     video_frames,
 )
+from tactile_perception.estimator import Estimator, pose_gaussian
+from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
 INVERSE_SIGMA = np.array([2.0, 2.0, 8.0, 100.0, 100.0, 40.0])

@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import expm, logm
 from tangent import hat, vee
 
-from tactile_perception.calibration import Calibration
+from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.labels import NETWORK_SCALE
 from tactile_perception.estimator import EstimateError, Estimator, ModelError, pose_gaussian, shipped_model
-from tactile_perception.image import ImageError
-from tactile_perception.labels import NETWORK_SCALE
+from tactile_perception.evaluation.calibration import Calibration
 
 MEAN = np.array([1.2, -2.0, -3.5, 0.3, -0.4, 0.08])
 INVERSE_SIGMA = np.array([2.0, 3.0, 10.0, 80.0, 120.0, 40.0])

@@ -12,8 +12,10 @@ import pytest
 from folders import write_folder
 from scipy.stats import multivariate_normal
 
-from tactile_perception import evaluate_command
-from tactile_perception.dataset import DatasetReport, open_folder
+from tactile_bringup.commands import evaluate as evaluate_command
+from tactile_perception.datasets.dataset import DatasetReport, open_folder
+from tactile_perception.datasets.holdback import split_holdback, unseen_rows
+from tactile_perception.estimating.labels import euler_from_label, network_from_pose
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
 from tactile_perception.evaluation.metrics import (
@@ -27,8 +29,6 @@ from tactile_perception.evaluation.metrics import (
 from tactile_perception.evaluation.models import open_models
 from tactile_perception.evaluation.predictions import Predictions, euler_of, moment_matched
 from tactile_perception.evaluation.report import summary
-from tactile_perception.holdback import split_holdback, unseen_rows
-from tactile_perception.labels import euler_from_label, network_from_pose
 
 MU = np.array([0.5, -1.0, -3.0, 0.1, -0.2, 0.03])
 SIGMA = np.array([0.5, 0.5, 0.1, 0.01, 0.01, 0.02])

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from folders import write_folder
 
+from tactile_bringup.commands import evaluate as evaluate_command
 from tactile_filter.bayes_filter import FilterSettings
-from tactile_perception import evaluate_command
-from tactile_perception.dataset import DatasetReport, open_folder
-from tactile_perception.estimate_run import run_estimates
+from tactile_perception.datasets.dataset import DatasetReport, open_folder
+from tactile_perception.estimating.labels import labels_from_euler
+from tactile_perception.estimating.run import run_estimates
+from tactile_perception.estimating.sources import folder_frames, usable_order
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
 from tactile_perception.evaluation.filter_experiment import Experiment, run_experiment
@@ -24,11 +26,9 @@ from tactile_perception.evaluation.filtering import (
     run_filter,
 )
 from tactile_perception.evaluation.models import open_models
+from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
 from tactile_perception.evaluation.predictions import Predictions
 from tactile_perception.evaluation.reference import paper_tables
-from tactile_perception.labels import labels_from_euler
-from tactile_perception.motion_noise import motion_filter, with_motion_noise
-from tactile_perception.sources import folder_frames, usable_order
 
 SIGMA = np.array([0.5, 0.5, 0.1, 0.01, 0.01, 0.02])
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tactile_bringup import data_command, data_progress
-from tactile_perception.dataset import read_dataset
+from tactile_bringup.commands import data as data_command
+from tactile_bringup.commands import data_progress
+from tactile_perception.datasets.dataset import read_dataset
 
 
 def generate(out: Path, *options: str) -> int:

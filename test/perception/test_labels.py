@@ -9,7 +9,7 @@ from tangent import hat, vee
 from transforms3d.affines import compose
 from transforms3d.euler import euler2mat
 
-from tactile_perception import labels
+from tactile_perception.estimating import labels
 
 LENGTHS = st.floats(-6.0, 6.0)
 ANGLES = st.floats(-30.0, 30.0)

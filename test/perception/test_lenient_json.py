@@ -2,7 +2,7 @@
 
 import pytest
 
-from tactile_perception import lenient_json
+from tactile_perception.datasets import lenient_json
 
 
 def test_well_formed_json_needs_no_repair():

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from tactile_filter.settings import SettingError
+from tactile_base.settings import SettingError
 from tactile_perception import _image
-from tactile_perception.image import ImageError
-from tactile_perception.markers import detect
-from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor, as_input
+from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor, as_input
+from tactile_perception.markers.detection import detect
 
 
 def marker_image(shift: float = 0.0, noise: float = 3.0, seed: int = 0) -> np.ndarray:

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
+from tactile_base.settings import SettingError
 from tactile_drivers.sim.surfaces import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
-from tactile_filter.settings import SettingError
 from tactile_perception import _image
-from tactile_perception.preprocessing import PreprocessingSettings, Preprocessor
-from tactile_perception.presence import ContactPresence, PresenceSettings
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 
 
 def pressed(sensor: TacTip, depth_mm: float, tilt_deg: float = 0.0) -> None:

@@ -2,12 +2,12 @@
 
 import pytest
 
+from tactile_base.config_paths import config_path
+from tactile_base.settings import SettingError
+from tactile_base.yaml_file import read_yaml
 from tactile_bringup.cli import main as tactile
-from tactile_filter.config_paths import config_path
-from tactile_filter.settings import SettingError
-from tactile_filter.yaml_file import read_yaml
 from tactile_perception.estimator import Estimator
-from tactile_perception.profiles import Profile, profile, profiles, read_profiles
+from tactile_perception.training.profiles import Profile, profile, profiles, read_profiles
 
 
 @pytest.mark.parametrize("name", ["rate_120hz", "rate_60hz", "accuracy"])
@@ -69,7 +69,7 @@ def test_what_is_wrong_in_a_file_is_named_with_its_line(tmp_path, text, message)
 def train_small(tmp_path, training_data, monkeypatch):
     """`tactile train` by a profile of 8-bit integers for a small network; arguments are further words."""
     pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
-    from tactile_perception import train_command
+    from tactile_bringup.commands import train as train_command
 
     config = tmp_path / "short.yaml"
     config.write_text("training: {rise_epochs: 1, hold_epochs: 0, decay_epochs: 0, threads: 1}\n")

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from tactile_perception.data_conventions import Explanation, find_conventions
-from tactile_perception.data_statistics import label_statistics
-from tactile_perception.dataset import open_folder
-from tactile_perception.labels import EULER_COMPONENTS
-from tactile_perception.marker_flow import FlowSettings, MarkerFlow, flow_of, measure
+from tactile_perception.datasets.conventions import Explanation, find_conventions
+from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.datasets.statistics import label_statistics
+from tactile_perception.estimating.labels import EULER_COMPONENTS
+from tactile_perception.markers.flow import FlowSettings, MarkerFlow, flow_of, measure
 
 DATA = Path(os.environ.get("TACTILE_REAL_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 VAL = DATA / "tactip_franka" / "val"

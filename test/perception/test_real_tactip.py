@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_perception.dataset import open_folder, read_dataset
-from tactile_perception.labels import labels_from_euler, network_from_pose
-from tactile_perception.presence import ContactPresence
+from tactile_perception.datasets.dataset import open_folder, read_dataset
+from tactile_perception.estimating.labels import labels_from_euler, network_from_pose
+from tactile_perception.estimating.presence import ContactPresence
 
 DATA = Path(os.environ.get("TACTILE_REAL_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 TACTIP = DATA / "tactip_franka"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from folders import write_folder
 
-from tactile_perception import calibrate_command
-from tactile_perception.dataset import read_dataset
+from tactile_bringup.commands import calibrate as calibrate_command
+from tactile_perception.datasets.dataset import read_dataset
+from tactile_perception.estimating.labels import euler_from_label
 from tactile_perception.estimator import Estimator
-from tactile_perception.labels import euler_from_label
 
 pytest.importorskip("torch", reason="the training package needs PyTorch (the extra 'train')")
 

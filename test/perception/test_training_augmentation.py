@@ -8,7 +8,7 @@ from tangent import hat, vee
 
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 
-from tactile_filter.settings import SettingError  # noqa: E402
+from tactile_base.settings import SettingError  # noqa: E402
 from tactile_perception.training.augmentation import (  # noqa: E402
     AugmentationError,
     Augmenter,

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_bringup.collect_command import chosen_settings, chosen_surface, frame_on
+from tactile_base.settings import SettingError
+from tactile_bringup.commands.data_collect import chosen_settings, chosen_surface, frame_on
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_drivers.scene import load_scene
-from tactile_filter.settings import SettingError
-from tactile_perception.dataset import read_dataset
+from tactile_perception.datasets.dataset import read_dataset
 
 SAMPLES = 2
 QUICK = ["motion.air_speed=0.1", "motion.contact_speed=0.04", "motion.settle_time=0.05"]
@@ -86,8 +86,8 @@ def test_what_cannot_be_collected_is_refused_before_anything_starts(tmp_path, ca
 
 
 def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
-    from tactile_bringup.collect_command import make_plan
-    from tactile_bringup.data_command import register
+    from tactile_bringup.commands.data import register
+    from tactile_bringup.commands.data_collect import make_plan
 
     def plan(*options: str):
         import argparse

@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from tactile_bringup import metrics
+from tactile_base.config_paths import config_path
+from tactile_base.settings import SettingError
 from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.files import load_task
 from tactile_drivers.sim.cell import Cell
-from tactile_filter.config_paths import config_path
-from tactile_filter.settings import SettingError
 from tactile_perception.estimator import shipped_model
+from tactile_records.runs import metrics
 
 IDEAL = OfflineOptions(fidelity="ideal", seed=1)
 DOME_PATHS = [f"theta_{k}" for k in range(8)]

@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 from launched import Launched
 
-from tactile_bringup.bag_reader import read_run
-from tactile_bringup.metrics import report
+from tactile_base.config_paths import config_folder
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_bringup.replay import agreement, run_filter
-from tactile_bringup.replay_inputs import read_inputs
-from tactile_bringup.replay_sweep import base_settings
 from tactile_control.files import load_task
 from tactile_drivers.scene import load_scene
-from tactile_filter.config_paths import config_folder
+from tactile_records.replay.inputs import read_inputs
+from tactile_records.replay.run import agreement, run_filter
+from tactile_records.replay.sweep import base_settings
+from tactile_records.runs.from_bag import read_run
+from tactile_records.runs.metrics import report
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -190,7 +190,7 @@ def test_replayed_beliefs_are_the_live_ones_to_the_bit(finished, tmp_path):
 
 
 def read_note(bag: Path) -> dict[str, str]:
-    from tactile_bringup.bag import read_bag
+    from tactile_records.bags.reader import read_bag
 
     return read_bag(bag).note
 
@@ -219,7 +219,7 @@ def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
 def test_a_node_killed_in_mid_run_ends_the_task_with_its_name_and_log(launch, tmp_path):
     run = launch("--record", str(tmp_path / "bag"))
     run.wait_for("arm  follow")
-    os.kill(run.node("tactile_filter.filter_node"), signal.SIGKILL)
+    os.kill(run.node("tactile_ros.nodes.filter_node"), signal.SIGKILL)
     assert run.end() == 3, run.output
     assert "node /arm/filter was killed by SIGKILL; log: " in run.output
     assert "arm.filter.log" in run.output

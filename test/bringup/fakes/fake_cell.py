@@ -12,11 +12,11 @@ from pathlib import Path
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.task import Future
 
-from tactile_bringup.ros.managed_node import ConfigurationError, ManagedNode, run
-from tactile_bringup.ros.parameters import declare_read_only
-from tactile_bringup.ros.qos import STATE
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus
+from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.parameters import declare_read_only
+from tactile_ros.qos import STATE
 
 
 class FakeCell(ManagedNode):

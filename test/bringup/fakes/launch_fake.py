@@ -5,9 +5,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tactile_bringup import launcher, task_runner
 from tactile_bringup.graph import Graph, NodeProcess
-from tactile_bringup.progress import Display
+from tactile_bringup.launching import launcher, task_runner
+from tactile_bringup.launching.progress import Display
 from tactile_control.task import PathGoal
 
 folder, fault, seconds, paths = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3]), int(sys.argv[4])

@@ -1,0 +1,1 @@
+"""What everything stands on: settings, YAML files, where configuration lies, stamps, topics and frames."""

@@ -1,0 +1,60 @@
+"""The command `tactile calibrate`: a model file's uncertainty fitted anew."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from tactile_base.whole_file import check_file
+from tactile_base.yaml_file import name_and_value
+from tactile_bringup.commands.changes import add_set_option, needs_extra, refuse
+
+MODEL_NAME = "model.onnx"
+
+
+def register(subparsers: Any) -> None:
+    """Add `calibrate` to argparse subparsers; sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "calibrate",
+        help="fit a model's uncertainty to its errors on other data",
+        description="Write a copy of a model whose stated uncertainty fits its errors on labelled data: on "
+        "what was held back of its training data, or on samples of a new session (100 at least, better 500).",
+    )
+    parser.add_argument("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
+    parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
+    add_set_option(parser, "change a setting of the calibration, as margin=[1.1,1.1,1.1,1,1,1]")
+    parser.set_defaults(run=run_calibrate)
+
+
+def run_calibrate(arguments: argparse.Namespace) -> int:
+    """`tactile calibrate`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.recalibration import recalibrate
+    except ModuleNotFoundError as error:
+        return needs_extra(console, "calibrate", error)
+    model = arguments.model / MODEL_NAME if arguments.model.is_dir() else arguments.model
+    try:
+        check_file(arguments.out)
+        calibration = recalibrate(model, arguments.data, arguments.out, _settings(model, arguments.changes))
+    except (ValueError, OSError) as error:
+        return refuse(console, "calibrate", error)
+    print(
+        f"{arguments.out}: calibrated on {calibration.samples} samples; "
+        f"standard error of the joint NEES / 6: {calibration.nees_error:.3f}"
+    )
+    return 0
+
+
+def _settings(model: Path, changes: list[str]) -> Any:
+    """The calibration settings of the model's training with some of them changed."""
+    from tactile_perception.estimator import Estimator
+    from tactile_perception.evaluation.calibration import CalibrationSettings
+
+    trained = Estimator(model).metadata.training.get("calibration", {})
+    values = dict(name_and_value(change, "sigma_knots=3") for change in changes)
+    return CalibrationSettings.from_mapping(trained).replaced(**values)

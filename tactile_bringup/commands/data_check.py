@@ -1,0 +1,158 @@
+"""`tactile data check`: what is in a data folder, how its labels are spread, which conventions it follows."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tactile_perception.datasets.check import CheckResult
+
+EXIT_CODES = """exit codes: 0 nothing wrong was found (warnings are no error, but see --strict);
+1 labels or images are wrong; 2 the folder cannot be read as a data set"""
+STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "error": "red"}
+
+
+def register(commands: Any) -> None:
+    """Add `check` to the subparsers of `tactile data`."""
+    parser = commands.add_parser(
+        "check", help="ranges, coverage, signs and frames of a data set", description=__doc__,
+        epilog=EXIT_CODES,
+    )  # fmt: skip
+    parser.add_argument("folder", type=Path, help="data folder")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write pictures and check.json there")
+    parser.add_argument(
+        "--samples", type=int, default=1000, metavar="N", help="images in which markers are followed (1000)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of their choice")
+    parser.add_argument("--strict", action="store_true", help="end with exit code 1 for warnings too")
+    parser.add_argument(
+        "--write-conventions", action="store_true",
+        help="where signs or units are others and there is one way to mend them, write conventions.json",
+    )  # fmt: skip
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """`tactile data check`: returns the exit status."""
+    from rich.console import Console
+
+    from tactile_base.whole_file import check_folder
+    from tactile_perception.datasets.check import check
+    from tactile_perception.datasets.dataset import open_folder
+    from tactile_perception.markers.flow import FlowSettings
+
+    console = Console()
+    try:
+        if arguments.out is not None:
+            check_folder(arguments.out)
+        folder = open_folder(arguments.folder)
+        settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
+        with _Bars() as bars:
+            result = check(folder, settings, bars.update)
+        if arguments.out is not None:
+            _write(result, arguments.out)
+    except (ValueError, OSError) as error:
+        print(f"tactile data check: {error}", file=sys.stderr)
+        return 2
+    show(result, console)
+    if arguments.out is not None:
+        console.print(f"pictures and check.json: {arguments.out}", highlight=False, soft_wrap=True)
+    if arguments.write_conventions:
+        console.print(write_conventions(result), highlight=False, soft_wrap=True)
+    bad = ("error", "warning") if arguments.strict else ("error",)
+    return int(result.worst in bad)
+
+
+def show(result: CheckResult, console: Console) -> None:
+    """Ranges and findings as tables."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_UNITS
+
+    ranges = Table(title=f"{result.folder.folder}: {len(result.folder)} samples", title_justify="left")
+    for name in ("component", "least", "largest", "mean", "deviation"):
+        ranges.add_column(name, justify="left" if name == "component" else "right")
+    for name, unit, row in zip(EULER_COMPONENTS, EULER_UNITS, result.statistics.ranges, strict=True):
+        ranges.add_row(f"{name} ({unit})", *(f"{value:.3f}" for value in row))
+    console.print(ranges)
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for finding in result.findings:
+        table.add_row(Text(finding.level, STYLES[finding.level]), finding.topic, Text(finding.text))
+    console.print(table)
+    counts = {level: sum(f.level == level for f in result.findings) for level in STYLES}
+    console.print(", ".join(f"{count} {level}" for level, count in counts.items()), highlight=False)
+
+
+def write_conventions(result: CheckResult) -> str:
+    """Write `conventions.json` if there is one way to mend the labels; returns what was done, in words."""
+    from tactile_perception.datasets.table import CONVENTIONS_NAME
+
+    found = result.conventions
+    path = result.folder.folder / CONVENTIONS_NAME
+    if found is None or path.exists():
+        return f"{path}: not written, since " + ("it is there already" if found else "images tell nothing")
+    ways = [way for way in found.explanations if not way.swapped and not way.mirrored]
+    if len(ways) != 1:
+        listed = "; ".join(map(str, found.explanations)) or "none"
+        return f"{path}: not written, since there is not one way to mend the signs (found: {listed})"
+    flip = [*ways[0].flipped, *(["z"] if found.depth_flipped else [])]
+    content = {
+        "flip": flip,
+        "length_unit": found.length_unit or "mm",
+        "angle_unit": found.angle_unit or "deg",
+    }
+    if not flip and content["length_unit"] == "mm" and content["angle_unit"] == "deg":
+        return f"{path}: not needed"
+    path.write_text(json.dumps(content) + "\n")
+    return f"{path}: written; every reader heeds it from now on: {json.dumps(content)}"
+
+
+def _write(result: CheckResult, folder: Path) -> None:
+    from tactile_perception.datasets import check_plots
+
+    folder.mkdir(parents=True, exist_ok=True)
+    check_plots.draw_labels(result, folder / "labels.png")
+    check_plots.draw_rows(result, folder / "rows.png")
+    check_plots.draw_flow(result, folder / "flow.png")
+    content = {
+        "folder": str(result.folder.folder),
+        "samples": len(result.folder),
+        "worst": result.worst,
+        "findings": [vars(finding) for finding in result.findings],
+        "gains": result.conventions.gains if result.conventions else {},
+        "camera_deg": result.conventions.camera_deg if result.conventions else math.nan,
+    }
+    (folder / "check.json").write_text(json.dumps(content, indent=2) + "\n")
+
+
+class _Bars:
+    """A progress bar for each stage."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._tasks: dict[str, Any] = {}
+
+    def __enter__(self) -> _Bars:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._progress.stop()
+
+    def update(self, what: str, done: int, total: int) -> None:
+        if what not in self._tasks:
+            self._tasks[what] = self._progress.add_task(what, total=total)
+        self._progress.update(self._tasks[what], completed=done)

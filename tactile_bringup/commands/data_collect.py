@@ -1,0 +1,252 @@
+"""`tactile data collect`: a labelled data set with an arm, simulated or real, over the ROS graph."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile_base.settings import SettingError, Settings, unknown_name
+from tactile_base.yaml_file import name_and_value
+from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tactile_bringup.graph import Graph
+    from tactile_bringup.launching.launcher import Outcome
+    from tactile_drivers.scene import ArmScene, Scene, SurfaceScene
+
+DESCRIPTION = """Press and shear an arm's tactile sensor against a flat surface, as the paper does, and keep
+an image and a label of each contact. The same command goes on after an interruption."""
+
+
+def register(commands: Any) -> None:
+    """Add `collect` to the subparsers of `tactile data`."""
+    from tactile_bringup.commands.launch import EXIT_CODES
+
+    parser = commands.add_parser(
+        "collect", help="labelled images with an arm", description=DESCRIPTION, epilog=EXIT_CODES
+    )
+    parser.add_argument("out", type=Path, help="data folder")
+    parser.add_argument("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
+    parser.add_argument(
+        "--samples", type=positive_int, default=6000, metavar="N", help="samples in the folder (6000)"
+    )
+    parser.add_argument("--seed", type=natural_int, default=0, help="of the poses (0)")
+    parser.add_argument(
+        "--validation", action="store_true", help="other poses than the training data of the same seed"
+    )
+    parser.add_argument("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
+    parser.add_argument("--surface", metavar="NAME", help="which surface (default: the only plane)")
+    parser.add_argument(
+        "--touch", type=natural_int, default=0, metavar="N",
+        help="find the surface first: 1 touch for its height, 3 and more for its tilt too (0)",
+    )  # fmt: skip
+    parser.add_argument("--images", default="both", help="keep processed images, raw ones, or both (both)")
+    parser.add_argument("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
+    add_set_option(parser, "one of them", "SECTION.NAME=VALUE")
+    parser.add_argument(
+        "--external", action="store_true", help="driver and camera run already: start no simulation"
+    )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="simulated exposures a second")
+    parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
+    parser.add_argument("--record-images", action="store_true", help="with images")
+    parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
+    parser.add_argument("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
+    parser.set_defaults(run=run)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will be collected: the graph that does it, and how many samples are missing."""
+
+    graph: Graph
+    samples: int
+    missing: int
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """`tactile data collect`: returns the exit status."""
+    from rich.console import Console
+
+    console = Console()
+    try:
+        plan = make_plan(arguments)
+    except (SettingError, ValueError, OSError) as error:
+        print(f"tactile data collect: {error}", file=sys.stderr)
+        return 2
+    console.print(f"{plan.missing} of {plan.samples} samples are missing", highlight=False)
+    if plan.missing:
+        outcome = _launch(plan, arguments, console)
+        if outcome.exit_code:
+            console.print(
+                f"tactile data collect: {outcome.reason}", style="red", markup=False, soft_wrap=True
+            )
+            console.print(f"logs: {outcome.logs}; the same command goes on from here", highlight=False)
+    status = outcome.exit_code if plan.missing else 0
+    _summarize(arguments.out, console)
+    return status
+
+
+def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
+    from tactile_bringup.commands.collect_progress import CollectionDisplay
+    from tactile_bringup.launching.launcher import Launcher
+    from tactile_control.task import PathGoal
+
+    folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
+    live = console.is_terminal and not arguments.headless
+    goal = PathGoal(name=f"{plan.missing} samples")
+    with CollectionDisplay(console, live, plan.samples) as display:
+        return Launcher(plan.graph, [goal], folder.absolute(), display).run()
+
+
+def _summarize(folder: Path, console: Console) -> None:
+    """What the folder holds now."""
+    from tactile_perception.datasets.dataset import DatasetError, open_folder
+
+    try:
+        lines = open_folder(folder).report.lines()
+    except DatasetError as error:
+        lines = [str(error)]
+    console.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
+
+
+def make_plan(arguments: argparse.Namespace) -> Plan:
+    """Check everything that can be checked before a node is started.
+
+    Raises
+    ------
+    SettingError, ValueError, OSError
+        With what is wrong and what would be right.
+    """
+    from tactile_base.whole_file import check_folder
+    from tactile_bringup.graph import GraphOptions, build_collection_graph
+    from tactile_bringup.task_graph import outline
+    from tactile_drivers.sampling import VALIDATION_START
+    from tactile_drivers.scene import load_scene
+    from tactile_filter import se3
+    from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
+    from tactile_records.collecting.parameters import check_same_run
+    from tactile_ros.nodes.collector_settings import TASK
+
+    check_folder(arguments.out)
+    if arguments.images not in IMAGE_KINDS:
+        raise ValueError(f"--images {arguments.images}: must be one of {', '.join(IMAGE_KINDS)}")
+    if arguments.record is not None and arguments.record.exists():
+        raise ValueError(f"--record {arguments.record}: exists already; remove it or record elsewhere")
+    scene = load_scene(arguments.scene)
+    arm = chosen_arm(scene, arguments.arm)
+    surface = chosen_surface(scene, arm, arguments.surface)
+    groups = chosen_settings(arguments.config, arguments.changes, arguments.touch)
+    collector: dict[str, Any] = {
+        "folder": str(arguments.out.absolute()),
+        "samples": arguments.samples,
+        "seed": arguments.seed,
+        "first": VALIDATION_START if arguments.validation else 0,
+        "images": arguments.images,
+        "frame": se3.euler_from_pose(frame_on(surface, arm)).tolist(),
+    }
+    what = {name: collector[name] for name in ("seed", "first", "images", "frame")}
+    what |= {name: dataclasses.asdict(groups[name]) for name in ("sampling", "preprocessing")}
+    check_same_run(arguments.out, {"robot": arm.driver, "scene": scene.name, "arm": arm.name, **what})
+    with DatasetWriter(arguments.out, groups["preprocessing"], arguments.images) as writer:  # type: ignore[arg-type]
+        missing = len(set(range(1, arguments.samples + 1)) - writer.done)
+    for group, settings in groups.items():
+        collector |= {f"{group}.{name}": value for name, value in dataclasses.asdict(settings).items()}
+    options = GraphOptions(
+        rate=arguments.rate,
+        seed=arguments.seed,
+        record=arguments.record.absolute() if arguments.record else None,
+        record_images=arguments.record_images,
+    )
+    graph = build_collection_graph(
+        TASK, outline(scene), arm.name, collector, options, simulate=not arguments.external
+    )
+    return Plan(graph, arguments.samples, missing)
+
+
+def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
+    """The arm of that name, or the only one with a camera."""
+    with_camera = {
+        arm.name: arm
+        for arm in scene.arms.values()
+        if arm.sensor is not None and arm.sensor.settings.fidelity == "image"
+    }
+    if name is None and len(with_camera) == 1:
+        return next(iter(with_camera.values()))
+    if name in with_camera:
+        return with_camera[name]
+    listed = ", ".join(with_camera) or "none"
+    raise ValueError(f"{scene.path}: --arm must name an arm whose sensor gives images; there are: {listed}")
+
+
+def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> SurfaceScene:
+    """The surface of that name, or the only plane that the arm can touch; it has to be flat."""
+    surfaces = scene.surfaces_of(arm.name)
+    planes = [surface for surface in surfaces.values() if surface.shape == "plane"]
+    if name is None:
+        if len(planes) != 1:
+            found = ", ".join(f"{item.name} ({item.shape})" for item in surfaces.values()) or "none"
+            raise ValueError(
+                f"{scene.path}: data are collected on one flat surface (shape: plane); there are: {found}; "
+                "choose one with --surface"
+            )
+        return planes[0]
+    if name not in surfaces:
+        raise ValueError(f"--surface: {unknown_name(name, list(surfaces))}")
+    if surfaces[name].shape != "plane":
+        raise ValueError(f"--surface {name}: is a {surfaces[name].shape}, must be flat (shape: plane)")
+    return surfaces[name]
+
+
+def frame_on(surface: SurfaceScene, arm: ArmScene) -> Any:
+    """T_base_f (4, 4): the contact frame on the surface, under where the arm starts."""
+    from tactile_control.collection_geometry import contact_frame
+
+    assert arm.sensor is not None
+    radius = arm.sensor.model.skin.radius
+    return contact_frame(surface.T_base_surface(arm), arm.T_base_start, radius)
+
+
+def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
+    """Groups of the collector's settings from their defaults, a file and the command line."""
+    from tactile_base.yaml_file import read_yaml
+    from tactile_control.collection_settings import (
+        CollectionMotionSettings,
+        CollectionWatchdogSettings,
+        TouchSettings,
+    )
+    from tactile_control.limiter import LimiterSettings
+    from tactile_drivers.sampling import SamplingSettings
+    from tactile_perception.estimating.preprocessing import PreprocessingSettings
+    from tactile_perception.estimating.presence import PresenceSettings
+
+    groups: dict[str, Settings] = {
+        "sampling": SamplingSettings(),
+        "motion": CollectionMotionSettings(),
+        "touch": TouchSettings(points=touches),
+        "limiter": LimiterSettings(),
+        "watchdog": CollectionWatchdogSettings(),
+        "preprocessing": PreprocessingSettings(),
+        "presence": PresenceSettings(),
+    }
+    if file is not None:
+        root = read_yaml(file)
+        root.allow(*groups)
+        for name in root.values:
+            section = root.section(name)
+            given = dataclasses.asdict(groups[name]) | section.values
+            groups[name] = section.checked(type(groups[name]), given)
+    for change in changes:
+        path, value = name_and_value(change, "motion.contact_speed=0.01")
+        group, dot, name = path.partition(".")
+        if not dot or group not in groups:
+            raise SettingError(f"--set {change}: {unknown_name(group, list(groups))}, then a dot and a name")
+        groups[group] = groups[group].replaced(**{name: value})
+    return groups

@@ -1,0 +1,135 @@
+"""The command `tactile data generate`: labelled images of the simulated sensor in the public layout."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from tactile_base.whole_file import check_folder
+from tactile_base.yaml_file import name_and_value, read_yaml
+from tactile_bringup.commands.changes import (
+    add_set_option,
+    natural_int,
+    positive_int,
+    refuse,
+)
+from tactile_bringup.commands.collect_progress import duration
+from tactile_bringup.commands.data_progress import counted
+from tactile_drivers.sampling import VALIDATION_START
+from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
+from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
+from tactile_perception.datasets.writer import DatasetWriter, write_processed
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_records.collecting.parameters import check_same_run
+
+
+def register(commands: Any) -> None:
+    """Add `generate` to the subparsers of `tactile data`."""
+    parser = commands.add_parser(
+        "generate",
+        help="labelled images of the simulated TacTip",
+        description="Press and shear the simulated TacTip as the paper does; write OUT/train and OUT/val. "
+        "The same command goes on after an interruption; a sample depends on seed and number only.",
+    )
+    parser.add_argument("out", type=Path, help="folder for train/ and val/")
+    parser.add_argument(
+        "--train", type=natural_int, default=6000, metavar="N", help="training samples (6000)"
+    )
+    parser.add_argument(
+        "--val", type=natural_int, default=2000, metavar="N", help="validation samples (2000)"
+    )
+    parser.add_argument("--seed", type=natural_int, default=0)
+    cores = len(os.sched_getaffinity(0))
+    parser.add_argument(
+        "--processes",
+        type=positive_int,
+        default=cores,
+        help=f"processes to spread over (as many as cores: {cores})",
+    )
+    parser.add_argument(
+        "--sensor",
+        metavar="NAME",
+        help="sensor of config/sensors, or a sensor file (default: the built-in one)",
+    )
+    parser.add_argument("--config", type=Path, help="YAML file with collection settings (SI)")
+    add_set_option(parser, "change one of them")
+    parser.set_defaults(run=run_generate)
+
+
+def run_generate(arguments: argparse.Namespace) -> int:
+    """`tactile data generate`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        check_folder(arguments.out)
+        sensor = load_sensor(arguments.sensor) if arguments.sensor else SensorFile()
+        settings = _settings(arguments, sensor.collection)
+        for name, count, start in (("train", arguments.train, 0), ("val", arguments.val, VALIDATION_START)):
+            if count > 0:
+                _generate_split(arguments, sensor, settings, name, count, start, console)
+    except (ValueError, OSError) as error:
+        return refuse(console, "data generate", error)
+    except KeyboardInterrupt:
+        console.print("interrupted; the same command goes on from here")
+        return 130
+    return 0
+
+
+def _settings(arguments: argparse.Namespace, settings: CollectionSettings) -> CollectionSettings:
+    """Collection settings from the sensor's file, the given file and the command line, the last one first."""
+    if arguments.config:
+        root = read_yaml(arguments.config)
+        settings = root.checked(CollectionSettings, {**dataclasses.asdict(settings), **root.values})
+    changes = dict(name_and_value(change, "cap_angle=0.3") for change in arguments.changes)
+    return settings.replaced(**changes)
+
+
+def _generate_split(
+    arguments: argparse.Namespace,
+    sensor: SensorFile,
+    settings: CollectionSettings,
+    name: str,
+    count: int,
+    start: int,
+    console: Console,
+) -> None:
+    """Generate what is missing of one split."""
+    folder = arguments.out / name
+    preprocessing = PreprocessingSettings()
+    parameters = {"robot": "sim", "seed": arguments.seed, **dataclasses.asdict(settings)}
+    parameters["sensor"] = dataclasses.asdict(sensor.sensor)
+    if sensor.variation is not None:
+        parameters["variation"] = dataclasses.asdict(sensor.variation)
+    check_same_run(folder, parameters)
+    started = time.monotonic()
+    with DatasetWriter(folder, preprocessing) as writer:
+        missing = sorted(set(range(1, count + 1)) - writer.done)
+        store = StoreSample(folder, preprocessing, start)
+        samples = generate(
+            settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
+            processes=arguments.processes, each=store, variation=sensor.variation,
+        )  # fmt: skip
+        text = f"{name}: {len(missing)} of {count} samples"
+        for number, euler in counted(samples, text, len(missing), console):
+            writer.add_row(number, euler)
+        path, there = writer.finish(), len(writer.done)
+    took = duration(time.monotonic() - started)
+    console.print(f"{path}: {there} samples, {len(missing)} new in {took}", highlight=False, soft_wrap=True)
+
+
+class StoreSample:
+    """Pre-processes and stores a sample's image in the process that made it; gives its number and label."""
+
+    def __init__(self, folder: Path, preprocessing: PreprocessingSettings, start: int) -> None:
+        self.folder, self.start = folder, start
+        self._preprocessor = Preprocessor(preprocessing)
+
+    def __call__(self, sample: Sample) -> tuple[int, list[float]]:
+        number = sample.index - self.start + 1
+        write_processed(self.folder, number, self._preprocessor.binary(sample.image))
+        return number, sample.euler_mm_deg.tolist()

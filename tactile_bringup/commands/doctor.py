@@ -1,0 +1,140 @@
+"""`tactile doctor`: checks what the commands need, and says what to do where something is missing."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+MESSAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
+COMPILED = ("tactile_filter._fusion", "tactile_drivers.sim._contact", "tactile_perception._image")
+SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
+
+
+class Missing(RuntimeError):
+    """What is missing, and what to do about it."""
+
+
+def register(subparsers: Any) -> None:
+    """Add `doctor`."""
+    parser = subparsers.add_parser("doctor", help="check this machine and environment", description=__doc__)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run all checks; returns 0 when all passed, else 1."""
+    failed = 0
+    for name, check in CHECKS.items():
+        try:
+            print(f"ok       {name}: {check()}")
+        except Missing as problem:
+            failed += 1
+            print(f"MISSING  {name}: {problem}")
+    print(f"{failed} of {len(CHECKS)} checks failed" if failed else "all is there")
+    return 1 if failed else 0
+
+
+def _python() -> str:
+    if not (3, 10) <= sys.version_info[:2] <= (3, 13):
+        raise Missing(f"{sys.version.split()[0]}: must be 3.10 to 3.13 (make PYTHON=python3.12)")
+    return f"{sys.version.split()[0]} at {sys.executable}"
+
+
+def _ros() -> str:
+    try:
+        importlib.import_module("rclpy")
+    except ImportError as error:
+        raise Missing(f"{error}; source a ROS 2 install or scripts/env.sh (after `make`)") from error
+    from tactile_bringup.launching.environment import middleware
+
+    return f"{os.environ.get('ROS_DISTRO', 'unknown distribution')}, {middleware()}"
+
+
+def _messages() -> str:
+    absent = []
+    for package in MESSAGES:
+        try:
+            importlib.import_module(f"{package}.msg")
+        except ImportError:
+            absent.append(package)
+    if absent:
+        raise Missing(f"{', '.join(absent)}; build the workspace (make) and source it (scripts/env.sh)")
+    return ", ".join(MESSAGES)
+
+
+def _definitions() -> str:
+    from tactile_records.bags.message_definitions import DefinitionMissing, message_definition
+
+    try:
+        message_definition("tactile_msgs/msg/ContactState")
+    except DefinitionMissing as error:
+        raise Missing(f"{error}; bags could not be recorded") from error
+    return "of tactile_msgs, for bags"
+
+
+def _compiled() -> str:
+    for module in COMPILED:
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            raise Missing(f"{error}; build with `make`") from error
+    return ", ".join(COMPILED)
+
+
+def _configuration() -> str:
+    from tactile_base.config_paths import config_folder, config_names
+
+    try:
+        return f"{config_folder()}: scenes {', '.join(config_names('scenes'))}"
+    except FileNotFoundError as error:
+        raise Missing(str(error)) from error
+
+
+def _model() -> str:
+    from tactile_perception.estimator import Estimator, ModelError
+
+    try:
+        return str(Estimator().path)
+    except ModelError as error:
+        raise Missing(str(error)) from error
+
+
+def _shared_memory() -> str:
+    from tactile_bringup.launching.shared_memory import SHARED_MEMORY, orphans
+
+    if not os.access(SHARED_MEMORY, os.W_OK):
+        raise Missing(f"{SHARED_MEMORY} cannot be written: images would go through UDP, ten times slower")
+    status = os.statvfs(SHARED_MEMORY)
+    free = status.f_bavail * status.f_frsize
+    if free < SHARED_MEMORY_NEEDED:
+        raise Missing(f"{SHARED_MEMORY}: {free >> 20} MiB free, need {SHARED_MEMORY_NEEDED >> 20} MiB")
+    left = orphans()
+    return f"{SHARED_MEMORY}, {free >> 20} MiB free" + (f", {len(left)} files of dead nodes" if left else "")
+
+
+def _domain() -> str:
+    from tactile_bringup.launching.environment import ros_environment
+
+    try:
+        environment = ros_environment(Path())
+    except (ValueError, RuntimeError) as error:
+        raise Missing(str(error)) from error
+    chosen = "would be chosen" if environment.domain_chosen else "as set"
+    return f"{environment.domain_id} ({chosen}), discovery {environment.discovery_range}"
+
+
+CHECKS: dict[str, Callable[[], str]] = {
+    "Python": _python,
+    "ROS 2": _ros,
+    "messages": _messages,
+    "message definitions": _definitions,
+    "compiled modules": _compiled,
+    "configuration": _configuration,
+    "model": _model,
+    "shared memory": _shared_memory,
+    "ROS domain": _domain,
+}

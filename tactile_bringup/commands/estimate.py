@@ -1,0 +1,180 @@
+"""The command `tactile estimate`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from tactile_base.whole_file import check_folder
+from tactile_bringup.commands.changes import natural_int, positive_int, refuse
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+
+
+def register(subparsers: Any) -> None:
+    """Add `estimate` to argparse subparsers; it sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "estimate",
+        help="run images through estimator and filter, without ROS",
+        description="Estimate a data folder, a video or a camera (by index); write a table and a picture.",
+    )
+    parser.add_argument("source", help="data folder, video file, or index of a camera")
+    parser.add_argument("--model", type=Path, default=None, help="ONNX model (default: the shipped one)")
+    parser.add_argument("--out", type=Path, default=Path("out/estimate"), help="folder for table and picture")
+    parser.add_argument(
+        "--poses", type=Path, help="table with the sensor's pose in the base for each video frame"
+    )
+    parser.add_argument("--limit", type=positive_int, metavar="N", help="stop after N images")
+    parser.add_argument("--no-filter", action="store_true", help="estimator only")
+    parser.add_argument(
+        "--smooth", action="store_true", help="let what is filtered know what came later, too"
+    )
+    parser.add_argument(
+        "--motion-sigma", type=float, default=1.0, metavar="S",
+        help="noise of the motion between a folder's images, in mm and degrees, added and assumed",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seed", type=natural_int, default=0, help="order of a folder's images, and the motion's noise"
+    )
+    parser.add_argument("--threads", type=positive_int, default=1, help="CPU threads of the estimator")
+    parser.set_defaults(run=run_estimate)
+
+
+def run_estimate(arguments: argparse.Namespace) -> int:
+    """`tactile estimate`: returns the exit status."""
+    from tactile_perception.estimator import Estimator
+
+    console = Console(stderr=True)
+    try:
+        if not arguments.motion_sigma >= 0.0:
+            raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
+        estimator = Estimator(arguments.model or "", arguments.threads)
+        check_folder(arguments.out)
+        if Path(arguments.source).is_dir():
+            table = _estimate_folder(arguments, estimator, console)
+        else:
+            table = _estimate_video(arguments, estimator, console)
+        _write_estimates(arguments, table)
+    except (ValueError, OSError) as error:
+        return refuse(console, "estimate", error)
+    return 0
+
+
+def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+    from tactile_perception.datasets.dataset import open_folder
+    from tactile_perception.estimating.run import run_estimates
+    from tactile_perception.estimating.sources import folder_frames, usable_order
+    from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
+
+    folder = open_folder(arguments.source)
+    order = usable_order(folder, arguments.seed, arguments.limit)
+    console.print("\n".join(folder.report.lines()), markup=False, highlight=False, soft_wrap=True)
+    if folder.processed and folder.preprocessing != estimator.metadata.preprocessing:
+        console.print(
+            "note: the folder's images were pre-processed with other settings than the model's",
+            style="yellow",
+        )
+    frames = folder_frames(folder, order)
+    contact_filter = None
+    if not arguments.no_filter:
+        frames = with_motion_noise(frames, arguments.motion_sigma, arguments.seed)
+        contact_filter = motion_filter(arguments.motion_sigma)
+    with _bar(console, "estimating", len(order)) as update:
+        return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
+
+
+def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+    from tactile_filter.bayes_filter import ContactFilter
+    from tactile_filter.files import load_filter_settings
+    from tactile_perception.estimating.run import run_estimates
+    from tactile_perception.estimating.sources import SourceError, read_poses, video_frames
+
+    source: str | int = arguments.source
+    if arguments.source.isdecimal():
+        source = int(arguments.source)
+    elif not Path(arguments.source).is_file():
+        raise SourceError(f"{source}: is neither a data folder, nor a video file, nor the index of a camera")
+    poses = read_poses(arguments.poses) if arguments.poses else None
+    contact_filter = ContactFilter(load_filter_settings()) if poses and not arguments.no_filter else None
+    frames = video_frames(source, poses, arguments.limit)
+    with _bar(console, "estimating", arguments.limit) as update:
+        return run_estimates(estimator, _until_interrupted(frames), contact_filter, update, arguments.smooth)
+
+
+def _until_interrupted(frames: Any) -> Any:
+    """Frames until the source ends or Ctrl-C, which is how one stops a camera."""
+    try:
+        yield from frames
+    except KeyboardInterrupt:
+        return
+
+
+def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
+    from tactile_perception.estimating.plots import draw_estimates, draw_series
+
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    table_path = arguments.out / "estimates.csv"
+    table.write_csv(table_path)
+    title = f"{Path(arguments.source).name}, {len(table)} images"
+    if table.has_labels:
+        picture = arguments.out / "predicted_against_actual.png"
+        draw_estimates(table, picture, title)
+    else:
+        picture = arguments.out / "estimates.png"
+        draw_series(table, picture, title)
+    _print_estimate_summary(Console(), table)
+    print(f"table: {table_path}\npicture: {picture}")
+
+
+def _print_estimate_summary(console: Console, table: Any) -> None:
+    if table.failures:
+        console.print(
+            f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", markup=False, style="red"
+        )
+    if len(table.stage_seconds):
+        times = np.array(table.stage_seconds) * 1e3
+        names = ("pre-processing", "network", "conversion", "total")
+        stages = zip(names, [*times.T, times.sum(axis=1)], strict=True)
+        text = "; ".join(f"{name} {np.median(t):.2f} / {np.percentile(t, 99):.2f}" for name, t in stages)
+        console.print(f"ms per image, p50 / p99: {text}", highlight=False)
+    if not table.has_labels:
+        return
+    summary = Table(title=f"mean absolute error over {len(table)} images")
+    summary.add_column("component")
+    summary.add_column("network", justify="right")
+    columns = [table.mean_absolute_error(table.network)]
+    if table.has_filter:
+        summary.add_column("with filter", justify="right")
+        columns.append(table.mean_absolute_error(table.filtered))
+    for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
+        summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in columns))
+    console.print(summary)
+
+
+@contextmanager
+def _bar(console: Console, what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """A progress bar; gives a callable that takes the number of images done."""
+    columns = (
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)

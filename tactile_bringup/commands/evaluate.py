@@ -1,0 +1,201 @@
+"""The command `tactile evaluate`: how accurate trained networks are, how honest, and what a filter adds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from tactile_base.whole_file import check_folder
+from tactile_base.yaml_file import name_and_value
+from tactile_bringup.commands.changes import (
+    add_set_option,
+    natural_int,
+    positive_int,
+    refuse,
+)
+
+MODES = ("network", "filter")
+
+
+def register(subparsers: Any) -> None:
+    """Add `evaluate` to argparse subparsers; sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="measure trained networks, alone or with the filter, on labelled images",
+        description="Measure trained networks on a labelled data folder: the paper's tables and figures, "
+        "and how honest their uncertainty is. `tactile evaluate filter` runs the paper's filter experiment.",
+    )
+    parser.add_argument("mode", nargs="?", choices=MODES, default="network", help="what to measure (network)")
+    parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
+    parser.add_argument(
+        "--model", type=Path, nargs="+", required=True, metavar="RUN",
+        help="run folders of `tactile train`, folders of such folders, or ONNX files",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, help="folder for tables and figures (out/evaluate)")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
+    parser.add_argument(
+        "--ensemble", action="store_true", help="also all of these models together, moment-matched"
+    )
+    parser.add_argument(
+        "--calibrate", type=Path, metavar="DIR",
+        help="calibrate on this labelled folder, which no model was trained on, not as the model files say",
+    )  # fmt: skip
+    parser.add_argument(
+        "--limit", type=positive_int, metavar="N", help="use only N samples, spread over the table"
+    )
+    parser.add_argument(
+        "--threads", type=natural_int, default=0, help="CPU threads of an inference (0: all cores)"
+    )
+    parser.add_argument("--no-figures", action="store_true", help="tables only")
+    parser.add_argument(
+        "--paper",
+        action="store_true",
+        help="set the paper's results beside (in the filter's tables in brackets, + where reached)",
+    )
+    _register_filter(parser.add_argument_group("filter"))
+    parser.set_defaults(run=run_evaluate)
+
+
+def _register_filter(group: Any) -> None:
+    group.add_argument(
+        "--sigma", type=float, nargs="+", metavar="S",
+        help="noises sigma_psi of the motion in mm and degrees (inf 10 1 0.1 0.01)",
+    )  # fmt: skip
+    group.add_argument(
+        "--seed", type=natural_int, default=0, help="order of the samples and noise of the motion (0)"
+    )
+    group.add_argument(
+        "--repeat", type=positive_int, default=1, metavar="N", help="mean over N orders, from --seed on"
+    )
+    group.add_argument(
+        "--estimate-noise", action="store_true",
+        help="also with sigma_phi estimated from the innovations of the first 500 samples",
+    )  # fmt: skip
+    add_set_option(group, "change a setting of the filter (the paper's, without a gate)")
+
+
+def run_evaluate(arguments: argparse.Namespace) -> int:
+    """`tactile evaluate`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        if arguments.mode == "filter":
+            _run_filter(arguments, console)
+        else:
+            _run_network(arguments, console)
+    except (ValueError, OSError) as error:
+        return refuse(console, "evaluate", error)
+    return 0
+
+
+def _run_network(arguments: argparse.Namespace, console: Console) -> None:
+    from tactile_perception.evaluation.report import summary, write_files
+
+    data, results, out = _predict(arguments, console)
+    write_files(out, data, results)
+    if not arguments.no_figures:
+        from tactile_perception.evaluation.plots import draw_all
+
+        draw_all(out, data, results)
+    if arguments.json:
+        print(json.dumps(summary(data, results), allow_nan=False))
+    else:
+        _print_tables(_wide_console(), results, arguments.paper)
+    console.print(f"files: {out}", highlight=False, soft_wrap=True)
+
+
+def _run_filter(arguments: argparse.Namespace, console: Console) -> None:
+    from tactile_perception.evaluation import filter_experiment
+    from tactile_perception.evaluation.reference import paper_tables
+
+    experiment = _experiment(arguments)
+    data, results, out = _predict(arguments, console)
+    tasks = len(list(filter_experiment.states(results)))
+    if not tasks:
+        raise ValueError("none of the models says how uncertain it is: there is nothing to filter")
+    with _progress(console) as progress:
+        task = progress.add_task("filtering", total=tasks * experiment.runs)
+        found = filter_experiment.run_experiment(
+            data, results, experiment, lambda count: progress.advance(task, count)
+        )
+    filter_experiment.write_filter_files(out, found)
+    if not arguments.no_figures:
+        filter_experiment.draw_filter_figure(out, data, results, experiment)
+    if arguments.json:
+        print(json.dumps(filter_experiment.filter_summary(data, found), allow_nan=False))
+    else:
+        goal = paper_tables().filter if arguments.paper else None
+        for table in filter_experiment.filter_tables(found, goal):
+            _wide_console().print(table)
+    console.print(f"files: {out}", highlight=False, soft_wrap=True)
+
+
+def _experiment(arguments: argparse.Namespace) -> Any:
+    from tactile_base.settings import SettingError
+    from tactile_perception.evaluation.filter_experiment import SIGMAS, Experiment
+
+    for sigma in arguments.sigma or ():
+        if not sigma > 0.0:
+            raise SettingError(f"--sigma {sigma:g}: must be positive, or inf")
+    changes = dict(name_and_value(change, "fusion_mode=exact") for change in arguments.changes)
+    return Experiment(
+        sigmas=tuple(arguments.sigma or SIGMAS),
+        seeds=tuple(range(arguments.seed, arguments.seed + arguments.repeat)),
+        estimated=arguments.estimate_noise,
+        settings=Experiment().settings.replaced(**changes),
+    )
+
+
+def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any, Path]:
+    """Data, results of each model, and the folder for files; says what there is to know about the data."""
+    from tactile_perception.evaluation.evaluate import evaluate, load_data
+    from tactile_perception.evaluation.models import open_models
+
+    out = arguments.out or Path("out/evaluate")
+    check_folder(out)  # before the images are read
+    models = open_models(arguments.model, arguments.threads)
+    with _progress(console) as progress:
+        task = progress.add_task("reading", total=None)
+        data = load_data(arguments.data, models, arguments.limit, _counter(progress, task))
+        held_back = load_data(arguments.calibrate, models) if arguments.calibrate else None
+        total = len(models) * (len(data) + (len(held_back) if held_back else 0))
+        task = progress.add_task("predicting", total=total)
+        results = evaluate(
+            data, models, arguments.ensemble, held_back, lambda count: progress.advance(task, count)
+        )
+    for line in data.report.lines() + [f"note: {note}" for note in data.notes]:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    out.mkdir(parents=True, exist_ok=True)
+    return data, results, out
+
+
+def _print_tables(console: Console, results: Any, paper: bool) -> None:
+    from tactile_perception.evaluation import report
+    from tactile_perception.evaluation.reference import paper_tables
+
+    console.print(report.accuracy_table(results, paper_tables() if paper else None))
+    for name, members in report.groups(results).items():
+        table = report.calibration_table(members, name)
+        if table is not None:
+            console.print(table)
+        console.print(report.bins_table(members, name, "by_depth"))
+        console.print(report.bins_table(members, name, "by_shear"))
+
+
+def _wide_console() -> Console:
+    """Into a file or pipe, tables are not broken to the 80 columns of no terminal."""
+    console = Console()
+    return console if console.is_terminal else Console(width=160)
+
+
+def _progress(console: Console) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _counter(progress: Progress, task: Any) -> Any:
+    return lambda done, total: progress.update(task, completed=done, total=total)

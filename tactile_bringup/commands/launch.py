@@ -1,0 +1,149 @@
+"""`tactile launch TASK`: starts the task's graph, runs its paths, and brings all to rest."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tactile_bringup.graph import GraphOptions
+    from tactile_bringup.launching.launcher import Outcome
+    from tactile_bringup.task_graph import TaskGraph
+
+TASK_HELP = "task: the name of one of config/tasks, or a task file of your own"
+DEFAULT_SCENE = "ramp"
+FOUND = ""  # no file of the object: where it is touched is found by touch
+EXIT_CODES = """exit codes: 0 the task was done; 1 it failed; 2 an option, scene or task file is wrong;
+3 a node ended by itself; 4 nodes were not ready in time; 130 ended by Ctrl-C; 143 ended by SIGTERM"""
+
+
+def register(subparsers: Any) -> None:
+    """Add `launch`."""
+    parser = subparsers.add_parser(
+        "launch", help="start a task's nodes and run it", description=__doc__, epilog=EXIT_CODES
+    )
+    parser.add_argument("task", help=TASK_HELP)
+    add_scene_options(parser)
+    parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
+    parser.add_argument("--record-images", action="store_true", help="with images, compressed without loss")
+    parser.add_argument(
+        "--marker-view", action="store_true", help="publish a picture of the markers (tactile/marker_view)"
+    )
+    parser.add_argument(
+        "--object-belief", nargs="?", const=FOUND, metavar="NAME",
+        help="fuse the contacts of all arms into one belief over the object that they touch (object/belief); "
+        "NAME: one of config/objects, or a file, that says where they touch it (default: found by touch)",
+    )  # fmt: skip
+    parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("out/runs"),
+        metavar="FOLDER",
+        help="where the run's folder with logs goes",
+    )
+    parser.set_defaults(run=run)
+
+
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """Options that every command which runs the graph has."""
+    parser.add_argument(
+        "--scene", default=DEFAULT_SCENE, metavar="NAME", help="scene, or a scene file (default: %(default)s)"
+    )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="exposures a second (default: the scene's)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated cell (default: 0)")
+    parser.add_argument(
+        "--model", type=Path, metavar="FILE", help="the estimator's model (default: the shipped)"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code."""
+    from rich.console import Console
+
+    from tactile_bringup.graph import GraphOptions
+
+    if arguments.record_images and arguments.record is None:
+        return _refuse("--record-images needs --record BAG")
+    options = GraphOptions(
+        rate=arguments.rate,
+        seed=arguments.seed,
+        model=_absolute(arguments.model),
+        record=_absolute(arguments.record),
+        record_images=arguments.record_images,
+        marker_view=arguments.marker_view,
+        object_belief=arguments.object_belief is not None,
+        object_file=arguments.object_belief or "",
+    )
+    folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
+    console = Console()
+    outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
+    if outcome is None:
+        return 2
+    if options.record is not None and options.record.exists():
+        console.print(f"bag: {options.record}", highlight=False, soft_wrap=True)
+    return outcome.exit_code
+
+
+def launch(
+    task: str, scene: str, options: GraphOptions, folder: Path, console: Console, headless: bool
+) -> Outcome | None:
+    """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong."""
+    from tactile_base.settings import SettingError
+    from tactile_bringup.task_graph import load_task_graph
+
+    try:
+        loaded = load_task_graph(task, scene, options)
+        _check(options)
+    except (SettingError, ValueError, OSError) as error:
+        _refuse(str(error))
+        return None
+    return launch_graph(loaded, folder, console, headless)
+
+
+def launch_graph(loaded: TaskGraph, folder: Path, console: Console, headless: bool) -> Outcome:
+    """Launch a graph that was loaded before."""
+    from rich.markup import escape
+
+    from tactile_bringup.launching.launcher import Launcher
+    from tactile_bringup.launching.progress import Display
+    from tactile_bringup.launching.view import write_view
+
+    write_view(loaded.graph, folder)
+    live = console.is_terminal and not headless
+    with Display(console, live) as display:
+        outcome = Launcher(loaded.graph, loaded.paths, folder.absolute(), display).run()
+    if outcome.exit_code:
+        console.print(f"[red]tactile launch: {escape(outcome.reason)}[/]", highlight=False, soft_wrap=True)
+    rest = {
+        True: "the arm rests",
+        False: "the arm did not report rest in time",
+        None: "the arm never reported",
+    }
+    console.print(f"stopped: {rest[outcome.at_rest]}; logs: {outcome.logs}", highlight=False, soft_wrap=True)
+    return outcome
+
+
+def _check(options: GraphOptions) -> None:
+    """What would else be found out only by a node, seconds later."""
+    if options.record is not None and options.record.exists():
+        raise ValueError(f"--record {options.record}: exists already; remove it or record elsewhere")
+    if options.model is not None and not options.model.is_file():
+        raise ValueError(f"--model {options.model}: no such file")
+    if options.rate is not None and not 1.0 <= options.rate <= 240.0:
+        raise ValueError(f"--rate {options.rate:g}: must lie in [1, 240] Hz")
+
+
+def _absolute(path: Path | None) -> Path | None:
+    return None if path is None else path.absolute()
+
+
+def _refuse(message: str) -> int:
+    import sys
+
+    print(f"tactile launch: {message}", file=sys.stderr)
+    return 2

@@ -1,0 +1,93 @@
+"""The command `tactile markers`: markers of an image, and their density against the state without contact."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from tactile_base.whole_file import check_file
+from tactile_bringup.commands.changes import refuse
+
+
+def register(subparsers: Any) -> None:
+    """Add `markers` to argparse subparsers."""
+    parser = subparsers.add_parser(
+        "markers",
+        help="markers of an image, and how their density differs from the state without contact",
+        description="Find the markers of a camera image or of a pre-processed one. Against a reference image "
+        "without contact, show where they have parted (blue) and where they are closer (red).",
+    )
+    parser.add_argument("image", type=Path, help="image file")
+    parser.add_argument("--reference", type=Path, help="image without contact, of the same crop")
+    parser.add_argument("--out", type=Path, help="picture to write (default: out/IMAGE.markers.png)")
+    parser.add_argument("--csv", type=Path, help="table of the centers to write")
+    parser.set_defaults(run=run_markers)
+
+
+def run_markers(arguments: argparse.Namespace) -> int:
+    """`tactile markers`: returns the exit status."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    try:
+        for line in _markers(arguments):
+            print(line)
+    except (ValueError, OSError) as error:
+        return refuse(console, "markers", error)
+    return 0
+
+
+def _markers(arguments: argparse.Namespace) -> list[str]:
+    import cv2
+
+    from tactile_perception.markers.detection import density_change, detect
+    from tactile_perception.markers.view import draw_markers, side_by_side
+
+    out = arguments.out or Path("out") / f"{arguments.image.stem}.markers.png"
+    for path in (out, *filter(None, [arguments.csv])):
+        check_file(path)
+    if not cv2.haveImageWriter(str(out)):
+        raise ValueError(f"{out}: OpenCV writes no pictures of this kind; end its name with .png")
+    image = _read(arguments.image)
+    markers = detect(image)
+    lines = [f"{arguments.image}: {len(markers)} markers, {markers.merged.sum()} of them from merged blobs"]
+    picture = draw_markers(image, markers)
+    if arguments.reference is not None:
+        reference_image = _read(arguments.reference)
+        if reference_image.shape != image.shape:
+            raise ValueError(
+                f"{arguments.reference}: is {_size(reference_image)}; must be {_size(image)} "
+                f"like {arguments.image}"
+            )
+        reference = detect(reference_image)
+        change = density_change(markers, reference, image.shape)
+        picture = side_by_side(image, markers, change)
+        lines += [
+            f"{arguments.reference}: {len(reference)} markers, {change.spacing:.1f} px apart",
+            f"change of density, markers per squared spacing: {change.values.min():.2f} to "
+            f"{change.values.max():.2f}",
+        ]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(out), picture):
+        raise OSError(f"{out}: cannot be written")
+    lines.append(f"picture: {out}")
+    if arguments.csv is not None:
+        rows = zip(markers.centers, markers.areas, markers.merged, strict=True)
+        text = "".join(f"{c[0]:.3f},{c[1]:.3f},{area:.1f},{int(merged)}\n" for c, area, merged in rows)
+        arguments.csv.parent.mkdir(parents=True, exist_ok=True)
+        arguments.csv.write_text("column_px,row_px,area_px2,merged\n" + text)
+        lines.append(f"table: {arguments.csv}")
+    return lines
+
+
+def _read(path: Path) -> Any:
+    from tactile_perception.datasets.images import read_image
+
+    if not path.is_file():
+        raise OSError(f"{path}: there is no such file")
+    return read_image(path)
+
+
+def _size(image: Any) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}"

@@ -1,0 +1,165 @@
+"""The command `tactile quantize`: a trained network in 8-bit integers, and what that costs and brings."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from tactile_base.whole_file import check_file, whole_file
+from tactile_base.yaml_file import name_and_value
+from tactile_bringup.commands.changes import add_set_option, needs_extra, refuse
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.model_metadata import RUN_MODELS
+
+QUANTIZED_NAME, MODEL_NAME = RUN_MODELS
+_TIMED_RUNS = 200
+
+
+def register(subparsers: Any) -> None:
+    """Add `quantize` to argparse subparsers; sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "quantize",
+        help="write a trained network in 8-bit integers",
+        description="Write a trained network in 8-bit integers, which takes less than half the time, and "
+        "compare both on the validation data (needs onnx, of the extra 'train').",
+    )
+    parser.add_argument("model", type=Path, help="run folder of `tactile train`, or an ONNX file")
+    parser.add_argument(
+        "--data", type=Path, required=True,
+        help="training data, which give the ranges of the activations: a folder, or one with train/ in it",
+    )  # fmt: skip
+    parser.add_argument("--val", type=Path, help="data to compare both networks on (default: DATA/val)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model"
+    )
+    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
+    add_set_option(parser, "change one setting")
+    parser.set_defaults(run=run_quantize)
+
+
+def run_quantize(arguments: argparse.Namespace) -> int:
+    """`tactile quantize`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.quantization import QuantizationSettings, quantize
+    except ModuleNotFoundError as error:
+        return needs_extra(console, "quantize", error)
+
+    try:
+        changes = dict(name_and_value(change, "images=300") for change in arguments.changes)
+        settings = QuantizationSettings().replaced(**changes)
+        source, out = _paths(arguments.model, arguments.out)
+        validation = _validation(arguments.data, arguments.val)
+        for path in (out, *filter(None, [arguments.install])):
+            check_file(path)
+        images = training_images(arguments.data, source, settings.images)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        quantize(source, images, out, settings)
+        print(f"model: {out}")
+        _compare(Console(), [source, out], validation)
+        if arguments.install:
+            install(out, arguments.install)
+    except (ValueError, OSError) as error:
+        return refuse(console, "quantize", error)
+    return 0
+
+
+def quantize_run(run: Path, data: Path, validation: Path | None = None) -> Path:
+    """Quantize the model of a run folder as it is meant to be, print the comparison; returns the new file."""
+    from tactile_perception.training.quantization import QuantizationSettings, quantize
+
+    source, out = _paths(run, None)
+    quantize(source, training_images(data, source, QuantizationSettings().images), out)
+    print(f"quantized model: {out}")
+    _compare(Console(), [source, out], _validation(data, validation))
+    return out
+
+
+def install(model: Path, path: Path) -> None:
+    """Copy a model file to where it is used."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(model.read_bytes())
+
+
+def _validation(data: Path, given: Path | None) -> Path | None:
+    """The folder to compare on, if there is one; `DatasetError` if it is none."""
+    from tactile_perception.datasets.dataset import open_folder
+
+    folder = given or (data / "val" if (data / "val").is_dir() else None)
+    if folder is not None:
+        open_folder(folder)
+    return folder
+
+
+def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:
+    source = model / MODEL_NAME if model.is_dir() else model
+    out = out or source.with_name(QUANTIZED_NAME)
+    if out.resolve() == source.resolve():
+        raise ValueError(f"{out}: is the model itself; --out must name another file")
+    return source, out
+
+
+def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
+    """`count` images, spread over the folder's table, prepared as the model wants them.
+
+    Fewer where the folder has fewer or some of these cannot be read.
+    """
+    from tactile_perception.datasets.dataset import DatasetError, open_folder
+    from tactile_perception.estimating.image import ImageError
+    from tactile_perception.estimating.preprocessing import Preprocessor
+    from tactile_perception.estimator import Estimator
+
+    preprocessing = Estimator(model).metadata.preprocessing
+    folder = folder / "train" if (folder / "train").is_dir() else folder
+    data, preprocessor = open_folder(folder, preprocessing), Preprocessor(preprocessing)
+    found = []
+    for index in np.unique(np.linspace(0, len(data) - 1, count).round().astype(int)):
+        try:
+            found.append(data.resized(int(index), preprocessor))
+        except ImageError:
+            continue  # training has left it out, too, and named it
+    if not found:
+        raise DatasetError(f"{folder}: no readable image")
+    return np.array(found)
+
+
+def _compare(console: Console, paths: Sequence[Path], validation: Path | None) -> None:
+    from tactile_perception.evaluation.evaluate import evaluate, load_data
+    from tactile_perception.evaluation.models import open_models
+
+    models = open_models(paths, threads=1)
+    names = ["size", "network, p50 / p99"]
+    columns = [
+        [f"{model.estimator.path.stat().st_size / 1e6:.2f} MB", _milliseconds(model)] for model in models
+    ]
+    table = Table(title="on one core")
+    if validation is not None:
+        table.title = f"on one core; mean absolute error on {validation}"
+        for column, result in zip(columns, evaluate(load_data(validation, models), models), strict=True):
+            mae = zip(result.accuracy.mae, NETWORK_UNITS, strict=True)
+            column += [f"{value:.4f} {unit}" for value, unit in mae]
+        names += COMPONENTS
+    table.add_column("")
+    for path in paths:
+        table.add_column(path.name, justify="right")
+    for row in zip(names, *columns, strict=True):
+        table.add_row(*row)
+    console.print(table)
+
+
+def _milliseconds(model: Any) -> str:
+    side = model.metadata.preprocessing.size
+    image = np.zeros((1, 1, side, side), np.float32)
+    seconds = []
+    for _ in range(_TIMED_RUNS):
+        model.estimator.estimate_prepared(image)
+        seconds.append(model.estimator.times.infer)
+    return " / ".join(f"{1e3 * np.percentile(seconds, q):.2f}" for q in (50, 99)) + " ms"

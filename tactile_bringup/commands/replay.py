@@ -1,0 +1,264 @@
+"""`tactile replay`: a recording through the filter again, with other settings, as fast as it goes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tactile_records.replay.inputs import Inputs
+    from tactile_records.replay.report import RunResult
+    from tactile_records.replay.sweep import Plan
+
+EXIT_OK, EXIT_DIFFERS, EXIT_USAGE = 0, 1, 2
+REPORT = "report.json"
+NEW_FROM_IMAGES = ("/contact/estimate", "/contact/presence")
+WIDTH = 140  # columns of the table where there is no terminal
+
+
+def register(subparsers: Any) -> None:
+    """Add `replay`."""
+    parser = subparsers.add_parser(
+        "replay",
+        help="run a recorded bag through the filter again, with other settings",
+        description="Runs the estimates and transforms of a bag (MCAP or sqlite3, ours or of `ros2 bag`) "
+        "through the filter and writes a bag, a table and a picture that compares the runs.",
+        epilog="Exit codes: 0 done, 1 with --check where beliefs are not the recorded ones, 2 nothing done.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a bag, or one of its files")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting of the filter"
+    )
+    parser.add_argument(
+        "--sweep", action="append", default=[], metavar="NAME=A,B,C", help="one run for each value; more "
+        "than once: for each combination",
+    )  # fmt: skip
+    parser.add_argument(
+        "--profile",
+        metavar="NAME|FILE",
+        help="settings of the filter from a file, in place of the recorded ones",
+    )
+    parser.add_argument(
+        "--from", dest="source", choices=("estimates", "images"), default="estimates",
+        help="what the filter takes: the recorded estimates, or new ones from the recorded images",
+    )  # fmt: skip
+    parser.add_argument(
+        "--model",
+        type=Path,
+        help="with --from images: ONNX model (default: the recorded one, else the shipped)",
+    )
+    parser.add_argument(
+        "--base",
+        default="",
+        metavar="FRAME",
+        help="frame in which the surface stands still (default: ARM/base)",
+    )
+    parser.add_argument("--out", type=Path, help="folder for the results (default: out/replay/BAG)")
+    parser.add_argument("--smooth", action="store_true", help="add beliefs that know what came later")
+    parser.add_argument(
+        "--all-events", action="store_true", help="take what the live filter had dropped, too"
+    )
+    parser.add_argument(
+        "--copy", choices=("inputs", "all"), help="put the filter's inputs, or all topics, into the new bag"
+    )
+    parser.add_argument("--check", action="store_true", help="fail unless the beliefs are the recorded ones")
+    parser.add_argument("--jobs", type=int, default=0, help="processes for a sweep (default: one a core)")
+    parser.add_argument("--no-plot", action="store_true", help="draw no pictures")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code."""
+    from tactile_base.settings import SettingError
+    from tactile_records.bags.contents import BagError
+    from tactile_records.bags.message_definitions import DefinitionMissing
+    from tactile_records.replay.topics import ReplayError
+
+    try:
+        return _replay(arguments)
+    except (BagError, ReplayError, SettingError, DefinitionMissing, OSError) as error:
+        print(f"tactile replay: {error}", file=sys.stderr)
+        return EXIT_USAGE
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from tactile_records.replay.sweep import base_settings, make_plans, run_plans
+
+    folder = arguments.out or Path("out") / "replay" / arguments.bag.resolve().stem
+    started, busy = time.perf_counter(), _processor_time()
+    inputs = _inputs(arguments)
+    base = base_settings(inputs, _profile(arguments.profile))
+    plans = make_plans(base, arguments.set, arguments.sweep, folder, arguments.profile is not None)
+    _make_room(folder, plans)
+    results = run_plans(plans, inputs, _options(arguments, inputs), arguments.jobs)
+    seconds, busy = time.perf_counter() - started, _processor_time() - busy
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    agree = _deliver(arguments, folder, inputs, plans, results, console)
+    speed = inputs.span_s * len(plans) / seconds if seconds else 0.0
+    runs = f"{len(plans)} run{'s' * (len(plans) > 1)}"
+    times = f"{inputs.span_s:.1f} s recorded, {runs} in {seconds:.2f} s ({busy:.2f} s of processor time)"
+    console.print(f"{times}: {speed:.0f} times real time", highlight=False, soft_wrap=True)
+    return EXIT_OK if agree or not arguments.check else EXIT_DIFFERS
+
+
+def _processor_time() -> float:
+    """Of this process and of those that it has waited for, s."""
+    return sum(os.times()[:4])
+
+
+def _inputs(arguments: argparse.Namespace) -> Inputs:
+    from tactile_records.bags.reader import read_bag
+    from tactile_records.replay.inputs import inputs_of, read_inputs
+    from tactile_records.replay.topics import ReplayError
+
+    if arguments.source == "estimates":
+        if arguments.model is not None:
+            raise ReplayError("--model needs --from images: recorded estimates are taken as they are")
+        return read_inputs(arguments.bag, arguments.base)
+    from tactile_records.replay.images import estimated, wanted_with_images
+
+    bag, remarks = estimated(read_bag(arguments.bag, wanted_with_images), arguments.model)
+    inputs = inputs_of(bag, arguments.base)
+    inputs.remarks += remarks
+    return inputs
+
+
+def _profile(name: str | None) -> Path | None:
+    from tactile_base.config_paths import named_file
+
+    return None if name is None else named_file("filter", name)
+
+
+def _options(arguments: argparse.Namespace, inputs: Inputs) -> Any:
+    from tactile_records.bags.reader import read_bag
+    from tactile_records.replay.sweep import Options
+
+    used = inputs.bag.messages
+    if arguments.copy == "all":
+        topics = {message.topic for message in used}
+        used = used + [m for m in read_bag(arguments.bag).messages if m.topic not in topics]
+    elif arguments.copy is None:
+        used = [m for m in used if arguments.source == "images" and m.topic.endswith(NEW_FROM_IMAGES)]
+    return Options(not arguments.all_events, arguments.smooth, used)
+
+
+def _make_room(folder: Path, plans: list[Plan]) -> None:
+    """Remove bags of former replays that are in the way, and only those."""
+    import shutil
+
+    from tactile_records.bags.contents import BagError
+    from tactile_records.bags.reader import Bag, read_bag
+
+    for plan in plans:
+        if not plan.bag.exists():
+            continue
+        old: Bag = read_bag(plan.bag, lambda topic, type_name: False)
+        if "replay" not in old.note:
+            raise BagError(
+                f"{plan.bag} exists and was not written by a replay; remove it or use --out elsewhere"
+            )
+        shutil.rmtree(plan.bag)
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def _deliver(
+    arguments: argparse.Namespace,
+    folder: Path,
+    inputs: Inputs,
+    plans: list[Plan],
+    results: list[list[RunResult]],
+    console: Console,
+) -> bool:
+    """Tables, pictures and report; returns whether all beliefs are the recorded ones."""
+    from tactile_records.replay.report import numbers, write_report
+
+    for remark in inputs.remarks:
+        console.print(f"note: {remark}", style="yellow", highlight=False, soft_wrap=True)
+    report: dict[str, Any] = {"bag": str(inputs.bag.folder), "remarks": inputs.remarks, "arms": {}}
+    agree, paths = True, []
+    for arm in inputs.arms:
+        mine = [result for run in results for result in run if result.arm == arm.name]
+        values = {result.name: numbers(result, arm.truth) for result in mine}
+        report["arms"][arm.name] = {"remarks": arm.remarks, "runs": values}
+        for remark in arm.remarks:
+            console.print(f"note: {arm.name}: {remark}", style="yellow", highlight=False, soft_wrap=True)
+        if arm.changes:
+            text = f"{len(arm.changes)} changes of the filter's settings while it ran are followed"
+            console.print(f"{arm.name}: {text}", highlight=False, soft_wrap=True)
+        if arm.resets:
+            text = f"{len(arm.resets)} resets by its service are followed"
+            console.print(f"{arm.name}: {text}", highlight=False, soft_wrap=True)
+        _print_table(console, arm.name, mine, values)
+        agree &= _tell_agreement(console, inputs, arm, plans, mine)
+        if not arguments.no_plot:
+            from tactile_records.replay.figures import compare
+
+            paths.append(folder / (f"{arm.name}.png" if len(inputs.arms) > 1 else "replay.png"))
+            compare(arm, mine, f"{inputs.bag.folder.name}, {arm.name}", paths[-1])
+    write_report(folder / REPORT, report)
+    for path in (folder / REPORT, *paths, *(plan.bag for plan in plans)):
+        console.print(str(path), highlight=False, soft_wrap=True)
+    return agree
+
+
+def _print_table(console: Console, arm: str, results: list[RunResult], values: dict[str, Any]) -> None:
+    from rich import box
+    from rich.table import Table
+
+    from tactile_records.replay.report import TABLE, table_row
+
+    title = f"{arm}: RMS errors against the truth (mm, deg), consistency, agreement with what was live"
+    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
+    for name in TABLE:
+        first = name == TABLE[0]
+        table.add_column(name, justify="left" if first else "right", no_wrap=True)
+    for result in results:
+        table.add_row(*table_row(result, values[result.name]))
+    console.print(table)
+
+
+def _tell_agreement(
+    console: Console, inputs: Inputs, arm: Any, plans: list[Plan], results: list[RunResult]
+) -> bool:
+    """Say where a run with the recorded settings differs from what was live; whether none does."""
+    from tactile_records.replay.sweep import same_settings
+
+    agree = arm.live is not None
+    for plan in plans:
+        result = next(r for r in results if r.name == plan.name)
+        found = result.agreement
+        if found is None or not same_settings(plan, inputs, arm):
+            agree = agree and found is not None and found.identical == found.common
+            continue
+        if found.identical < found.common:
+            agree = False
+            text = f"{found.common - found.identical} of {found.common} beliefs differ from the live ones"
+            console.print(
+                f"note: {arm.name}: {text}, first in {found.first_difference}",
+                style="yellow",
+                highlight=False,
+            )
+        else:
+            console.print(
+                f"{arm.name}: all {found.common} beliefs are those of the live filter, to the bit",
+                highlight=False,
+            )
+        if found.only_live:
+            text = f"what {found.only_live} live beliefs were made from is not in the bag"
+            console.print(f"note: {arm.name}: {text}", style="yellow", highlight=False, soft_wrap=True)
+        if result.left_out:
+            text = f"{result.left_out} events were not taken, as the live filter did not take them either"
+            console.print(
+                f"note: {arm.name}: {text} (--all-events takes them)", style="yellow", highlight=False
+            )
+    return agree

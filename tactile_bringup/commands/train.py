@@ -1,0 +1,258 @@
+"""The commands `tactile train` and `tactile ensemble`."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tactile_base.whole_file import check_file
+from tactile_bringup.commands.changes import add_set_option, needs_extra, positive_int, refuse
+from tactile_bringup.commands.quantize import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.training.profiles import profile
+
+
+def register(subparsers: Any) -> None:
+    """Add `train` and `ensemble` to argparse subparsers; each sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "train",
+        help="train a pose network on a data folder",
+        description="Train a pose network (needs PyTorch, the extra 'train'). A run that was interrupted "
+        "goes on when the same command is given again.",
+    )
+    parser.add_argument("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
+    parser.add_argument("--val", type=Path, help="validation data folder (default: DATA/val)")
+    parser.add_argument("--out", type=Path, required=True, help="new folder for the run")
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument(
+        "--config", type=Path, help="YAML file with the sections network, training and augmentation"
+    )
+    choice.add_argument(
+        "--profile", metavar="NAME",
+        help="a choice between speed and accuracy, of config/perception/profiles.yaml; a network of 8-bit "
+        f"integers is written beside the trained one, as {QUANTIZED_NAME}",
+    )  # fmt: skip
+    add_set_option(parser, "change one setting", "SECTION.NAME=VALUE")
+    parser.add_argument(
+        "--start", type=Path, metavar="RUN",
+        help="start from the network of a finished run, as one trained on simulated images",
+    )  # fmt: skip
+    parser.add_argument("--limit", type=positive_int, metavar="N", help="use only N training samples")
+    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
+    parser.add_argument(
+        "--repeat",
+        type=positive_int,
+        metavar="N",
+        help="train N networks from different seeds, in OUT/seed_0 and on",
+    )
+    parser.add_argument(
+        "--processes", type=positive_int, default=1, metavar="P", help="with --repeat: so many runs at a time"
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="with --repeat: run on the workers of this Dask scheduler"
+    )
+    parser.set_defaults(run=run_train)
+    _register_ensemble(subparsers)
+
+
+def _register_ensemble(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "ensemble",
+        help="join trained networks into one model file",
+        description="Write one ONNX model that gives the mean and covariance of the mixture of several "
+        "networks. It costs as much time as all of them.",
+    )
+    parser.add_argument("runs", nargs="+", type=Path, help="run folders of `tactile train`, or ONNX files")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the ONNX file to write")
+    parser.add_argument(
+        "--data", type=Path, help="training data (as of the runs): calibrate on what the runs held back"
+    )
+    parser.set_defaults(run=run_ensemble)
+
+
+def run_train(arguments: argparse.Namespace) -> int:
+    """`tactile train`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.jobs import JobError
+    except ModuleNotFoundError as error:
+        return needs_extra(console, "train", error)
+    try:
+        if arguments.repeat is None:
+            return _train_one(arguments)
+        return _train_many(arguments, console)
+    except (ValueError, OSError, FloatingPointError, JobError) as error:
+        return refuse(console, "train", error)
+
+
+def _config(arguments: argparse.Namespace) -> Any:
+    from tactile_perception.training.config import TrainConfig
+
+    if arguments.profile:
+        chosen = profile(arguments.profile)
+        config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
+    else:
+        config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
+    if arguments.start:
+        config = config.replaced("training", start=str(arguments.start.absolute()))
+    return config.changed(arguments.changes)
+
+
+def _train_one(arguments: argparse.Namespace) -> int:
+    from tactile_perception.training.console import TrainingProgress
+    from tactile_perception.training.train import train
+
+    if arguments.scheduler or arguments.processes != 1:
+        raise ValueError("--processes and --scheduler spread many runs: they need --repeat N")
+    config = _config(arguments)
+    if arguments.install:
+        check_file(arguments.install)
+    if not _only_quantization_left(arguments, config):
+        with TrainingProgress() as progress:
+            train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
+    _print_result(Console(), arguments.out)
+    model = arguments.out / MODEL_NAME
+    if _quantized(arguments):
+        model = quantize_run(arguments.out, arguments.data, arguments.val)
+    if arguments.install:
+        install(model, arguments.install)
+    return 0
+
+
+def _quantized(arguments: argparse.Namespace) -> bool:
+    """Whether the profile's networks are used in 8-bit integers."""
+    return bool(arguments.profile) and profile(arguments.profile).quantized
+
+
+def _only_quantization_left(arguments: argparse.Namespace, config: Any) -> bool:
+    """Whether the run was interrupted when it was trained, but not yet quantized."""
+    from tactile_perception.training.run_folder import RunFolder
+
+    folder = RunFolder(arguments.out)
+    if not (_quantized(arguments) and folder.finished) or folder.file(QUANTIZED_NAME).exists():
+        return False
+    folder.check_same(config)
+    return True
+
+
+def _print_result(console: Console, out: Path) -> None:
+    from tactile_perception.training.run_folder import RunFolder
+
+    result = RunFolder(out).result()
+    table = Table(
+        title=f"epoch {result['best_epoch']} of {result['epochs']}: "
+        f"{result['loss']} {result['validation_loss']:.3f}"
+    )
+    table.add_column("component")
+    table.add_column("MAE", justify="right")
+    for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True):
+        table.add_row(name, f"{result['mae'][name]:.4f} {unit}")
+    console.print(table)
+    console.print(f"{result['minutes']:.1f} min; stopped: {result['stopped']}", highlight=False)
+    console.print(f"run: {out} (model: {out / MODEL_NAME})", highlight=False, soft_wrap=True)
+
+
+def _train_many(arguments: argparse.Namespace, console: Console) -> int:
+    from tactile_perception.training import jobs
+
+    if arguments.install:
+        raise ValueError("--install takes the model of one run: leave out --repeat")
+    runs = jobs.seed_jobs(
+        arguments.data, arguments.out, _config(arguments), arguments.repeat, arguments.val, arguments.limit
+    )
+    waiting = jobs.unfinished(runs)
+    if len(waiting) < len(runs):
+        console.print(f"{len(runs) - len(waiting)} of {len(runs)} runs are already there", highlight=False)
+    errors: list[str] = []
+
+    def tell(job: jobs.Job, error: str) -> None:
+        errors.extend([error] if error else [])
+        console.print(
+            f"{job.name}: {error}" if error else _line(job.name, job.folder.result()),
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+            style="red" if error else None,
+        )
+
+    if arguments.scheduler:
+        jobs.run_cluster(waiting, arguments.scheduler, tell)
+    elif arguments.processes > 1:
+        jobs.run_processes(waiting, arguments.processes, tell)
+    else:
+        for job in waiting:
+            tell(job, _train_in_sight(job, console))
+    _print_repeat(Console(), arguments.out, runs)
+    if _quantized(arguments):
+        for job in runs:
+            if job.folder.finished and not job.folder.file(QUANTIZED_NAME).exists():
+                quantize_run(job.folder.path, arguments.data, arguments.val)
+    return 1 if errors else 0
+
+
+def _train_in_sight(job: Any, console: Console) -> str:
+    """One of many runs, in this process and with its progress; returns why it came to nothing, or ""."""
+    from tactile_perception.training.console import TrainingProgress
+    from tactile_perception.training.train import train
+
+    console.print(f"{job.name}", highlight=False)
+    try:
+        with TrainingProgress() as progress:
+            train(job.data, job.out, job.config, job.validation, job.limit, progress)
+    except FloatingPointError as error:  # of this seed; another may do
+        return str(error)
+    return ""
+
+
+def _line(name: str, result: dict[str, Any]) -> str:
+    mae = " ".join(f"{result['mae'][component]:.4f}" for component in COMPONENTS)
+    return f"{name}: {result['loss']} {result['validation_loss']:.3f}  MAE {mae}  {result['minutes']:.1f} min"
+
+
+def _print_repeat(console: Console, out: Path, runs: Sequence[Any]) -> None:
+    """Means and deviations over the finished runs, as in the paper's table, and `repeat.csv` with each."""
+    results = {job.name: job.folder.result() for job in runs if job.folder.finished}
+    if not results:
+        return
+    rows = {
+        name: [result["validation_loss"], *(result["mae"][component] for component in COMPONENTS)]
+        for name, result in results.items()
+    }
+    loss = next(iter(results.values()))["loss"]
+    units = [f"MAE {name} ({unit})" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
+    with (out / "repeat.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["run", loss, *units])
+        writer.writerows([name, *values] for name, values in rows.items())
+    values = np.array(list(rows.values()))
+    deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)
+    table = Table(title=f"{len(values)} of {len(runs)} networks, on validation data")
+    for column in ("", "mean", "deviation", "best"):
+        table.add_column(column, justify="left" if not column else "right")
+    for name, column, spread in zip([loss, *units], values.T, deviation, strict=True):
+        table.add_row(name, f"{column.mean():.4f}", f"{spread:.4f}", f"{column.min():.4f}")
+    console.print(table)
+    console.print(f"table: {out / 'repeat.csv'}", highlight=False, soft_wrap=True)
+
+
+def run_ensemble(arguments: argparse.Namespace) -> int:
+    """`tactile ensemble`: returns the exit status."""
+    console = Console(stderr=True)
+    try:
+        from tactile_perception.training.ensemble import write_ensemble
+    except ModuleNotFoundError as error:
+        return needs_extra(console, "ensemble", error)
+    try:
+        check_file(arguments.out)
+        path = write_ensemble(arguments.runs, arguments.out, arguments.data)
+    except (ValueError, OSError) as error:
+        return refuse(console, "ensemble", error)
+    print(f"model: {path} ({len(arguments.runs)} networks, {path.stat().st_size / 1e6:.1f} MB)")
+    return 0

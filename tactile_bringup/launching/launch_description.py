@@ -1,0 +1,127 @@
+"""What `ros2 launch` runs: the graph of a task as a launch description of `launch` and `launch_ros`.
+
+The files in launch/ name a task; all else is here, made of the same graph that `tactile launch` starts.
+Needs `launch` and `launch_ros`, which a ROS 2 install has.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction, Shutdown
+from launch.events.process import ProcessExited
+from launch.logging import launch_config
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode, Node
+
+from launch import LaunchContext, LaunchDescription
+from tactile_bringup.graph import Graph, GraphOptions, NodeProcess
+from tactile_bringup.launching.processes import describe_exit
+from tactile_bringup.launching.view import write_view
+from tactile_bringup.task_graph import load_task_graph
+
+PACKAGE = "tactile_servoing"
+FLAGS = ("true", "false")
+ARGUMENTS = {
+    "scene": ("ramp", "scene of config/scenes, or the path of a scene file"),
+    "task_file": ("", "a task file of your own in place of the packaged one"),
+    "rate": ("0", "exposures a second; 0: as the scene says"),
+    "seed": ("0", "seed of the simulated cell"),
+    "model": ("", "the estimator's model; empty: the one that is shipped"),
+    "record": ("", "folder of a new bag to record; empty: none"),
+    "record_images": ("false", "whether images are recorded as well (true, false)"),
+    "marker_view": ("false", "whether to publish a picture of the markers for RViz (true, false)"),
+    "object_belief": (
+        "false",
+        "whether to fuse the contacts of all arms into one belief over their object (true, false), "
+        "or what says where they touch it: one of config/objects, or the path of a file",
+    ),
+    "headless": ("false", "whether to do without RViz (true, false)"),
+    "run": ("true", "whether to run the task's paths once all nodes are active, then end (true, false)"),
+}
+
+
+def describe(task: str) -> LaunchDescription:
+    """The launch description of a task, with its arguments."""
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=lambda context: _actions(task, context))])
+
+
+def _actions(task: str, context: LaunchContext) -> list[Any]:
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    task = given["task_file"] or task
+    graph = load_task_graph(task, given["scene"], _options(given)).graph
+    actions = [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
+    if not _flag(given, "headless"):
+        actions += _viewer(graph, Path(launch_config.log_dir))
+    if _flag(given, "run"):
+        actions.append(_runner(task, given["scene"]))
+    return actions
+
+
+def _options(given: dict[str, str]) -> GraphOptions:
+    places = "" if given["object_belief"].lower() in FLAGS else given["object_belief"]
+    return GraphOptions(
+        rate=float(given["rate"]) or None,
+        seed=int(given["seed"]),
+        model=Path(given["model"]).absolute() if given["model"] else None,
+        record=Path(given["record"]).absolute() if given["record"] else None,
+        record_images=_flag(given, "record_images"),
+        marker_view=_flag(given, "marker_view"),
+        object_belief=bool(places) or _flag(given, "object_belief"),
+        object_file=places,
+    )
+
+
+def _flag(given: dict[str, str], name: str) -> bool:
+    text = given[name].lower()
+    if text not in FLAGS:
+        raise ValueError(f"{name}:={given[name]}: must be true or false")
+    return text == "true"
+
+
+def _node(node: NodeProcess, folder: Path) -> LifecycleNode:
+    """A node with its parameters in a file, as `tactile launch` gives them; its end is the end of all."""
+    file = folder / f"{node.file_stem}.yaml"
+    file.write_text(node.parameter_text())
+    return LifecycleNode(
+        package=PACKAGE,
+        executable=node.executable,
+        name=node.name,
+        namespace=node.namespace,
+        parameters=[str(file)],
+        output="both",
+        on_exit=_shut_down(f"node {node.full_name}"),
+    )
+
+
+def _runner(task: str, scene: str) -> ExecuteProcess:
+    command = [sys.executable, "-m", "tactile_bringup.cli", "run", task, "--scene", scene, "--headless"]
+    return ExecuteProcess(cmd=command, output="screen", name="task", on_exit=_shut_down("the task"))
+
+
+def _shut_down(what: str) -> Callable[[ProcessExited, LaunchContext], list[Any] | None]:
+    def on_exit(event: ProcessExited, context: LaunchContext) -> list[Any] | None:
+        if context.is_shutdown:
+            return None
+        reason = f"{what} {describe_exit(event.returncode)}"
+        return [LogInfo(msg=f"{reason}: stopping everything"), Shutdown(reason=reason)]
+
+    return on_exit
+
+
+def _viewer(graph: Graph, folder: Path) -> list[Any]:
+    """RViz where it is installed; closing it ends nothing."""
+    try:
+        get_package_prefix("rviz2")
+    except PackageNotFoundError:
+        return [LogInfo(msg="rviz2 is not installed: going without (headless:=true says so beforehand)")]
+    arguments = ["-d", str(write_view(graph, folder))]
+    return [Node(package="rviz2", executable="rviz2", arguments=arguments, output="log")]

@@ -1,0 +1,153 @@
+"""Starts the processes of a graph, runs the task, and brings everything to rest again, whatever happens.
+
+Order of an end by Ctrl-C, SIGTERM or failure: the task is cancelled, so the arm stops and leaves the surface;
+when the arm rests, or after `REST_TIMEOUT`, the nodes get SIGINT, then SIGTERM, then SIGKILL; the recorder
+last, so that the bag holds the end as well; then shared memory that a killed node left is removed. A second
+signal does not wait for the arm (its driver stops it when commands end), a third kills.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tactile_bringup.graph import RECORDER, Graph, NodeProcess
+from tactile_bringup.launching import shared_memory
+from tactile_bringup.launching.environment import RosEnvironment, ros_environment
+from tactile_bringup.launching.processes import ProcessDied, ProcessGroup
+from tactile_bringup.launching.progress import Display
+from tactile_bringup.launching.task_runner import Interrupted, NotReady, PathFailed, TaskRunner, signals_into
+from tactile_control.task import PathGoal
+
+if TYPE_CHECKING:
+    from tactile_bringup.launching.task_client import PathResult
+
+EXIT_OK, EXIT_TASK_FAILED, EXIT_USAGE, EXIT_NODE_DIED, EXIT_NOT_READY = 0, 1, 2, 3, 4
+EXIT_SIGNAL = 128  # plus the signal's number
+
+
+@dataclass
+class Outcome:
+    """How a launch ended.
+
+    Attributes
+    ----------
+    exit_code : int
+        0 done, 1 task failed, 3 a node died, 4 not ready in time, 128 + n ended by signal n.
+    reason : str
+        In words; empty when all went well.
+    paths : list of PathResult
+        Those that ended.
+    logs : Path
+        Folder with one log a node.
+    at_rest : bool or None
+        Whether every arm reported rest before its driver was stopped; None where none had reported at all.
+    escalated : list of str
+        Nodes that did not end by SIGINT alone, and what it took.
+    """
+
+    exit_code: int
+    reason: str
+    logs: Path
+    paths: list[PathResult] = field(default_factory=list)
+    at_rest: bool | None = None
+    escalated: list[str] = field(default_factory=list)
+
+
+class Launcher:
+    """One run of a graph; `run` does it all.
+
+    Parameters
+    ----------
+    graph : Graph
+        What to start.
+    paths : sequence of PathGoal
+        Run one after the other, on every arm of the graph at the same time.
+    folder : Path
+        For logs and parameter files.
+    display : Display
+        Shows progress.
+    """
+
+    def __init__(self, graph: Graph, paths: Sequence[PathGoal], folder: Path, display: Display) -> None:
+        self.graph, self.paths, self.display = graph, paths, display
+        self.logs = folder / "logs"
+        self._parameters = folder / "parameters"
+        self._environment = ros_environment(self.logs / "ros")
+        self._signals: list[int] = []
+        self._runner: TaskRunner | None = None
+
+    def run(self) -> Outcome:
+        """Start, run the paths, stop. Never raises for what happens to nodes or task."""
+        outcome = Outcome(EXIT_OK, "", self.logs)
+        shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
+        started_ns = time.time_ns()
+        with signals_into(self._signals), ProcessGroup() as group:
+            try:
+                self._run_task(group)
+            except ProcessDied as death:
+                outcome.exit_code, outcome.reason = EXIT_NODE_DIED, f"node {death}"
+            except NotReady as late:
+                outcome.exit_code, outcome.reason = EXIT_NOT_READY, f"{late}; logs: {self.logs}"
+            except PathFailed as failure:
+                outcome.exit_code, outcome.reason = EXIT_TASK_FAILED, str(failure)
+            except Interrupted as interrupt:
+                outcome.exit_code, outcome.reason = EXIT_SIGNAL + interrupt.number, str(interrupt)
+                self.display.say(f"{interrupt}: bringing the arm to rest (again to hurry)", "yellow")
+            finally:
+                self._stop(group, outcome)
+        shared_memory.remove_orphans(started_ns)
+        return outcome
+
+    def _run_task(self, group: ProcessGroup) -> None:
+        environment = self._environment
+        _adopt(environment)
+        chosen = "chosen" if environment.domain_chosen else "as set"
+        self.display.say(
+            f"{self.graph.task} on scene {self.graph.scene}: {len(self.graph.nodes)} nodes, "
+            f"ROS domain {environment.domain_id} ({chosen}), discovery {environment.discovery_range}, "
+            f"logs in {self.logs}"
+        )
+        for node in self.graph.nodes:
+            self._start_node(group, node)
+        from tactile_bringup.launching.task_client import (
+            TaskClient,  # ROS reads the environment when it is loaded
+        )
+
+        names = [node.full_name for node in self.graph.nodes]
+        client = TaskClient(environment.domain_id)
+        self._runner = TaskRunner(
+            client, self.graph.task, names, self.graph.arms, self.display, self._signals, group.check
+        )
+        self._runner.wait_until_active()
+        self._runner.run(self.paths)
+
+    def _start_node(self, group: ProcessGroup, node: NodeProcess) -> None:
+        self._parameters.mkdir(parents=True, exist_ok=True)
+        file = self._parameters / f"{node.file_stem}.yaml"
+        file.write_text(node.parameter_text())
+        log = self.logs / f"{node.file_stem}.log"
+        group.start(node.full_name, node.command(file), self._environment.variables, log)
+
+    def _stop(self, group: ProcessGroup, outcome: Outcome) -> None:
+        """Task, arm, nodes, recorder: in this order."""
+        if self._runner is not None:
+            outcome.at_rest = self._runner.bring_to_rest()
+            outcome.paths = self._runner.results
+            self._runner.client.close()
+        nodes = [name for name in group.children if name != f"/{RECORDER}"]
+        urgent = len(self._signals) > 2
+        reports = group.stop(nodes, urgent) + group.stop(urgent=urgent)
+        outcome.escalated = [f"{r.name} took {r.escalated_to}" for r in reports if r.escalated_to]
+        for line in outcome.escalated:
+            self.display.say(f"{line} to end", "yellow")
+
+
+def _adopt(environment: RosEnvironment) -> None:
+    """Take over what ROS in this process reads from the environment."""
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "ROS_DOMAIN_ID"):
+        os.environ[name] = environment.variables[name]

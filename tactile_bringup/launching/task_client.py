@@ -1,0 +1,253 @@
+"""The launcher's part of the ROS graph: waits for nodes, runs paths by RunTask, hears what the arm does."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rclpy.action.client import ActionClient
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from tactile_control.task import PathGoal
+from tactile_msgs.action import RunTask
+from tactile_msgs.msg import ArmStatus, StageLatency
+from tactile_ros.conversions import pose_from_matrix
+from tactile_ros.dds_profile import use_dds_profile
+from tactile_ros.managed_node import make_executor
+from tactile_ros.qos import LATENCY, STATE
+
+CONTROLLER_STAGE = "controller"
+ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
+ANSWER_TIME = 1.0  # s; an answer can be lost while two nodes are still finding each other: then ask again
+BACKLOG = 10  # events handled at once after the first
+GAP = 0.1  # s between two words of an arm that runs regularly
+SILENCE = 0.5  # s without a word from an arm after which its driver counts as ended
+
+
+@dataclass
+class Progress:
+    """What is known of one arm's task at this moment.
+
+    Attributes
+    ----------
+    fraction, travelled
+        Part of the path done, 0 to 1, and its length so far (m).
+    depth, normal_error
+        As believed (m, rad); NaN without a belief.
+    latency
+        From exposure to command, of the last command (s); NaN before the first.
+    arm_mode
+        A constant of ArmStatus; None before its first message.
+    """
+
+    phase: str = ""
+    reason: str = ""
+    fraction: float = 0.0
+    travelled: float = 0.0
+    depth: float = math.nan
+    normal_error: float = math.nan
+    latency: float = math.nan
+    arm_mode: int | None = None
+    arm_reason: str = ""
+
+
+@dataclass(frozen=True)
+class PathResult:
+    """How one path ended."""
+
+    name: str
+    success: bool
+    reason: str
+    length: float
+    duration_s: float
+
+
+@dataclass
+class _NodeState:
+    """Whether a managed node is active, asked until it is."""
+
+    client: Any
+    question: Any = None
+    asked_s: float = -math.inf
+    label: str = "not there yet"
+    active: bool = False
+
+
+@dataclass
+class _Goal:
+    """A goal on its way through the action protocol."""
+
+    name: str
+    sent: Any = None
+    handle: Any = None
+    result: Any = None
+
+
+class TaskClient:
+    """Talks to the nodes from the launcher's own process; nothing happens unless `spin` is called.
+
+    Parameters
+    ----------
+    domain_id : int
+        ROS domain of the nodes.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        use_dds_profile()
+        rclpy.init(domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("tactile_launch", enable_rosout=False)
+        self._executor = make_executor()
+        self._executor.add_node(self._node)
+        self._states: dict[str, _NodeState] = {}
+        self._arms: dict[str, ArmTask] = {}
+
+    def spin(self, timeout_s: float) -> None:
+        """Handle what has arrived, waiting for at most `timeout_s` for the first of it."""
+        self._executor.spin_once(timeout_sec=timeout_s)
+        for _ in range(BACKLOG):  # each call handles one event
+            self._executor.spin_once(timeout_sec=0.0)
+
+    def close(self) -> None:
+        """Leave the graph; no shared memory of this process is in use afterwards."""
+        for arm in self._arms.values():
+            arm.close()
+        self._executor.remove_node(self._node)
+        self._node.destroy_node()
+        self._executor.shutdown()
+        rclpy.try_shutdown()
+
+    def arm(self, name: str) -> ArmTask:
+        """The task of that arm."""
+        if name not in self._arms:
+            self._arms[name] = ArmTask(self._node, name)
+        return self._arms[name]
+
+    def inactive(self, full_names: list[str], now_s: float) -> dict[str, str]:
+        """The nodes that are not active, with the state of each; asks them again every `ASK_PERIOD`."""
+        for name in full_names:
+            self._ask(name, now_s)
+        return {name: self._states[name].label for name in full_names if not self._states[name].active}
+
+    def _ask(self, name: str, now_s: float) -> None:
+        if name not in self._states:
+            self._states[name] = _NodeState(self._node.create_client(GetState, f"{name}/get_state"))
+        state = self._states[name]
+        if state.question is not None and state.question.done():
+            answer = state.question.result().current_state
+            state.label, state.active = answer.label, answer.id == State.PRIMARY_STATE_ACTIVE
+            state.question = None
+        if state.question is not None and now_s - state.asked_s > ANSWER_TIME:
+            state.client.remove_pending_request(state.question)
+            state.question = None
+        waits = state.question is not None or state.active or now_s - state.asked_s < ASK_PERIOD
+        if not waits and state.client.service_is_ready():
+            state.question, state.asked_s = state.client.call_async(GetState.Request()), now_s
+
+
+class ArmTask:
+    """Runs paths on one arm, one at a time, and keeps its `progress`."""
+
+    def __init__(self, node: Node, arm: str) -> None:
+        self.arm = arm
+        self.progress = Progress()
+        self._client: Any = ActionClient(node, RunTask, f"/{arm}/run_task")
+        self._goal: _Goal | None = None
+        self._heard_s = self._moved_s = -math.inf
+        self._regular_s = math.inf
+        node.create_subscription(ArmStatus, f"/{arm}/arm/status", self._on_arm, STATE)
+        node.create_subscription(StageLatency, f"/{arm}/latency", self._on_latency, LATENCY)
+
+    def close(self) -> None:
+        """Let go of the action, which would otherwise keep the whole node alive."""
+        self._client.destroy()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the action server is there."""
+        return bool(self._client.server_is_ready())
+
+    @property
+    def running(self) -> bool:
+        """Whether a goal is under way."""
+        return self._goal is not None
+
+    def rests_for(self) -> float:
+        """Seconds for which the arm has said, and still says, that it rests; 0 otherwise."""
+        if self.progress.arm_mode != ArmStatus.RESTING or self.silent:
+            return 0.0
+        return self._heard_s - self._moved_s
+
+    @property
+    def regular_for(self) -> float:
+        """Seconds for which the arm has reported without a gap longer than `GAP`."""
+        return max(0.0, self._heard_s - self._regular_s)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing has been heard of the arm for `SILENCE`."""
+        return time.monotonic() - self._heard_s > SILENCE
+
+    def send(self, goal: PathGoal, task: str) -> None:
+        """Send one path."""
+        self.progress = Progress(arm_mode=self.progress.arm_mode, arm_reason=self.progress.arm_reason)
+        self._goal = _Goal(goal.name)
+        self._goal.sent = self._client.send_goal_async(_goal_message(goal, task), self._on_feedback)
+
+    def cancel(self) -> None:
+        """Ask the controller to end the path under way: it stops, and leaves the surface."""
+        if self._goal is not None and self._goal.handle is not None:
+            self._goal.handle.cancel_goal_async()
+
+    def result(self) -> PathResult | None:
+        """The result of the path under way, once; None until there is one."""
+        goal = self._goal
+        if goal is None:
+            return None
+        if goal.handle is None and goal.sent is not None and goal.sent.done():
+            goal.handle = goal.sent.result()
+            if not goal.handle.accepted:
+                self._goal = None
+                return PathResult(goal.name, False, "the controller refused the goal (see its log)", 0.0, 0.0)
+            goal.result = goal.handle.get_result_async()
+        if goal.result is None or not goal.result.done():
+            return None
+        self._goal = None
+        answer = goal.result.result().result
+        seconds = answer.duration.sec + 1e-9 * answer.duration.nanosec
+        return PathResult(goal.name, answer.success, answer.reason, answer.path_length, seconds)
+
+    def _on_feedback(self, message: Any) -> None:
+        feedback, progress = message.feedback, self.progress
+        progress.phase, progress.reason = feedback.phase_name, feedback.reason
+        progress.fraction, progress.travelled = feedback.progress, feedback.path_length
+        progress.depth, progress.normal_error = feedback.depth, feedback.normal_error
+
+    def _on_arm(self, status: ArmStatus) -> None:
+        now = time.monotonic()
+        if now - self._heard_s > GAP:
+            self._regular_s = now
+        self._heard_s = now
+        if status.mode != ArmStatus.RESTING:
+            self._moved_s = self._heard_s
+        self.progress.arm_mode, self.progress.arm_reason = status.mode, status.reason
+
+    def _on_latency(self, message: StageLatency) -> None:
+        if message.stage == CONTROLLER_STAGE:
+            exposure, emitted = message.exposed[-1], message.emitted[-1]
+            self.progress.latency = emitted.sec - exposure.sec + 1e-9 * (emitted.nanosec - exposure.nanosec)
+
+
+def _goal_message(goal: PathGoal, task: str) -> RunTask.Goal:
+    message = RunTask.Goal(task=task, path_name=goal.name, path_length=goal.length)
+    message.direction = [math.cos(goal.direction), math.sin(goal.direction)]
+    if goal.start is not None:
+        message.start = [pose_from_matrix(goal.start)]
+    if goal.target is not None:
+        message.target, message.target_radius = [float(v) for v in goal.target], goal.target_radius
+    return message

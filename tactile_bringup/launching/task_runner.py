@@ -1,0 +1,178 @@
+"""Runs a task's paths on nodes: waits until they are active, sends goals, brings the arms to rest."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from tactile_bringup.launching.progress import Display
+from tactile_control.task import PathGoal
+
+if TYPE_CHECKING:
+    from tactile_bringup.launching.task_client import ArmTask, PathResult, TaskClient
+
+READY_TIMEOUT = 45.0  # s until all nodes are active
+REST_TIMEOUT = 6.0  # s for a cancelled task to bring the arm to rest
+REGULAR = 0.5  # s of regular reports before the first path starts
+SETTLE_TIMEOUT = 5.0  # s after which it starts all the same
+LISTEN = 1.0  # s after which an arm that is not heard of counts as one whose driver has ended
+SETTLED = 0.5  # s of rest that count as the end of a path whose result does not come
+SPIN = 0.05  # s between looks at signals and processes while nothing arrives
+
+
+class NotReady(RuntimeError):
+    """Nodes that did not become active in time."""
+
+
+class Interrupted(RuntimeError):
+    """SIGINT or SIGTERM was sent to this process."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+
+
+class PathFailed(RuntimeError):
+    """A path that did not reach its end."""
+
+
+@dataclass
+class TaskRunner:
+    """Drives the arms of one graph through `client`.
+
+    Attributes
+    ----------
+    nodes : sequence of str
+        Full names of the managed nodes that have to be active.
+    arms : sequence of str
+        Arms that run the paths, all at the same time.
+    signals : list of int
+        Signals received so far (see `signals_into`).
+    check : callable
+        Called often; raises to end the run.
+    results : list of PathResult
+        Of the paths that have ended.
+    """
+
+    client: TaskClient
+    task: str
+    nodes: Sequence[str]
+    arms: Sequence[str]
+    display: Display
+    signals: list[int]
+    check: Callable[[], None] = lambda: None
+    results: list[PathResult] = field(default_factory=list)
+
+    def wait_until_active(self, timeout_s: float | None = None) -> None:
+        """Until all nodes are active and take goals; raises `NotReady` with the state of the others."""
+        limit = READY_TIMEOUT if timeout_s is None else timeout_s
+        started = time.monotonic()
+        while waiting := self._waiting():
+            if time.monotonic() - started > limit:
+                states = ", ".join(f"{name} ({state})" for name, state in waiting.items())
+                raise NotReady(f"not active after {limit:.0f} s: {states}")
+            self._turn()
+        self.display.say(f"all nodes active after {time.monotonic() - started:.1f} s")
+        self._let_settle()
+
+    def _let_settle(self) -> None:
+        """Until the arms report regularly: what nodes do only at their start holds up a small machine."""
+        deadline = time.monotonic() + SETTLE_TIMEOUT
+        while time.monotonic() < deadline:
+            if all(self.client.arm(arm).regular_for > REGULAR for arm in self.arms):
+                return
+            self._turn()
+        self.display.say(
+            "the arms do not report regularly: is the machine busy with something else?", "yellow"
+        )
+
+    def run(self, paths: Sequence[PathGoal]) -> None:
+        """Run the paths one after the other; raises `PathFailed` at the first that does not reach its end."""
+        for number, path in enumerate(paths, 1):
+            label = f"[{number}/{len(paths)}] {path.name}"
+            results = self._run_path(path, label)
+            self.results += results
+            for result in results:
+                verdict = "done" if result.success else f"failed: {result.reason}"
+                length = f"{1e3 * result.length:.0f} mm in {result.duration_s:.1f} s"
+                self.display.say(f"{label}: {verdict} ({length})", "green" if result.success else "red")
+            for result in results:
+                if not result.success:
+                    raise PathFailed(f"path {path.name}: {result.reason}")
+
+    def bring_to_rest(self) -> bool | None:
+        """Cancel what runs and wait until every arm rests, a further signal comes, or `REST_TIMEOUT`.
+
+        Returns
+        -------
+        bool or None
+            Whether every arm rests; None where no arm has ever said anything.
+        """
+        tasks = [self.client.arm(arm) for arm in self.arms]
+        patience = len(self.signals) + 1
+        for task in tasks:
+            task.cancel()
+        if all(task.progress.arm_mode is None for task in tasks):
+            return None
+        started = time.monotonic()
+        while time.monotonic() - started < REST_TIMEOUT and len(self.signals) < patience:
+            self.client.spin(SPIN)
+            listened = time.monotonic() - started > LISTEN
+            if all(_settled(task) or (listened and task.silent) for task in tasks):
+                break
+        return all(task.rests_for() > 0.0 for task in tasks)
+
+    def _waiting(self) -> dict[str, str]:
+        inactive = self.client.inactive(list(self.nodes), time.monotonic())
+        deaf = {f"/{a}/run_task": "no action server" for a in self.arms if not self.client.arm(a).ready}
+        return inactive | deaf
+
+    def _run_path(self, path: PathGoal, label: str) -> list[PathResult]:
+        tasks = {arm: self.client.arm(arm) for arm in self.arms}
+        for task in tasks.values():
+            task.send(path, self.task)
+        results: dict[str, PathResult] = {}
+        while len(results) < len(tasks):
+            self._turn()
+            self.display.update(label, {arm: task.progress for arm, task in tasks.items()})
+            for arm, task in tasks.items():
+                result = task.result()
+                if result is not None:
+                    results[arm] = result
+        return list(results.values())
+
+    def _turn(self) -> None:
+        """Handle messages, then look at signals and processes."""
+        self.client.spin(SPIN)
+        if self.signals:
+            raise Interrupted(self.signals[0])
+        self.check()
+
+
+def _settled(task: ArmTask) -> bool:
+    """Whether the arm rests and its path has ended.
+
+    Where a controller has died its path never ends; the arm then only has to stay at rest for a while.
+    """
+    ended = not task.running or task.result() is not None
+    return task.rests_for() > (0.0 if ended else SETTLED)
+
+
+@contextmanager
+def signals_into(received: list[int]) -> Iterator[None]:
+    """Collect SIGINT and SIGTERM instead of dying by them."""
+
+    def collect(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+
+    before = {number: signal.signal(number, collect) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,44 @@
+"""What RViz shows of a graph: the task's packaged displays, for each of its arms and what it publishes."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tactile_base.config_paths import config_path
+from tactile_bringup.graph import Graph
+
+ARM = "arm"  # in the packaged file: each of the graph's arms
+
+
+def write_view(graph: Graph, folder: Path) -> Path:
+    """Write the graph's RViz configuration into a folder; returns its path."""
+    config = yaml.safe_load(config_path(f"rviz/{graph.task}.rviz").read_text())
+    manager = config["Visualization Manager"]
+    manager["Displays"] = [shown for display in manager["Displays"] for shown in _shown(display, graph)]
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "view.rviz"
+    path.write_text(yaml.safe_dump(config, sort_keys=False))
+    return path
+
+
+def _shown(display: dict[str, Any], graph: Graph) -> list[dict[str, Any]]:
+    """A display of an arm's topic once an arm; what only some graphs publish is shown where it is."""
+    topic = display.get("Topic", {}).get("Value", "")
+    if topic.startswith(f"/{ARM}/"):
+        return [_of_arm(display, topic.removeprefix(f"/{ARM}/"), arm, graph) for arm in graph.arms]
+    if topic.startswith("/object/"):
+        published = topic in {item.name for item in graph.topics}
+        return [{**display, "Enabled": published, "Value": published}]
+    return [display]
+
+
+def _of_arm(display: dict[str, Any], topic: str, arm: str, graph: Graph) -> dict[str, Any]:
+    display = copy.deepcopy(display)
+    display["Topic"]["Value"] = f"/{arm}/{topic}"
+    if len(graph.arms) > 1:
+        display["Name"] += f" ({arm})"
+    return display

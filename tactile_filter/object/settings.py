@@ -1,0 +1,76 @@
+"""Settings of the belief over an object: how contacts count, and where on the object they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_filter import se3
+from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.object.belief import ObjectSettings, moved_covariance
+
+
+@dataclass(frozen=True)
+class TrackerSettings(ObjectSettings):
+    """How the contacts of several sensors become one belief over the object, and for how long each counts."""
+
+    max_age: float = setting(
+        0.05, lower=0.0, upper=10.0, unit="s",
+        doc="a contact whose last belief is older than this, at the stamp of the object's, is left out",
+    )  # fmt: skip
+    object_speed: float = setting(
+        0.02, lower=0.0, upper=10.0, unit="m/s",
+        doc="standard deviation of the object's velocity: what a belief of an earlier stamp says less of",
+    )  # fmt: skip
+    object_turn_rate: float = setting(
+        0.2, lower=0.0, upper=100.0, unit="rad/s", doc="standard deviation of the object's angular velocity"
+    )
+    forget_after: float = setting(
+        0.5, lower=0.0, upper=3600.0, unit="s",
+        doc="a contact that nothing was heard of for longer has ended, and a place found for it is forgotten",
+    )  # fmt: skip
+    replace_after: float = setting(
+        0.5, lower=0.0, upper=3600.0, unit="s",
+        doc="a contact that was refused for longer, because it slid for instance, is given a new place by "
+        "what the others know; a place that is given stays",
+    )  # fmt: skip
+    slide_shear: float = setting(
+        0.5, lower=0.0, upper=100.0,
+        doc="a contact sheared by clearly more than this part of its depth may slide: it is left out, and "
+        "its place is forgotten, a given one too; 0: contacts never slide",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_age > self.forget_after:
+            raise SettingError(
+                f"max_age = {self.max_age:g} s: must not be longer than forget_after "
+                f"= {self.forget_after:g} s"
+            )
+
+
+@dataclass(frozen=True)
+class PlaceSettings(Settings):
+    """Where on the object the contact of one sensor is."""
+
+    given: bool = setting(
+        False, doc="whether pose says where the contact is on the object; otherwise that is found by touch"
+    )
+    pose: tuple[float, ...] = setting(
+        (0.0,) * 6, length=6, lower=-1e3, upper=1e3,
+        doc="of the contact's feature frame in the object's: x, y, z (m), alpha, beta, gamma (rad), "
+        "extrinsic xyz",
+    )  # fmt: skip
+    sigma: tuple[float, ...] = setting(
+        (0.0,) * 6, length=6, lower=0.0, upper=1e3,
+        doc="standard deviations of that along (m) and about (rad) the feature frame's own x, y, z",
+    )  # fmt: skip
+
+    def place(self) -> PoseGaussian | None:
+        """T_object_feature with its covariance; None if it is to be found."""
+        if not self.given:
+            return None
+        mean = se3.pose_from_euler(np.array(self.pose))
+        return PoseGaussian(mean, moved_covariance(mean, np.diag(np.square(self.sigma))))

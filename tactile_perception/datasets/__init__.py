@@ -1,0 +1,1 @@
+"""Data folders in the public layout: read, written, checked."""

@@ -1,0 +1,261 @@
+"""Signs, units and frames of a data set's labels, as far as its images tell them.
+
+`find_conventions` compares what markers do (`marker_flow`) with what they must do if the labels are the Euler
+surface contact pose of the paper: which components have the opposite sign, whether axes are swapped or images
+mirrored, whether lengths are mm and angles degrees, and in which order the angles turn.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter import se3
+from tactile_perception.estimating.labels import EULER_COMPONENTS
+from tactile_perception.markers.flow import MarkerFlow
+
+Array = NDArray[np.float64]
+
+TIP_RADIUS_MM = 20.0  # only the order of magnitude matters
+CERTAIN_RATIO = 1.15  # variety at one end of z over that at the other
+_FLIPPABLE = ("x", "y", "alpha", "beta", "gamma")
+_SWAPS = ("", "x and y", "alpha and beta")
+_COST_SWAP, _COST_MIRROR = 2.0, 1.5
+_FITS = 45.0  # deg between the camera's angle by shear and by tilt
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What has to be changed for labels and images to fit together; nothing where they do."""
+
+    flipped: tuple[str, ...] = ()
+    swapped: str = ""
+    mirrored: bool = False
+
+    @property
+    def cost(self) -> float:
+        return len(self.flipped) + _COST_SWAP * bool(self.swapped) + _COST_MIRROR * self.mirrored
+
+    def __str__(self) -> str:
+        parts = []
+        if self.flipped:
+            have = "has" if len(self.flipped) == 1 else "have"
+            parts.append(f"{', '.join(self.flipped)} {have} the opposite sign")
+        if self.swapped:
+            parts.append(f"{self.swapped} are swapped")
+        if self.mirrored:
+            parts.append("the images are mirrored")
+        return " and ".join(parts) or "as in the paper"
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What was found.
+
+    Attributes
+    ----------
+    depth_flipped : bool or None
+        Whether z falls as contacts get deeper; None where images do not tell.
+    explanations : list of Explanation
+        The simplest ones that make labels and images fit, all of one cost; empty where none does, or where
+        images do not tell.
+    uncertain : list of str
+        What images do not tell.
+    camera_deg : float
+        Angle of the sensor's x-axis in the image, from columns to rows.
+    length_unit, angle_unit : str
+        "mm", "m", "deg", "rad", or "" where images do not tell.
+    gains : dict
+        Numbers the units were told by.
+    order : str
+        "extrinsic", "intrinsic", or "".
+    order_t : float
+        Student's t of extrinsic against intrinsic; positive for extrinsic.
+    """
+
+    depth_flipped: bool | None
+    explanations: list[Explanation]
+    uncertain: list[str]
+    camera_deg: float
+    length_unit: str
+    angle_unit: str
+    gains: dict[str, float]
+    order: str
+    order_t: float
+
+
+def find_conventions(flow: MarkerFlow) -> Conventions:
+    """Read off the flow of the markers what the labels' conventions are."""
+    uncertain = [
+        text
+        for text, measured in (
+            ("the direction of x and y", flow.shear),
+            ("the direction of alpha and beta", flow.tilt),
+            ("the direction of gamma", flow.turn),
+        )
+        if not measured.certain
+    ]
+    depth_flipped = None
+    if max(flow.deeper, 1.0 / flow.deeper) >= CERTAIN_RATIO:
+        depth_flipped = flow.deeper < 1.0
+    else:
+        uncertain.append("the direction of z")
+    C_shear, C_tilt = -flow.shear.value, -flow.tilt.value * np.sign(flow.spread.value)
+    explanations = explain(C_shear, C_tilt, float(np.sign(np.nan_to_num(flow.turn.value))), uncertain)
+    length_unit, angle_unit, gains = _units(flow, uncertain)
+    order, t = euler_order(flow, explanations, angle_unit)
+    return Conventions(
+        depth_flipped, explanations, uncertain, _angle(C_shear), length_unit, angle_unit, gains, order, t
+    )
+
+
+def explain(C_shear: Array, C_tilt: Array, turn: float, uncertain: Sequence[str] = ()) -> list[Explanation]:
+    """The simplest explanations of the two maps (2, 2) from sensor to image and of the sense of rotation.
+
+    What is `uncertain` is left out of the comparison; without shear or tilt nothing can be said.
+    """
+    unknown = " ".join(uncertain)
+    if "x and y" in unknown or "alpha and beta" in unknown:
+        return []
+    flippable = tuple(name for name in _FLIPPABLE if not (name == "gamma" and "gamma" in unknown))
+    fitting = [
+        explanation
+        for explanation in _candidates(flippable)
+        if _fits(C_shear, C_tilt, 0.0 if "gamma" in unknown else turn, explanation)
+    ]
+    least = min((explanation.cost for explanation in fitting), default=0.0)
+    return [explanation for explanation in fitting if explanation.cost == least]
+
+
+def _candidates(flippable: tuple[str, ...]) -> list[Explanation]:
+    return [
+        Explanation(flipped, swapped, mirrored)
+        for count in range(len(flippable) + 1)
+        for flipped in itertools.combinations(flippable, count)
+        for swapped in _SWAPS
+        for mirrored in (False, True)
+    ]
+
+
+def _fits(C_shear: Array, C_tilt: Array, turn: float, explanation: Explanation) -> bool:
+    """Whether shear, tilt and rotation agree on one camera, once labels are changed as explained."""
+    signs = {name: -1.0 if name in explanation.flipped else 1.0 for name in _FLIPPABLE}
+    shear = C_shear * [signs["x"], signs["y"]]
+    tilt = C_tilt * [signs["beta"], signs["alpha"]]
+    if explanation.swapped == "x and y":
+        shear = shear[:, ::-1]
+    if explanation.swapped == "alpha and beta":
+        # (-beta, alpha) of swapped labels: the columns change places, and each its sign
+        tilt = -tilt[:, ::-1]
+    handed = -1.0 if explanation.mirrored else 1.0
+    if np.sign(np.linalg.det(shear)) != handed or np.sign(np.linalg.det(tilt)) != handed:
+        return False
+    apart = (_angle(shear) - _angle(tilt) + 180.0) % 360.0 - 180.0
+    return abs(apart) < _FITS and turn * signs["gamma"] * handed <= 0.0
+
+
+def _angle(C: Array) -> float:
+    """Angle (deg) of the rotation, after a mirror where there is one, that is nearest to a map (2, 2)."""
+    U, _, Vt = np.linalg.svd(C)
+    Q = U @ Vt
+    return float(np.degrees(np.arctan2(Q[1, 0], Q[0, 0])))
+
+
+def _units(flow: MarkerFlow, uncertain: Sequence[str]) -> tuple[str, str, dict[str, float]]:
+    """Units by how far markers go: about a millimeter by a millimeter, and about a radian by a radian."""
+    shear = float(np.sqrt(np.abs(np.linalg.det(flow.shear.value)))) * TIP_RADIUS_MM
+    tilt = float(np.sqrt(np.abs(np.linalg.det(flow.tilt.value)))) / max(abs(float(flow.spread.value)), 1e-9)
+    turn = abs(float(flow.turn.value))
+    gains = {"mm of marker by unit of x, y": shear, "radii of contact by unit of angle": tilt,
+             "rad of marker by unit of gamma": turn}  # fmt: skip
+    unknown = " ".join(uncertain)
+    length = "" if "x and y" in unknown else "m" if shear > np.sqrt(1000.0) else "mm"
+    angle = ""
+    if "alpha and beta" not in unknown:
+        # by radian, contacts move by one to four radii of the marker field, on sensors real and simulated
+        angle = "rad" if tilt > 2.0 / np.sqrt(180.0 / np.pi) else "deg"
+    return length, angle, gains
+
+
+def corrected(labels: Array, explanation: Explanation, angle_unit: str) -> Array:
+    """Labels (n, 6) with angles in rad and the explanation applied."""
+    out = labels.copy()
+    for name in explanation.flipped:
+        out[:, EULER_COMPONENTS.index(name)] *= -1.0
+    if explanation.swapped == "x and y":
+        out[:, [0, 1]] = out[:, [1, 0]]
+    if explanation.swapped == "alpha and beta":
+        out[:, [3, 4]] = out[:, [4, 3]]
+    if angle_unit != "rad":
+        out[:, 3:] = np.radians(out[:, 3:])
+    return out
+
+
+def euler_order(flow: MarkerFlow, explanations: Sequence[Explanation], angle_unit: str) -> tuple[str, float]:
+    """Whether angles turn about fixed axes (extrinsic xyz) or about the sensor's own (intrinsic xyz).
+
+    Both orders are fitted to the inner markers; the better one wins if it does so sample by sample.
+
+    Returns
+    -------
+    order : str
+        "extrinsic", "intrinsic", or "" where images do not tell.
+    t : float
+        Student's t over the samples, positive for extrinsic.
+    """
+    if not explanations or not angle_unit:
+        return "", 0.0
+    labels = corrected(flow.labels, explanations[0], angle_unit)
+    rank = np.argsort(np.argsort(np.abs(labels[:, 2] - labels[np.argmin(flow.labels[:, 2]), 2])))
+    deep = rank > 0.3 * len(rank)
+    inner = np.linalg.norm(flow.rest - flow.center, axis=1) < 0.6 * flow.radius
+    errors = []
+    for extrinsic in (True, False):
+        basis = _order_basis(labels, extrinsic)
+        errors.append(_squared_errors(basis, flow.positions[:, inner], deep))
+    better = (errors[1] - errors[0])[deep]
+    better = better[np.isfinite(better)]
+    t = float(better.mean() / max(better.std() / np.sqrt(max(len(better), 1)), 1e-12))
+    return ("extrinsic" if t > 3.0 else "intrinsic" if t < -3.0 else ""), t
+
+
+def _order_basis(labels: Array, extrinsic: bool) -> Array:
+    """What markers follow in one order of angles: direction of contact and shear in the sensor, by depth."""
+    x, y, z, alpha, beta, gamma = labels.T
+    R = np.array([_rotation(a, b, g, extrinsic) for a, b, g in zip(alpha, beta, gamma, strict=True)])
+    u, v = R[:, 2, 0], R[:, 2, 1]
+    size = max(float(np.abs(labels[:, :2]).max()), 1e-12)
+    shear = np.einsum("nji,nj->ni", R, np.column_stack([x, y, np.zeros_like(x)])) / size
+    d = (z - z.mean()) / max(float(np.ptp(z)), 1e-12)
+    columns = [np.ones_like(x), d, d * d, gamma, gamma * d]
+    for q in (u, v, shear[:, 0], shear[:, 1]):
+        columns += [q, q * d, q * d * d]
+    for q in (u * u, v * v, u * v, u**3, v**3, u * u * v, u * v * v):
+        columns += [q, q * d]
+    return np.stack(columns, axis=1)
+
+
+def _rotation(alpha: float, beta: float, gamma: float, extrinsic: bool) -> Array:
+    if extrinsic:
+        return se3.pose_from_euler([0.0, 0.0, 0.0, alpha, beta, gamma])[:3, :3]
+    about = [se3.pose_from_euler([0.0] * 3 + list(e))[:3, :3] for e in
+             ((alpha, 0, 0), (0, beta, 0), (0, 0, gamma))]  # fmt: skip
+    return np.asarray(about[0] @ about[1] @ about[2])
+
+
+def _squared_errors(basis: Array, positions: Array, chosen: NDArray[np.bool_]) -> Array:
+    """Mean squared error of each sample (n,), of markers regressed on the basis; NaN where none is seen."""
+    total, count = np.zeros(len(basis)), np.zeros(len(basis))
+    for marker in range(positions.shape[1]):
+        seen = chosen & np.isfinite(positions[:, marker, 0])
+        if seen.sum() < 3 * basis.shape[1]:
+            continue
+        weights = np.linalg.lstsq(basis[seen], positions[seen, marker], rcond=None)[0]
+        total[seen] += ((positions[seen, marker] - basis[seen] @ weights) ** 2).sum(axis=1)
+        count[seen] += 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(count > 0, total / count, np.nan))

@@ -1,0 +1,356 @@
+"""Reader of the public tactile data layout: `targets_images.csv` beside `processed_images/`.
+
+A row holds an image's name, the normal contact `pose_*` and the post-contact shear `shear_*` (mm, degrees);
+their sum is the Euler surface contact pose. Nothing that is wrong with a folder passes in silence: what is
+left out, repaired or assumed is named and counted in a `DatasetReport`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import SettingError
+from tactile_perception.datasets import lenient_json
+from tactile_perception.datasets.images import common_shape, list_images, read_image, resolve
+from tactile_perception.datasets.layout import (
+    CAMERA_PARAMS_NAMES,
+    IMAGE_FOLDERS,
+    IMAGE_PARAMS_NAME,
+    IMAGE_PARAMS_NAMES,
+    IMAGES_NAME,
+    JOURNAL_NAME,
+    REFERENCE_NAME,
+    TARGETS_NAME,
+    TARGETS_NAMES,
+    DatasetError,
+    DatasetReport,
+)
+from tactile_perception.datasets.table import Row, read_conventions, read_table
+from tactile_perception.datasets.writer import DatasetWriter
+from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.labels import labels_from_euler
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
+
+__all__ = [
+    "DatasetError",
+    "DatasetReport",
+    "DatasetWriter",
+    "TactileDataset",
+    "TactileFolder",
+    "open_folder",
+    "read_dataset",
+]
+
+
+@dataclass
+class TactileFolder:
+    """A data folder's rows and settings, images still on disk: `names[i]` has the label `euler_mm_deg[i]`."""
+
+    folder: Path
+    image_folder: Path
+    names: list[str]
+    euler_mm_deg: NDArray[np.float64]
+    preprocessing: PreprocessingSettings
+    processed: bool
+    parameters: dict[str, Any]
+    report: DatasetReport
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def image(self, index: int) -> Image:
+        """Image `index` as stored, gray; `ImageError` if it cannot be read or has the wrong size."""
+        path = self.image_folder / self.names[index]
+        image = read_image(path)
+        expected = self.preprocessing.crop_shape if self.processed else self.preprocessing.raw_shape
+        if image.shape != expected:
+            found, right = f"{image.shape[1]}x{image.shape[0]}", f"{expected[1]}x{expected[0]}"
+            raise ImageError(f"{path}: is {found}, must be {right}")
+        return image
+
+    def reference(self) -> Image | None:
+        """The image without contact, which tools keep as number 0; None where there is no usable one."""
+        path = self.image_folder / REFERENCE_NAME
+        try:
+            return read_image(path) if path.exists() else None
+        except ImageError:
+            return None
+
+    def resized(self, index: int, preprocessor: Preprocessor) -> Image:
+        """Image `index` pre-processed to uint8 (size, size)."""
+        image = self.image(index)
+        return preprocessor.resized(image if self.processed else preprocessor.binary(image))
+
+
+@dataclass
+class TactileDataset:
+    """A whole data set in memory.
+
+    Attributes
+    ----------
+    images : uint8 (N, size, size)
+    euler_mm_deg : float64 (N, 6), Euler surface contact pose of X_fs
+    labels : float64 (N, 6), xi_sf in mm and rad
+    sha256 : hash over names, labels and image files, in order
+    """
+
+    names: list[str]
+    images: NDArray[np.uint8]
+    euler_mm_deg: NDArray[np.float64]
+    labels: NDArray[np.float64]
+    preprocessing: PreprocessingSettings
+    sha256: str
+    report: DatasetReport
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None = None) -> TactileFolder:
+    """Read a folder's labels and settings, match rows with images, and report what does not match.
+
+    Parameters
+    ----------
+    folder : path
+        Holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw).
+    preprocessing : PreprocessingSettings, optional
+        Overrides what `processed_image_params.json` says.
+
+    Raises
+    ------
+    DatasetError
+        If the folder, its table or its images are not there, or no row is usable.
+    """
+    folder = Path(folder)
+    report = DatasetReport(folder)
+    tables, image_folder = _find_parts(folder, report)
+    parameters = _read_parameters(folder, report)
+    conventions = read_conventions(folder, report)
+    processed = image_folder.name == IMAGES_NAME
+    rows = [row for table in tables for row in read_table(table, conventions, report)]
+    rows = _with_images(rows, image_folder, report)
+    rows = _without_duplicates(rows, report)
+    if not rows:
+        raise DatasetError("\n".join([f"{folder}: no usable sample", *report.lines()]))
+    names = [name for name, _ in rows]
+    settings = preprocessing
+    if settings is None:
+        settings = _preprocessing(parameters, processed, report)
+        settings = _suited(settings, common_shape(image_folder, names), processed, report)
+    report.samples = len(rows)
+    return TactileFolder(
+        folder=folder,
+        image_folder=image_folder,
+        names=names,
+        euler_mm_deg=np.array([euler for _, euler in rows]),
+        preprocessing=settings,
+        processed=processed,
+        parameters=parameters,
+        report=report,
+    )
+
+
+def read_dataset(
+    folder: Path | str,
+    preprocessing: PreprocessingSettings | None = None,
+    changes: Mapping[str, Any] | None = None,
+    limit: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> TactileDataset:
+    """Load a data folder into memory, leaving out and reporting images that cannot be used.
+
+    Parameters
+    ----------
+    preprocessing : PreprocessingSettings, optional
+        If not those that the folder states.
+    changes : mapping, optional
+        Settings of the pre-processing that are to be others, as the size.
+    limit : int, optional
+        Take this many samples, spread evenly over the rows (published tables are sorted by depth).
+    progress : callable, optional
+        Called with (done, total).
+    """
+    source = open_folder(folder, preprocessing)
+    source.preprocessing = source.preprocessing.replaced(**(changes or {}))
+    chosen = np.arange(len(source))
+    if limit is not None and limit < len(source):
+        chosen = np.linspace(0, len(source) - 1, limit).round().astype(int)
+        source.report.notes.append(f"took {limit} of {len(source)} samples, spread over the table")
+    kept: list[int] = []
+    images: list[Image] = []
+    content = Counter[str]()
+    digest = hashlib.sha256()
+    for count, (index, image, file_hash) in enumerate(_loaded(source, chosen.tolist())):
+        if isinstance(image, ImageError):
+            source.report.add("unusable image", str(image))
+            continue
+        images.append(image)
+        kept.append(index)
+        content[file_hash] += 1
+        if content[file_hash] > 1:
+            source.report.add("image identical to an earlier one (kept)", source.names[index])
+        digest.update(_sample_key(source.names[index], source.euler_mm_deg[index], file_hash))
+        if progress is not None:
+            progress(count + 1, len(chosen))
+    source.report.samples = len(kept)
+    if not kept:
+        raise DatasetError("\n".join([f"{source.folder}: no readable image", *source.report.lines()]))
+    euler = source.euler_mm_deg[kept]
+    return TactileDataset(
+        names=[source.names[index] for index in kept],
+        images=np.stack(images),
+        euler_mm_deg=euler,
+        labels=labels_from_euler(euler),
+        preprocessing=source.preprocessing,
+        sha256=digest.hexdigest(),
+        report=source.report,
+    )
+
+
+def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Image | ImageError, str]]:
+    """(index, pre-processed image or what is wrong with it, SHA-256 of its file), on all cores, in order."""
+    own = threading.local()
+
+    def load(index: int) -> tuple[int, Image | ImageError, str]:
+        if not hasattr(own, "preprocessor"):
+            own.preprocessor = Preprocessor(source.preprocessing)
+        try:
+            image = source.resized(index, own.preprocessor)
+        except ImageError as error:
+            return index, error, ""
+        file = (source.image_folder / source.names[index]).read_bytes()
+        return index, image, hashlib.sha256(file).hexdigest()
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        yield from pool.map(load, chosen)
+
+
+def _sample_key(name: str, euler: NDArray[np.float64], file_hash: str) -> bytes:
+    return name.encode() + b"\0" + np.ascontiguousarray(euler, dtype="<f8").tobytes() + file_hash.encode()
+
+
+def _find_parts(folder: Path, report: DatasetReport) -> tuple[list[Path], Path]:
+    """The label tables and the image folder, or an error that says what the layout is."""
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: is not a folder")
+    others = ", ".join(f"{name}/" for name in IMAGE_FOLDERS[1:])
+    layout = f"a data folder holds {TARGETS_NAME} and {IMAGES_NAME}/ (or {others})"
+    tables = [folder / name for name in TARGETS_NAMES if (folder / name).is_file()][:1]
+    if (folder / JOURNAL_NAME).is_file():
+        report.notes.append(f"{JOURNAL_NAME}: the collection of this folder was not finished; read as well")
+        tables.append(folder / JOURNAL_NAME)
+    if not tables:
+        raise DatasetError(f"{folder}: has no {TARGETS_NAME}; {layout}")
+    for name in IMAGE_FOLDERS:
+        if (folder / name).is_dir():
+            return tables, folder / name
+    raise DatasetError(f"{folder}: has neither {IMAGES_NAME}/ nor {others}; {layout}")
+
+
+def _read_parameters(folder: Path, report: DatasetReport) -> dict[str, Any]:
+    """The contents of every JSON file of the folder; one that cannot be repaired is named and left out."""
+    parameters: dict[str, Any] = {}
+    for path in sorted(folder.glob("*.json")):
+        try:
+            parameters[path.name], repairs = lenient_json.loads(path.read_text(), path.name)
+        except (lenient_json.JsonError, UnicodeDecodeError) as error:
+            report.add("unreadable JSON file (ignored)", f"{path.name}: {error}")
+            continue
+        report.notes += repairs
+    return parameters
+
+
+def _preprocessing(
+    parameters: dict[str, Any], processed: bool, report: DatasetReport
+) -> PreprocessingSettings:
+    """Pre-processing settings of a folder from the JSON file that holds them."""
+    names = IMAGE_PARAMS_NAMES if processed else (*IMAGE_PARAMS_NAMES, *CAMERA_PARAMS_NAMES)
+    name = next((name for name in names if isinstance(parameters.get(name), dict)), None)
+    if name is None:
+        report.notes.append(f"no {IMAGE_PARAMS_NAME}: assumed the default crop and threshold")
+        return PreprocessingSettings()
+    params = parameters[name]
+    values: dict[str, Any] = {}
+    if params.get("bbox") is not None:
+        values["bbox"] = params["bbox"]
+    if params.get("thresh") is not None:
+        block_and_offset = params["thresh"]
+        if not isinstance(block_and_offset, list) or len(block_and_offset) != 2:
+            raise DatasetError(
+                f"{report.folder}: {name}: thresh = {block_and_offset!r}: must be a block and an offset"
+            )
+        values["threshold_block"], values["threshold_offset"] = block_and_offset
+    if params.get("circle_mask_radius") is not None:
+        values["circle_mask_radius"] = params["circle_mask_radius"]
+    values.update({key: params[key] for key in ("median", "threshold_method") if key in params})
+    try:
+        return PreprocessingSettings.from_mapping(values, where=name)
+    except SettingError as error:
+        raise DatasetError(f"{report.folder}: {error}") from error
+
+
+def _suited(
+    settings: PreprocessingSettings, shape: tuple[int, int] | None, processed: bool, report: DatasetReport
+) -> PreprocessingSettings:
+    """Settings for the size that most images have, where that is another than the settings say."""
+    expected = settings.crop_shape if processed else settings.raw_shape
+    if shape is None or shape == expected:
+        return settings
+    rows, columns = shape
+    found, right = f"{columns}x{rows}", f"{expected[1]}x{expected[0]}"
+    if processed:
+        report.notes.append(
+            f"processed images are {found}, not {right} as their settings say: taken as they are; the crop "
+            "of the camera image is unknown"
+        )
+    else:
+        report.notes.append(f"camera images are {found}, not {right}: taken whole, without a mask")
+    return settings.replaced(
+        bbox=(0, 0, columns, rows),
+        raw_width=columns if not processed else max(columns, settings.raw_width),
+        raw_height=rows if not processed else max(rows, settings.raw_height),
+        circle_mask_radius=settings.circle_mask_radius if processed else 0,
+    )
+
+
+def _without_duplicates(rows: list[Row], report: DatasetReport) -> list[Row]:
+    """One row an image: repeated rows are dropped; where their labels disagree, all of them are."""
+    by_name: dict[str, list[NDArray[np.float64]]] = {}
+    for name, euler in rows:
+        by_name.setdefault(name, []).append(euler)
+    kept: list[Row] = []
+    for name, labels in by_name.items():
+        if any(not np.array_equal(labels[0], other) for other in labels[1:]):
+            report.add("image with rows that disagree (all left out)", name)
+            continue
+        if len(labels) > 1:
+            report.add("repeated row (first kept)", name)
+        kept.append((name, labels[0]))
+    return kept
+
+
+def _with_images(rows: list[Row], image_folder: Path, report: DatasetReport) -> list[Row]:
+    """The rows that have an image, in the table's order, named after the file."""
+    present = list_images(image_folder)
+    found: list[Row] = []
+    for name, euler in rows:
+        file = resolve(image_folder, name, present)
+        if file is None:
+            report.add("row without its image", Path(name).name)
+        else:
+            found.append((file, euler))
+    named = {Path(name).name for name, _ in rows}.union(*report.problems.values())
+    for name in sorted(present - named - {REFERENCE_NAME}):
+        report.add("image without its row", name)
+    return found

@@ -1,0 +1,1 @@
+"""From an image to what the network takes and back: pre-processing, labels, presence, sources of images."""

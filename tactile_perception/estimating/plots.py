@@ -1,0 +1,97 @@
+"""Pictures of estimates: predicted against actual, colored by precision; components over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.run import EstimateTable
+
+Array = NDArray[np.float64]
+Row = tuple[str, Array, Array, Array | None]
+DPI = 80
+
+
+def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
+    """The paper's figure: one row of plots for the network and, where there is one, one for the filter."""
+    series = [("network", table.network)] + ([("with filter", table.filtered)] if table.has_filter else [])
+    rows: list[Row] = [(name, table.labels, found.mean, found.sigma) for name, found in series]
+    draw_predicted_against_actual(path, rows, title)
+
+
+def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
+    """The paper's figure: predicted against actual, colored by precision, one row of plots for each entry.
+
+    Parameters
+    ----------
+    rows : sequence of (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad
+    """
+    figure, grid = plot_grid(len(rows), 6, 3.4)
+    for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):
+        for component, axes in enumerate(axes_row):
+            deviation = None if sigma is None else sigma[:, component]
+            _scatter(figure, axes, actual[:, component], predicted[:, component], deviation)
+            mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
+            unit = NETWORK_UNITS[component]
+            axes.set_title(f"{COMPONENTS[component]}: MAE {mae:.3g} {unit}")
+            axes.set(xlabel=f"actual ({unit})", ylabel="predicted" if component else f"{name}\npredicted")
+    figure.suptitle(title)
+    figure.savefig(path, dpi=DPI)
+
+
+def plot_grid(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
+    """A figure and its axes (rows, columns); height of a row in inches."""
+    figure = Figure(figsize=(3.3 * columns, height * rows + 0.3), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def shared_legend(figure: Figure, axes: Any) -> None:
+    """One legend below all plots, of the lines that these axes have."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
+
+
+def _scatter(figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: Array | None) -> None:
+    """One plot of the figure; without sigma in one color."""
+    usable = np.flatnonzero(np.isfinite(predicted) & np.isfinite(actual))
+    if sigma is None:
+        axes.scatter(actual[usable], predicted[usable], s=3, color="tab:gray")
+    else:
+        # Precise points on top, as they are the ones to trust.
+        order = usable[np.argsort(-sigma[usable])]
+        precision = sigma[order] ** -2
+        low, high = np.percentile(precision, [2.0, 98.0])
+        range_shown = {"vmin": low, "vmax": max(high, low * 1.001)}
+        points = axes.scatter(actual[order], predicted[order], c=precision, cmap="jet", s=3, **range_shown)
+        figure.colorbar(points, ax=axes, label="precision", pad=0.01)
+    ends = [actual[usable].min(), actual[usable].max()]
+    axes.plot(ends, ends, color="black", linewidth=0.8)
+
+
+def draw_series(table: EstimateTable, path: Path, title: str) -> None:
+    """Each component over time with its 2-sigma band."""
+    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    seconds = np.array(table.stamps_ns) * 1e-9
+    for component, axes in enumerate(figure.subplots(6, 1, sharex=True)):
+        series = [("network", table.network)] + (
+            [("with filter", table.filtered)] if table.has_filter else []
+        )
+        for name, values in series:
+            mean, sigma = values.mean[:, component], values.sigma[:, component]
+            (line,) = axes.plot(seconds, mean, linewidth=0.9, label=name)
+            axes.fill_between(seconds, mean - 2 * sigma, mean + 2 * sigma, color=line.get_color(), alpha=0.2)
+        axes.set_ylabel(f"{COMPONENTS[component]} ({NETWORK_UNITS[component]})")
+        axes.grid(alpha=0.3)
+    axes.set_xlabel("time (s)")
+    axes.legend()
+    figure.suptitle(title)
+    figure.savefig(path, dpi=90)

@@ -1,0 +1,181 @@
+"""Pre-processing of tactile images: crop, median, adaptive threshold, circle mask, resize, [0, 1].
+
+Where `redraw_radius` says so, the markers of the thresholded image are found and drawn again before it is
+resized.
+
+The steps that the published settings need are in C (`_csrc`), in integers; what these do not cover (another
+median, Gaussian weights, enlarging) is OpenCV's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_perception import _image
+from tactile_perception.estimating.image import Image, check_image
+from tactile_perception.markers.detection import detect, redrawn
+
+_THRESHOLD_METHODS = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
+#: Limits of the C functions: 16-bit sums over this many pixels.
+_C_MAX_BLOCK = _C_MAX_RATIO = 255
+
+
+@dataclass(frozen=True)
+class PreprocessingSettings(Settings):
+    """The five steps of the paper's "Pre- and post-processing"; travels inside a model's metadata.
+
+    The defaults are those of the published TacTip data on the Franka arm (`processed_image_params.json`).
+    """
+
+    raw_width: int = setting(640, unit="px", lower=16, doc="width of the camera's image")
+    raw_height: int = setting(480, unit="px", lower=16, doc="height of the camera's image")
+    bbox: tuple[int, ...] = setting(
+        (105, 20, 550, 460), unit="px", lower=0, length=4, doc="crop x0, y0, x1, y1; the ends are exclusive"
+    )
+    median: int = setting(5, unit="px", choices=(0, 3, 5), doc="side of the median filter; 0: none")
+    threshold_block: int = setting(61, unit="px", lower=3, doc="side of the threshold's neighborhood, odd")
+    threshold_offset: float = setting(
+        5.0,
+        lower=-255.0,
+        upper=255.0,
+        doc="gray levels below the neighborhood's mean that still count as white",
+    )
+    threshold_method: str = setting("mean", choices=("mean", "gaussian"), doc="weights of the neighborhood")
+    circle_mask_radius: int = setting(
+        230, unit="px", lower=0, doc="black outside this circle around the crop's center; 0: no mask"
+    )
+    redraw_radius: float = setting(
+        0.0,
+        unit="px",
+        lower=0.0,
+        upper=50.0,
+        doc="find the markers and draw them again as discs of this radius: networks trained on simulated "
+        "images; 0: the image as it is",
+    )
+    size: int = setting(128, unit="px", lower=16, upper=512, doc="side of the network's square input")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        x0, y0, x1, y1 = self.bbox
+        if not (x0 < x1 <= self.raw_width and y0 < y1 <= self.raw_height):
+            raise SettingError(
+                f"bbox = {self.bbox}: needs x0 < x1 <= {self.raw_width} and y0 < y1 <= {self.raw_height}"
+            )
+        if self.threshold_block % 2 == 0:
+            raise SettingError(f"threshold_block = {self.threshold_block}: must be odd")
+
+    @property
+    def raw_shape(self) -> tuple[int, int]:
+        """(rows, columns) of a camera image."""
+        return self.raw_height, self.raw_width
+
+    @property
+    def crop_shape(self) -> tuple[int, int]:
+        """(rows, columns) of a cropped image."""
+        x0, y0, x1, y1 = self.bbox
+        return y1 - y0, x1 - x0
+
+
+class Preprocessor:
+    """Turns images into the network's input, with buffers of its own: use one per thread.
+
+    OpenCV is set to one thread for the process: on images this small its threads cost more than they bring,
+    and the cores belong to the other nodes.
+    """
+
+    def __init__(self, settings: PreprocessingSettings | None = None) -> None:
+        self.settings = settings or PreprocessingSettings()
+        cv2.setNumThreads(1)
+        shape = self.settings.crop_shape
+        self._smooth = np.empty(shape, np.uint8)
+        self._binary = np.empty(shape, np.uint8)
+        self._resized = np.empty((self.settings.size, self.settings.size), np.uint8)
+        self._mask = _circle_mask(shape, self.settings.circle_mask_radius)
+
+    def __call__(self, image: Image) -> NDArray[np.float32]:
+        """Camera image, uint8 of `raw_shape` -> network input, float32 (1, 1, size, size) in [0, 1]."""
+        self._binarize(image, self._binary)
+        self._resize(self._binary, self._resized)
+        return as_input(self._resized)
+
+    def from_processed(self, crop: Image) -> NDArray[np.float32]:
+        """Already cropped and thresholded image, uint8 of `crop_shape` -> network input."""
+        return as_input(self.resized(crop))
+
+    def binary(self, image: Image) -> Image:
+        """Camera image -> cropped, thresholded and masked image, uint8 0 or 255 of `crop_shape`.
+
+        Raises
+        ------
+        ImageError
+            If the image is not uint8 of `raw_shape`.
+        """
+        result = np.empty(self.settings.crop_shape, np.uint8)
+        self._binarize(image, result)
+        return result
+
+    def resized(self, crop: Image) -> Image:
+        """Processed crop -> uint8 (size, size); what training keeps in memory.
+
+        Raises
+        ------
+        ImageError
+            If the crop is not uint8 of `crop_shape`.
+        """
+        result = np.empty_like(self._resized)
+        self._resize(check_image(crop, self.settings.crop_shape, "processed image"), result)
+        return result
+
+    def _binarize(self, image: Image, result: Image) -> None:
+        settings = self.settings
+        image = check_image(image, settings.raw_shape, "camera image")
+        x0, y0, x1, y1 = settings.bbox
+        crop = _adjacent_columns(image)[y0:y1, x0:x1]
+        if settings.median == 5:
+            _image.median5(self._smooth, crop)
+            crop = self._smooth
+        elif settings.median:
+            crop = np.asarray(cv2.medianBlur(crop, settings.median, dst=self._smooth), np.uint8)
+        if settings.threshold_method == "mean" and settings.threshold_block <= _C_MAX_BLOCK:
+            offset = math.ceil(settings.threshold_offset)
+            _image.threshold_mean(result, crop, settings.threshold_block, offset, self._mask)
+        else:
+            method = _THRESHOLD_METHODS[settings.threshold_method]
+            block, offset_gray = settings.threshold_block, settings.threshold_offset
+            cv2.adaptiveThreshold(crop, 255, method, cv2.THRESH_BINARY, block, offset_gray, dst=result)
+            cv2.bitwise_and(result, self._mask, dst=result)
+
+    def _resize(self, crop: Image, result: Image) -> None:
+        side, shape = self.settings.size, (crop.shape[0], crop.shape[1])
+        if self.settings.redraw_radius:
+            crop = redrawn(detect(crop), shape, self.settings.redraw_radius)
+        if side <= min(shape) and shape[0] <= _C_MAX_RATIO * side:
+            _image.shrink(result, _adjacent_columns(crop))
+        else:
+            cv2.resize(crop, (side, side), dst=result, interpolation=cv2.INTER_AREA)
+
+
+def _adjacent_columns(image: Image) -> Image:
+    """The image, copied if the pixels of a row do not lie side by side in memory."""
+    return image if image.strides[1] == 1 else np.ascontiguousarray(image)
+
+
+def as_input(resized: Image) -> NDArray[np.float32]:
+    """uint8 (size, size) or (N, size, size) -> float32 (N, 1, size, size) in [0, 1]."""
+    stack = resized if resized.ndim == 3 else resized[np.newaxis]
+    return np.multiply(stack[:, np.newaxis], np.float32(1.0 / 255.0), dtype=np.float32)
+
+
+def _circle_mask(shape: tuple[int, int], radius: int) -> Image:
+    """255 within the circle, or everywhere if the radius is 0."""
+    if radius == 0:
+        return np.full(shape, 255, np.uint8)
+    mask = np.zeros(shape, np.uint8)
+    center = (shape[1] // 2, shape[0] // 2)
+    return np.asarray(cv2.circle(mask, center, radius, 255, thickness=-1), np.uint8)

@@ -1,0 +1,152 @@
+"""Contact presence: has the image changed against the sensor's own no-contact image?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_perception import _image
+
+Prepared = NDArray[np.float32]
+#: Spreads of the score without contact that the thresholds stay away from, however small they are set.
+_NOISE_MARGIN = 6.0
+#: Side of the images in which the window is given, in pixels, and the largest window in any.
+_WINDOW_REFERS_TO = 128
+_LARGEST_WINDOW = 129
+#: Standard deviations of a pixel without contact that do not count as change.
+_PIXEL_NOISE_MARGIN = np.float32(2.0)
+
+
+@dataclass(frozen=True)
+class PresenceSettings(Settings):
+    """Thresholds of the change score, which runs from 0 (no change) to 1."""
+
+    on: float = setting(0.02, lower=0.0, upper=1.0, doc="score at and above which contact begins")
+    off: float = setting(0.012, lower=0.0, upper=1.0, doc="score below which contact ends")
+    window: int = setting(
+        17,
+        unit="px",
+        lower=1,
+        upper=129,
+        doc="side of the patch whose mean change counts, in an image of 128x128; scaled to others",
+    )
+    reference_frames: int = setting(
+        10, lower=2, upper=1000, doc="first frames, without contact, for the reference"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.off > self.on:
+            raise SettingError(f"off = {self.off:g}: must not be above on = {self.on:g}")
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Answer to one image; `score` is NaN and `in_contact` None while the reference is being captured."""
+
+    score: float
+    in_contact: bool | None
+
+
+class ContactPresence:
+    """Compares prepared images (the preprocessor's output) with a no-contact reference, with hysteresis.
+
+    The score is the largest mean absolute change over a patch of the image, less what noise makes of it.
+    Each pixel's change counts only as far as it exceeds the pixel's own noise: where a threshold meets an
+    even ground, whole areas flicker without any contact. The first `reference_frames` images make the
+    reference and the noise level, unless `set_reference` gives them::
+
+        presence = ContactPresence(PresenceSettings())
+        answer = presence.update(estimator.preprocessor(image))
+    """
+
+    def __init__(self, settings: PresenceSettings | None = None) -> None:
+        self.settings = settings or PresenceSettings()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the reference; the next frames, which must be without contact, make a new one."""
+        self._captured: list[Prepared] = []
+        self._reference: Prepared | None = None
+        self._noise: Prepared | None = None
+        self._floor = self._spread = 0.0
+        self._in_contact = False
+
+    @property
+    def ready(self) -> bool:
+        """A reference is there."""
+        return self._reference is not None
+
+    @property
+    def reference(self) -> Prepared | None:
+        """Mean no-contact image (size, size), or None."""
+        return self._reference
+
+    def configure(self, settings: PresenceSettings) -> None:
+        """Use other thresholds from the next image on; another window needs a new reference."""
+        if settings.window != self.settings.window:
+            self.settings = settings
+            self.reset()
+        self.settings = settings
+
+    def set_reference(self, images: ArrayLike) -> None:
+        """Make the reference from prepared images without contact, (N, ..., size, size) with N >= 2.
+
+        Raises
+        ------
+        ValueError
+            With fewer than two images: the noise could not be told.
+        """
+        stack = np.asarray(images, dtype=np.float32)
+        if stack.ndim < 3 or len(stack) < 2:
+            raise ValueError(f"presence reference: must be at least two images, has the shape {stack.shape}")
+        stack = stack.reshape(len(stack), *stack.shape[-2:])
+        self._in_contact = False
+        # Frames judged by a reference that they are part of would look calmer than new ones: each half is
+        # judged by the other.
+        halves = (stack[::2], stack[1::2])
+        scores = []
+        for own, other in (halves, halves[::-1]):
+            self._reference, self._noise = _mean_and_noise(other)
+            scores += [self._change(image) for image in own]
+        self._floor = float(np.median(scores))
+        self._spread = float(np.std(scores, ddof=1))
+        self._reference, self._noise = _mean_and_noise(stack)
+
+    def update(self, prepared: Prepared) -> Presence:
+        """Score one prepared image (size, size) or (1, 1, size, size).
+
+        Raises
+        ------
+        ValueError
+            If its size is not the reference's.
+        """
+        image = prepared.reshape(prepared.shape[-2:])
+        if self._reference is None:
+            self._captured.append(image.copy())
+            if len(self._captured) >= self.settings.reference_frames:
+                self.set_reference(self._captured)
+                self._captured = []
+            return Presence(float("nan"), None)
+        if image.shape != self._reference.shape:
+            raise ValueError(f"presence: image is {image.shape}, the reference {self._reference.shape}")
+        score = max(0.0, self._change(image) - self._floor)
+        margin = _NOISE_MARGIN * self._spread
+        threshold = max(self.settings.off if self._in_contact else self.settings.on, margin)
+        self._in_contact = score >= threshold
+        return Presence(score, self._in_contact)
+
+    def _change(self, image: Prepared) -> float:
+        """Largest patch mean of the absolute change beyond each pixel's noise."""
+        assert self._reference is not None and self._noise is not None
+        window = round(self.settings.window * len(image) / _WINDOW_REFERS_TO)
+        window = min(max(window, 1), _LARGEST_WINDOW)
+        return _image.largest_change(image, self._reference, self._noise, window)
+
+
+def _mean_and_noise(stack: Prepared) -> tuple[Prepared, Prepared]:
+    """Mean image of a stack, and what each pixel strays from it by noise."""
+    return stack.mean(axis=0), _PIXEL_NOISE_MARGIN * stack.std(axis=0)

@@ -1,0 +1,185 @@
+"""Runs a source of images through the estimator and, where poses are known, through the SE(3) filter."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter import se3
+from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
+from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.smoother import smooth
+from tactile_perception.estimating.labels import (
+    COMPONENTS,
+    EULER_COMPONENTS,
+    EULER_UNITS,
+    NETWORK_SCALE,
+    NETWORK_UNITS,
+    euler_from_label,
+    label_from_euler,
+)
+from tactile_perception.estimating.sources import Frame
+from tactile_perception.estimator import EstimateError, Estimator
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Means and standard deviations of xi_sf over the frames, (N, 6) each, in mm and rad; NaN: none."""
+
+    mean: Array
+    sigma: Array
+
+
+@dataclass
+class EstimateTable:
+    """One row a frame.
+
+    Attributes
+    ----------
+    labels : xi_sf (N, 6) in mm and rad; NaN where a frame has no label
+    network, filtered : estimates without and with the filter (or smoother)
+    failures : frames on which the network gave no Gaussian, with what it said
+    """
+
+    names: list[str] = field(default_factory=list)
+    stamps_ns: list[int] = field(default_factory=list)
+    label_rows: list[Array] = field(default_factory=list)
+    network_rows: list[tuple[Array, Array]] = field(default_factory=list)
+    filtered_rows: list[tuple[Array, Array]] = field(default_factory=list)
+    stage_seconds: list[tuple[float, float, float]] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def labels(self) -> Array:
+        return np.array(self.label_rows).reshape(-1, 6)
+
+    @property
+    def network(self) -> Series:
+        return _series(self.network_rows)
+
+    @property
+    def filtered(self) -> Series:
+        return _series(self.filtered_rows)
+
+    @property
+    def has_labels(self) -> bool:
+        return bool(np.isfinite(self.labels).any())
+
+    @property
+    def has_filter(self) -> bool:
+        return bool(np.isfinite(self.filtered.mean).any())
+
+    def mean_absolute_error(self, series: Series) -> Array:
+        """MAE (6,) in mm and rad over the frames that have both; NaN without labels."""
+        errors = np.abs(series.mean - self.labels)
+        usable = np.isfinite(errors).all(axis=1)
+        return errors[usable].mean(axis=0) if usable.any() else np.full(6, np.nan)
+
+    def write_csv(self, path: Path) -> None:
+        """Write it as a table: xi_sf and sigmas in mm and rad, X_fs as Euler pose in mm and degrees."""
+        vector = [f"{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
+        euler = [f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True)]
+        header = ["name", "stamp_ns"]
+        header += [f"{kind}_{column}" for kind in ("label", "network", "filtered") for column in vector]
+        header += [f"{kind}_sigma_{column}" for kind in ("network", "filtered") for column in vector]
+        header += [f"network_{column}" for column in euler] + [f"filtered_{column}" for column in euler]
+        with path.open("w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(header)
+            for index, name in enumerate(self.names):
+                network, filtered = self.network_rows[index], self.filtered_rows[index]
+                values = [self.label_rows[index], network[0], filtered[0], network[1], filtered[1]]
+                values += [_euler(network[0]), _euler(filtered[0])]
+                writer.writerow([name, self.stamps_ns[index], *(_text(v) for v in np.concatenate(values))])
+
+
+def run_estimates(
+    estimator: Estimator,
+    frames: Iterable[Frame],
+    contact_filter: ContactFilter | None,
+    progress: Callable[[int], None] | None = None,
+    smoothed: bool = False,
+) -> EstimateTable:
+    """Estimate every frame; filter those that come with a pose.
+
+    With `smoothed`, what the filter believes is smoothed in the end: it then knows what came later. A frame
+    on which the network fails is kept with NaN and named in `failures`; an image of the wrong size or type
+    raises `ImageError`, for then all of them are wrong.
+    """
+    table = EstimateTable()
+    steps: list[tuple[int, Belief, Array]] = []  # row, belief, pose of the sensor
+    for frame in frames:
+        table.names.append(frame.name)
+        table.stamps_ns.append(frame.stamp_ns)
+        table.label_rows.append(_NOTHING[0] if frame.label is None else label_from_euler(frame.label))
+        network = filtered = _NOTHING
+        try:
+            gaussian = (estimator.estimate_processed if frame.processed else estimator.estimate)(frame.image)
+        except EstimateError as error:
+            table.failures.append(f"{frame.name}: {error}")
+        else:
+            network = network_row(gaussian)
+            times = estimator.times
+            table.stage_seconds.append((times.preprocess, times.infer, times.convert))
+            if contact_filter is not None and frame.T_base_sensor is not None:
+                belief = contact_filter.step(frame.stamp_ns, gaussian, frame.T_base_sensor)
+                steps.append((len(table) - 1, belief, frame.T_base_sensor))
+                filtered = network_row(PoseGaussian(belief.mean, belief.cov))
+        table.network_rows.append(network)
+        table.filtered_rows.append(filtered)
+        if progress is not None:
+            progress(len(table))
+    if smoothed and contact_filter is not None:
+        _smooth(table, steps, contact_filter.settings)
+    return table
+
+
+def _smooth(table: EstimateTable, steps: list[tuple[int, Belief, Array]], settings: FilterSettings) -> None:
+    beliefs = smooth([belief for _, belief, _ in steps], [pose for _, _, pose in steps], settings)
+    for (row, _, _), belief in zip(steps, beliefs, strict=True):
+        if belief.valid:
+            table.filtered_rows[row] = network_row(PoseGaussian(belief.mean, belief.cov))
+
+
+def network_row(gaussian: PoseGaussian) -> tuple[Array, Array]:
+    """Mean and standard deviations (6,) of xi_sf in mm and rad of a left-perturbation Gaussian (SI)."""
+    mean, cov = tangent_gaussian(gaussian)
+    return mean, np.sqrt(np.diag(cov))
+
+
+def tangent_gaussian(gaussian: PoseGaussian) -> tuple[Array, Array]:
+    """Mean (6,) and covariance (6, 6) of xi_sf in mm and rad of a left-perturbation Gaussian (SI).
+
+    The reverse of the estimator's conversion: xi ~ N(mu, J^-1 Sigma J^-T), eq. glob_tangent_space_pdf.
+    """
+    xi = se3.log(gaussian.mean)
+    inverse_jacobian = se3.inverse_left_jacobian(xi) / NETWORK_SCALE[:, None]
+    return xi / NETWORK_SCALE, inverse_jacobian @ gaussian.cov @ inverse_jacobian.T
+
+
+_NOTHING = (np.full(6, np.nan), np.full(6, np.nan))
+
+
+def _series(rows: list[tuple[Array, Array]]) -> Series:
+    return Series(
+        np.array([mean for mean, _ in rows]).reshape(-1, 6),
+        np.array([sigma for _, sigma in rows]).reshape(-1, 6),
+    )
+
+
+def _euler(mean: Array) -> Array:
+    return euler_from_label(mean) if np.isfinite(mean).all() else np.full(6, np.nan)
+
+
+def _text(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.6g}"

@@ -1,0 +1,147 @@
+"""Sources of images for the estimator outside ROS: a data folder, a video file, a camera."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_perception.datasets.dataset import DatasetError, TactileFolder
+from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_UNITS, surface_contact_pose
+
+POSE_COLUMNS = tuple(f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True))
+_NANOSECONDS = 1_000_000_000
+
+
+class SourceError(ValueError):
+    """A source that cannot be opened, or poses that do not fit it."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image and what is known with it.
+
+    Attributes
+    ----------
+    processed : the image is already cropped and thresholded
+    label : Euler surface contact pose (6,) in mm and degrees, or None
+    T_base_sensor : (4, 4) pose of the sensor in SI, or None
+    """
+
+    name: str
+    stamp_ns: int
+    image: Image
+    processed: bool
+    label: NDArray[np.float64] | None = None
+    T_base_sensor: NDArray[np.float64] | None = None
+
+
+def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: float = 0.1) -> Iterator[Frame]:
+    """Images of a data folder in the given order, with their labels.
+
+    A flat, fixed surface is the base here, so that a label is the sensor's pose too (the paper's filter
+    experiment). `ImageError` from an unusable image ends the iteration; `order` leaves those out.
+    """
+    for count, index in enumerate(order):
+        euler = folder.euler_mm_deg[index]
+        yield Frame(
+            name=folder.names[index],
+            stamp_ns=round(count * period_s * _NANOSECONDS),
+            image=folder.image(index),
+            processed=folder.processed,
+            label=euler,
+            T_base_sensor=surface_contact_pose(euler),
+        )
+
+
+def video_frames(
+    source: str | int, poses: list[NDArray[np.float64]] | None, limit: int | None
+) -> Iterator[Frame]:
+    """Frames of a video file or of a camera (by index), as gray camera images.
+
+    Parameters
+    ----------
+    poses : list of (4, 4), optional
+        Pose of the sensor in the base for each frame.
+    limit : int, optional
+        Stop after this many frames.
+
+    Raises
+    ------
+    SourceError
+        If the source does not open or gives no frame, or there are fewer poses than frames.
+    """
+    capture = cv2.VideoCapture(source)
+    try:
+        if not capture.isOpened():
+            raise SourceError(
+                f"{source}: cannot be opened as a {'camera' if isinstance(source, int) else 'video'}"
+            )
+        rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
+        count = 0
+        while limit is None or count < limit:
+            ok, image = capture.read()
+            if not ok:
+                break
+            if poses is not None and count >= len(poses):
+                raise SourceError(f"{source}: has more frames than there are poses ({len(poses)})")
+            gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
+            pose = None if poses is None else poses[count]
+            yield Frame(f"frame {count}", round(count / rate * _NANOSECONDS), gray, False, None, pose)
+            count += 1
+        if count == 0:
+            raise SourceError(f"{source}: gave no frame")
+    finally:
+        capture.release()
+
+
+def read_poses(path: Path) -> list[NDArray[np.float64]]:
+    """Poses (4, 4) of the sensor in the base from a table.
+
+    Its columns: x_mm, y_mm, z_mm, alpha_deg, beta_deg, gamma_deg.
+    """
+    poses = []
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            missing = [name for name in POSE_COLUMNS if name not in (reader.fieldnames or [])]
+            if missing:
+                raise SourceError(f"{path}: has no column {', '.join(missing)}")
+            for row in reader:
+                values = np.array([float(row[name]) for name in POSE_COLUMNS])
+                if not np.all(np.isfinite(values)):
+                    raise SourceError(f"{path}, line {reader.line_num}: a pose must be finite")
+                poses.append(surface_contact_pose(values))
+    except (OSError, TypeError, ValueError) as error:
+        if isinstance(error, SourceError):
+            raise
+        raise SourceError(f"{path}: cannot be read as a table of poses: {error}") from error
+    return poses
+
+
+def usable_order(folder: TactileFolder, seed: int, limit: int | None) -> NDArray[np.int64]:
+    """Indices of the samples whose image can be used, shuffled (published tables are sorted by depth).
+
+    Images that cannot be used are added to the folder's report.
+    """
+    order = np.random.default_rng(seed).permutation(len(folder))
+    if limit is not None:
+        order = order[:limit]
+    usable = []
+    for index in order:
+        try:
+            folder.image(index)
+        except ImageError as error:
+            folder.report.add("unusable image", str(error))
+        else:
+            usable.append(index)
+    folder.report.samples = len(usable)
+    if not usable:
+        raise DatasetError("\n".join([f"{folder.folder}: no readable image", *folder.report.lines()]))
+    return np.array(usable)

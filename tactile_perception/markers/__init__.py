@@ -1,0 +1,1 @@
+"""Markers in tactile images: found, followed, drawn."""

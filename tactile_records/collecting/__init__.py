@@ -1,0 +1,1 @@
+"""Where collected samples go, and what a data folder was made with."""

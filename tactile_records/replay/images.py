@@ -1,0 +1,219 @@
+"""Estimates anew from the images of a bag, as the live estimator makes them, in the place of recorded ones.
+
+They go through messages as they would from node to node, so that the filter takes the same bits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_perception.estimator import EstimateError, Estimator, ModelError
+from tactile_records.bags.contents import Recorded
+from tactile_records.bags.message_columns import MessageError as Unreadable
+from tactile_records.bags.message_columns import blank_layout, layout_of, rows_of
+from tactile_records.bags.message_definitions import type_fields
+from tactile_records.bags.reader import Bag
+from tactile_records.replay.run import BELIEF_TYPE, pose_rows
+from tactile_records.replay.topics import ESTIMATE, PRESENCE, ReplayError, wanted_topics
+
+Array = NDArray[Any]
+
+RAW, COMPRESSED = "tactile/image", "tactile/image/compressed"
+PRESENCE_TYPE = "tactile_msgs/msg/ContactPresence"
+SECOND_NS = 1_000_000_000
+AHEAD = 64  # images that are decoded before they are needed
+
+
+@dataclasses.dataclass(frozen=True)
+class Image:
+    """One image of a bag, or why there is none."""
+
+    message: Recorded
+    stamp_ns: int
+    frame_id: str
+    pixels: Array | None
+    fault: str = ""
+
+
+def wanted_with_images(topic: str, type_name: str) -> bool:
+    """Whether a replay from images needs a topic."""
+    return wanted_topics(topic, type_name) or _arm_of(topic) is not None
+
+
+def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
+    """The bag with estimates and presences made from its images, without the recorded ones; and remarks.
+
+    Parameters
+    ----------
+    model : Path or None
+        None for the one that was live where the bag tells and it is there, else the shipped one.
+
+    Raises
+    ------
+    ReplayError
+        The bag holds no images, or the model cannot be used.
+    """
+    arms = sorted({arm for topic in bag.topics if (arm := _arm_of(topic)) is not None})
+    if not arms:
+        topics = ", ".join(sorted(bag.topics)) or "none"
+        raise ReplayError(
+            f"{bag.folder}: no images on <arm>/{RAW} or <arm>/{COMPRESSED} (--record-images records them); "
+            f"topics with messages: {topics}"
+        )
+    remarks: list[str] = []
+    replaced = {f"/{arm}/{name}" for arm in arms for name in (ESTIMATE, PRESENCE)}
+    made = {arm: _Estimates(bag, arm, model, remarks) for arm in arms}
+    messages: list[Recorded] = []
+    for item in _decoded(bag):
+        if isinstance(item, Image):
+            messages += made[str(_arm_of(item.message.topic))].of(item)
+        elif item.topic not in replaced:
+            messages.append(item)
+    for each in made.values():
+        each.tell(remarks)
+    counts = Counter(message.topic for message in messages)
+    types = bag.types | {message.topic: message.type for message in messages}
+    return dataclasses.replace(bag, messages=messages, counts=dict(counts), types=types), remarks
+
+
+def _arm_of(topic: str) -> str | None:
+    """The arm whose images a topic has."""
+    for name in (RAW, COMPRESSED):
+        if topic.endswith(f"/{name}"):
+            return topic[1 : -len(name) - 1]
+    return None
+
+
+def _decoded(bag: Bag) -> Iterator[Recorded | Image]:
+    """All messages in their order, images decoded on all cores ahead of their use."""
+    fields = {
+        name: type_fields(bag.definitions, name)
+        for name in set(bag.types.values())
+        if "/Image" in name or "/CompressedImage" in name
+    }
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        queue: list[Any] = []
+        for message in bag.messages:
+            is_image = _arm_of(message.topic) is not None
+            queue.append(pool.submit(_image, fields[message.type], message) if is_image else message)
+            if len(queue) > AHEAD:
+                yield _result(queue.pop(0))
+        yield from map(_result, queue)
+
+
+def _result(item: Any) -> Recorded | Image:
+    return item if isinstance(item, Recorded) else item.result()
+
+
+def _image(fields: Any, message: Recorded) -> Image:
+    """Decode one message of an image."""
+    try:
+        layout = layout_of(fields, message.type, message.data)
+    except Unreadable as error:
+        return Image(message, -1, "", None, str(error))
+    values = np.frombuffer(message.data, layout.dtype, 1)[0]
+    stamp_ns = int(values["header.stamp.sec"]) * SECOND_NS + int(values["header.stamp.nanosec"])
+    frame_id = layout.texts["header.frame_id"]
+    if "format" in layout.texts:
+        pixels = cv2.imdecode(np.ascontiguousarray(values["data"]), cv2.IMREAD_UNCHANGED)
+        fault = "" if pixels is not None else f"'{layout.texts['format']}' cannot be decompressed"
+        return Image(message, stamp_ns, frame_id, pixels, fault)
+    encoding, height, width, step = (
+        layout.texts["encoding"],
+        *(int(values[n]) for n in ("height", "width", "step")),
+    )
+    if encoding != "mono8" or step < width or layout.lengths["data"] != step * height:
+        found = f"{encoding}, {step} x {height}, {layout.lengths['data']} bytes"
+        fault = f"must be mono8 with step * height bytes, is {found}"
+        return Image(message, stamp_ns, frame_id, None, fault)
+    return Image(message, stamp_ns, frame_id, values["data"].reshape(height, step)[:, :width])
+
+
+class _Estimates:
+    """What the live estimator node does with each image of one arm."""
+
+    def __init__(self, bag: Bag, arm: str, model: Path | None, remarks: list[str]) -> None:
+        self.arm = arm
+        parameters = json.loads(bag.note.get("parameters", "{}")).get(f"/{arm}/estimator", {})
+        recorded = parameters.get("model", "")
+        if model is None and recorded and not Path(recorded).exists():
+            remarks.append(f"{arm}: the model {recorded} is not there: the shipped one is taken")
+        chosen = model or (recorded if recorded and Path(recorded).exists() else "")
+        try:
+            self.estimator = Estimator(chosen)
+        except ModelError as error:
+            raise ReplayError(str(error)) from error
+        presence = {
+            n.removeprefix("presence."): v for n, v in parameters.items() if n.startswith("presence.")
+        }
+        self.presence = ContactPresence(PresenceSettings.from_mapping(presence))
+        self.last_ns = -1
+        self.faults: Counter[str] = Counter()
+        self.first_fault: dict[str, str] = {}
+
+    def of(self, image: Image) -> list[Recorded]:
+        """The messages that an image gives rise to."""
+        if image.pixels is None:
+            return self._refuse("images cannot be used", image.fault)
+        if self.last_ns - SECOND_NS <= image.stamp_ns <= self.last_ns:
+            return self._refuse("images are not later than the one before them", f"stamp {image.stamp_ns} ns")
+        self.last_ns = image.stamp_ns
+        try:
+            prepared = self.estimator.preprocessor(image.pixels)
+        except ImageError as error:
+            return self._refuse("images cannot be used", str(error))
+        seen = self.presence.update(prepared)
+        if seen.in_contact is None:
+            return []
+        frame = image.frame_id or f"{self.arm}/tactile_sensor"
+        messages = [
+            _presence_message(self.arm, image, frame, seen.score, self.presence.settings.on, seen.in_contact)
+        ]
+        if seen.in_contact:
+            try:
+                gaussian = self.estimator.estimate_prepared(prepared)
+            except EstimateError as error:
+                return messages + self._refuse("estimates are no Gaussians", str(error))
+            rows = pose_rows([(image.stamp_ns, gaussian.mean, gaussian.cov)], frame)
+            messages.insert(0, _recorded(self.arm, ESTIMATE, BELIEF_TYPE, next(rows_of(rows)), image))
+        return messages
+
+    def tell(self, remarks: list[str]) -> None:
+        """Add what was odd."""
+        for what, count in self.faults.items():
+            remarks.append(f"{self.arm}: {count} {what}, the first: {self.first_fault[what]}")
+        if not self.presence.ready:
+            remarks.append(f"{self.arm}: too few images for the reference of the contact presence")
+
+    def _refuse(self, what: str, fault: str) -> list[Recorded]:
+        self.faults[what] += 1
+        self.first_fault.setdefault(what, fault)
+        return []
+
+
+def _presence_message(
+    arm: str, image: Image, frame: str, score: float, threshold: float, in_contact: bool
+) -> Recorded:
+    layout = blank_layout(type_fields({}, PRESENCE_TYPE), PRESENCE_TYPE, {"header.frame_id": frame})
+    row = np.frombuffer(bytearray(layout.template), layout.dtype)
+    row["header.stamp.sec"], row["header.stamp.nanosec"] = divmod(image.stamp_ns, SECOND_NS)
+    row["score"], row["threshold"], row["in_contact"] = score, threshold, in_contact
+    return _recorded(arm, PRESENCE, PRESENCE_TYPE, row.tobytes(), image)
+
+
+def _recorded(arm: str, name: str, type_name: str, data: bytes, image: Image) -> Recorded:
+    received_ns = image.message.received_ns
+    return Recorded(f"/{arm}/{name}", type_name, data, received_ns, received_ns)

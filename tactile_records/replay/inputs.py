@@ -1,0 +1,129 @@
+"""What a filter takes, from a bag: for each arm the events in their order, each with the sensor's pose.
+
+An event is what live nodes join by stamp: the contact presence and the estimate of one exposure. Which events
+there are, and where the sensor was, does not depend on the filter's settings: it is worked out once and
+serves all runs of a sweep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tactile_records.bags.reader import Bag, read_bag
+from tactile_records.replay.clock import Jump, epochs
+from tactile_records.replay.topics import (
+    ESTIMATE,
+    PRESENCE,
+    TRANSFORMS,
+    ReplayError,
+    TopicReader,
+    wanted_topics,
+)
+from tactile_records.replay.track import ArmInputs, Track
+from tactile_records.replay.transforms import Recording
+
+
+@dataclass
+class Inputs:
+    """A bag, made ready for replay.
+
+    Attributes
+    ----------
+    arms : list of ArmInputs
+        Those that can be replayed.
+    remarks : list of str
+        What concerns the whole bag, arms that cannot be replayed included.
+    span_s : float
+        From the first message to the last one.
+    """
+
+    bag: Bag
+    arms: list[ArmInputs]
+    remarks: list[str]
+    span_s: float
+
+
+def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
+    """Read a bag for replay.
+
+    Parameters
+    ----------
+    base_frame : str
+        A frame in which the surface stands still; empty for each arm's own base.
+
+    Raises
+    ------
+    BagError
+        There is no bag, or nothing in it can be read.
+    ReplayError
+        No arm of the bag can be replayed.
+    """
+    bag = read_bag(folder, wanted_topics)
+    return inputs_of(bag, base_frame)
+
+
+def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
+    """The same of a bag that was read before."""
+    reader = TopicReader(bag)
+    remarks = [] if bag.complete else [f"bag not complete: {bag.problem}"]
+    names = sorted(name for name in reader.arm_names() if bag.counts.get(f"/{name}/{ESTIMATE}"))
+    if not names:
+        topics = ", ".join(sorted(bag.topics)) or "none"
+        raise ReplayError(f"{bag.folder}: no messages on <arm>/{ESTIMATE}; topics with messages: {topics}")
+    tracks = {name: Track(reader, name, base_frame) for name in names}
+    recording = reader.transforms(ignore=[f"{track.arm.name}/contact" for track in tracks.values()])
+    for track in tracks.values():
+        track.find_the_sensor(recording)
+    jumps = _assign_epochs(recording, tracks.values())
+    remarks += _remarks_of(bag, recording, jumps)
+    arms = []
+    for track in tracks.values():
+        try:
+            arms.append(track.finished(recording))
+        except ReplayError as error:
+            remarks.append(str(error))
+    if not arms:
+        raise ReplayError(f"{bag.folder}: no arm can be replayed: " + "; ".join(remarks))
+    return Inputs(bag, arms, remarks, _span_s(bag))
+
+
+def _span_s(bag: Bag) -> float:
+    times = [message.received_ns for message in bag.messages]
+    return (max(times) - min(times)) * 1e-9 if times else 0.0
+
+
+def _assign_epochs(recording: Recording, tracks: Iterable[Track]) -> list[Jump]:
+    """Give each message and each transform its epoch."""
+    holders: dict[str, Any] = {f"/tf of {child}": link for child, link in recording.moving.items()}
+    for track in tracks:
+        for topic, name in ((track.estimate, ESTIMATE), (track.presence, PRESENCE)):
+            if len(topic):
+                holders[f"/{track.arm.name}/{name}"] = topic
+    found, jumps = epochs({name: holder.timeline for name, holder in holders.items()})
+    for name, holder in holders.items():
+        holder.epochs = found[name]
+    return jumps
+
+
+def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[str]:
+    remarks = [f"no messages on {name}" for name in TRANSFORMS if not bag.counts.get(name)]
+    if recording.unreadable:
+        count, reason = len(recording.unreadable), recording.unreadable[0]
+        remarks.append(f"/tf: {count} messages cannot be decoded, the first: {reason}")
+    remarks += [
+        f"/tf: {count} transforms of '{child}' are none and are passed over"
+        for child, count in recording.refused.items()
+    ]
+    remarks += [
+        f"/tf_static: '{child}' changes during the recording; the last is taken for all of it"
+        for child in recording.changed
+    ]
+    remarks += [
+        f"the clock went back by {jump.seconds:.3f} s after {jump.before_ns} ns, first in {jump.source}: the "
+        "filter starts anew there"
+        for jump in jumps
+    ]
+    return remarks

@@ -1,0 +1,94 @@
+"""Writes the bag of a replayed run: beliefs and states, and on request what they were made from."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from tactile_filter.belief import Belief
+from tactile_records.bags.contents import Recorded
+from tactile_records.bags.message_columns import rows_of
+from tactile_records.bags.message_definitions import message_definition
+from tactile_records.bags.reader import Bag
+from tactile_records.bags.writer import BagWriter, Topic
+from tactile_records.replay.run import BELIEF_TYPE, STATE_TYPE, ArmRun, pose_rows
+from tactile_records.replay.topics import STATE
+
+Array = NDArray[Any]
+
+BELIEF, SMOOTHED = "contact/belief", "contact/smoothed"
+OUTPUTS = (BELIEF, STATE, SMOOTHED)
+
+
+def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[Recorded] = ()) -> None:
+    """Write the new bag.
+
+    A message has the time of reception of the last input that it was made from. The note of the recording is
+    kept, with the settings of the run in the place of those that were live, and "replay" says what of.
+
+    Parameters
+    ----------
+    copies : sequence of Recorded
+        Messages of the recording that go into the new bag as they are.
+
+    Raises
+    ------
+    BagError
+        The folder exists.
+    """
+    entries: list[tuple[int, int, int, Recorded]] = []
+    topics: dict[str, Topic] = {}
+    for message in copies:
+        if not message.topic.endswith(tuple(f"/{name}" for name in OUTPUTS)):
+            qos = "latched" if message.topic == "/tf_static" else "reliable"
+            topics.setdefault(message.topic, Topic(message.topic, message.type, qos))
+            entries.append((message.received_ns, 0, len(entries), message))
+    for number, run in enumerate(runs, 1):
+        for message in _messages(run):
+            topics.setdefault(message.topic, Topic(message.topic, message.type))
+            entries.append((message.received_ns, number, len(entries), message))
+    entries.sort(key=lambda entry: entry[:3])
+    definitions = {type_name: text for type_name, text in bag.definitions.items() if type_name != STATE_TYPE}
+    definitions |= {name: message_definition(name) for name in (STATE_TYPE, BELIEF_TYPE)}
+    ordered = [topics[name] for name in sorted(topics)]
+    with BagWriter(folder, ordered, definitions, _note(bag, runs)) as writer:
+        for _, _, _, message in entries:
+            writer.write(message.topic, message.data, message.received_ns, message.published_ns)
+
+
+def _messages(run: ArmRun) -> list[Recorded]:
+    """What a run publishes."""
+    received = [measurement.received_ns for measurement in run.measurements]
+    states = _recorded(run, STATE, STATE_TYPE, run.states, received)
+    return states + _poses(run, BELIEF, run.beliefs) + _poses(run, SMOOTHED, run.smoothed)
+
+
+def _poses(run: ArmRun, name: str, beliefs: Sequence[Belief]) -> list[Recorded]:
+    """Beliefs, one for each measurement, as poses; those that are not valid are none."""
+    valid = [
+        (belief, m.received_ns) for belief, m in zip(beliefs, run.measurements, strict=False) if belief.valid
+    ]
+    rows = pose_rows([(b.stamp_ns, b.mean, b.cov) for b, _ in valid], run.inputs.sensor_frame)
+    return _recorded(run, name, BELIEF_TYPE, rows, [received_ns for _, received_ns in valid])
+
+
+def _recorded(run: ArmRun, name: str, type_name: str, rows: Array, received: list[int]) -> list[Recorded]:
+    topic = f"/{run.inputs.name}/{name}"
+    return [
+        Recorded(topic, type_name, data, received_ns, received_ns)
+        for data, received_ns in zip(rows_of(rows), received, strict=True)
+    ]
+
+
+def _note(bag: Bag, runs: Sequence[ArmRun]) -> dict[str, str]:
+    parameters = json.loads(bag.note.get("parameters", "{}"))
+    settings = {f"/{run.inputs.name}/filter": dataclasses.asdict(run.settings) for run in runs}
+    return bag.note | {
+        "parameters": json.dumps(parameters | settings),
+        "replay": json.dumps({"bag": str(bag.folder.resolve()), "complete": bag.complete}),
+    }

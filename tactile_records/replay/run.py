@@ -1,0 +1,259 @@
+"""Runs the events of a bag through the filter, as the live node does, and encodes what it would publish.
+
+The same bag, settings and program give the same bytes, however often and on however many cores.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter import se3
+from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
+from tactile_filter.contact_belief import UNUSABLE, belief_vectors, nothing
+from tactile_filter.smoother import smooth
+from tactile_records.bags.message_columns import Layout, blank_layout, stamps_ns
+from tactile_records.bags.message_definitions import type_fields
+from tactile_records.replay.numbers import ros_from_left
+from tactile_records.replay.settings import Change
+from tactile_records.replay.track import ArmInputs, LiveStates, Measurement
+from tactile_records.runs.record import BeliefSeries
+
+Array = NDArray[Any]
+
+SECOND_NS = 1_000_000_000
+STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
+NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
+
+
+@dataclass
+class ArmRun:
+    """One arm's run of the filter.
+
+    Attributes
+    ----------
+    measurements : list of Measurement
+        Those that were taken; `beliefs` has one for each, `smoothed` as well after `smooth_run`.
+    states : ndarray
+        The ContactState messages, as structured array.
+    left_out : int
+        Events that are no part of what the live filter took.
+    resets, rejections : Counter
+        Of the filter over the whole run, by reason.
+    """
+
+    inputs: ArmInputs
+    settings: FilterSettings
+    measurements: list[Measurement] = field(default_factory=list)
+    beliefs: list[Belief] = field(default_factory=list)
+    smoothed: list[Belief] = field(default_factory=list)
+    states: Array = field(default_factory=lambda: np.zeros(0))
+    left_out: int = 0
+    resets: Counter[str] = field(default_factory=Counter)
+    rejections: Counter[str] = field(default_factory=Counter)
+
+
+def series_of(beliefs: Sequence[Belief]) -> BeliefSeries:
+    """The beliefs that are valid, as arrays."""
+    valid = [belief for belief in beliefs if belief.valid]
+    refused = BeliefFlag.GATED | BeliefFlag.PREDICTED_ONLY
+    if not valid:
+        return BeliefSeries()
+    return BeliefSeries(
+        np.array([belief.stamp_ns for belief in valid]),
+        np.array([belief.mean for belief in valid]),
+        np.array([belief.cov for belief in valid]),
+        np.array([belief.nis for belief in valid]),
+        np.array([belief.nis_dof for belief in valid]),
+        np.array([not belief.flags & refused for belief in valid]),
+    )
+
+
+def run_filter(
+    inputs: ArmInputs, settings: FilterSettings, as_recorded: bool = True, changes: Sequence[Change] = ()
+) -> ArmRun:
+    """Run one arm's events through the filter.
+
+    Parameters
+    ----------
+    changes : sequence of Change
+        Settings that change on the way.
+    as_recorded : bool
+        Take the events that the live filter took, where the bag tells which these were; else all that there
+        are. The live filter drops an event whose parts come too late, and takes none before it is active.
+    """
+    run = ArmRun(inputs, settings)
+    taken = _taken_live(inputs) if as_recorded else None
+    contact_filter, epoch = ContactFilter(settings), 0
+    waiting, taken_at = list(changes), _times_taken(inputs) if changes else {}
+    for measurement in inputs.measurements:
+        if taken is not None and not taken(measurement.stamp_ns):
+            run.left_out += 1
+            continue
+        if measurement.epoch != epoch:
+            epoch = measurement.epoch
+            _reset(contact_filter, "time jumped back", run)
+        if as_recorded and measurement.stamp_ns in inputs.resets:
+            _reset(contact_filter, "service", run)
+        now_ns = taken_at.get(measurement.stamp_ns, measurement.received_ns)
+        while waiting and waiting[0].stamp_ns < now_ns:
+            contact_filter.configure(contact_filter.settings.replaced(**waiting.pop(0).values))
+        run.measurements.append(measurement)
+        run.beliefs.append(_step(contact_filter, measurement, run))
+    run.rejections.update(contact_filter.rejections)
+    run.resets = contact_filter.resets
+    run.states = state_rows(run.beliefs, inputs.sensor_frame)
+    return run
+
+
+def smooth_run(run: ArmRun) -> None:
+    """Add what each belief would have been if all that came later had been known."""
+    poses = [UNUSABLE.mean if m.T_base_sensor is None else m.T_base_sensor for m in run.measurements]
+    run.smoothed = smooth(run.beliefs, poses, run.settings)
+
+
+def _taken_live(inputs: ArmInputs) -> Any:
+    """Whether the live filter took the event of a stamp; all count as taken after its last message.
+
+    None where the bag does not tell.
+    """
+    if inputs.live is None or not len(inputs.live.stamps_ns):
+        return None
+    stamps, last = set(inputs.live.stamps_ns.tolist()), int(inputs.live.stamps_ns.max())
+    return lambda stamp_ns: stamp_ns in stamps or stamp_ns > last
+
+
+def _times_taken(inputs: ArmInputs) -> dict[int, int]:
+    """Stamp -> when the live filter had made its belief of it, ns: the node did one thing at a time."""
+    if inputs.live is None:
+        return {}
+    latency = stamps_ns(inputs.live.values, "latency")
+    return dict(zip(inputs.live.stamps_ns.tolist(), (inputs.live.stamps_ns + latency).tolist(), strict=True))
+
+
+def _step(contact_filter: ContactFilter, measurement: Measurement, run: ArmRun) -> Belief:
+    """What the live node does with an event."""
+    if measurement.estimate is None:
+        if contact_filter.has_belief:
+            _reset(contact_filter, "no contact", run, measurement.stamp_ns)
+        return nothing(measurement.stamp_ns, contact_filter.rejected)
+    assert measurement.T_base_sensor is not None
+    return contact_filter.step(measurement.stamp_ns, measurement.estimate, measurement.T_base_sensor)
+
+
+def _reset(contact_filter: ContactFilter, reason: str, run: ArmRun, stamp_ns: int | None = None) -> None:
+    run.rejections.update(contact_filter.rejections)
+    contact_filter.reset(reason, stamp_ns)
+
+
+# ---- messages ----
+
+
+def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
+    """The ContactState messages of beliefs, as structured array; their latency is 0."""
+    rows = _blank(_layout(STATE_TYPE, sensor_frame), len(beliefs))
+    if not len(rows):
+        return rows
+    _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
+    vectors = [belief_vectors(belief) for belief in beliefs]
+    rows["xi"], rows["euler"] = [xi for xi, _ in vectors], [euler for _, euler in vectors]
+    rows["covariance"] = np.array([belief.cov for belief in beliefs]).reshape(-1, 36)
+    rows["nis"] = [belief.nis for belief in beliefs]
+    rows["nis_dof"] = [belief.nis_dof for belief in beliefs]
+    rows["flags"] = [int(belief.flags) for belief in beliefs]
+    rows["rejected"] = [belief.rejected for belief in beliefs]
+    rows["inflation"] = [belief.inflation for belief in beliefs]
+    return rows
+
+
+def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> Array:
+    """PoseWithCovarianceStamped messages of Gaussians (stamp, mean, left covariance), as structured array."""
+    rows = _blank(_layout(BELIEF_TYPE, frame_id), len(gaussians))
+    if not len(rows):
+        return rows
+    _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])
+    means = np.array([mean for _, mean, _ in gaussians])
+    for column, axis in enumerate("xyz"):
+        rows[f"pose.pose.position.{axis}"] = means[:, column, 3]
+    quaternions = np.array([se3.quaternion_from_rotation(T[:3, :3]) for T in means])
+    for column, axis in enumerate("xyzw"):
+        rows[f"pose.pose.orientation.{axis}"] = quaternions[:, column]
+    covs = ros_from_left(np.array([cov for _, _, cov in gaussians]), means[:, :3, 3])
+    rows["pose.covariance"] = covs.reshape(-1, 36)
+    return rows
+
+
+_LAYOUTS: dict[tuple[str, str], Layout] = {}
+
+
+def _layout(type_name: str, frame_id: str) -> Layout:
+    if (type_name, frame_id) not in _LAYOUTS:
+        texts = {"header.frame_id": frame_id}
+        _LAYOUTS[type_name, frame_id] = blank_layout(type_fields({}, type_name), type_name, texts)
+    return _LAYOUTS[type_name, frame_id]
+
+
+def _blank(layout: Layout, count: int) -> Array:
+    return np.frombuffer(bytearray(layout.template * count), layout.dtype)
+
+
+def _set_stamps(rows: Array, stamps: Sequence[int]) -> None:
+    seconds, rest = np.divmod(np.array(stamps, np.int64), SECOND_NS)
+    rows["header.stamp.sec"], rows["header.stamp.nanosec"] = seconds, rest
+
+
+# ---- agreement with what was live ----
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a run compares with what the live filter published.
+
+    Attributes
+    ----------
+    common : int
+        Stamps that both have.
+    identical : int
+        Of these, messages that are the same to the bit (latency aside).
+    only_live, only_replayed : int
+        Stamps that only one of them has.
+    first_difference : str
+        Where they first differ, and in what; empty where they do not.
+    """
+
+    common: int
+    identical: int
+    only_live: int
+    only_replayed: int
+    first_difference: str = ""
+
+
+def agreement(rows: Array, live: LiveStates) -> Agreement:
+    """Compare `state_rows` with what the live filter published."""
+    stamps = stamps_ns(rows, "header.stamp")
+    places = {int(stamp): place for place, stamp in enumerate(live.stamps_ns)}
+    pairs = [(row, places[int(stamp)]) for row, stamp in enumerate(stamps) if int(stamp) in places]
+    mine, theirs = (np.array([pair[k] for pair in pairs], np.int64) for k in (0, 1))
+    names = [
+        n for n in rows.dtype.names or () if n in (live.values.dtype.names or ()) and n not in NOT_COMPARED
+    ]
+    same = np.ones(len(pairs), bool)
+    differing = np.full(len(pairs), "", object)
+    for name in names:
+        a = np.ascontiguousarray(rows[name][mine]).reshape(len(pairs), -1).view(np.uint8)
+        b = np.ascontiguousarray(live.values[name][theirs]).reshape(len(pairs), -1).view(np.uint8)
+        equal = (a == b).all(axis=1) if a.shape == b.shape else np.zeros(len(pairs), bool)
+        differing[same & ~equal] = name
+        same &= equal
+    first = ""
+    if not same.all():
+        at = int(np.argmin(same))
+        first = f"{differing[at]} at {int(stamps[mine[at]])} ns"
+    return Agreement(
+        len(pairs), int(same.sum()), len(live.stamps_ns) - len(pairs), len(rows) - len(pairs), first
+    )

@@ -1,0 +1,105 @@
+"""The filter's settings in a recording: those at its start, and their changes while it ran."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import struct
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
+from tactile_records.bags.contents import Recorded
+from tactile_records.bags.message_columns import MessageError, layout_of, stamps_ns
+from tactile_records.bags.message_definitions import type_fields
+from tactile_records.bags.reader import Bag
+
+Array = NDArray[Any]
+
+SECOND_NS = 1_000_000_000
+REINITIALIZED, INVALID = int(BeliefFlag.REINITIALIZED), int(BeliefFlag.INVALID)
+MEASUREMENT_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
+PARAMETER_EVENTS = "/parameter_events"
+NAMES = tuple(item.name for item in dataclasses.fields(FilterSettings))
+_VALUES = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value"}  # of ParameterType
+
+
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """Settings that were changed at runtime: when (ns), and names with values."""
+
+    stamp_ns: int
+    values: Mapping[str, Any]
+
+    def without(self, names: Collection[str]) -> Change:
+        """The same without some of the names."""
+        return Change(self.stamp_ns, {n: v for n, v in self.values.items() if n not in names})
+
+
+def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any], list[str]]:
+    """Settings with which the filter of a recording started, and names among them that are none now.
+
+    Empty where the recording does not tell.
+    """
+    parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
+    own = {name: value for name, value in parameters.items() if "." not in name}
+    return {n: v for n, v in own.items() if n in NAMES}, sorted(n for n in own if n not in NAMES)
+
+
+def recorded_changes(bag: Bag, arm: str) -> list[Change]:
+    """Changes of the filter's settings while it ran, by time; empty where the bag does not hold them."""
+    node = f"/{arm}/filter"
+    messages = [m for m in bag.messages if m.topic == PARAMETER_EVENTS and _is_change(m.data, node)]
+    return sorted(_changes(bag, messages), key=lambda change: change.stamp_ns)
+
+
+def commanded_resets(stamps_ns: Array, flags: Array, nis: Array, max_prediction_age: float) -> frozenset[int]:
+    """Stamps (ns) of beliefs that live filters started anew because they were told to.
+
+    A belief that starts anew says so. Where one stood before it that was neither too old nor refuted by
+    measurements in a row, only `~/reset` can have been the reason.
+    """
+    found, fused_ns = set(), None
+    for stamp_ns, flag, innovation in zip(stamps_ns.tolist(), flags.tolist(), nis.tolist(), strict=True):
+        started = flag & REINITIALIZED and math.isnan(innovation)
+        if started and fused_ns is not None and 0 < stamp_ns - fused_ns <= max_prediction_age * SECOND_NS:
+            found.add(stamp_ns)
+        if flag & INVALID:
+            fused_ns = None
+        elif flag & MEASUREMENT_FUSED:
+            fused_ns = stamp_ns
+    return frozenset(found)
+
+
+def _is_change(data: bytes, node: str) -> bool:
+    """Whether an event is of this node and declares nothing; nearly all of a bag's events only declare."""
+    try:
+        (length,) = struct.unpack_from("<I", data, 12)
+        (declared,) = struct.unpack_from("<I", data, 16 + length + -length % 4)
+    except struct.error:
+        return False
+    return data[16 : 15 + length] == node.encode() and declared == 0
+
+
+def _changes(bag: Bag, messages: Sequence[Recorded]) -> list[Change]:
+    found = []
+    for message in messages:
+        try:
+            layout = layout_of(type_fields(bag.definitions, message.type), message.type, message.data)
+        except MessageError:
+            continue
+        numbers = np.frombuffer(message.data, layout.dtype, 1)
+        values = {}
+        for index in range(layout.lengths["changed_parameters"]):
+            prefix = f"changed_parameters.{index}"
+            name, kind = layout.texts[f"{prefix}.name"], _VALUES.get(int(numbers[f"{prefix}.value.type"][0]))
+            if name in NAMES and kind is not None:
+                field = f"{prefix}.value.{kind}"
+                values[name] = layout.texts[field] if field in layout.texts else numbers[field][0].item()
+        if values:
+            found.append(Change(int(stamps_ns(numbers, "stamp")[0]), values))
+    return found

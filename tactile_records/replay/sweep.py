@@ -1,0 +1,192 @@
+"""Runs of a replay: which settings each has, and all of them on all cores."""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tactile_base.settings import SettingError, unknown_name
+from tactile_filter.bayes_filter import FilterSettings
+from tactile_filter.files import load_filter_settings
+from tactile_records.bags.contents import Recorded
+from tactile_records.replay.inputs import Inputs
+from tactile_records.replay.output import write_bag
+from tactile_records.replay.report import RunResult
+from tactile_records.replay.run import agreement, run_filter, series_of, smooth_run
+from tactile_records.replay.settings import NAMES, recorded_settings
+from tactile_records.replay.track import ArmInputs
+
+SINGLE = "replay"
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One run: its name, the bag that it writes, and the settings of each arm's filter.
+
+    `given` are the names of settings that do not follow the changes in the recording.
+    """
+
+    name: str
+    bag: Path
+    settings: Mapping[str, FilterSettings]
+    given: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Options:
+    """How runs are made; see the options of `tactile replay`."""
+
+    as_recorded: bool = True
+    smooth: bool = False
+    copies: Sequence[Recorded] = ()
+
+
+def parse_setting(text: str) -> tuple[str, list[str]]:
+    """`name=a,b,c` as name and values; raises `SettingError` with the valid names."""
+    name, separator, values = text.partition("=")
+    if not separator or not values:
+        raise SettingError(f"'{text}': must be NAME=VALUE")
+    if name not in NAMES:
+        raise SettingError(unknown_name(name, NAMES))
+    return name, values.split(",")
+
+
+def typed(name: str, text: str) -> Value:
+    """A setting's value in its type; raises `SettingError`."""
+    kind = type(getattr(FilterSettings(), name))
+    try:
+        if kind is bool:
+            return {"true": True, "false": False}[text.lower()]
+        return text if kind is str else kind(text)
+    except (ValueError, KeyError) as error:
+        raise SettingError(f"{name} = '{text}': must be of type {kind.__name__}") from error
+
+
+def base_settings(inputs: Inputs, profile: Path | None) -> dict[str, FilterSettings]:
+    """The settings of each arm before changes: the profile's, else the recorded, else config/filter.yaml's.
+
+    What a recording does not name is as the live node has it then: the default.
+    """
+    result = {}
+    for arm in inputs.arms:
+        values, unknown = recorded_settings(inputs.bag.note, arm.name)
+        if profile is not None:
+            result[arm.name] = load_filter_settings(profile)
+        elif values:
+            result[arm.name] = FilterSettings.from_mapping(
+                values, f"settings in the note of {inputs.bag.folder}"
+            )
+            if unknown:
+                arm.remarks.append(
+                    f"recorded settings that the filter does not have now: {', '.join(unknown)}"
+                )
+        else:
+            arm.remarks.append(
+                "the recording does not tell the filter's settings: those of config/filter.yaml"
+            )
+            result[arm.name] = load_filter_settings()
+    return result
+
+
+def make_plans(
+    base: Mapping[str, FilterSettings],
+    changes: Sequence[str],
+    sweeps: Sequence[str],
+    folder: Path,
+    profile: bool = False,
+) -> list[Plan]:
+    """One plan for each combination of the swept values; with a profile, `base` stands against the recording.
+
+    Raises
+    ------
+    SettingError
+        An unknown name, or a value of the wrong type or outside its range.
+    """
+    fixed = {}
+    for text in changes:
+        name, _ = parse_setting(text)
+        fixed[name] = typed(name, text.partition("=")[2])
+    axes = [parse_setting(text) for text in sweeps]
+    twice = [name for name, _ in axes if name in fixed or [n for n, _ in axes].count(name) > 1]
+    if twice:
+        raise SettingError(f"{twice[0]} is given more than once")
+    plans = []
+    for values in itertools.product(*(texts for _, texts in axes)):
+        chosen = {name: typed(name, text) for (name, _), text in zip(axes, values, strict=True)}
+        name = ",".join(f"{name}={text}" for (name, _), text in zip(axes, values, strict=True)) or SINGLE
+        settings = {arm: each.replaced(**fixed, **chosen) for arm, each in base.items()}
+        given = frozenset(NAMES if profile else {*fixed, *chosen})
+        plans.append(Plan(name, folder / name.replace("/", "_"), settings, given))
+    return plans
+
+
+def run_plans(
+    plans: Sequence[Plan], inputs: Inputs, options: Options, jobs: int = 0
+) -> list[list[RunResult]]:
+    """Results of all arms for each plan; `jobs` processes, 0 for one a core. Writes each plan's bag."""
+    jobs = min(len(plans), jobs or len(os.sched_getaffinity(0)))
+    tasks = [(plan, inputs, options) for plan in plans]
+    if jobs <= 1:
+        return [run_plan(*task) for task in tasks]
+    _shared[:] = tasks  # children inherit it: nothing of the bag is copied
+    with multiprocessing.get_context("fork").Pool(jobs) as pool:
+        return pool.map(_run_shared, range(len(tasks)), chunksize=1)
+
+
+_shared: list[tuple[Plan, Inputs, Options]] = []
+
+
+def _run_shared(index: int) -> list[RunResult]:
+    return run_plan(*_shared[index])
+
+
+def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:
+    """Run the filters of all arms and write the bag."""
+    runs = []
+    for arm in inputs.arms:
+        changes = [change.without(plan.given) for change in arm.changes]
+        run = run_filter(arm, plan.settings[arm.name], options.as_recorded, changes)
+        if options.smooth:
+            smooth_run(run)
+        runs.append(run)
+    write_bag(plan.bag, inputs.bag, runs, options.copies)
+    results = []
+    for run in runs:
+        arm = run.inputs
+        compared = None if arm.live is None else agreement(run.states, arm.live)
+        results.append(
+            RunResult(
+                plan.name,
+                arm.name,
+                series_of(run.beliefs),
+                len(run.beliefs),
+                run.left_out,
+                dict(run.resets),
+                dict(run.rejections),
+                compared,
+            )
+        )
+        if options.smooth:
+            results.append(
+                RunResult(
+                    f"{plan.name}, smoothed",
+                    arm.name,
+                    series_of(run.smoothed),
+                    len(run.beliefs),
+                    smoothed=True,
+                )
+            )
+    return results
+
+
+def same_settings(plan: Plan, inputs: Inputs, arm: ArmInputs) -> bool:
+    """Whether a plan runs the filter with what the recording says that it ran with."""
+    values, unknown = recorded_settings(inputs.bag.note, arm.name)
+    changed = {name for change in arm.changes for name in change.values} & plan.given
+    same = FilterSettings.from_mapping(values) == plan.settings[arm.name]
+    return bool(values) and not unknown and not changed and same

@@ -1,0 +1,1 @@
+"""One run as arrays, and its numbers and pictures."""

@@ -1,0 +1,49 @@
+"""Many contact poses as Euler poses (x, y, z, alpha, beta, gamma), which people read, with deviations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_records.runs.metrics import inverses
+from tactile_records.runs.record import GaussianSeries
+
+Array = NDArray[Any]
+
+
+def euler_poses(T: Array) -> Array:
+    """Euler contact poses (N, 6) of (N, 4, 4), m and rad, as `se3.euler_from_pose`; NaN where the pose is."""
+    cosine = np.hypot(T[:, 0, 0], T[:, 1, 0])
+    beta = np.arctan2(-T[:, 2, 0], cosine)
+    regular = ~(cosine <= 4.0 * np.finfo(np.float64).eps)  # else only alpha and gamma together are defined
+    alpha = np.where(regular, np.arctan2(T[:, 2, 1], T[:, 2, 2]), np.arctan2(-T[:, 1, 2], T[:, 1, 1]))
+    gamma = np.where(regular, np.arctan2(T[:, 1, 0], T[:, 0, 0]), 0.0)
+    return np.concatenate([T[:, :3, 3], np.stack([alpha, beta, gamma], axis=1)], axis=1)
+
+
+def euler_sigmas(series: GaussianSeries) -> Array:
+    """Standard deviations (N, 6) of the Euler contact pose of X_fs = X_sf^-1, to first order.
+
+    With X_fs = mean^-1 exp(-eps^), the position moves by -R_fs rho, and the orientation by the rotation
+    -R_fs phi in {f}; extrinsic xyz Euler angles turn about z, about y turned by gamma, and about x turned by
+    both.
+    """
+    X_fs = inverses(series.mean)
+    R, R_T = X_fs[:, :3, :3], X_fs[:, :3, :3].transpose(0, 2, 1)
+    position, rotation = R @ series.cov[:, :3, :3] @ R_T, R @ series.cov[:, 3:, 3:] @ R_T
+    rates = np.linalg.inv(_rotation_of_euler_rates(euler_poses(X_fs)))
+    angles = rates @ rotation @ rates.transpose(0, 2, 1)
+    variances = [np.diagonal(cov, axis1=1, axis2=2) for cov in (position, angles)]
+    return np.sqrt(np.concatenate(variances, axis=1))
+
+
+def _rotation_of_euler_rates(euler: Array) -> Array:
+    """Columns (N, 3, 3): the axes in {f} about which alpha, beta and gamma turn."""
+    beta, gamma = euler[:, 4], euler[:, 5]
+    axes = np.zeros((len(euler), 3, 3))
+    axes[:, 0, 0], axes[:, 0, 1] = np.cos(beta) * np.cos(gamma), -np.sin(gamma)
+    axes[:, 1, 0], axes[:, 1, 1] = np.cos(beta) * np.sin(gamma), np.cos(gamma)
+    axes[:, 2, 0], axes[:, 2, 2] = -np.sin(beta), 1.0
+    return axes

@@ -1,0 +1,252 @@
+"""Turns a recorded bag into a `RunRecord`: the streams of one arm as arrays, for metrics and figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_drivers.scene import SceneError, load_scene
+from tactile_filter import se3
+from tactile_filter.pose_covariance import left_from_ros
+from tactile_records.bags.reader import Bag, read_bag
+from tactile_records.runs.record import (
+    ArmSeries,
+    BeliefSeries,
+    CommandSeries,
+    GaussianSeries,
+    PoseSeries,
+    PresenceSeries,
+    RunRecord,
+    Series,
+    StageSeries,
+    SurfaceMesh,
+    TruthSeries,
+)
+from tactile_records.runs.surfaces import surface_mesh
+
+Array = NDArray[Any]
+S = TypeVar("S", bound=Series)
+
+DONE, FAILED = "done", "failed"
+STAGES = ("camera", "estimator", "filter", "controller", "arm")
+GATED, PREDICTED_ONLY, INVALID = 4, 2, 32  # flags of tactile_msgs/ContactState
+
+
+def read_run(folder: Path, arm: str | None = None) -> RunRecord:
+    """Read one arm's run.
+
+    Parameters
+    ----------
+    folder : Path
+        The bag.
+    arm : str, optional
+        Name of the arm; by default the only one with a belief in the bag.
+
+    Returns
+    -------
+    RunRecord
+        `result` also holds "bag_complete" and, for a bag that ends early or is damaged, "bag_problem".
+
+    Raises
+    ------
+    BagError
+        There is no bag, or nothing in it can be read.
+    ValueError
+        The bag has no such arm, or several and none was named.
+    """
+    return run_from_bag(read_bag(folder), arm)
+
+
+def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
+    """The same from a bag that was read before."""
+    arm = _arm_of(bag, arm)
+    rows = _Rows(bag, arm)
+    record = RunRecord(
+        scene=bag.note.get("scene", ""),
+        task=bag.note.get("task", ""),
+        arm=arm,
+        source="ros",
+        seed=int(bag.note.get("seed", 0)),
+        paths=json.loads(bag.note.get("paths", "[]")),
+    )
+    record.pose = rows.series(PoseSeries, "arm/pose", _pose_row)
+    record.truth = rows.series(TruthSeries, "sim/truth", truth_row)
+    record.estimate = rows.series(GaussianSeries, "contact/estimate", gaussian_row)
+    record.belief = rows.series(BeliefSeries, "contact/state", _belief_row)
+    record.presence = rows.series(PresenceSeries, "contact/presence", _presence_row)
+    record.command = rows.series(CommandSeries, "controller/status", _command_row)
+    record.arm_twist = rows.series(ArmSeries, "arm/status", _arm_row)
+    record.latency, record.lost = _latency(rows)
+    record.reference = _reference(bag, arm)
+    record.surface, problem = _surface(bag, arm)
+    record.result = _result(bag, record) | ({"surface_problem": problem} if problem else {})
+    return record
+
+
+class _Rows:
+    """Decoded messages of one arm, as rows of a series in the order of their stamps."""
+
+    def __init__(self, bag: Bag, arm: str) -> None:
+        self.bag, self.arm = bag, arm
+
+    def messages(self, topic: str) -> Iterator[Any]:
+        return (message for _, message in self.bag.decoded(f"/{self.arm}/{topic}"))
+
+    def series(self, kind: type[S], topic: str, row: Callable[[Any], dict[str, Any] | None]) -> S:
+        """One row a message, by stamp; `row` gives its columns, or None for a message that holds nothing."""
+        rows = [values for message in self.messages(topic) if (values := row(message)) is not None]
+        rows.sort(key=lambda values: values["stamp_ns"])
+        return (
+            kind(**{name: np.array([values[name] for values in rows]) for name in rows[0]})
+            if rows
+            else kind()
+        )
+
+
+def _ns(time: Any) -> int:
+    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
+
+
+def stamp_of(message: Any) -> int:
+    """Stamp of a message's header, ns."""
+    return _ns(message.header.stamp)
+
+
+def pose_matrix(pose: Any) -> Array:
+    """T (4, 4) of a geometry_msgs/Pose."""
+    q = np.array([pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z])
+    w, x, y, z = q / np.linalg.norm(q)
+    T = np.eye(4)
+    T[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    T[:3, 3] = pose.position.x, pose.position.y, pose.position.z
+    return T
+
+
+def _pose_row(message: Any) -> dict[str, Any]:
+    return {"stamp_ns": stamp_of(message), "T_base_sensor": pose_matrix(message.pose)}
+
+
+def truth_row(message: Any) -> dict[str, Any]:
+    """Columns of `TruthSeries`."""
+    T_fs = se3.pose_from_euler(np.asarray(message.euler))
+    T_fs[2, 3] = message.depth
+    return {
+        "stamp_ns": stamp_of(message),
+        "T_fs": T_fs,
+        "slip_fraction": message.slip_fraction,
+        "in_contact": message.in_contact,
+    }
+
+
+def gaussian_row(message: Any) -> dict[str, Any]:
+    """Stamp, mean and left covariance of a PoseWithCovarianceStamped."""
+    mean = pose_matrix(message.pose.pose)
+    cov = left_from_ros(np.reshape(message.pose.covariance, (6, 6)), mean[:3, 3])
+    return {"stamp_ns": stamp_of(message), "mean": mean, "cov": cov}
+
+
+def _belief_row(message: Any) -> dict[str, Any] | None:
+    if message.flags & INVALID or not np.isfinite(message.xi).all():
+        return None
+    return {
+        "stamp_ns": stamp_of(message),
+        "mean": se3.exp(np.asarray(message.xi)),
+        "cov": np.reshape(message.covariance, (6, 6)),
+        "nis": message.nis,
+        "nis_dof": message.nis_dof,
+        "accepted": not message.flags & (GATED | PREDICTED_ONLY),
+    }
+
+
+def _presence_row(message: Any) -> dict[str, Any]:
+    return {"stamp_ns": stamp_of(message), "score": message.score, "in_contact": message.in_contact}
+
+
+def _command_row(message: Any) -> dict[str, Any]:
+    return {
+        "stamp_ns": stamp_of(message),
+        "twist": np.asarray(message.limited),
+        "unlimited": np.asarray(message.unlimited),
+        "error": np.asarray(message.error),
+        "feedforward": np.asarray(message.feedforward),
+        "phase": message.phase_name,
+        "path": message.path,
+        "exposure_ns": _ns(message.belief_stamp),
+    }
+
+
+def _arm_row(message: Any) -> dict[str, Any]:
+    return {"stamp_ns": stamp_of(message), "twist": np.asarray(message.twist)}
+
+
+def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
+    """Latency of each stage, and the frames that it dropped since its first answer here, by stage in order.
+
+    A stage counts from its activation, which may come before the recording: what it dropped until then is not
+    of this record.
+    """
+    by_stage: dict[str, list[tuple[int, float, int]]] = {}
+    for message in rows.messages("latency"):
+        frames = by_stage.setdefault(message.stage, [])
+        for exposed, emitted, dropped in zip(message.exposed, message.emitted, message.dropped, strict=True):
+            frames.append((_ns(exposed), (_ns(emitted) - _ns(exposed)) * 1e-9, int(dropped)))
+    series, lost = {}, {}
+    for stage in sorted(by_stage, key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)):
+        stamps, seconds_each, counts = zip(*sorted(by_stage[stage]), strict=True)
+        series[stage] = StageSeries(np.array(stamps), np.array(seconds_each))
+        lost[stage] = max(counts) - counts[0]
+    return series, lost
+
+
+def _reference(bag: Bag, arm: str) -> Array:
+    parameters = json.loads(bag.note.get("parameters", "{}")).get(f"/{arm}/controller", {})
+    return np.array(parameters.get("servoing.reference", np.zeros(6)), dtype=float)
+
+
+def _surface(bag: Bag, arm: str) -> tuple[SurfaceMesh, str]:
+    """The surfaces that the arm can touch; or none, and why: the scene file may have gone or changed."""
+    try:
+        return surface_mesh(load_scene(bag.note.get("scene_file", "scene_file.yaml")), arm), ""
+    except (SceneError, KeyError) as error:
+        return SurfaceMesh(), f"the true surface is not drawn: {error}"
+
+
+def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:
+    """Whether every path reached its end, as far as the bag knows."""
+    result: dict[str, Any] = {"bag_complete": bag.complete}
+    if not bag.complete:
+        result["bag_problem"] = bag.problem
+    if bag.messages:
+        result["wall_s"] = (bag.messages[-1].received_ns - bag.messages[0].received_ns) * 1e-9
+    phases = {index: record.command.phase[record.command.path == index] for index in range(len(record.paths))}
+    unfinished = [record.paths[index] for index, phase in phases.items() if DONE not in phase]
+    result["succeeded"] = bool(record.paths) and not unfinished
+    result["reason"] = f"path {unfinished[0]} did not reach its end" if unfinished else ""
+    return result
+
+
+def arms_of(bag: Bag) -> list[str]:
+    """The arms with a controller, by name."""
+    suffix = "/controller/status"
+    return sorted({topic[1 : -len(suffix)] for topic in bag.topics if topic.endswith(suffix)})
+
+
+def _arm_of(bag: Bag, arm: str | None) -> str:
+    arms = arms_of(bag)
+    if arm is None and len(arms) == 1:
+        return arms[0]
+    if arm is None or arm not in arms:
+        wanted = "name one" if arm is None else f"no arm '{arm}'"
+        raise ValueError(
+            f"{bag.folder}: {wanted}; arms with a controller in this bag: {', '.join(arms) or 'none'}"
+        )
+    return arm

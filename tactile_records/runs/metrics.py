@@ -1,0 +1,394 @@
+"""Numbers of a run: what report.json holds, from a `RunRecord`.
+
+Everything about quality is taken over the follow phase and against the truth at the same exposure stamps. The
+meaning and unit of each number are in `REPORT_FIELDS`, which also is the schema: a report has these names, no
+others; a number that cannot be computed from the record (no truth in a run on a real arm) is null.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter import se3
+from tactile_records.runs.record import FOLLOW, GaussianSeries, RunRecord, TruthSeries
+
+Array = NDArray[Any]
+
+SETTLED_AFTER = 1.0  # s of following before oscillation is looked for: the feedforward has come in by then
+OSCILLATION_ABOVE = 0.5  # Hz: slower is the surface's own shape at 10 mm/s
+COMMAND_STAGE = "controller"  # the stage whose latency is that of the loop: exposure to command emission
+
+REPORT_FIELDS: dict[str, str] = {
+    "scene": "name of the scene",
+    "task": "name of the task",
+    "arm": "name of the arm",
+    "source": "offline (loop in one process) or ros (nodes)",
+    "seed": "seed of the simulated cell",
+    "succeeded": "the task did all that it was asked to",
+    "reason": "why it failed, in words; empty where it did not",
+    "duration_s": "from the first command to the last",
+    "follow_s": "time spent following",
+    "path_length_mm": "arc length of the sensor's centre while following, all paths",
+    "speed_mm_s": "path length over time, after the feedforward has come in",
+    "contact_fraction": "part of the follow phase with true contact (0..1)",
+    "depth_rms_mm": "RMS of true depth less reference depth",
+    "depth_bias_mm": "mean of true depth less reference depth",
+    "depth_max_mm": "largest absolute value of the same",
+    "normal_rms_deg": "RMS angle between the sensor's axis and the reference axis at the true surface normal",
+    "normal_max_deg": "largest of these angles",
+    "slip_fraction": "mean part of the contact that slides (0..1)",
+    "depth_overshoot_mm": "largest true depth over the reference while settling and following",
+    "oscillation.depth_mm": f"amplitude of the strongest sinusoid above {OSCILLATION_ABOVE} Hz in true depth",
+    "oscillation.depth_hz": "its frequency",
+    "oscillation.normal_deg": f"the same for the two tilt angles, above {OSCILLATION_ABOVE} Hz",
+    "oscillation.normal_hz": "its frequency",
+    "estimate.depth_rms_mm": "RMS error of the estimator's depth",
+    "estimate.depth_bias_mm": "its mean error",
+    "estimate.normal_rms_deg": "RMS error of the estimated surface normal",
+    "belief.depth_rms_mm": "RMS error of the filter's depth",
+    "belief.depth_bias_mm": "its mean error",
+    "belief.normal_rms_deg": "RMS error of the believed surface normal",
+    "belief.depth_in_2_sigma": "part of the beliefs whose true depth lies within 2 sigma (0..1)",
+    "belief.nis_per_dof": "mean of NIS over its degrees of freedom (1 for a consistent filter)",
+    "belief.refused": "measurements refused by the gate while following",
+    "latency_ms.p50": "median time from exposure to command emission",
+    "latency_ms.p99": "its 99th percentile",
+    "latency_ms.max": "its largest",
+    "latency_ms.stages.*.p50": "median time from exposure to the output of this stage",
+    "latency_ms.stages.*.p99": "its 99th percentile",
+    "latency_ms.stages.*.max": "its largest",
+    "frames.exposed": "images exposed in the run",
+    "frames.estimated": "images with an estimate",
+    "frames.believed": "images with a belief",
+    "frames.commands": "commands emitted",
+    "frames.lost.*": "frames lost by this stage (dropped and counted)",
+    "frames.silent": "frames that a stage neither answered nor counted as dropped",
+    "paths.*.succeeded": "this path was followed to its end",
+    "paths.*.length_mm": "its length while following",
+    "paths.*.contact_fraction": "as above, of this path",
+    "paths.*.depth_rms_mm": "as above, of this path",
+    "paths.*.normal_rms_deg": "as above, of this path",
+    "paths.*.normal_max_deg": "as above, of this path",
+    "wall_s": "wall-clock time of the run",
+}
+
+
+def report(record: RunRecord) -> dict[str, Any]:
+    """All numbers of the run, nested as the names of `REPORT_FIELDS` are dotted."""
+    following = record.phase_at(record.truth.stamp_ns) == FOLLOW
+    truth = record.truth.rows(following)
+    command = record.command
+    result: dict[str, Any] = {
+        "scene": record.scene,
+        "task": record.task,
+        "arm": record.arm,
+        "source": record.source,
+        "seed": record.seed,
+        "succeeded": bool(record.result.get("succeeded", False)),
+        "reason": str(record.result.get("reason", "")),
+        "duration_s": _duration(command.stamp_ns),
+        **_motion(record),
+        **_quality(truth, record.reference),
+        "slip_fraction": _mean(truth.slip_fraction),
+        "depth_overshoot_mm": _overshoot_mm(record),
+        "oscillation": oscillation(record),
+        "estimate": _errors(record, record.estimate),
+        "belief": _errors(record, record.belief) | _consistency(record),
+        "latency_ms": _latency(record),
+        "frames": _frames(record),
+        "paths": {name: _path(record, index, truth) for index, name in enumerate(record.paths)},
+        "wall_s": record.result.get("wall_s"),
+    }
+    return result
+
+
+def write_report(record: RunRecord, path: str | Path) -> dict[str, Any]:
+    """Write report.json and return what is in it. NaN becomes null."""
+    values = _without_nan(report(record))
+    Path(path).write_text(json.dumps(values, indent=2) + "\n")
+    return dict(values)
+
+
+def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """What a person wants to see first: (name, value with unit, requirement where there is one)."""
+    latency = values["latency_ms"]
+    return [
+        ("task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""),
+        ("path followed", _text(values["path_length_mm"], "mm", 1), ""),
+        ("contact kept", _percent(values["contact_fraction"]), "100 %"),
+        ("depth RMS about reference", _text(values["depth_rms_mm"], "mm", 3), "<= 0.3 mm"),
+        ("normal alignment RMS", _text(values["normal_rms_deg"], "deg", 2), "<= 2 deg"),
+        ("oscillation in depth", _text(values["oscillation"]["depth_mm"], "mm", 3), ""),
+        ("depth error of belief RMS", _text(values["belief"]["depth_rms_mm"], "mm", 3), ""),
+        ("latency p50", _text(latency["p50"], "ms", 1), "<= 8 ms"),
+        ("latency p99", _text(latency["p99"], "ms", 1), "<= 25 ms"),
+        ("frames dropped and counted", str(sum(values["frames"]["lost"].values())), ""),
+        ("frames lost in silence", str(values["frames"]["silent"]), "0"),
+    ]
+
+
+# ---- parts of the report ----
+
+
+def depth_of(X_fs: Array) -> Array:
+    """Depth (N,) m of contact poses (N, 4, 4)."""
+    return X_fs[:, 2, 3]
+
+
+def normal_angle(X_fs: Array, reference: Array) -> Array:
+    """Angle (N,) rad between each surface normal in {s} and that of the Euler reference contact pose."""
+    wanted = se3.pose_from_euler(reference)[2, :3]
+    return _angle_between(X_fs[:, 2, :3], wanted[None])
+
+
+def inverses(T: Array) -> Array:
+    """Inverses (N, 4, 4) of rigid transforms."""
+    result = np.zeros_like(T)
+    result[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
+    result[:, :3, 3] = -np.einsum("nij,nj->ni", result[:, :3, :3], T[:, :3, 3])
+    result[:, 3, 3] = 1.0
+    return result
+
+
+def depth_sigma(series: GaussianSeries) -> Array:
+    """Standard deviation (N,) m of the depth of X_fs under the left covariance of X_sf = X_fs^-1.
+
+    X_fs = mean^-1 exp(-eps^), so its position moves by -R_fs rho.
+    """
+    row = inverses(series.mean)[:, 2, :3]
+    return np.sqrt(np.einsum("ni,nij,nj->n", row, series.cov[:, :3, :3], row))
+
+
+def oscillation(record: RunRecord) -> dict[str, float]:
+    """Strongest sinusoid above `OSCILLATION_ABOVE` in true depth and tilt, of all paths, once settled."""
+    found = {"depth_mm": 0.0, "depth_hz": np.nan, "normal_deg": 0.0, "normal_hz": np.nan}
+    any_signal = False
+    for stamps, X_fs in _settled_stretches(record):
+        any_signal = True
+        signals = {
+            ("depth_mm", "depth_hz"): [depth_of(X_fs) * 1e3],
+            ("normal_deg", "normal_hz"): [np.degrees(X_fs[:, 2, 0]), np.degrees(X_fs[:, 2, 1])],
+        }
+        for (size, rate), series in signals.items():
+            amplitude, frequency = max(strongest_sinusoid(stamps, values) for values in series)
+            if amplitude > found[size]:
+                found[size], found[rate] = amplitude, frequency
+    return found if any_signal else dict.fromkeys(found, np.nan)
+
+
+def strongest_sinusoid(
+    stamp_ns: Array, values: Array, above_hz: float = OSCILLATION_ABOVE
+) -> tuple[float, float]:
+    """Amplitude and frequency (Hz) of the strongest spectral line above `above_hz`; (0, nan) where too short.
+
+    A cubic trend is removed and a Hann window applied; the amplitude is that of a sinusoid with this line.
+    """
+    n = len(values)
+    seconds = (stamp_ns - stamp_ns[0]) * 1e-9 if n else np.zeros(0)
+    if n < 16 or seconds[-1] * above_hz < 1.0:
+        return 0.0, np.nan
+    even = np.linspace(0.0, seconds[-1], n)
+    signal = np.interp(even, seconds, values)
+    signal = signal - np.polyval(np.polyfit(even, signal, 3), even)
+    window = np.hanning(n)
+    amplitude = 2.0 * np.abs(np.fft.rfft(signal * window)) / window.sum()
+    frequency = np.fft.rfftfreq(n, even[1])
+    high = frequency >= above_hz
+    best = int(np.argmax(np.where(high, amplitude, -1.0)))
+    return float(amplitude[best]), float(frequency[best])
+
+
+def _settled_stretches(record: RunRecord) -> Iterator[tuple[Array, Array]]:
+    """Stamps and true contact poses of each path's following, without its first second."""
+    truth = record.truth
+    following = record.phase_at(truth.stamp_ns) == FOLLOW
+    path = record.path_at(truth.stamp_ns)
+    for index in np.unique(path[following]):
+        rows = truth.rows(following & (path == index))
+        late = rows.stamp_ns >= rows.stamp_ns[0] + SETTLED_AFTER * 1e9
+        if late.any():
+            yield rows.stamp_ns[late], rows.T_fs[late]
+
+
+def _motion(record: RunRecord) -> dict[str, float]:
+    pose = record.pose
+    following = record.phase_at(pose.stamp_ns) == FOLLOW
+    path = record.path_at(pose.stamp_ns)
+    length, seconds, late_length, late_seconds = 0.0, 0.0, 0.0, 0.0
+    for index in np.unique(path[following]):
+        rows = pose.rows(following & (path == index))
+        length += arc_length(rows.T_base_sensor)
+        seconds += _duration(rows.stamp_ns)
+        late = rows.rows(rows.stamp_ns >= rows.stamp_ns[0] + SETTLED_AFTER * 1e9)
+        late_length += arc_length(late.T_base_sensor)
+        late_seconds += _duration(late.stamp_ns)
+    speed = late_length / late_seconds if late_seconds > 0.0 else np.nan
+    return {"follow_s": seconds, "path_length_mm": length * 1e3, "speed_mm_s": speed * 1e3}
+
+
+def arc_length(T_base_sensor: Array) -> float:
+    """Length (m) of the polygon through the positions of poses (N, 4, 4)."""
+    return float(np.linalg.norm(np.diff(T_base_sensor[:, :3, 3], axis=0), axis=1).sum())
+
+
+def _quality(truth: TruthSeries, reference: Array) -> dict[str, float]:
+    error_mm = (depth_of(truth.T_fs) - reference[2]) * 1e3
+    angle_deg = np.degrees(normal_angle(truth.T_fs, reference))
+    return {
+        "contact_fraction": _mean(truth.in_contact),
+        "depth_rms_mm": _rms(error_mm),
+        "depth_bias_mm": _mean(error_mm),
+        "depth_max_mm": _largest(np.abs(error_mm)),
+        "normal_rms_deg": _rms(angle_deg),
+        "normal_max_deg": _largest(angle_deg),
+    }
+
+
+def _path(record: RunRecord, index: int, following_truth: TruthSeries) -> dict[str, Any]:
+    truth = following_truth.rows(record.path_at(following_truth.stamp_ns) == index)
+    pose = record.pose
+    chosen = (record.phase_at(pose.stamp_ns) == FOLLOW) & (record.path_at(pose.stamp_ns) == index)
+    phases = record.command.phase[record.command.path == index]
+    quality = _quality(truth, record.reference)
+    wanted = ("contact_fraction", "depth_rms_mm", "normal_rms_deg", "normal_max_deg")
+    return {
+        "succeeded": bool(len(phases) and phases[-1] == "done"),
+        "length_mm": arc_length(pose.T_base_sensor[chosen]) * 1e3,
+        **{name: quality[name] for name in wanted},
+    }
+
+
+def _overshoot_mm(record: RunRecord) -> float:
+    phase = record.phase_at(record.truth.stamp_ns)
+    depth = depth_of(record.truth.T_fs[np.isin(phase, ("settle", FOLLOW))])
+    return float(max(0.0, (depth.max() - record.reference[2]) * 1e3)) if len(depth) else np.nan
+
+
+def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:
+    """Errors of Gaussians over X_sf against the truth of the same exposure, while following."""
+    mine, true = _matched(record, series)
+    X_fs, T_fs = inverses(series.mean[mine]), record.truth.T_fs[true]
+    depth_mm = (depth_of(X_fs) - depth_of(T_fs)) * 1e3
+    angle_deg = np.degrees(_angle_between(X_fs[:, 2, :3], T_fs[:, 2, :3]))
+    return {
+        "depth_rms_mm": _rms(depth_mm),
+        "depth_bias_mm": _mean(depth_mm),
+        "normal_rms_deg": _rms(angle_deg),
+    }
+
+
+def _consistency(record: RunRecord) -> dict[str, float | int]:
+    belief = record.belief
+    mine, true = _matched(record, belief)
+    error = depth_of(inverses(belief.mean[mine])) - depth_of(record.truth.T_fs[true])
+    within = np.abs(error) <= 2.0 * depth_sigma(belief)[mine]
+    with_nis = np.isfinite(belief.nis[mine]) & (belief.nis_dof[mine] > 0)
+    per_dof = belief.nis[mine][with_nis] / belief.nis_dof[mine][with_nis]
+    return {
+        "depth_in_2_sigma": _mean(within),
+        "nis_per_dof": _mean(per_dof),
+        "refused": int(np.count_nonzero(~belief.accepted[mine])),
+    }
+
+
+def _matched(record: RunRecord, series: GaussianSeries) -> tuple[Array, Array]:
+    """Rows of the series and of the truth that have the same exposure stamp and lie in the follow phase."""
+    common, mine, true = np.intersect1d(series.stamp_ns, record.truth.stamp_ns, return_indices=True)
+    following = record.phase_at(common) == FOLLOW
+    return mine[following], true[following]
+
+
+def _latency(record: RunRecord) -> dict[str, Any]:
+    stages = {}
+    for stage, series in record.latency.items():
+        following = record.phase_at(series.stamp_ns) == FOLLOW
+        stages[stage] = _percentiles_ms(series.seconds[following])
+    return _percentiles_ms(_loop_latency(record)) | {"stages": stages}
+
+
+def _loop_latency(record: RunRecord) -> Array:
+    """Seconds from exposure to the first command based on it, of those acted upon while following."""
+    stage = record.latency.get(COMMAND_STAGE)
+    if stage is not None and len(stage):
+        return stage.seconds[record.phase_at(stage.stamp_ns) == FOLLOW]
+    command = record.command
+    used = (command.exposure_ns > 0) & (command.phase == FOLLOW)
+    exposure, first = np.unique(command.exposure_ns[used], return_index=True)
+    return (command.stamp_ns[used][first] - exposure) * 1e-9
+
+
+def _percentiles_ms(seconds: Array) -> dict[str, float]:
+    if len(seconds) == 0:
+        return {"p50": np.nan, "p99": np.nan, "max": np.nan}
+    p50, p99, largest = np.percentile(seconds * 1e3, [50.0, 99.0, 100.0])
+    return {"p50": float(p50), "p99": float(p99), "max": float(largest)}
+
+
+def _frames(record: RunRecord) -> dict[str, Any]:
+    return {
+        "exposed": len(record.truth) or len(record.presence),
+        "estimated": len(record.estimate),
+        "believed": len(record.belief),
+        "commands": len(record.command),
+        "lost": dict(record.lost),
+        "silent": _silent(record),
+    }
+
+
+def _silent(record: RunRecord) -> int:
+    """Frames that a stage answered, and the next one neither answered nor counted while both were at work."""
+    stages = [(stage, series.stamp_ns) for stage, series in record.latency.items()]
+    silent = 0
+    for (_, given), (stage, answered) in itertools.pairwise(stages):
+        if len(given) and len(answered):
+            asked = given[(given >= answered[0]) & (given <= answered[-1])]
+            missing = len(np.setdiff1d(asked, answered))
+            silent += max(0, missing - record.lost.get(stage, 0))
+    return silent
+
+
+# ---- small things ----
+
+
+def _angle_between(a: Array, b: Array) -> Array:
+    """Angle (N,) rad between rows of unit vectors, exact near 0 and pi."""
+    cross = np.linalg.norm(np.cross(a, np.broadcast_to(b, a.shape)), axis=1)
+    return np.arctan2(cross, np.sum(a * b, axis=1))
+
+
+def _duration(stamp_ns: Array) -> float:
+    return float(stamp_ns[-1] - stamp_ns[0]) * 1e-9 if len(stamp_ns) else 0.0
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
+
+
+def _mean(values: Array) -> float:
+    return float(np.mean(values)) if len(values) else np.nan
+
+
+def _largest(values: Array) -> float:
+    return float(np.max(values)) if len(values) else np.nan
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_nan(item) for name, item in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _text(value: float | None, unit: str, digits: int) -> str:
+    return "unknown" if value is None or not math.isfinite(value) else f"{value:.{digits}f} {unit}"
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None or not math.isfinite(value) else f"{100.0 * value:.1f} %"

@@ -1,0 +1,95 @@
+"""Messages <-> NumPy: poses, transforms, images; what is sent at the rate of the camera is in `wire`.
+
+Poses are `T_parent_child` (4, 4) in meters. Whatever comes in is checked; `MessageError` says what was wrong
+and what would be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from tactile_filter.pose_numbers import MessageError as MessageError
+from tactile_filter.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
+from tactile_filter.pose_numbers import matrix_from_quaternion as matrix_from_quaternion
+from tactile_filter.pose_numbers import numbers_from_pose as numbers_from_pose
+from tactile_filter.pose_numbers import pose_from_numbers as pose_from_numbers
+from tactile_ros.stamps import time_from_ns
+
+Array = NDArray[np.float64]
+
+MONO8 = "mono8"
+
+
+def header(stamp_ns: int, frame_id: str) -> Header:
+    """Header with this stamp and frame."""
+    return Header(stamp=time_from_ns(stamp_ns), frame_id=frame_id)
+
+
+def matrix_from_pose(pose: Pose) -> Array:
+    """T (4, 4) of a Pose message."""
+    p, q = pose.position, pose.orientation
+    return pose_from_numbers((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+
+def pose_from_matrix(T: Array) -> Pose:
+    """Pose message of T (4, 4)."""
+    x, y, z, *q = numbers_from_pose(T)
+    return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(q))
+
+
+def matrix_from_transform(transform: Transform) -> Array:
+    """T_parent_child (4, 4) of a Transform message."""
+    p, q = transform.translation, transform.rotation
+    return pose_from_numbers((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+
+def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> TransformStamped:
+    """TransformStamped message of T_parent_child (4, 4)."""
+    x, y, z, *q = numbers_from_pose(T_parent_child)
+    transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(q))
+    return TransformStamped(header=header(stamp_ns, parent), child_frame_id=child, transform=transform)
+
+
+def array_from_image(message: Image) -> NDArray[np.uint8]:
+    """Gray image (height, width) uint8 that shares the message's memory (a row view where rows are padded).
+
+    Raises
+    ------
+    MessageError
+        If the encoding is not mono8, or width, height, step and the number of bytes contradict each other.
+    """
+    pixels = np.frombuffer(message.data, dtype=np.uint8)
+    return checked_image(pixels, int(message.height), int(message.width), int(message.step), message.encoding)
+
+
+def checked_image(
+    pixels: NDArray[np.uint8], height: int, width: int, step: int, encoding: str
+) -> NDArray[np.uint8]:
+    """The pixels of a message as (height, width); raises `MessageError` as `array_from_image`."""
+    if encoding != MONO8:
+        raise MessageError(f"encoding is '{encoding}', must be '{MONO8}'")
+    if height == 0 or width == 0:
+        raise MessageError(f"image is empty: {width}x{height} pixels")
+    if step < width:
+        raise MessageError(f"step is {step} bytes, must be at least the width {width}")
+    if len(pixels) != step * height:
+        raise MessageError(f"data has {len(pixels)} bytes, must have step * height = {step * height}")
+    return pixels.reshape(height, step)[:, :width]
+
+
+def _quaternion(q: Sequence[float]) -> Quaternion:
+    x, y, z, w = q
+    return Quaternion(x=x, y=y, z=z, w=w)

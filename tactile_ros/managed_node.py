@@ -1,0 +1,359 @@
+"""ManagedNode: a lifecycle node that starts by itself, reports on itself and ends cleanly.
+
+A node derives from it, fills in `configure`, `activate`, `deactivate` and `cleanup`, and ends with::
+
+    def main() -> int:
+        return run(EstimatorNode)
+
+With the parameter `autostart` (the default) it configures and activates itself; if that fails, the process
+ends with exit code 1 and says why. Without, it waits unconfigured for a lifecycle manager and survives a
+failure. SIGINT and SIGTERM deactivate and clean up first; the process then ends with exit code 0.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.executors import ExternalShutdownException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
+
+from tactile_base.settings import SettingError, unknown_name
+from tactile_ros.dds_profile import use_dds_profile
+from tactile_ros.diagnostics import Diagnostics, InputWatch
+from tactile_ros.parameters import declare_read_only
+from tactile_ros.qos import DIAGNOSTICS
+
+Result = TransitionCallbackReturn
+
+COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
+DIAGNOSTIC_PERIOD = 1.0  # s
+FLUSH_STEPS = 20
+SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
+
+
+class ConfigurationError(RuntimeError):
+    """What keeps a node from being configured or activated, in words for its user."""
+
+
+class ManagedNode(LifecycleNode):
+    """Base of all nodes; see the module's docstring."""
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.autostart = declare_read_only(self, "autostart", True, "configure and activate when started")
+        namespace = self.get_namespace().strip("/")
+        self.arm = declare_read_only(
+            self,
+            "arm",
+            namespace.rsplit("/", 1)[-1] or "arm",
+            "name of the arm, first part of its frames' names",
+        )
+        self.base_frame = f"{self.arm}/base"
+        self.sensor_frame = f"{self.arm}/tactile_sensor"
+        self.active = False
+        self.stop_reason = ""
+        self.exit_code = 0
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.report = Diagnostics(self.get_fully_qualified_name(), self.arm)
+        self.counters = self.report.counters
+        self._last_warning: dict[str, float] = {}
+        self._while_configured: list[tuple[Callable[[Any], Any], Any]] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DIAGNOSTICS)
+        period = declare_read_only(
+            self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
+        )
+        self._diagnostics_timer = self.create_timer(period, self.publish_diagnostics, clock=self.steady)
+
+    # What a node fills in. Each may raise ConfigurationError or SettingError to refuse.
+
+    def configure(self) -> None:
+        """Load what is needed and create publishers and subscriptions."""
+
+    def activate(self) -> None:
+        """Start from a clean state; messages are processed from now on."""
+
+    def deactivate(self) -> None:
+        """Bring to rest what is moving; messages are ignored from now on."""
+
+    def cleanup(self) -> None:
+        """Release what `configure` has loaded; publishers, subscriptions and timers go without it."""
+
+    def due_in(self) -> float:
+        """Seconds until `work` wants to be called, for a node with a time base of its own; inf: never."""
+        return math.inf
+
+    def work(self) -> None:
+        """What is due; called between callbacks once `due_in` is not positive."""
+
+    # What a node uses.
+
+    def now_ns(self) -> int:
+        """ROS time now, ns."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def publisher(self, message_type: type, topic: str, qos: QoSProfile) -> Any:
+        """A publisher that exists while the node is configured and publishes while it is active."""
+        publisher: Any = self.create_lifecycle_publisher(message_type, topic, qos)
+        self._while_configured.append((self.destroy_lifecycle_publisher, publisher))
+        return publisher
+
+    def subscribe(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        age_limit: float | None = None,
+        always: bool = False,
+        raw: bool = False,
+    ) -> InputWatch | None:
+        """Call `callback` with each message while the node is active (or whenever configured, with `always`).
+
+        With an `age_limit` (s) the input's silence is told in /diagnostics; 0 watches without limit.
+        With `raw` the callback gets the serialized message. Messages that the middleware could not keep for
+        this node, because it was held up, are counted as `lost_counter(topic)`.
+        """
+        watch = None if age_limit is None else self.report.watch(topic, age_limit)
+
+        def receive(message: Any) -> None:
+            if watch is not None:
+                watch.seen()
+            if self.active or always:
+                callback(message)
+
+        def lose(info: Any) -> None:
+            if self.active:
+                self.count(lost_counter(topic), info.total_count_change)
+                self.warn(f"{topic} lost", f"{topic}: {info.total_count_change} messages came too fast")
+
+        events = SubscriptionEventCallbacks(message_lost=lose)
+        subscription = self.create_subscription(
+            message_type, topic, receive, qos, event_callbacks=events, raw=raw
+        )
+        self._while_configured.append((self.destroy_subscription, subscription))
+        return watch
+
+    def timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Call `callback` every `period` seconds of the steady clock while the node is active."""
+        timer = self.create_timer(period, lambda: callback() if self.active else None, clock=self.steady)
+        self._while_configured.append((self.destroy_timer, timer))
+        return timer
+
+    def serve(self, service_type: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
+        """Offer a service while the node is configured."""
+        service = self.create_service(service_type, name, callback)
+        self._while_configured.append((self.destroy_service, service))
+
+    def release_later(self, destroy: Callable[[Any], Any], thing: Any) -> None:
+        """Have `destroy(thing)` called at clean-up."""
+        self._while_configured.append((destroy, thing))
+
+    def warn(self, key: str, message: str, period: float = 1.0) -> None:
+        """Tell a warning in /diagnostics, and log it at most once a `period` (s) for each `key`."""
+        self.report.complain(key, message)
+        self._log_warning(key, message, period)
+
+    def _log_warning(self, key: str, message: str, period: float) -> None:
+        now = time.monotonic()
+        if now - self._last_warning.get(key, -period) >= period:
+            self._last_warning[key] = now
+            self.get_logger().warning(message)
+
+    def warn_of_unknown_parameters(self) -> None:
+        """Tell values that were given at start for parameters that this node does not have: typos, mostly."""
+        known = list(self._parameters)
+        for name in self._parameter_overrides:
+            if name not in known and name not in COMMON_PARAMETERS and not name.startswith("qos_overrides."):
+                self.get_logger().warning(f"parameter ignored: {unknown_name(name, known)}")
+
+    def count(self, what: str, number: int = 1) -> None:
+        """Count something that /diagnostics shows."""
+        self.counters[what] += number
+
+    def stop(self, reason: str, exit_code: int = 0) -> None:
+        """Have the process end after this callback."""
+        self.stop_reason, self.exit_code = reason, exit_code
+
+    def publish_diagnostics(self) -> None:
+        """Report now; also called once a second."""
+        state = self._state_machine.current_state[1]
+        if self.active:
+            for complaint in self.report.silent_inputs():
+                self._log_warning(complaint.split(":")[0], complaint, period=5.0)
+        self._diagnostics.publish(self.report.message(self.get_clock().now().to_msg(), state, self.active))
+
+    # Lifecycle transitions.
+
+    def on_configure(self, state: LifecycleState) -> Result:
+        """Configure; whatever a refused configuration had created is released again."""
+        self.report.fault = ""
+        self.report.inputs.clear()
+        result = self._attempt("configure", self.configure)
+        if result != Result.SUCCESS:
+            self._release()
+            self._attempt("clean up", self.cleanup)
+            return result
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> Result:
+        """Activate; from here on messages are processed."""
+        super().on_activate(state)
+        self.counters.clear()
+        result = self._attempt("activate", self.activate)
+        if result != Result.SUCCESS:
+            super().on_deactivate(state)
+            return result
+        for watch in self.report.inputs.values():
+            watch.restart()
+        self.active = True
+        _settle_garbage()
+        self.get_logger().info("active")
+        return Result.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> Result:
+        """Deactivate: the node's own part first, while it can still publish."""
+        result = self._attempt("deactivate", self.deactivate)
+        self.active = False
+        super().on_deactivate(state)
+        return result
+
+    def on_cleanup(self, state: LifecycleState) -> Result:
+        """Release everything that configuring had created."""
+        result = self._attempt("clean up", self.cleanup)
+        self._release()
+        return result
+
+    def on_shutdown(self, state: LifecycleState) -> Result:
+        """From any state: deactivate and clean up as far as needed."""
+        if self.active:
+            self.on_deactivate(state)
+        return self.on_cleanup(state)
+
+    def on_error(self, state: LifecycleState) -> Result:
+        """After an error in a transition: release everything and be unconfigured again."""
+        self.active = False
+        self._release()
+        return Result.SUCCESS
+
+    def start(self) -> bool:
+        """Configure and activate; False if either was refused, with the reason in `report.fault`."""
+        return self.trigger_configure() == Result.SUCCESS and self.trigger_activate() == Result.SUCCESS
+
+    def finish(self) -> None:
+        """Shut down from whatever state this is, so that nothing keeps moving."""
+        if self._state_machine.current_state[1] in ("unconfigured", "inactive", "active"):
+            self.trigger_shutdown()
+
+    def _attempt(self, what: str, action: Callable[[], None]) -> Result:
+        try:
+            action()
+        except (ConfigurationError, SettingError) as error:
+            self.report.fault = f"cannot {what}: {error}"
+            self.get_logger().error(self.report.fault)
+            return Result.FAILURE
+        except Exception as error:
+            self.report.fault = f"cannot {what}: {type(error).__name__}: {error}"
+            self.get_logger().error(f"{self.report.fault}\n{traceback.format_exc()}")
+            return Result.ERROR
+        return Result.SUCCESS
+
+    def _release(self) -> None:
+        while self._while_configured:
+            destroy, thing = self._while_configured.pop()
+            destroy(thing)
+
+
+def lost_counter(topic: str) -> str:
+    """Name of the counter of messages on `topic` that the middleware has lost on their way to a node."""
+    return f"{topic} messages lost"
+
+
+def _settle_garbage() -> None:
+    """Take everything loaded so far out of the collector's sight: a full collection costs 10 ms."""
+    gc.collect()
+    gc.freeze()
+
+
+def make_executor() -> Any:
+    """The executor with the least latency that this rclpy has."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # before Kilted
+        from rclpy.executors import SingleThreadedExecutor
+
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run(node_type: Callable[[], ManagedNode], args: list[str] | None = None) -> int:
+    """Run one node until a signal or an error; returns the exit code of the process."""
+    use_dds_profile()
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    stopped: list[int] = []
+
+    def request_stop(number: int, frame: FrameType | None) -> None:
+        stopped.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, request_stop)
+    try:
+        node = node_type()
+    except (SettingError, ConfigurationError) as error:
+        print(f"cannot start: {error}", file=sys.stderr, flush=True)
+        rclpy.try_shutdown()
+        return 1
+    executor = make_executor()
+    executor.add_node(node)
+    try:
+        return _spin(node, executor, stopped)
+    finally:
+        node.finish()
+        _flush(executor)
+        executor.remove_node(node)
+        node.destroy_node()
+        rclpy.try_shutdown()
+        gc.unfreeze()
+
+
+def _flush(executor: Any) -> None:
+    """Let what finishing has set going (results of actions) leave the process."""
+    for _ in range(FLUSH_STEPS):
+        executor.spin_once(timeout_sec=0.001)
+
+
+def _spin(node: ManagedNode, executor: Any, stopped: list[int]) -> int:
+    node.warn_of_unknown_parameters()
+    if node.autostart and not node.start():
+        node.publish_diagnostics()
+        return 1
+    try:
+        # spin() of the events executor burns a core and dispatches nothing; spin_once in a loop does neither.
+        while not stopped and not node.stop_reason and rclpy.ok():
+            executor.spin_once(timeout_sec=min(SPIN_TIMEOUT, max(0.0, node.due_in())))
+            if node.due_in() <= 0.0:
+                node.work()
+    except ExternalShutdownException:
+        node.stop("the context was shut down")
+    except Exception as error:
+        node.report.fault = f"{type(error).__name__}: {error}"
+        node.get_logger().fatal(f"stopping after an error in a callback\n{traceback.format_exc()}")
+        node.publish_diagnostics()
+        return 1
+    reason = f"signal {signal.Signals(stopped[0]).name}" if stopped else node.stop_reason
+    node.get_logger().info(f"stopping: {reason or 'the context was shut down'}")
+    return node.exit_code

@@ -1,0 +1,1 @@
+"""The nodes: each converts messages, declares parameters and calls its library."""

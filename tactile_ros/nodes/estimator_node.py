@@ -1,0 +1,182 @@
+"""Estimator node: camera images -> Gaussian over the surface contact pose, and contact presence.
+
+For each image it publishes `contact/presence` and, in contact, `contact/estimate` before it: a network always
+answers, but without contact there is nothing to estimate. Both have the image's exposure stamp.
+The newest image wins: what it replaces is told by the stamps and counted. Images that cannot be used (wrong
+encoding, wrong size) and answers of the network that are not a Gaussian are refused, counted and told in
+/diagnostics.
+
+After activation the first images, taken without contact, become the reference of the contact presence; until
+then nothing is published. `~/capture_reference` (std_srvs/Trigger) takes a new one.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
+from tactile_base.settings import Settings, setting
+from tactile_msgs.msg import ContactPresence as PresenceMessage
+from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_perception.estimator import EstimateError, Estimator, EstimatorSettings, ModelError
+from tactile_ros.conversions import MessageError
+from tactile_ros.image_bytes import image_from_bytes
+from tactile_ros.latency import LatencyPublisher
+from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.parameters import SettingsParameters
+from tactile_ros.qos import IMAGE, STATE
+from tactile_ros.stamps import SECOND_NS
+from tactile_ros.wire import gaussian_bytes, headed_bytes
+
+
+@dataclass(frozen=True)
+class ImageInputSettings(Settings):
+    """How images are expected to arrive."""
+
+    rate: float = setting(
+        60.0,
+        lower=0.1,
+        upper=1000.0,
+        unit="Hz",
+        doc="rate of the camera; a larger gap between stamps is lost images",
+    )
+    age_limit: float = setting(
+        0.25, lower=0.005, upper=60.0, unit="s", doc="longer silence of the camera is told in /diagnostics"
+    )
+
+
+class EstimatorNode(ManagedNode):
+    """See the module's text; the arithmetic is `Estimator` and `ContactPresence`."""
+
+    def __init__(self) -> None:
+        super().__init__("estimator")
+        self.model = SettingsParameters(self, EstimatorSettings(), read_only=("model", "threads"))
+        self.images = SettingsParameters(
+            self, ImageInputSettings(), prefix="images", read_only=("age_limit",)
+        )
+        self.presence_settings = SettingsParameters(
+            self, PresenceSettings(), prefix="presence", on_change=self._change_presence
+        )
+        self.presence: ContactPresence | None = None
+        self.last_stamp_ns = 0
+
+    def configure(self) -> None:
+        """Load the model, run it warm, and create publishers and subscription."""
+        settings = self.model.value
+        try:
+            self.estimator = Estimator(settings.model, settings.threads)
+        except ModelError as error:
+            raise ConfigurationError(str(error)) from error
+        self.report.values["model"] = str(self.estimator.path)
+        self.presence = ContactPresence(self.presence_settings.value)
+        self.presence_out = self.publisher(PresenceMessage, "contact/presence", STATE)
+        self.estimate_out = self.publisher(PoseWithCovarianceStamped, "contact/estimate", STATE)
+        self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
+        self.serve(Trigger, "~/capture_reference", self._capture_reference)
+        self.subscribe(Image, "tactile/image", self._receive, IMAGE, self.images.value.age_limit, raw=True)
+
+    def activate(self) -> None:
+        """Start with a new reference image."""
+        self.last_stamp_ns = 0
+        self._new_reference()
+
+    def _receive(self, data: bytes) -> None:
+        received_ns = self.now_ns()
+        image = image_from_bytes(data)
+        if not self._in_order(image.stamp_ns):
+            return
+        try:
+            self._process(image.array(), image.stamp_ns, received_ns)
+        except (MessageError, ImageError) as error:
+            self._refuse("images refused", f"tactile/image refused: {error}")
+
+    def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
+        assert self.presence is not None
+        prepared = self.estimator.preprocessor(image)
+        presence = self.presence.update(prepared)
+        if presence.in_contact is None:
+            self._tell_reference()
+            return
+        if presence.in_contact:
+            self._publish_estimate(prepared, stamp_ns)
+        emitted_ns = self.now_ns()
+        numbers = presence.score, self.presence.settings.on, presence.in_contact
+        self.presence_out.publish(headed_bytes(PresenceMessage, stamp_ns, self.sensor_frame, *numbers))
+        self.latency.note(stamp_ns, received_ns, emitted_ns, self._dropped())
+
+    def _publish_estimate(self, prepared: NDArray, stamp_ns: int) -> None:
+        try:
+            estimate = self.estimator.estimate_prepared(prepared)
+        except EstimateError as error:
+            self._refuse("estimates refused", f"estimate refused: {error}")
+            return
+        self.estimate_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, estimate.mean, estimate.cov))
+
+    def _in_order(self, stamp_ns: int) -> bool:
+        """Count what is missing since the last image; False for an image that is not later than it."""
+        last_ns, self.last_stamp_ns = self.last_stamp_ns, stamp_ns
+        gap = stamp_ns - last_ns
+        if last_ns == 0 or gap < -SECOND_NS:  # the first image, or the clock was set back
+            return True
+        if gap <= 0:
+            self.last_stamp_ns = last_ns
+            self._refuse(
+                "images out of order", f"tactile/image refused: stamp is {-gap / 1e6:.3f} ms before the last"
+            )
+            return False
+        missing = round(gap * 1e-9 * self.images.value.rate) - 1
+        if missing > 0:
+            self.count("images lost", missing)
+            self.warn(
+                "lost", f"tactile/image: {self.counters['images lost']} lost so far, {missing} just now"
+            )
+        return True
+
+    def _refuse(self, counter: str, text: str) -> None:
+        self.count(counter)
+        self.warn(counter, text)
+
+    def _dropped(self) -> int:
+        return sum(
+            self.counters[name]
+            for name in ("images lost", "images refused", "images out of order", "estimates refused")
+        )
+
+    def _tell_reference(self) -> None:
+        assert self.presence is not None
+        if self.presence.ready:
+            self.get_logger().info(
+                "reference of the contact presence taken: nothing may have touched the sensor"
+            )
+        else:
+            self.report.complain("reference", "waiting for images without contact, for the reference")
+
+    def _capture_reference(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.active:
+            self._new_reference()
+        response.success = self.active
+        response.message = "the next images become the reference" if self.active else "the node is not active"
+        return response
+
+    def _new_reference(self) -> None:
+        assert self.presence is not None
+        self.presence.reset()
+
+    def _change_presence(self, settings: PresenceSettings) -> None:
+        if self.presence is not None:
+            self.presence.configure(settings)
+
+
+def main() -> int:
+    """Run the node until a signal; returns the exit code."""
+    return run(EstimatorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

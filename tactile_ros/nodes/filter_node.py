@@ -1,0 +1,257 @@
+"""Filter node: estimates + the arm's motion from TF -> belief over the surface contact pose.
+
+Estimates, which tell of contact, and contact presences that tell of none are taken in the order of stamps; a
+presence in contact announces its estimate. Each waits for the sensor's pose at its stamp up to `tf_timeout`;
+then it is dropped and counted. One that comes after a later one has been taken is put in its place, if the
+setting `history` allows. A backward jump of the clock, the loss of contact and `~/reset`
+(tactile_msgs/ResetFilter) clear the belief. Without contact `contact/state` says so and holds no belief.
+/diagnostics tells whether the filter's innovations are what its covariances claim.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from numpy.typing import NDArray
+
+from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
+from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
+from tactile_filter.contact_belief import UNUSABLE, belief_vectors, nothing
+from tactile_filter.events import Event, measurement_join, says_no_contact
+from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_msgs.msg import ContactPresence, ContactState
+from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
+from tactile_ros.cdr import HeadedReader
+from tactile_ros.conversions import MessageError, gaussian_from_numbers
+from tactile_ros.latency import LatencyPublisher
+from tactile_ros.managed_node import ManagedNode, lost_counter, run
+from tactile_ros.parameters import SettingsParameters
+from tactile_ros.qos import STATE
+from tactile_ros.stamps import SECOND_NS
+from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
+from tactile_ros.wire import gaussian_bytes, headed_bytes, read_gaussian
+
+PRESENCE = "contact/presence"
+read_presence = HeadedReader(ContactPresence)
+
+
+class FilterNode(ManagedNode):
+    """See the module's text; the arithmetic is `ContactFilter`."""
+
+    def __init__(self) -> None:
+        super().__init__("filter")
+        self.settings = SettingsParameters(self, FilterSettings(), on_change=self._change_settings)
+        self.inputs = declare_inputs(self, BeliefInputSettings())
+        self.consistency = SettingsParameters(
+            self, ConsistencySettings(), prefix="consistency", on_change=self._change_consistency
+        )
+        self.filter = ContactFilter(self.settings.value)
+        self.monitor = ConsistencyMonitor(self.consistency.value)
+        self.no_contact_ns = -1
+        self.join = measurement_join()
+
+    def configure(self) -> None:
+        """Create publishers and subscriptions."""
+        self.belief_out = self.publisher(PoseWithCovarianceStamped, "contact/belief", STATE)
+        self.state_out = self.publisher(ContactState, "contact/state", STATE)
+        self.latency = LatencyPublisher(self, "filter", self.sensor_frame)
+        contact_frame = f"{self.arm}/contact"
+        self.frame_out = FramePublisher(
+            self, self.sensor_frame, contact_frame, rate=lambda: self.inputs.value.tf_rate
+        )
+        self.transforms = TransformListener(
+            self, on_update=self._pump, on_jump=self._jumped, ignore=(contact_frame,)
+        )
+        self.gate = TransformGate(
+            self,
+            self.join,
+            self.transforms,
+            (self.base_frame, self.sensor_frame),
+            timeout=lambda: self.inputs.value.tf_timeout,
+            deliver=self._process,
+            drop=self._drop,
+        )
+        limit = self.inputs.value.age_limit
+        self.subscribe(ContactPresence, PRESENCE, self._take_presence, STATE, limit, raw=True)
+        self.estimates = self.subscribe(
+            PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit, raw=True
+        )
+        serve_reset(self, lambda: self._reset("service"), "the next measurement starts a new belief")
+
+    def activate(self) -> None:
+        """Start without a belief and without pending inputs."""
+        self._clear("activated")
+
+    # ---- inputs ----
+
+    def _take_presence(self, data: bytes) -> None:
+        stamp_ns, _, (_, _, in_contact) = read_presence(data)
+        if not in_contact and self.estimates is not None:
+            self.estimates.excuse()  # there are none without contact
+        if not in_contact or stamp_ns > self.join.done_ns:  # else its estimate came first, as it should
+            self._take("presence", stamp_ns, in_contact)
+
+    def _take_estimate(self, data: bytes) -> None:
+        stamp_ns, frame_id, numbers = read_gaussian(data)
+        if frame_id != self.sensor_frame:
+            self._refuse(f"frame is '{frame_id}', must be '{self.sensor_frame}'")
+            return
+        try:
+            estimate = gaussian_from_numbers(numbers)
+        except MessageError as error:
+            self._refuse(str(error))
+            estimate = UNUSABLE  # the filter predicts in its place
+        self._take("estimate", stamp_ns, estimate)
+
+    def _take(self, source: str, stamp_ns: int, content: Any) -> None:
+        """Keep one part of an event and process what has become complete."""
+        received_ns = self.now_ns()
+        useless = source == "estimate" and stamp_ns <= self.no_contact_ns
+        if not useless and not self.join.add(source, stamp_ns, (content, received_ns), time.monotonic_ns()):
+            if source == "estimate" and self.settings.value.history > 0.0 and self.filter.has_belief:
+                self._take_late(stamp_ns, content)
+            else:
+                self.warn("late", f"contact/{source} refused: its stamp is not later than the last one's")
+        self._pump()
+
+    def _take_late(self, stamp_ns: int, estimate: PoseGaussian) -> None:
+        """Put an estimate in its place; what it changes is told with the next belief."""
+        try:
+            T_base_sensor = self.transforms.lookup(self.base_frame, self.sensor_frame, stamp_ns)
+        except TransformUnavailable as error:
+            self._refuse(f"it is late, and there is no sensor pose for it: {error}")
+            return
+        belief = self.filter.step(stamp_ns, estimate, T_base_sensor)
+        if "too late" in belief.reason:
+            self._refuse(belief.reason)
+
+    def _refuse(self, reason: str) -> None:
+        self.count("estimates refused")
+        self.warn("estimate", f"contact/estimate refused: {reason}")
+
+    def _pump(self) -> None:
+        if self.active:
+            self.gate.pump()
+
+    def _drop(self, event: Event, reason: str) -> None:
+        self.count("estimates dropped")
+        self.warn("drop", f"estimate dropped ({self.counters['estimates dropped']} so far): {reason}")
+
+    def _jumped(self, seconds: float) -> None:
+        self._clear("time jumped back")
+
+    # ---- steps ----
+
+    def _process(self, event: Event, T_base_sensor: NDArray[np.float64]) -> None:
+        if says_no_contact(event.parts):
+            _, received_ns = event.parts["presence"]
+            if self.filter.has_belief:
+                self._reset("no contact", event.stamp_ns)
+            self.no_contact_ns = event.stamp_ns
+            belief = nothing(event.stamp_ns, self.filter.rejected)
+        else:
+            estimate, received_ns = event.parts["estimate"]
+            belief = self.filter.step(event.stamp_ns, estimate, T_base_sensor)
+        emitted_ns = self._publish(belief)
+        self.latency.note(event.stamp_ns, received_ns, emitted_ns, self._dropped())
+
+    def _dropped(self) -> int:
+        """Frames lost; each has a presence, so the middleware's losses of estimates are among those of it."""
+        return self.join.dropped + self.join.late + self.counters[lost_counter(PRESENCE)]
+
+    def _publish(self, belief: Belief) -> int:
+        """Publish the belief and return when; the state first, since the controller waits for it."""
+        emitted_ns = self.now_ns()
+        self.state_out.publish(state_bytes(belief, self.sensor_frame, emitted_ns))
+        if belief.valid:
+            self._publish_for_others(belief)
+        if belief.reason:
+            self.warn("belief", f"belief at {belief.stamp_ns} ns: {belief.reason}")
+        self.monitor.add(belief)
+        return emitted_ns
+
+    def _publish_for_others(self, belief: Belief) -> None:
+        """What people and their tools look at; the controller does not wait for it."""
+        stamp_ns, mean = belief.stamp_ns, belief.mean
+        self.belief_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, mean, belief.cov))
+        self.frame_out.publish(stamp_ns, mean)
+
+    def publish_diagnostics(self) -> None:
+        """Add what the filter refused and how consistent it is."""
+        if self.active:
+            self._tell_counts()
+            self._tell_consistency()
+        super().publish_diagnostics()
+
+    def _tell_counts(self) -> None:
+        values = self.report.values
+        values["refused since the last reset"] = str(self.filter.rejected)
+        for reason, number in self.filter.rejections.items():
+            values[f"refused: {reason}"] = str(number)
+        for what, number in self.filter.late.items():
+            values[f"late: {what}"] = str(number)
+
+    def _tell_consistency(self) -> None:
+        report = self.monitor.report()
+        low, high = report.nis_bounds
+        values = self.report.values
+        values["mean NIS / 6"] = f"{report.nis:.3f} (consistent: {low:.2f} to {high:.2f})"
+        values["correlation of innovations"] = f"{report.whiteness:.2f} (below {report.whiteness_bound:.2f})"
+        values["outliers"] = f"{report.rejected:.1%}"
+        values["consistency"] = "; ".join(report.problems) or "no complaint"
+        for number, text in enumerate(report.warnings):
+            self.report.complain(f"consistency {number}", f"filter {text}")
+
+    # ---- reset and parameters ----
+
+    def _clear(self, reason: str) -> None:
+        """Start anew, inputs included."""
+        self._reset(reason)
+        self.join.clear()
+        self.monitor.reset()
+        self.no_contact_ns = -1
+        self.frame_out.clear()
+
+    def _reset(self, reason: str, stamp_ns: int | None = None) -> None:
+        self.filter.reset(reason, stamp_ns)
+        self.count(f"resets: {reason}")
+
+    def _change_settings(self, settings: FilterSettings) -> None:
+        self.filter.configure(settings)
+
+    def _change_consistency(self, settings: ConsistencySettings) -> None:
+        self.monitor.configure(settings)
+
+
+def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:
+    """ContactState message of a belief; NaN where it holds nothing."""
+    xi, euler = belief_vectors(belief)
+    latency = divmod(emitted_ns - belief.stamp_ns, SECOND_NS)
+    return headed_bytes(
+        ContactState,
+        belief.stamp_ns,
+        frame_id,
+        *xi.tolist(),
+        *belief.cov.ravel().tolist(),
+        *euler.tolist(),
+        belief.nis,
+        belief.nis_dof,
+        int(belief.flags),
+        belief.rejected,
+        belief.inflation,
+        *latency,
+    )
+
+
+def main() -> int:
+    """Run the node until a signal; returns the exit code."""
+    return run(FilterNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""Marker view node: a picture of the markers and of the change of their density, for people.
+
+Not part of the loop: it is started only where somebody wants to look. It subscribes to `tactile/image` and
+publishes `tactile/marker_view` (sensor_msgs/Image, bgr8) with the image's stamp, at most `rate` a second.
+The first image after activation, taken without contact, is the reference; `~/capture_reference`
+(std_srvs/Trigger) takes the next one.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
+from tactile_base.settings import Settings, setting
+from tactile_perception.estimating.image import ImageError
+from tactile_perception.markers.detection import DetectedMarkers, DetectionSettings, density_change, detect
+from tactile_perception.markers.view import side_by_side
+from tactile_ros.conversions import MessageError, header
+from tactile_ros.image_bytes import image_from_bytes
+from tactile_ros.managed_node import ManagedNode, run
+from tactile_ros.parameters import SettingsParameters
+from tactile_ros.qos import IMAGE
+from tactile_ros.stamps import SECOND_NS
+
+
+@dataclass(frozen=True)
+class MarkerViewSettings(Settings):
+    """How often a picture is made."""
+
+    rate: float = setting(
+        10.0, lower=0.1, upper=240.0, unit="Hz", doc="pictures a second at most; other images are passed over"
+    )
+    age_limit: float = setting(
+        2.0, lower=0.005, upper=60.0, unit="s", doc="longer silence of the camera is told in /diagnostics"
+    )
+
+
+class MarkerViewNode(ManagedNode):
+    """See the module's text; the arithmetic is `tactile_perception.markers.detection`."""
+
+    def __init__(self) -> None:
+        super().__init__("marker_view")
+        self.view = SettingsParameters(self, MarkerViewSettings(), read_only=("age_limit",))
+        self.detection = SettingsParameters(self, DetectionSettings(), prefix="detection")
+        self.reference: DetectedMarkers | None = None
+        self.last_stamp_ns = 0
+
+    def configure(self) -> None:
+        """Create publisher, service and subscription."""
+        self.pictures = self.publisher(Image, "tactile/marker_view", IMAGE)
+        self.serve(Trigger, "~/capture_reference", self._capture_reference)
+        self.subscribe(Image, "tactile/image", self._receive, IMAGE, self.view.value.age_limit, raw=True)
+
+    def activate(self) -> None:
+        """Start with a new reference."""
+        self.reference, self.last_stamp_ns = None, 0
+
+    def _receive(self, data: bytes) -> None:
+        received = image_from_bytes(data)
+        gap_ns = received.stamp_ns - self.last_stamp_ns
+        # a little early is in time: the camera's stamps are not whole parts of the period
+        if 0 <= gap_ns < 0.95 * SECOND_NS / self.view.value.rate:
+            return
+        self.last_stamp_ns = received.stamp_ns
+        try:
+            image = received.array()
+            markers = detect(image, self.detection.value)
+            if self.reference is None:
+                self._take_reference(markers)
+            assert self.reference is not None
+            picture = side_by_side(image, markers, density_change(markers, self.reference, image.shape))
+        except (MessageError, ImageError) as error:
+            self.count("images refused")
+            self.warn("images refused", f"tactile/image refused: {error}")
+            return
+        height, width = picture.shape[:2]
+        self.pictures.publish(
+            Image(
+                header=header(received.stamp_ns, self.sensor_frame), height=height, width=width,
+                encoding="bgr8", step=3 * width, data=picture.tobytes(),
+            )
+        )  # fmt: skip
+
+    def _take_reference(self, markers: DetectedMarkers) -> None:
+        spacing = markers.spacing()
+        self.reference = markers
+        self.get_logger().info(
+            f"reference: {len(markers)} markers, {spacing:.1f} px apart; nothing may have touched the sensor"
+        )
+
+    def _capture_reference(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.active:
+            self.reference = None
+        response.success = self.active
+        response.message = "the next image becomes the reference" if self.active else "the node is not active"
+        return response
+
+
+def main() -> int:
+    """Run the node until a signal; returns the exit code."""
+    return run(MarkerViewNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""Recorder node: writes topics as they come, without decoding them, into a bag that survives a kill.
+
+Images are recorded only where `images` names their topics: compressed without loss (PNG), as
+sensor_msgs/CompressedImage on `<topic>/compressed`, since raw ones at 60 Hz are 18 MB a second.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CompressedImage, Image
+
+from tactile_records.bags.message_definitions import DefinitionMissing
+from tactile_records.bags.writer import BagError, BagWriter, Topic
+from tactile_ros.conversions import MessageError, array_from_image
+from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.parameters import declare_read_only
+from tactile_ros.qos import IMAGE, LATENCY, TF, TF_STATIC
+
+FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
+QOS = {"reliable": TF, "latched": TF_STATIC, "sensor": LATENCY}
+PNG_FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+
+class RecorderNode(ManagedNode):
+    """See the module's text. It records from configuration on: nothing of the others' start is missed."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        self.folder = Path(declare_read_only(self, "bag", "", "folder of the new bag"))
+        listed = declare_read_only(self, "topics", [""], "topics to record, each as 'NAME TYPE QOS'")
+        images = declare_read_only(self, "images", [""], "image topics to record compressed")
+        note = declare_read_only(self, "note", [""], "what to keep with the bag, each as 'NAME=TEXT'")
+        self.topics = [_topic(text) for text in listed if text]
+        self.images = [name for name in images if name]
+        self.note = dict(text.split("=", 1) for text in note if text)
+        self.bag: BagWriter | None = None
+
+    def configure(self) -> None:
+        """Create the bag and subscribe."""
+        if self.folder == Path():
+            raise ConfigurationError("parameter bag: must name the folder of the new bag")
+        compressed = [
+            Topic(f"{n}/compressed", "sensor_msgs/msg/CompressedImage", "sensor") for n in self.images
+        ]
+        try:
+            self.bag = BagWriter(self.folder, [*self.topics, *compressed], note=self.note)
+        except (BagError, DefinitionMissing, OSError) as error:
+            raise ConfigurationError(str(error)) from error
+        for topic in self.topics:
+            self._record(topic)
+        for name in self.images:
+            self._record_images(name)
+        flush = self.create_timer(FLUSH_PERIOD, self._flush, clock=self.steady)
+        self.release_later(self.destroy_timer, flush)
+        self.report.values["bag"] = str(self.folder)
+
+    def cleanup(self) -> None:
+        """Finish the bag."""
+        if self.bag is not None:
+            self.bag.close()
+            self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}")
+            self.bag = None
+
+    def _record(self, topic: Topic) -> None:
+        # Without MessageInfo, whose time of publication would be welcome: the events executor cannot pass it.
+        def write(data: Any) -> None:
+            self._write(topic.name, data)
+
+        message_type = _message_type(topic.type)
+        subscription: Any = self.create_subscription(
+            message_type, topic.name, write, QOS[topic.qos], raw=True
+        )
+        self.release_later(self.destroy_subscription, subscription)
+
+    def _record_images(self, name: str) -> None:
+        def write(message: Image) -> None:
+            try:
+                data = cv2.imencode(".png", array_from_image(message), PNG_FAST)[1].tobytes()
+            except MessageError as error:
+                self.count("images refused")
+                self.warn("image", f"{name} refused: {error}")
+                return
+            compressed = CompressedImage(header=message.header, format=f"{message.encoding}; png", data=data)
+            self._write(f"{name}/compressed", serialize_message(compressed))
+
+        subscription = self.create_subscription(Image, name, write, IMAGE)
+        self.release_later(self.destroy_subscription, subscription)
+
+    def _write(self, topic: str, data: bytes) -> None:
+        if self.bag is not None:
+            self.count("messages")
+            self.bag.write(topic, data, self.now_ns())
+
+    def _flush(self) -> None:
+        if self.bag is not None:
+            self.bag.flush()
+
+
+def _topic(text: str) -> Topic:
+    parts = text.split()
+    if len(parts) != 3 or parts[2] not in QOS:
+        raise ConfigurationError(f"topics: '{text}': must be 'NAME TYPE QOS' with a QOS of {', '.join(QOS)}")
+    return Topic(*parts)
+
+
+def _message_type(name: str) -> Any:
+    """The class of `package/msg/Name`; raises ConfigurationError where package or message is missing."""
+    package, _, message = name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), message)
+    except (ImportError, AttributeError) as error:
+        raise ConfigurationError(f"topics: no message {name}: {error}") from error
+
+
+def main() -> int:
+    """Run the node until a signal; returns the exit code."""
+    return run(RecorderNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,184 @@
+"""ROS parameters from a Settings class: one declaration of default, range, unit and meaning serves both.
+
+The settings in force are always a whole, valid object. A refused value leaves the old one in force and the
+reason names the parameter, the value and its range. Nodes run one callback at a time, so a change takes
+effect between two steps and never within one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, Generic, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from tactile_base.settings import SettingError, Settings
+
+S = TypeVar("S", bound=Settings)
+
+_SCALARS = {
+    bool: Parameter.Type.BOOL,
+    int: Parameter.Type.INTEGER,
+    float: Parameter.Type.DOUBLE,
+    str: Parameter.Type.STRING,
+}
+_ARRAYS = {
+    bool: Parameter.Type.BOOL_ARRAY,
+    int: Parameter.Type.INTEGER_ARRAY,
+    float: Parameter.Type.DOUBLE_ARRAY,
+    str: Parameter.Type.STRING_ARRAY,
+}
+_LARGEST_INTEGER = 2**63 - 1
+_LARGEST_DOUBLE = 1.7976931348623157e308
+
+
+class SettingsParameters(Generic[S]):
+    """Declares one ROS parameter a field on `node` and keeps `value`, the settings in force, up to date.
+
+    Parameters
+    ----------
+    defaults : Settings
+        The values where neither a parameter file nor the command line says otherwise.
+    prefix : str
+        Put before each field's name with a dot ("pid.kp"); '' for none.
+    on_change : callable, optional
+        Called with the new settings after a change at runtime was accepted.
+    read_only : collection of str
+        Fields that cannot change while the node runs.
+    check : callable, optional
+        Refuses settings by raising `SettingError` where more than ranges has to hold.
+
+    Raises
+    ------
+    SettingError
+        If a value given at start has the wrong type or lies outside its range.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        defaults: S,
+        *,
+        prefix: str = "",
+        on_change: Callable[[S], None] | None = None,
+        read_only: Collection[str] = (),
+        check: Callable[[S], None] | None = None,
+    ) -> None:
+        self._prefix = f"{prefix}." if prefix else ""
+        self._on_change = on_change
+        self._check = check
+        self._names = {self._prefix + field.name: field.name for field in dataclasses.fields(defaults)}
+        initial = {
+            field.name: _declare(
+                node, self._prefix + field.name, field, getattr(defaults, field.name), read_only
+            )
+            for field in dataclasses.fields(defaults)
+        }
+        try:
+            self.value: S = defaults.replaced(**initial)
+            self._check_whole(self.value)
+        except SettingError as error:
+            raise SettingError(f"parameter {self._prefix}{error}") from error
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _check_whole(self, value: S) -> None:
+        if self._check is not None:
+            self._check(value)
+
+    def _changed(self, parameters: Sequence[Parameter[Any]]) -> S | None:
+        """The settings with these parameters in them; None where none of them is ours."""
+        changes = {self._names[p.name]: _plain(p.value) for p in parameters if p.name in self._names}
+        return self.value.replaced(**changes) if changes else None
+
+    def _validate(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
+        try:
+            value = self._changed(parameters)
+            if value is not None:
+                self._check_whole(value)
+        except SettingError as error:
+            return SetParametersResult(successful=False, reason=f"{self._prefix}{error}")
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: Sequence[Parameter[Any]]) -> None:
+        value = self._changed(parameters)
+        if value is None or value == self.value:
+            return
+        self.value = value
+        if self._on_change is not None:
+            self._on_change(value)
+
+
+def declare_read_only(node: Node, name: str, default: Any, description: str) -> Any:
+    """Declare a parameter that is fixed once the node runs, and return its value."""
+    descriptor = ParameterDescriptor(description=description, read_only=True)
+    return _declared_value(node, name, default, descriptor)
+
+
+def _declare(
+    node: Node, name: str, field: dataclasses.Field[Any], default: Any, read_only: Collection[str]
+) -> Any:
+    descriptor = _descriptor(field, default)
+    descriptor.read_only = field.name in read_only
+    return _declared_value(node, name, list(default) if isinstance(default, tuple) else default, descriptor)
+
+
+def _declared_value(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
+    """Declare, and say in plain words what was wrong with a value that was given at start."""
+    parameter_type = _parameter_type(default)
+    descriptor.type = parameter_type.value
+    try:
+        value = node.declare_parameter(name, default, descriptor).value
+    except InvalidParameterTypeException as error:
+        raise SettingError(f"parameter {name}: must be of type {parameter_type.name}: {error}") from error
+    except InvalidParameterValueException as error:
+        raise SettingError(f"parameter {name}: {error}") from error
+    return _plain(value)
+
+
+def _parameter_type(default: Any) -> Parameter.Type:
+    if isinstance(default, list | tuple):
+        return _ARRAYS[type(default[0])] if default else Parameter.Type.DOUBLE_ARRAY
+    return _SCALARS[type(default)]
+
+
+def _plain(value: Any) -> Any:
+    """Arrays of parameters as tuples, so that settings compare by value."""
+    return value if isinstance(value, bool | int | float | str) else tuple(value)
+
+
+def _descriptor(field: dataclasses.Field[Any], default: Any) -> ParameterDescriptor:
+    meta = field.metadata
+    unit = f" ({meta['unit']})" if meta.get("unit") else ""
+    descriptor = ParameterDescriptor(description=f"{meta.get('doc', '')}{unit}")
+    descriptor.additional_constraints = _constraints(meta)
+    lower, upper = meta.get("lower"), meta.get("upper")
+    if isinstance(default, bool) or (lower is None and upper is None):
+        return descriptor
+    if isinstance(default, int):
+        low = -_LARGEST_INTEGER if lower is None else math.ceil(lower)
+        high = _LARGEST_INTEGER if upper is None else math.floor(upper)
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
+    elif isinstance(default, float) and math.isfinite(default):
+        low_f = -_LARGEST_DOUBLE if lower is None else float(lower)
+        high_f = _LARGEST_DOUBLE if upper is None else float(upper)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low_f, to_value=high_f, step=0.0)]
+    return descriptor
+
+
+def _constraints(meta: Any) -> str:
+    parts = []
+    if meta.get("choices") is not None:
+        parts.append(f"one of {', '.join(map(str, meta['choices']))}")
+    if meta.get("length") is not None:
+        parts.append(f"{meta['length']} elements")
+    if meta.get("lower") is not None or meta.get("upper") is not None:
+        low = "-inf" if meta.get("lower") is None else f"{meta['lower']:g}"
+        high = "inf" if meta.get("upper") is None else f"{meta['upper']:g}"
+        parts.append(f"in [{low}, {high}]")
+    return "; ".join(parts)

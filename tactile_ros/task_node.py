@@ -1,0 +1,195 @@
+"""TaskNode: a managed node that moves an arm, by twists, as long as a goal of `run_task` asks for it.
+
+One goal runs at a time: a second one is refused, a cancelled one is told to stop and comes to rest. Without a
+goal the twist is zero, and so is the last one when the node is deactivated or shut down.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from geometry_msgs.msg import TwistStamped
+from numpy.typing import ArrayLike, NDArray
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.duration import Duration
+
+from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_msgs.action import RunTask
+from tactile_msgs.msg import ControllerStatus
+from tactile_ros.managed_node import ManagedNode
+from tactile_ros.qos import COMMAND, STATE
+from tactile_ros.stamps import SECOND_NS, duration_from_ns
+from tactile_ros.transforms import TransformListener
+from tactile_ros.wire import twist_bytes
+
+ZERO = np.zeros(6)
+LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist has arrived
+
+
+class Task(Protocol):
+    """What runs; its steps are between it and its node."""
+
+    def stop(self, reason: str) -> None:
+        """Come to rest, retreat if in contact, and end, in the steps that follow."""
+
+
+@dataclass
+class Run:
+    """One accepted goal."""
+
+    handle: Any
+    task: Task
+    started_ns: int
+    feedback_ns: int = 0
+
+    def feedback_due(self, now_ns: int, period: float) -> bool:
+        """Whether the last feedback is `period` (s) ago; it is then taken to be given now."""
+        due = now_ns - self.feedback_ns >= period * SECOND_NS
+        if due:
+            self.feedback_ns = now_ns
+        return due
+
+
+class TaskNode(ManagedNode, ABC):
+    """Base of nodes that run tasks; fill in `objection`, `accept`, `step`, `travelled` and `periods`."""
+
+    run: Run | None = None
+    last_step_ns = 0
+
+    # What a node fills in.
+
+    @abstractmethod
+    def objection(self, goal: RunTask.Goal) -> str:
+        """'' or why the goal cannot be run, with what would be right."""
+
+    @abstractmethod
+    def accept(self, handle: Any) -> Run | None:
+        """What the goal starts; None if it could be concluded at once (see `conclude`)."""
+
+    @abstractmethod
+    def step(self) -> None:
+        """One step of what runs, or a zero twist; sets `last_step_ns`."""
+
+    @abstractmethod
+    def travelled(self) -> float:
+        """Path length (m) that the result of the goal under way is to tell."""
+
+    @abstractmethod
+    def periods(self) -> tuple[float, float]:
+        """The longest times (s) between two steps, with a goal and without."""
+
+    def forget(self) -> None:
+        """Forget inputs; called when the clock jumps back."""
+
+    # What a node uses.
+
+    def open_task(self, tick_period: float, on_transform: Callable[[], None] | None = None) -> None:
+        """Create publishers, the action, and a timer of that period (s) that steps if nothing else has."""
+        self.twist_out = self.publisher(TwistStamped, "command/twist", COMMAND)
+        self.status_out = self.publisher(ControllerStatus, "controller/status", STATE)
+        self.transforms = TransformListener(self, on_update=on_transform, on_jump=self._jumped)
+        self.timer(tick_period, self._tick)
+        action = ActionServer(
+            self,
+            RunTask,
+            "run_task",
+            execute_callback=_nothing_to_execute,
+            goal_callback=self._consider,
+            handle_accepted_callback=self._accept,
+            cancel_callback=self._cancel,
+        )
+        self.release_later(ActionServer.destroy, action)
+
+    def send_twist(self, twist: ArrayLike) -> int:
+        """Publish [v, omega] (6,) in the sensor frame; returns the stamp of its emission, ns."""
+        now_ns = self.now_ns()
+        self.twist_out.publish(twist_bytes(now_ns, self.sensor_frame, twist))
+        return now_ns
+
+    def sensor_pose(self) -> tuple[int, NDArray[np.float64]] | None:
+        """The sensor in the base by the newest transform, with its stamp; its age is for a watchdog."""
+        try:
+            return self.transforms.newest(self.base_frame, self.sensor_frame)
+        except TransformUnavailable as error:
+            if self.run is not None:
+                self.warn("pose", f"no sensor pose: {error}")
+            return None
+
+    def finish_run(self, reason: str, succeeded: bool) -> None:
+        """End the run with the state that its goal is to have."""
+        assert self.run is not None
+        result = RunTask.Result(
+            success=succeeded,
+            reason=reason,
+            path_length=self.travelled(),
+            duration=duration_from_ns(self.now_ns() - self.run.started_ns),
+        )
+        run, self.run = self.run, None
+        conclude(run.handle, result)
+
+    def end(self, reason: str) -> None:
+        """Abort what runs; a node that ends more than the run overrides it."""
+        self.finish_run(reason, succeeded=False)
+
+    def deactivate(self) -> None:
+        """Abort what runs and leave a zero twist as the last word."""
+        if self.run is not None:
+            self.end(f"the {self.get_name()} was deactivated")
+        self.send_twist(ZERO)
+        self.twist_out.wait_for_all_acked(Duration(seconds=LAST_WORD))
+
+    def _tick(self) -> None:
+        """The timer: a step if none was made lately."""
+        running, idle = self.periods()
+        period = running if self.run is not None else idle
+        if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
+            self.step()
+
+    def _jumped(self, seconds: float) -> None:
+        self.forget()
+        if self.run is not None:
+            self.run.task.stop(f"time jumped back by {seconds:.3f} s")
+
+    def _consider(self, goal: RunTask.Goal) -> GoalResponse:
+        reason = self.objection(goal) if self.active else f"the {self.get_name()} is not active"
+        if not reason:
+            return GoalResponse.ACCEPT
+        self.count("goals refused")
+        self.warn("goal", f"goal refused: {reason}", period=0.0)
+        return GoalResponse.REJECT
+
+    def _accept(self, handle: Any) -> None:
+        self.run = self.accept(handle)
+
+    def _cancel(self, handle: Any) -> CancelResponse:
+        if self.run is None or handle.goal_id != self.run.handle.goal_id:
+            return CancelResponse.REJECT
+        self.run.task.stop("cancelled")
+        return CancelResponse.ACCEPT
+
+
+def conclude(handle: Any, result: RunTask.Result) -> None:
+    """End a goal with the state that the result says, or as cancelled if that was asked for."""
+
+    def execute(handle: Any) -> RunTask.Result:
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif result.success:
+            handle.succeed()
+        else:
+            handle.abort()
+        return result
+
+    handle.execute(execute)
+
+
+def _nothing_to_execute(handle: Any) -> RunTask.Result:
+    """Stands in for the action server's callback: steps execute goals, and `finish_run` concludes them.
+
+    A coroutine that waited for the end would be polled without pause by the executors and burn a core.
+    """
+    raise RuntimeError("goals of run_task are concluded by the node's steps")

@@ -1,0 +1,299 @@
+"""The collector node: a data set from images and TF, and a still arm whenever one of them is missing."""
+
+import csv
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+from geometry_msgs.msg import TwistStamped
+from messages import image_message, vector_from_twist
+from sensor_msgs.msg import Image
+
+from tactile_control.collection_geometry import contact_frame
+from tactile_drivers.scene import load_scene
+from tactile_filter import se3
+from tactile_msgs.action import RunTask
+from tactile_msgs.msg import ContactTruth, ControllerStatus
+from tactile_perception.datasets.dataset import read_dataset
+from tactile_ros import qos
+from tactile_ros.stamps import ns_from_time
+
+COLLECTOR = "tactile_ros.nodes.collector_node"
+SENSOR = "arm/tactile_sensor"
+SECOND = 1_000_000_000
+PERIOD = 1.0 / 60.0
+ARM_WATCHDOG = 0.1  # s
+RADIUS = 0.020
+START = np.diag([-1.0, 1.0, -1.0, 1.0])
+START[:3, 3] = [0.3, 0.1, RADIUS + 0.012]
+FRAME = contact_frame(np.eye(4), START, RADIUS)
+LABEL = ("shear_x", "shear_y", "pose_z", "pose_Rx", "pose_Ry", "shear_Rz")
+PATIENT = 30.0  # s; a machine that holds up a process only delays a collection
+QUICK = {
+    "motion.settle_time": 0.05,
+    "motion.air_speed": 0.1,
+    "presence.reference_frames": 3,
+    "motion.start_timeout": PATIENT,
+    "motion.motion_timeout": PATIENT,
+    "motion.capture_timeout": PATIENT,
+    "watchdog.patience": PATIENT,
+}
+
+
+def dots(shift: int) -> np.ndarray:
+    """A camera image of dots, those in the middle shifted, as a contact would."""
+    image = np.full((480, 640), 20, np.uint8)
+    for row in range(40, 460, 20):
+        for column in range(110, 550, 20):
+            inside = math.hypot(row - 240, column - 327) < 100
+            cv2.circle(image, (column + shift * inside, row), 5, 220, -1)
+    return image
+
+
+IMAGES = [dots(shift) for shift in range(10)]  # by depth, so that no two contacts look alike
+
+
+class World:
+    """Stands for arm and camera over a table at z = 0, at 60 Hz."""
+
+    def __init__(self, graph) -> None:
+        self.graph = graph
+        self.arm = graph.arm()
+        self.twists = graph.collect(TwistStamped, "command/twist", qos.COMMAND)
+        self.statuses = graph.collect(ControllerStatus, "controller/status")
+        self.image_out = graph.publisher(Image, "tactile/image", qos.IMAGE)
+        self.client = graph.action(RunTask, "run_task")
+        self.T, self.images, self.poses, self.last_stamp = START.copy(), True, True, 0
+        assert graph.wait(lambda: bool(self.twists) and bool(self.statuses)), "no twist arrives"
+
+    def step(self) -> None:
+        stamp_ns = self.graph.now_ns()
+        if stamp_ns - ns_from_time(self.twists[-1].header.stamp) < ARM_WATCHDOG * SECOND:
+            self.T = self.T @ se3.exp(self.twist() * PERIOD)
+        if self.images:
+            shift = 4 + int(self.depth() * 1e3 * 0.9) if self.depth() > 2e-4 else 0
+            self.image_out.publish(image_message(stamp_ns, SENSOR, IMAGES[shift]))
+        if self.poses:
+            self.arm.at(stamp_ns, self.T)
+        if self.images and self.poses:
+            self.last_stamp = stamp_ns
+
+    def depth(self) -> float:
+        return RADIUS - float(self.T[2, 3])
+
+    def twist(self) -> np.ndarray:
+        return vector_from_twist(self.twists[-1].twist)
+
+    def phase(self) -> str:
+        return self.statuses[-1].phase_name
+
+    def run_until(self, condition) -> bool:
+        for _ in self.graph.ticks(PERIOD):
+            if condition():
+                return True
+            self.step()
+        return condition()
+
+    def send(self, task: str = "data_collection"):
+        future = self.client.send_goal_async(RunTask.Goal(task=task))
+        assert self.run_until(future.done)
+        return future.result()
+
+    def moving_in(self, phase: str):
+        """Send a goal and run until the arm moves in that phase; returns the goal's handle."""
+        handle = self.send()
+        assert self.run_until(lambda: self.phase() == phase and np.linalg.norm(self.twist()) > 2e-3)
+        return handle
+
+    def result(self, handle):
+        future = handle.get_result_async()
+        assert self.run_until(future.done)
+        return future.result().result
+
+    def rest_within(self, seconds: float) -> bool:
+        """Whether the last twist other than zero came within so long of the last complete input."""
+        moving = [
+            ns_from_time(m.header.stamp) for m in self.twists if np.any(vector_from_twist(m.twist) != 0.0)
+        ]
+        return moving[-1] - self.last_stamp < seconds * SECOND
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def world(graph, folder):
+    frame = se3.euler_from_pose(FRAME).tolist()
+    graph.start(COLLECTOR, {**QUICK, "folder": folder, "samples": 2, "seed": 4, "frame": frame})
+    return World(graph)
+
+
+def rows(folder) -> list[dict[str, str]]:
+    with (folder / "targets_images.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_goal_gives_a_data_set_whose_labels_are_the_poses_at_the_exposures(world, folder):
+    world.graph.spin(0.2)
+    assert all(np.all(vector_from_twist(m.twist) == 0.0) for m in world.twists), "zero without a goal"
+    handle = world.send()
+    assert not world.send().accepted, "one collection at a time"
+    result = world.result(handle)
+    assert result.success, result.reason
+    data = read_dataset(folder)
+    assert data.names == ["image_1.png", "image_2.png"] and data.report.problems == {}
+    for row, euler in zip(rows(folder), data.euler_mm_deg, strict=True):
+        T = se3.pose_from_euler(
+            [float(row[f"base_sensor_{name}"]) * 1e-3 for name in "xyz"]
+            + [math.radians(float(row[f"base_sensor_{name}"])) for name in ("Rx", "Ry", "Rz")]
+        )
+        X_fs = se3.inverse(FRAME) @ T
+        np.testing.assert_allclose(
+            se3.euler_from_pose(X_fs) * ([1e3] * 3 + [180 / np.pi] * 3), euler, atol=1e-6
+        )
+        target = [float(row[f"target_{name}"]) for name in ("x", "y", "z", "Rx", "Ry", "Rz")]
+        np.testing.assert_allclose(euler, target, atol=0.12)
+    assert (folder / "images" / "image_0.png").exists(), "the image without contact is kept"
+
+
+@pytest.mark.parametrize("silent", ["images", "poses"])
+def test_an_input_that_stops_in_contact_brings_the_arm_to_rest_and_says_which(world, silent):
+    handle = world.moving_in("contact")
+    assert world.graph.set_parameter("collector", "watchdog.patience", 1.0).successful
+    setattr(world, silent, False)
+    result = world.result(handle)
+    assert not result.success
+    assert {"images": "image is", "poses": "pose is"}[silent] in result.reason
+    assert np.all(world.twist() == 0.0) and world.rest_within(0.45)
+
+
+def test_cancelling_leaves_the_surface_and_what_is_there_is_gone_on_with(world, folder):
+    handle = world.send()
+    assert world.run_until(lambda: world.statuses[-1].path == 2 and world.phase() == "contact")
+    cancelled = handle.cancel_goal_async()
+    assert world.run_until(cancelled.done)
+    assert "cancelled" in world.result(handle).reason
+    assert world.depth() < -0.008
+    assert [row["sensor_image"] for row in rows(folder)] == ["image_1.png"]
+    first = (folder / "processed_images" / "image_1.png").read_bytes()
+    result = world.result(world.send())
+    assert result.success, result.reason
+    assert [row["sensor_image"] for row in rows(folder)] == ["image_1.png", "image_2.png"]
+    assert (folder / "processed_images" / "image_1.png").read_bytes() == first
+    assert world.result(world.send()).reason == "every sample is there"
+
+
+def test_a_pose_that_is_not_a_number_never_moves_the_arm(world):
+    handle = world.moving_in("shear")
+    bad = world.T.copy()
+    bad[0, 3] = np.nan
+    world.poses = False
+    assert world.graph.set_parameter("collector", "watchdog.patience", 1.0).successful
+    future = handle.get_result_async()
+    for _ in world.graph.ticks(PERIOD):
+        if future.done():
+            break
+        world.arm.at(world.graph.now_ns(), bad)
+        world.step()
+    assert not future.result().result.success
+    assert all(np.isfinite(vector_from_twist(m.twist)).all() for m in world.twists)
+    assert np.all(world.twist() == 0.0)
+
+
+def test_shutting_down_in_contact_sends_zero_last_and_keeps_what_was_collected(world, folder):
+    world.send()
+    assert world.run_until(lambda: world.statuses[-1].path == 2 and world.phase() == "contact")
+    assert world.graph.stop(COLLECTOR) == 0
+    assert world.graph.wait(lambda: np.all(world.twist() == 0.0))
+    assert len(rows(folder)) == 1
+
+
+def test_a_folder_that_cannot_be_written_ends_the_goal_with_the_reason(world, folder):
+    folder.write_text("a file")
+    result = world.result(world.send())
+    assert not result.success and str(folder) in result.reason
+
+
+def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_on(graph, folder):
+    wrong = FRAME.copy()
+    wrong[2, 3] += 0.001
+    frame = se3.euler_from_pose(wrong).tolist()
+    touch = {"touch.points": 1, "touch.search": 0.004, "touch.speed": 0.004, "touch.depth": 2.5e-4}
+    graph.start(COLLECTOR, {**QUICK, **touch, "folder": folder, "samples": 2, "seed": 4, "frame": frame})
+    world = World(graph)
+    handle = world.send()
+    assert world.run_until(lambda: (folder / "surface.json").exists())
+    assert world.run_until(lambda: world.statuses[-1].path == 2 and world.phase() == "rotate")
+    cancelled = handle.cancel_goal_async()
+    assert world.run_until(cancelled.done)
+    world.result(handle)
+    found = json.loads((folder / "surface.json").read_text())
+    assert found["frame"][2] == pytest.approx(FRAME[2, 3], abs=1.5e-4) and "1 touches" in found["note"]
+    world.statuses.clear()
+    result = world.result(world.send())
+    assert result.success, result.reason
+    assert "touch" not in {status.phase_name for status in world.statuses}
+    for row in rows(folder):
+        depth = RADIUS * 1e3 - float(row["base_sensor_z"])
+        assert float(row["pose_z"]) == pytest.approx(depth, abs=0.15)
+
+
+def test_images_of_another_size_count_as_not_come(graph, folder):
+    frame = se3.euler_from_pose(FRAME).tolist()
+    parameters = {"folder": folder, "samples": 1, "frame": frame, "motion.start_timeout": 0.5}
+    graph.start(COLLECTOR, {**QUICK, **parameters})
+    world = World(graph)
+    small = np.zeros((240, 320), np.uint8)
+    world.step = lambda: (
+        world.image_out.publish(image_message(graph.now_ns(), SENSOR, small)),
+        world.arm.at(graph.now_ns(), world.T),
+    )
+    result = world.result(world.send())
+    assert not result.success and np.all(world.twist() == 0.0)
+    assert "no image has arrived" in result.reason
+    graph.wait_for_count("collector", "images refused")
+
+
+def test_a_goal_of_another_task_is_refused_with_the_name_of_ours(world):
+    assert not world.send("surface_following").accepted
+    assert "must be 'data_collection'" in world.graph.log(COLLECTOR).read_text()
+
+
+def test_without_a_folder_it_does_not_start(graph):
+    process = graph.start(COLLECTOR, {}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    assert "folder: must name" in graph.log(COLLECTOR).read_text()
+
+
+def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, folder):
+    scene = load_scene("plane")
+    arm, surface = scene.arms["arm"], next(iter(scene.surfaces.values()))
+    frame = contact_frame(surface.T_base_surface(arm), arm.T_base_start, arm.sensor.model.skin.radius)
+    truths = graph.collect(ContactTruth, "sim/truth", qos.LATENCY)
+    graph.start("tactile_ros.nodes.sim_node", {"scene": "plane"}, namespace="")
+    parameters = {"folder": folder, "samples": 2, "seed": 4, "frame": se3.euler_from_pose(frame).tolist()}
+    graph.start(COLLECTOR, {**QUICK, **parameters})
+    sent = graph.action(RunTask, "run_task").send_goal_async(RunTask.Goal(task="data_collection"))
+    assert graph.wait(sent.done)
+    done = sent.result().get_result_async()
+    assert graph.wait(done.done, 120.0) and done.result().result.success, done.result().result.reason
+    by_stamp = {ns_from_time(truth.header.stamp): truth for truth in truths}
+    for row in rows(folder):
+        truth = by_stamp[int(row["stamp_ns"])]
+        label = [float(row[name]) for name in LABEL]
+        assert truth.in_contact
+        assert truth.depth * 1e3 == pytest.approx(label[2], abs=1e-6)
+        assert math.cos(truth.normal_angle) == pytest.approx(
+            math.cos(math.radians(label[3])) * math.cos(math.radians(label[4])), abs=1e-6
+        )
+        # the equivalent contact of the simulated skin differs by slip, which only shortens the shear
+        euler = np.array(truth.euler) * ([1e3] * 3 + [180 / np.pi] * 3)
+        np.testing.assert_allclose(euler[2:5], label[2:5], atol=1.0)
+        assert np.hypot(*euler[:2]) <= np.hypot(*label[:2]) + 0.2
+        if np.hypot(*euler[:2]) > 0.3:
+            assert np.dot(euler[:2], label[:2]) > 0.8 * np.hypot(*euler[:2]) * np.hypot(*label[:2])

@@ -1,0 +1,271 @@
+"""The controller node: goals, commands, watchdog, parameters, and zero as its last word."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import TwistStamped
+from messages import vector_from_twist
+
+from tactile_filter import se3
+from tactile_msgs.action import RunTask
+from tactile_msgs.msg import ContactState, ControllerStatus
+from tactile_ros import qos
+from tactile_ros.conversions import (
+    header,
+)
+from tactile_ros.stamps import ns_from_time
+
+CONTROLLER = "tactile_ros.nodes.controller_node"
+SENSOR = "arm/tactile_sensor"
+SECOND = 1_000_000_000
+PERIOD = 1.0 / 60.0
+ARM_WATCHDOG = 0.1  # s
+PATIENT = 30.0  # s; a machine that holds up a process only delays a task
+FAST = {
+    "task.settle_time": 0.05,
+    "task.retreat_distance": 0.001,
+    "task.ramp_time": 0.1,
+    "task.start_timeout": PATIENT,
+    "task.settle_timeout": PATIENT,
+    "watchdog.patience": PATIENT,
+}
+
+
+class World:
+    """Stands for arm, camera, estimator and filter: what the controller sees, at 60 Hz."""
+
+    def __init__(self, graph) -> None:
+        self.graph = graph
+        self.arm = graph.arm()
+        self.twists = graph.collect(TwistStamped, "command/twist", qos.COMMAND)
+        self.statuses = graph.collect(ControllerStatus, "controller/status")
+        self.state_out = graph.publisher(ContactState, "contact/state")
+        self.client = graph.action(RunTask, "run_task")
+        self.reset()
+
+    def reset(self) -> None:
+        self.T = np.eye(4)
+        self.depth = 0.003
+        self.in_contact = True
+        self.images = True
+        self.last_stamp = 0
+        self.twists.clear()
+        self.statuses.clear()
+
+    def restart(self) -> None:
+        """A new start of the controller."""
+        self.graph.restart("controller")
+        self.patience(PATIENT)
+        self.reset()
+        assert self.graph.wait(lambda: bool(self.twists) and bool(self.statuses)), "no twist arrives"
+
+    def patience(self, seconds: float) -> None:
+        assert self.graph.set_parameter("controller", "watchdog.patience", seconds).successful
+
+    def step(self, stamp_ns: int | None = None) -> None:
+        """One period: the arm follows the last twist, and an image is taken unless the camera is silent."""
+        stamp_ns = self.graph.now_ns() if stamp_ns is None else stamp_ns
+        if stamp_ns - ns_from_time(self.twists[-1].header.stamp) < ARM_WATCHDOG * SECOND:
+            self.T = self.T @ se3.exp(self.twist() * PERIOD)
+        self.arm.at(stamp_ns, self.T)
+        if self.images:
+            self.last_stamp = stamp_ns
+            self.state_out.publish(self.state(stamp_ns))
+
+    def state(self, stamp_ns: int) -> ContactState:
+        xi = np.array([0.0, 0.0, -self.depth, 0.0, 0.0, 0.0])
+        flags = (
+            ContactState.MEASUREMENT_FUSED
+            if self.in_contact
+            else ContactState.NO_CONTACT | ContactState.INVALID
+        )
+        return ContactState(header=header(stamp_ns, SENSOR), xi=xi, flags=flags)
+
+    def run_until(self, condition) -> bool:
+        for _ in self.graph.ticks(PERIOD):
+            if condition():
+                return True
+            self.step()
+        return condition()
+
+    def rests(self) -> bool:
+        return bool(np.all(self.twist() == 0.0))
+
+    def twist(self) -> np.ndarray:
+        return vector_from_twist(self.twists[-1].twist)
+
+    def phase(self) -> str:
+        return self.statuses[-1].phase_name
+
+    def send(self, **changes):
+        """Send a goal; returns its handle."""
+        goal = {"task": "surface_following", "path_name": "line", "direction": [0.0, 1.0], "path_length": 0.5}
+        future = self.client.send_goal_async(RunTask.Goal(**{**goal, **changes}))
+        assert self.run_until(future.done)
+        return future.result()
+
+    def following(self):
+        """Send a goal and run until the surface is followed at speed; returns the goal's handle."""
+        handle = self.send()
+        assert self.run_until(lambda: self.phase() == "follow" and self.twist()[1] > 0.005), self.statuses[-1]
+        return handle
+
+    def result(self, handle):
+        future = handle.get_result_async()
+        assert self.run_until(future.done)
+        return future.result().result
+
+
+@pytest.fixture(scope="module")
+def running(shared_graph):
+    shared_graph.start(CONTROLLER, FAST)
+    return World(shared_graph)
+
+
+@pytest.fixture
+def world(running):
+    running.restart()
+    return running
+
+
+def test_without_a_goal_the_twist_is_zero(world):
+    assert world.run_until(lambda: len(world.twists) > 5)
+    assert all(np.all(vector_from_twist(m.twist) == 0.0) for m in world.twists)
+    assert world.phase() == "idle"
+
+
+def test_a_goal_runs_through_all_phases_to_success_with_feedback(world):
+    feedback = []
+    goal = RunTask.Goal(task="surface_following", path_name="line", direction=[0.0, 1.0], path_length=0.004)
+    future = world.client.send_goal_async(goal, feedback_callback=lambda m: feedback.append(m.feedback))
+    assert world.run_until(future.done)
+    result = world.result(future.result())
+    assert result.success, result.reason
+    assert result.path_length == pytest.approx(0.004, abs=0.001)
+    phases = list(dict.fromkeys(status.phase_name for status in world.statuses))
+    assert phases == ["idle", "approach", "settle", "follow", "retreat", "done"]
+    assert {status.path_name for status in world.statuses[5:] if status.phase_name == "follow"} == {"line"}
+    assert [f.progress for f in feedback] == sorted(f.progress for f in feedback)
+    assert any(f.depth == pytest.approx(0.003, abs=1e-6) for f in feedback)
+    assert world.run_until(world.rests)
+
+
+def test_a_command_answers_its_belief_and_is_stamped_at_emission(world):
+    world.following()
+    told = [s for s in world.statuses if ns_from_time(s.belief_stamp)]
+    ages = [ns_from_time(s.header.stamp) - ns_from_time(s.belief_stamp) for s in told]
+    assert 0 < min(ages) < 0.1 * SECOND
+    np.testing.assert_allclose([s.belief_age for s in told], np.array(ages) / SECOND, atol=1e-6)
+
+
+def test_an_image_stream_that_stops_brings_the_twist_to_zero_within_200_ms_and_says_why(world):
+    handle = world.following()
+    world.patience(1.0)
+    world.images = False
+    stopped_at = world.last_stamp
+    result = world.result(handle)
+    moving = [ns_from_time(m.header.stamp) for m in world.twists if np.any(vector_from_twist(m.twist) != 0.0)]
+    assert moving[-1] - stopped_at < 0.2 * SECOND
+    assert world.rests() and not result.success
+    assert "belief" in result.reason and "limit 100 ms" in result.reason
+
+
+def test_twists_decrease_smoothly_while_the_watchdog_stops(world):
+    world.following()
+    world.images = False
+    assert world.run_until(world.rests)
+    after = [m for m in world.twists if ns_from_time(m.header.stamp) > world.last_stamp + 0.1 * SECOND]
+    speeds = np.array([np.linalg.norm(vector_from_twist(m.twist)[:3]) for m in after])
+    ages = np.array([ns_from_time(m.header.stamp) - world.last_stamp for m in after]) / SECOND
+    assert np.all(np.diff(speeds) <= 0.0)
+    assert np.all(speeds <= 0.012 * np.clip((0.185 - ages) / 0.08, 0.0, 1.0)), (
+        "a line from full speed to rest"
+    )
+
+
+def test_cancelling_comes_to_rest_retreats_and_ends_as_cancelled(world):
+    handle = world.following()
+    cancelled = handle.cancel_goal_async()
+    assert world.run_until(cancelled.done)
+    result = world.result(handle)
+    assert not result.success and "cancelled" in result.reason
+    phases = list(dict.fromkeys(status.phase_name for status in world.statuses))
+    assert phases[-3:] == ["stopping", "retreat", "failed"]
+    assert handle.status == 5 or "cancelled" in result.reason
+
+
+def test_a_second_goal_is_refused_while_one_runs(world):
+    first = world.following()
+    second = world.send(path_name="other")
+    assert first.accepted and not second.accepted
+    count = len(world.statuses)
+    assert world.run_until(lambda: len(world.statuses) > count + 5)
+    assert world.phase() == "follow"
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"task": "surface_folowing"}, "did you mean 'surface_following'"),
+        ({"direction": [0.0, 0.0]}, "direction"),
+        ({"path_length": -1.0}, "length = -1.0"),
+        ({"speed": 5.0}, "must lie in [0, 0.2] m/s"),
+    ],
+)
+def test_a_goal_that_cannot_be_run_is_refused_with_the_reason(world, changes, complaint):
+    assert not world.send(**changes).accepted
+    assert complaint in world.graph.log(CONTROLLER).read_text()
+
+
+def test_a_parameter_out_of_range_is_refused_with_its_range_and_the_old_value_stays(world):
+    answer = world.graph.set_parameter("controller", "task.speed", 9.0)
+    assert not answer.successful
+    assert "task.speed" in answer.reason and "0.2" in answer.reason
+    assert world.graph.get_parameter("controller", "task.speed") == 0.01
+
+
+def test_gains_of_the_wrong_length_are_refused_and_the_old_ones_stay(world):
+    old = world.graph.get_parameter("controller", "pid.kp")
+    answer = world.graph.set_parameter("controller", "pid.kp", [1.0, 2.0])
+    assert not answer.successful and "6 elements" in answer.reason
+    assert world.graph.get_parameter("controller", "pid.kp") == old
+
+
+def test_a_parameter_set_in_mid_run_takes_effect(world):
+    world.following()
+    assert world.graph.set_parameter("controller", "task.speed", 0.02).successful
+    assert world.run_until(lambda: world.twist()[1] == pytest.approx(0.02, rel=0.05)), world.twist()
+    assert world.graph.set_parameter("controller", "task.speed", 0.01).successful
+
+
+def test_a_nan_belief_never_reaches_the_arm(world):
+    handle = world.following()
+    world.patience(1.0)
+    world.depth = math.nan
+    result = world.result(handle)
+    assert not result.success
+    assert all(np.all(np.isfinite(vector_from_twist(m.twist))) for m in world.twists)
+
+
+def test_time_that_jumps_back_stops_the_task_and_says_so(world):
+    handle = world.following()
+    world.arm.at(world.graph.now_ns() - 5 * SECOND, world.T)
+    result = world.result(handle)
+    assert not result.success and "jumped back" in result.reason
+
+
+def test_shutting_down_in_mid_run_sends_zero_last_and_ends_with_exit_code_0(graph):
+    graph.start(CONTROLLER, FAST)
+    world = World(graph)
+    world.restart()
+    world.following()
+    assert graph.stop(CONTROLLER) == 0
+    assert graph.wait(world.rests)
+
+
+def test_a_parameter_out_of_range_at_start_ends_the_process_and_names_the_parameter(graph):
+    process = graph.start(CONTROLLER, {"limiter.linear_speed": 100.0}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    assert "limiter.linear_speed" in graph.log(CONTROLLER).read_text()

@@ -1,0 +1,245 @@
+"""The estimator node: models, images and answers of the network that cannot be used."""
+
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from messages import gaussian_from_message, image_message
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
+from tactile_msgs.msg import ContactPresence, StageLatency
+from tactile_perception.estimating.model_metadata import INPUT_NAME, INVERSE_SIGMA, MEAN, ModelMetadata
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.estimator import Estimator
+from tactile_ros import qos
+from tactile_ros.stamps import ns_from_time
+
+ESTIMATOR = "tactile_ros.nodes.estimator_node"
+SENSOR = "arm/tactile_sensor"
+PERIOD_NS = 16_666_667
+SECOND = 1_000_000_000
+REFERENCE_FRAMES = 3
+
+
+def write_model(path, outputs: int = 6) -> str:
+    """A model that answers with the mean brightness, and with NaN for a nearly white image."""
+    onnx = pytest.importorskip("onnx", reason="onnx writes the model of this test; `make test` installs it")
+    side = PreprocessingSettings().size
+    graph = onnx.parser.parse_graph(f"""
+        tiny (float[N,1,{side},{side}] {INPUT_NAME})
+        => (float[N,{outputs}] {MEAN}, float[N,{outputs}] {INVERSE_SIGMA})
+        <float limit = {{0.7}}, float zero = {{0.0}}, float ten = {{10.0}}, int64[2] axes = {{2, 3}},
+         int64[2] repeats = {{1, {outputs}}}, int64[2] shape = {{-1, 1}}>
+        {{
+            bright4 = ReduceMean<keepdims=0>({INPUT_NAME}, axes)
+            bright = Reshape(bright4, shape)
+            room = Sub(limit, bright)
+            root = Sqrt(room)
+            nothing = Mul(root, zero)
+            answer = Add(bright, nothing)
+            {MEAN} = Tile(answer, repeats)
+            sure = Add(nothing, ten)
+            {INVERSE_SIGMA} = Tile(sure, repeats)
+        }}""")
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=8)
+    metadata = ModelMetadata(PreprocessingSettings(), training_data={"samples": 0}, validation={"loss": 0.0})
+    onnx.helper.set_model_props(model, metadata.to_properties())
+    onnx.save(model, str(path))
+    return str(path)
+
+
+def dots(seed: int = 0) -> np.ndarray:
+    """An image of dark and bright squares, about half of it bright after pre-processing."""
+    rng = np.random.default_rng(seed)
+    return np.kron(rng.integers(0, 2, (48, 64)) * 200, np.ones((10, 10))).astype(np.uint8)
+
+
+def stamps(messages) -> set[int]:
+    return {ns_from_time(m.header.stamp) for m in messages}
+
+
+WHITE = np.full((480, 640), 200, np.uint8)
+
+
+class Camera:
+    """Publishes images of the test's choice and keeps what the estimator answers."""
+
+    def __init__(self, graph, model: str) -> None:
+        parameters = {"model": model, "presence.reference_frames": REFERENCE_FRAMES}
+        graph.start(ESTIMATOR, {**parameters, "diagnostics_period": 0.02})
+        self.graph = graph
+        self.stamp_ns = 0
+        self.images = graph.publisher(Image, "tactile/image", qos.IMAGE)
+        self.estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
+        self.presences = graph.collect(ContactPresence, "contact/presence")
+        self.latencies = graph.collect(StageLatency, "latency", qos.LATENCY)
+
+    def restart(self) -> None:
+        """A new start of the estimator, with a new reference."""
+        self.graph.restart("estimator")
+        for answers in (self.estimates, self.presences, self.latencies):
+            answers.clear()
+        # images are sent faster than their stamps go on; none is to be of the future
+        self.stamp_ns = max(self.stamp_ns, time.time_ns() - SECOND)
+        self.sent = 0
+        self.reference()
+
+    def send(self, image: np.ndarray | None = None, message: Image | None = None, after: int = 1) -> int:
+        """Publish an image (of a contact, by default) `after` periods after the last; returns its stamp.
+
+        Waits until it was taken: the next one would push it out.
+        """
+        self.stamp_ns += after * PERIOD_NS
+        if message is None:
+            message = image_message(self.stamp_ns, SENSOR, dots(5) if image is None else image)
+        message.header.stamp = image_message(self.stamp_ns, SENSOR, WHITE).header.stamp
+        self.images.publish(message)
+        self.sent += 1
+        self.graph.wait_for_count("estimator", "tactile/image messages", self.sent)
+        return self.stamp_ns
+
+    def reference(self) -> None:
+        for _ in range(REFERENCE_FRAMES):
+            self.send(dots())
+
+    def answered(self, stamp_ns: int) -> bool:
+        return self.graph.wait(lambda: stamp_ns in stamps(self.estimates))
+
+
+@pytest.fixture(scope="module")
+def running(shared_graph, model):
+    return Camera(shared_graph, model)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return write_model(tmp_path_factory.mktemp("model") / "model.onnx")
+
+
+@pytest.fixture
+def camera(running):
+    running.restart()
+    return running
+
+
+def test_an_image_becomes_the_estimate_of_the_library_with_the_same_stamp_and_the_sensors_frame(
+    camera, model
+):
+    stamp_ns = camera.send(dots(1))
+    assert camera.answered(stamp_ns)
+    message = camera.estimates[-1]
+    assert message.header.frame_id == SENSOR
+    expected = Estimator(model).estimate(dots(1))
+    got = gaussian_from_message(message.pose)
+    np.testing.assert_allclose(got.mean, expected.mean, atol=1e-12)
+    np.testing.assert_allclose(got.cov, expected.cov, rtol=1e-9, atol=1e-15)
+
+
+def test_presence_compares_with_the_first_images_and_carries_the_stamp(camera):
+    same, other = camera.send(dots()), camera.send()
+    assert camera.graph.wait(lambda: other in stamps(camera.presences))
+    by_stamp = {ns_from_time(m.header.stamp): m for m in camera.presences}
+    assert not by_stamp[same].in_contact and by_stamp[same].score < by_stamp[other].score
+    assert by_stamp[other].in_contact and by_stamp[other].score > by_stamp[other].threshold
+
+
+def test_the_age_of_the_estimates_is_told(camera):
+    camera.send()
+    key = "estimator: age of outputs, median and largest (ms)"
+    report = camera.graph.wait_for_report("estimator", lambda report: key in report.values)
+    median, largest = map(float, report.values[key].split())
+    assert 0.0 < median <= largest < 100_000.0
+
+
+def test_without_contact_there_is_no_estimate(camera):
+    untouched, touched = camera.send(dots()), camera.send()
+    assert camera.answered(touched)
+    assert [ns_from_time(m.header.stamp) for m in camera.estimates] == [touched]
+    assert camera.graph.wait(lambda: {untouched, touched} <= stamps(camera.presences))
+
+
+def test_nothing_is_published_before_the_reference_is_there_nor_while_a_new_one_is_taken(camera):
+    assert not camera.estimates
+    answer = camera.graph.call(Trigger, "estimator/capture_reference", Trigger.Request())
+    assert answer.success
+    camera.reference()
+    answered = camera.send()
+    assert camera.answered(answered)
+    assert stamps(camera.estimates) == stamps(camera.presences) == {answered}
+
+
+@pytest.mark.parametrize(
+    ("message", "complaint"),
+    [
+        (image_message(0, SENSOR, WHITE[:240, :320]), "320x240"),
+        (Image(height=240, width=320, encoding="bgr8", step=960, data=bytes(320 * 240 * 3)), "'bgr8'"),
+        (Image(height=480, width=640, encoding="mono8", step=640, data=bytes(1000)), "1000 bytes"),
+        (Image(encoding="mono8"), "empty"),
+    ],
+    ids=["size", "encoding", "data", "empty"],
+)
+def test_an_image_that_cannot_be_used_is_refused_counted_and_told(camera, message, complaint):
+    camera.send(message=message)
+    report = camera.graph.wait_for_count("estimator", "images refused")
+    assert report.level == 1 and complaint in report.message
+    assert not camera.estimates
+    assert camera.answered(camera.send()), "the node goes on with the next image"
+
+
+def test_nan_from_the_network_is_refused_counted_and_told(camera):
+    camera.send(WHITE)
+    report = camera.graph.wait_for_count("estimator", "estimates refused")
+    assert "NaN" in report.message
+    assert not camera.estimates
+    assert camera.answered(camera.send())
+
+
+def test_lost_images_are_counted_by_their_stamps(camera):
+    assert camera.answered(camera.send())
+    assert camera.answered(camera.send(after=4))
+    assert camera.graph.wait_for_count("estimator", "images lost", 3).values["images lost"] == "3"
+    assert camera.graph.wait(lambda: camera.latencies and camera.latencies[-1].dropped[-1] == 3)
+
+
+def test_an_image_older_than_the_last_is_refused_but_a_clock_set_back_is_followed(camera):
+    assert camera.answered(camera.send())
+    camera.send(after=-2)
+    camera.graph.wait_for_count("estimator", "images out of order")
+    assert camera.answered(camera.send(after=-600))
+
+
+def test_a_camera_that_falls_silent_is_told_with_age_and_limit(camera):
+    def told(report) -> bool:
+        return "tactile/image: no message for" in report.message and "limit 0.25 s" in report.message
+
+    camera.graph.wait_for_report("estimator", told)
+
+
+def test_a_missing_model_ends_the_process_with_the_file_in_the_message(graph):
+    process = graph.start(ESTIMATOR, {"model": "/nowhere/model.onnx"}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    assert "/nowhere/model.onnx: there is no such model file" in graph.log(ESTIMATOR).read_text()
+
+
+def test_a_model_of_the_wrong_shape_ends_the_process_with_the_right_shape_in_the_message(graph, tmp_path):
+    process = graph.start(ESTIMATOR, {"model": write_model(tmp_path / "model.onnx", outputs=5)}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    log = graph.log(ESTIMATOR).read_text()
+    assert "must have mu float32 (N, 6)" in log
+
+
+def test_without_autostart_a_missing_model_leaves_the_node_unconfigured_and_alive(graph):
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
+    process = graph.start(ESTIMATOR, {"model": "/nowhere/model.onnx", "autostart": False}, wait=False)
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+    assert not graph.call(ChangeState, "estimator/change_state", request).success
+    state = graph.call(GetState, "estimator/get_state", GetState.Request()).current_state.label
+    assert state == "unconfigured" and process.poll() is None
+    graph.wait_for_report("estimator", lambda report: "/nowhere/model.onnx" in report.message)
+    assert graph.stop(ESTIMATOR) == 0

@@ -1,0 +1,155 @@
+"""What all nodes share: how they start, report, fail and end."""
+
+import textwrap
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from std_msgs.msg import Int64
+
+from tactile_ros.stamps import ns_from_time
+
+TOY = textwrap.dedent("""
+    import sys
+    from dataclasses import dataclass
+    from std_msgs.msg import Int64
+    from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+    from tactile_ros.parameters import SettingsParameters
+    from tactile_ros.qos import STATE
+    from tactile_base.settings import Settings, setting
+
+    @dataclass(frozen=True)
+    class ToySettings(Settings):
+        fail_in: str = setting("nothing", doc="where to fail")
+        gain: float = setting(1.0, lower=0.0, upper=10.0, unit="1/s", doc="a gain")
+
+    class Toy(ManagedNode):
+        def __init__(self):
+            super().__init__("toy")
+            self.settings = SettingsParameters(self, ToySettings())
+
+        def configure(self):
+            self.fail("configure")
+            self.out = self.publisher(Int64, "doubled", STATE)
+            self.subscribe(Int64, "number", self.double, STATE, age_limit=0.2)
+
+        def activate(self):
+            self.fail("activate")
+
+        def deactivate(self):
+            print("deactivated", flush=True)
+
+        def cleanup(self):
+            print("cleaned up", flush=True)
+
+        def double(self, message):
+            self.fail("callback")
+            self.count("numbers")
+            self.out.publish(Int64(data=2 * message.data))
+
+        def fail(self, where):
+            if self.settings.value.fail_in == where:
+                raise ZeroDivisionError("in double") if where == "callback" else ConfigurationError("as told")
+
+    sys.exit(run(Toy))
+""")
+
+
+@pytest.fixture
+def toy(graph):
+    graph.start_code("toy", TOY, {"diagnostics_period": 1.0})
+    return graph
+
+
+def change(graph, transition: int) -> bool:
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return graph.call(ChangeState, "toy/change_state", request).success
+
+
+def state(graph) -> str:
+    return graph.call(GetState, "toy/get_state", GetState.Request()).current_state.label
+
+
+def test_a_node_starts_by_itself_reports_each_second_and_ends_cleanly_by_sigterm(toy):
+    numbers = toy.publisher(Int64, "number")
+    doubled = toy.collect(Int64, "doubled")
+    numbers.publish(Int64(data=21))
+    assert toy.wait(lambda: bool(doubled)) and doubled[0].data == 42
+    report = toy.wait_for_count("toy", "numbers")
+    assert report.values["state"] == "active" and report.values["number messages"] == report.values["numbers"]
+    assert toy.wait(lambda: len(toy.diagnostics) >= 4)
+    first, last = (ns_from_time(toy.diagnostics[k].header.stamp) for k in (0, 3))
+    assert (last - first) * 1e-9 == pytest.approx(3.0, abs=0.9)
+    process = toy.processes.children["toy"].process
+    process.terminate()
+    assert toy.wait(lambda: process.poll() is not None) and process.returncode == 0
+    log = toy.log("toy").read_text()
+    assert log.index("deactivated") < log.index("cleaned up") and "SIGTERM" in log
+
+
+def test_silence_of_an_input_is_told_with_age_and_limit(toy):
+    numbers = toy.publisher(Int64, "number")
+    numbers.publish(Int64(data=1))
+
+    def told(report) -> bool:
+        return "number: no message for" in report.message and "(limit 0.20 s)" in report.message
+
+    toy.wait_for_report("toy", told)
+
+
+@pytest.mark.parametrize("where", ["configure", "activate"])
+def test_a_node_that_cannot_start_ends_with_exit_code_1_and_says_why(graph, where):
+    process = graph.start_code("toy", TOY, {"fail_in": where}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    log = graph.log("toy").read_text()
+    assert f"cannot {where}: as told" in log and "Traceback" not in log and "cleaned up" in log
+
+
+def test_an_error_in_a_callback_ends_the_node_after_deactivating_with_exit_code_1_and_the_traceback(graph):
+    process = graph.start_code("toy", TOY, {"fail_in": "callback"})
+    graph.publisher(Int64, "number").publish(Int64(data=1))
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    log = graph.log("toy").read_text()
+    assert "ZeroDivisionError: in double" in log and "deactivated" in log and "cleaned up" in log
+
+
+def test_a_lifecycle_manager_takes_a_node_through_its_states_and_an_inactive_one_ignores_messages(graph):
+    graph.start_code("toy", TOY, {"autostart": False}, wait=False)
+    doubled = graph.collect(Int64, "doubled")
+    assert state(graph) == "unconfigured"
+    assert change(graph, Transition.TRANSITION_CONFIGURE) and state(graph) == "inactive"
+    numbers = graph.publisher(Int64, "number")
+    numbers.publish(Int64(data=1))
+    graph.wait_for_count("toy", "number messages")
+    assert not doubled
+    assert change(graph, Transition.TRANSITION_ACTIVATE) and state(graph) == "active"
+    numbers.publish(Int64(data=2))
+    assert graph.wait(lambda: [m.data for m in doubled] == [4])
+    assert change(graph, Transition.TRANSITION_DEACTIVATE)
+    assert change(graph, Transition.TRANSITION_CLEANUP) and state(graph) == "unconfigured"
+    assert change(graph, Transition.TRANSITION_CONFIGURE) and change(graph, Transition.TRANSITION_ACTIVATE)
+    numbers = graph.publisher(Int64, "number")
+    numbers.publish(Int64(data=3))
+    assert graph.wait(lambda: [m.data for m in doubled] == [4, 6])
+
+
+def test_a_failed_configuration_can_be_mended_by_a_parameter_and_tried_again(graph):
+    graph.start_code("toy", TOY, {"autostart": False, "fail_in": "configure"}, wait=False)
+    assert not change(graph, Transition.TRANSITION_CONFIGURE) and state(graph) == "unconfigured"
+    assert graph.set_parameter("toy", "fail_in", "nothing").successful
+    assert change(graph, Transition.TRANSITION_CONFIGURE) and state(graph) == "inactive"
+
+
+def test_a_misspelt_parameter_is_told_with_the_nearest_name(graph):
+    graph.start_code("toy", TOY, {"gian": 3.0})
+    assert "unknown name 'gian' (did you mean 'gain'?)" in graph.log("toy").read_text()
+
+
+def test_a_parameter_of_the_wrong_type_at_start_ends_the_process_and_names_the_type(graph):
+    process = graph.start_code("toy", TOY, {"gain": "high"}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    log = graph.log("toy").read_text()
+    assert "parameter gain: must be of type DOUBLE" in log and "Traceback" not in log

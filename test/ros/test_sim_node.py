@@ -1,0 +1,161 @@
+"""The sim node: real time, stamps that fit together, commands with limits and a watchdog, scenes."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
+from messages import twist_stamped, vector_from_twist
+from sensor_msgs.msg import Image
+from tf2_msgs.msg import TFMessage
+
+from tactile_base.config_paths import config_path
+from tactile_drivers.scene import load_scene
+from tactile_filter import se3
+from tactile_msgs.msg import ArmStatus, ContactPresence, ContactTruth
+from tactile_ros import qos
+from tactile_ros.conversions import (
+    array_from_image,
+    matrix_from_pose,
+    matrix_from_transform,
+)
+from tactile_ros.stamps import ns_from_time
+
+SIM = "tactile_ros.nodes.sim_node"
+SENSOR = "arm/tactile_sensor"
+SECOND = 1_000_000_000
+FORWARD = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
+
+
+def scene_file(folder, *changes: tuple[str, str]) -> str:
+    """The ramp's scene with some text replaced, as a file."""
+    text = config_path("scenes/ramp.yaml").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "scene.yaml").write_text(text)
+    return str(folder / "scene.yaml")
+
+
+@pytest.fixture
+def ideal_scene(tmp_path):
+    """The ramp with an ideal sensor, which costs no time to simulate."""
+    return scene_file(tmp_path, ("fidelity: image", "fidelity: ideal"))
+
+
+def stamps(messages: list) -> list[int]:
+    return [ns_from_time(m.header.stamp) for m in messages]
+
+
+def moving(messages: list[TFMessage]) -> list:
+    return [transform for message in messages for transform in message.transforms]
+
+
+def test_image_transform_and_truth_carry_the_exposures_stamp_and_agree(graph):
+    images = graph.collect(Image, "tactile/image", qos.IMAGE)
+    truths = graph.collect(ContactTruth, "sim/truth")
+    transforms = graph.collect(TFMessage, "/tf", qos.TF)
+    static = graph.collect(TFMessage, "/tf_static", qos.TF_STATIC)
+    graph.start(SIM, {"scene": "ramp"}, namespace="")
+
+    def common() -> list[int]:
+        return sorted(set(stamps(images)) & set(stamps(truths)) & set(stamps(moving(transforms))))
+
+    assert graph.wait(lambda: len(common()) >= 15 and bool(static))
+    image = array_from_image(images[-1])
+    assert image.shape == (480, 640) and image.min() < 100 < image.max()
+    assert images[-1].header.frame_id == SENSOR
+    tool = {ns_from_time(t.header.stamp): t for t in moving(transforms)}
+    T_tool_sensor = next(
+        matrix_from_transform(t.transform) for t in static[0].transforms if t.child_frame_id == SENSOR
+    )
+    by_stamp = dict(zip(stamps(truths), truths, strict=True))
+    for stamp in common():
+        T_base_sensor = matrix_from_transform(tool[stamp].transform) @ T_tool_sensor
+        np.testing.assert_allclose(T_base_sensor, matrix_from_pose(by_stamp[stamp].pose), atol=1e-12)
+
+
+def test_stamps_advance_at_the_rate_of_the_scene_and_are_those_of_now(graph, ideal_scene):
+    poses = graph.collect(PoseStamped, "arm/pose")
+    truths = graph.collect(ContactTruth, "sim/truth")
+    graph.start(SIM, {"scene": ideal_scene, "camera_rate": 30.0}, namespace="")
+    assert graph.wait(lambda: len(poses) > 60)
+    assert graph.wait(lambda: abs(graph.now_ns() - ns_from_time(poses[-1].header.stamp)) < 0.2 * SECOND)
+    for messages, rate in ((poses, 30.0), (truths, 30.0)):
+        steps = np.diff(stamps(messages)) / SECOND * rate
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
+        assert np.median(steps) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the_reason(graph, ideal_scene):
+    poses = graph.collect(PoseStamped, "arm/pose")
+    statuses = graph.collect(ArmStatus, "arm/status")
+    limited = graph.collect(TwistStamped, "command/twist_limited")
+    graph.start(SIM, {"scene": ideal_scene}, namespace="")
+    twists = graph.publisher(TwistStamped, "command/twist", qos.COMMAND)
+    assert graph.wait(lambda: bool(poses) and bool(statuses))
+    start = matrix_from_pose(poses[-1].pose)
+
+    def moved() -> np.ndarray:
+        return se3.inverse(start) @ matrix_from_pose(poses[-1].pose)
+
+    for _ in graph.ticks(0.02):
+        twists.publish(twist_stamped(graph.now_ns(), SENSOR, FORWARD))
+        if moved()[1, 3] > 0.003:
+            break
+    assert moved()[1, 3] > 0.003 and abs(moved()[0, 3]) < 1e-9
+    assert max(vector_from_twist(m.twist)[1] for m in limited) == pytest.approx(0.02)
+    assert graph.wait(lambda: np.all(np.array(statuses[-1].twist) == 0.0))
+    assert "no command for" in statuses[-1].reason and "limit 0.1 s" in statuses[-1].reason
+
+
+@pytest.mark.parametrize(
+    ("frame", "twist", "complaint"),
+    [("arm/base", FORWARD, "must be 'arm/tactile_sensor'"), (SENSOR, np.full(6, np.nan), "not finite")],
+    ids=["frame", "nan"],
+)
+def test_a_twist_that_cannot_be_followed_is_refused_counted_and_told(
+    graph, ideal_scene, frame, twist, complaint
+):
+    graph.start(SIM, {"scene": ideal_scene}, namespace="")
+    twists = graph.publisher(TwistStamped, "command/twist", qos.COMMAND)
+    twists.publish(twist_stamped(graph.now_ns(), frame, twist))
+    assert complaint in graph.wait_for_count("sim", "arm commands refused").message
+
+
+def test_an_ideal_sensor_gives_presence_in_place_of_images(graph, ideal_scene):
+    images = graph.collect(Image, "tactile/image", qos.IMAGE)
+    presences = graph.collect(ContactPresence, "contact/presence")
+    estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
+    graph.start(SIM, {"scene": ideal_scene}, namespace="")
+    assert graph.wait(lambda: len(presences) > 10)
+    assert not images and not estimates and not presences[-1].in_contact
+
+
+def test_each_arm_of_a_scene_has_its_own_topics_and_frames(graph, tmp_path):
+    text = config_path("scenes/ramp.yaml").read_text().replace("fidelity: image", "fidelity: ideal")
+    head, rest = text.split("  arm:\n")
+    block, surfaces = rest.split("surfaces:\n")
+    path = tmp_path / "two.yaml"
+    path.write_text(f"{head}  left:\n{block}  right:\n{block}surfaces:\n{surfaces}")
+    assert set(load_scene(path).arms) == {"left", "right"}
+    poses = {arm: graph.collect(PoseStamped, f"/{arm}/arm/pose") for arm in ("left", "right")}
+    transforms = graph.collect(TFMessage, "/tf", qos.TF)
+    graph.start(SIM, {"scene": str(path)}, namespace="")
+    assert graph.wait(lambda: all(poses.values()) and bool(transforms))
+    assert {t.child_frame_id for t in transforms[-1].transforms} == {"left/tool", "right/tool"}
+    assert not graph.node.get_publishers_info_by_topic("/arm/arm/pose")
+
+
+def test_a_scene_with_a_typo_ends_the_process_with_file_line_and_choices(graph, tmp_path):
+    path = scene_file(tmp_path, ("shape: ramp", "shape: rmap"))
+    process = graph.start(SIM, {"scene": path}, wait=False, namespace="")
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1
+    log = graph.log(SIM).read_text()
+    line = 1 + (tmp_path / "scene.yaml").read_text().splitlines().index("    shape: rmap")
+    assert f"{path}:{line}" in log and "did you mean 'ramp'" in log and "plane" in log
+
+
+def test_sigterm_ends_it_with_exit_code_0(graph, ideal_scene):
+    process = graph.start(SIM, {"scene": ideal_scene}, namespace="")
+    process.terminate()
+    assert graph.wait(lambda: process.poll() is not None) and process.returncode == 0
