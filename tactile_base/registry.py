@@ -62,7 +62,7 @@ class Registry(Generic[T]):
                 found = getattr(found, part)
         except (ImportError, AttributeError) as error:
             raise SettingError(f"{self.kind} '{name}': {place} cannot be loaded: {error}") from error
-        return found  # type: ignore[no-any-return]
+        return found
 
     def _elsewhere(self, name: str) -> str:
         for point in entry_points(group=self.group, name=name):

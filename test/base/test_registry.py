@@ -19,7 +19,8 @@ def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-things\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
-        f"[{GROUP}]\nthing = other_things:Thing\nbroken = other_things:Missing\nsettings = other_things:Thing\n"
+        f"[{GROUP}]\nthing = other_things:Thing\nbroken = other_things:Missing\n"
+        "settings = other_things:Thing\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "other_things", raising=False)
