@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,8 +132,6 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
     start : ndarray (4, 4), optional
         T_base_sensor in the air from where to approach; without, the approach begins where the arm stands.
     """
-
-    work: ClassVar[str]
 
     def __init__(self, settings: ContactTaskSettings, goal: Goal, start: Array | None = None) -> None:
         handlers = {

@@ -148,6 +148,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         What can be set of the task, and what a goal says.
     phases : tuple of str
         Names of its phases, for people, in their usual order.
+    work : str
+        The one of them in which it does what it is for.
     node : str
         Which node runs it.
     needs_sensor : bool
@@ -159,6 +161,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
     settings_class: ClassVar[type[SettingGroups]]
     goal_class: ClassVar[type[Goal]] = Goal
     phases: ClassVar[tuple[str, ...]]
+    work: ClassVar[str]
     node: ClassVar[str] = "controller"
     needs_sensor: ClassVar[bool] = True
     endless: ClassVar[bool] = False

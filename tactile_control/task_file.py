@@ -123,6 +123,15 @@ def task_path(name_or_path: str | Path) -> Path:
         raise SettingError(str(error)) from error
 
 
+def default_scene(path: str | Path) -> str:
+    """The first scene that a task file names. Raises `SettingError` if it names none."""
+    root = read_yaml(path)
+    scenes = root.sections("scenes")
+    if not scenes:
+        root.fail("scenes: a task must have goals on at least one", "scenes")
+    return next(iter(scenes))
+
+
 def load_task(
     path: str | Path,
     scene: str,

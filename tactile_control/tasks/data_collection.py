@@ -83,6 +83,7 @@ class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
     settings_class = DataCollectionSettings
     goal_class = CollectionGoal
     phases = PHASES
+    work = CAPTURE
     node = "collector"
 
     def __init__(self, settings: DataCollectionSettings, targets: Sequence[Target], T_base_f: Array) -> None:

@@ -120,6 +120,7 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
     settings_class = TrajectoryTaskSettings
     goal_class = TrajectoryGoal
     phases = (GO_TO_START, MOVE, STOPPING, DONE, FAILED)
+    work = MOVE
     needs_sensor = False
 
     def __init__(
