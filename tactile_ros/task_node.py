@@ -128,7 +128,7 @@ class TaskNode(ManagedNode, ABC):
         return now_ns
 
     def sensor_pose(self) -> tuple[int, NDArray[np.float64]] | None:
-        """The controlled frame in the base by the newest transform, with its stamp; its age is a watchdog's."""
+        """The controlled frame in the base by the newest transform, with its stamp for a watchdog."""
         try:
             return self.transforms.newest(self.base_frame, self.controlled_frame)
         except TransformUnavailable as error:
