@@ -5,6 +5,7 @@ The same bag, settings and program give the same bytes, however often and on how
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,8 +18,8 @@ from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.gaussian import UNUSABLE
 from tactile_filter.smoother import smooth
-from tactile_records.bags.message_columns import Layout, blank_layout, stamps_ns
-from tactile_records.bags.message_definitions import type_fields
+from tactile_records.bags.cdr import Layout, blank_layout
+from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.replay.numbers import ros_from_left
 from tactile_records.replay.settings import Change
 from tactile_records.replay.track import ArmInputs, LiveStates, Measurement
@@ -173,14 +174,9 @@ def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> A
     return rows
 
 
-_LAYOUTS: dict[tuple[str, str], Layout] = {}
-
-
+@functools.lru_cache(maxsize=64)
 def _layout(type_name: str, frame_id: str) -> Layout:
-    if (type_name, frame_id) not in _LAYOUTS:
-        texts = {"header.frame_id": frame_id}
-        _LAYOUTS[type_name, frame_id] = blank_layout(type_fields({}, type_name), type_name, texts)
-    return _LAYOUTS[type_name, frame_id]
+    return blank_layout(type_name, {"header.frame_id": frame_id})
 
 
 def _blank(layout: Layout, count: int) -> Array:

@@ -42,7 +42,7 @@ from tactile_ros.wire import gaussian_bytes, read_gaussian
 
 MERGE_PERIOD = 0.005  # s; how late a deadline may be kept
 read_state = HeadedReader(ContactState)
-FLAGS = 50  # among a state's numbers: behind xi, covariance, euler, nis and nis_dof
+FLAGS = read_state.index("flags")
 
 
 @dataclass(frozen=True)
