@@ -27,7 +27,7 @@ from tactile_control.task import Command, StampedPresence, SurfaceFollowing, Tas
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.files import load_filter_settings
+from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_records.runs.record import (
     ArmSeries,
