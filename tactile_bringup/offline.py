@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError
+from tactile_base.stamps import SECOND_NS
 from tactile_control.files import Task, load_task, task_path
 from tactile_control.phases import StampedPose
 from tactile_control.task import Command, StampedPresence, SurfaceFollowing, TaskInputs
@@ -44,7 +45,6 @@ from tactile_records.runs.surfaces import surface_mesh
 
 Array = NDArray[Any]
 
-SECOND_NS = 1_000_000_000
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 CONTROLLER = "controller"
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_control.motion import Odometer, Waypoint, smooth_ramp, twist_towards, way_to_start
 from tactile_control.phases import (
     DONE,
@@ -54,7 +55,7 @@ NEEDS = {
     RETREAT: ("sensor_pose",),
 }
 WATCHDOG_NAMES = {"sensor_pose": "pose", "presence": "presence", "belief": "belief"}
-TRACK_NS = 1_000_000_000  # the sensor's poses are remembered for this long
+TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; following takes the large middle part
 PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, FOLLOW: 0.1, RETREAT: 0.97, DONE: 1.0}

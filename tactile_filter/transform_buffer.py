@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
-
-SECOND_NS = 1_000_000_000
 
 
 class TransformUnavailable(LookupError):

@@ -17,7 +17,7 @@ from typing import Any
 from rclpy.serialization import deserialize_message
 from tf2_msgs.msg import TFMessage
 
-from tactile_ros.stamps import SECOND_NS
+from tactile_base.stamps import SECOND_NS
 
 PLAIN_CDR_LE = b"\x00\x01"
 BODY = 4  # where the body starts, behind the encapsulation header; alignment counts from there

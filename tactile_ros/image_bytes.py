@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image as ImageMessage
 
+from tactile_base.stamps import ns_from_parts
 from tactile_ros.cdr import BODY, PLAIN_CDR_LE, aligned, read_text, split_stamp
 from tactile_ros.conversions import MONO8, MessageError, checked_image
-from tactile_ros.stamps import SECOND_NS, ns_from_time
+from tactile_ros.stamps import ns_from_time
 
 Image = NDArray[np.uint8]
 
@@ -63,7 +64,7 @@ def image_from_bytes(data: bytes) -> ReceivedImage:
     at = aligned(end + 1, 4)  # behind is_bigendian
     step, size = struct.unpack_from("<II", data, at)
     pixels = np.frombuffer(data, np.uint8, size, at + 8)
-    return ReceivedImage(sec * SECOND_NS + nanosec, height, width, encoding, step, pixels)
+    return ReceivedImage(ns_from_parts(sec, nanosec), height, width, encoding, step, pixels)
 
 
 def _from_message(message: ImageMessage) -> ReceivedImage:

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
+from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, EventJoin
 from tactile_filter.transform_buffer import TransformBuffer, TransformInPast, TransformUnavailable
 from tactile_ros.cdr import ReceivedTransform, transforms_from_bytes
 from tactile_ros.conversions import pose_from_numbers, transform_stamped
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.qos import TF, TF_STATIC
-from tactile_ros.stamps import SECOND_NS
 
 Array = NDArray[np.float64]
 

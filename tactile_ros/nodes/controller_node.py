@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
+from tactile_base.stamps import SECOND_NS
 from tactile_control.files import TASKS
 from tactile_control.phases import StampedPose
 from tactile_control.task import Command, PathGoal, StampedPresence, SurfaceFollowing, TaskInputs
@@ -31,7 +32,6 @@ from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
-from tactile_ros.stamps import SECOND_NS
 from tactile_ros.task_node import ZERO, Run, TaskNode
 
 IDLE = "idle"

@@ -28,6 +28,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter import se3
@@ -40,7 +41,6 @@ from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.markers import mesh_marker
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import COMMAND, IMAGE, LATCHED, STATE, TF, TF_STATIC
-from tactile_ros.stamps import SECOND_NS
 from tactile_ros.wire import gaussian_bytes, headed_bytes, read_twist, twist_bytes
 
 WORLD = "world"
