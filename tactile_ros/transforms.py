@@ -86,7 +86,7 @@ class TransformListener:
     def _put(self, transform: ReceivedTransform, static: bool) -> int:
         """Add to the buffer; a leading slash, which old programs still send, is no part of a name."""
         parent, child = transform.parent.removeprefix("/"), transform.child.removeprefix("/")
-        T = pose_from_numbers(transform.translation, transform.rotation)
+        T = pose_from_numbers((*transform.translation, *transform.rotation))
         return self._buffer.set_transform(parent, child, transform.stamp_ns, T, static=static)
 
     def _report_jump(self, seconds: float) -> None:

@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.gaussian import UNUSABLE
+from tactile_filter.gaussian import UNUSABLE, ros_from_left
+from tactile_filter.pose_numbers import numbers_from_pose
 from tactile_filter.smoother import smooth
 from tactile_records.bags.message_columns import Layout, blank_layout, stamps_ns
 from tactile_records.bags.message_definitions import type_fields
-from tactile_records.replay.numbers import ros_from_left
 from tactile_records.replay.settings import Change
-from tactile_records.replay.track import ArmInputs, LiveStates, Measurement
+from tactile_records.replay.track import POSE, ArmInputs, LiveStates, Measurement
 from tactile_records.runs.record import BeliefSeries
 
 Array = NDArray[Any]
@@ -163,11 +162,8 @@ def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> A
         return rows
     _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])
     means = np.array([mean for _, mean, _ in gaussians])
-    for column, axis in enumerate("xyz"):
-        rows[f"pose.pose.position.{axis}"] = means[:, column, 3]
-    quaternions = np.array([se3.quaternion_from_rotation(T[:3, :3]) for T in means])
-    for column, axis in enumerate("xyzw"):
-        rows[f"pose.pose.orientation.{axis}"] = quaternions[:, column]
+    for name, values in zip(POSE, numbers_from_pose(means).T, strict=True):
+        rows[name] = values
     covs = ros_from_left(np.array([cov for _, _, cov in gaussians]), means[:, :3, 3])
     rows["pose.covariance"] = covs.reshape(-1, 36)
     return rows

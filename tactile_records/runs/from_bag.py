@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile_base.stamps import ns_from_parts
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_filter import se3
-from tactile_filter.pose_covariance import left_from_ros
+from tactile_filter.gaussian import left_from_ros
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.record import (
     ArmSeries,

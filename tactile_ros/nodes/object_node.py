@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
+from tactile_filter.gaussian import ros_from_left
 from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
-from tactile_filter.pose_covariance import ros_from_left
 from tactile_msgs.msg import ContactState
 from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
 from tactile_ros.cdr import HeadedReader
