@@ -18,13 +18,14 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.duration import Duration
 
 from tactile_base.settings import SettingError, unknown_name
+from tactile_base.stamps import SECOND_NS
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import COMMAND, STATE
-from tactile_ros.stamps import SECOND_NS, duration_from_ns
+from tactile_ros.stamps import duration_from_ns
 from tactile_ros.transforms import TransformListener
 from tactile_ros.wire import twist_bytes
 

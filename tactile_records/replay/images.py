@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
@@ -35,7 +36,6 @@ Array = NDArray[Any]
 
 RAW, COMPRESSED = "tactile/image", "tactile/image/compressed"
 PRESENCE_TYPE = "tactile_msgs/msg/ContactPresence"
-SECOND_NS = 1_000_000_000
 AHEAD = 64  # images that are decoded before they are needed
 
 

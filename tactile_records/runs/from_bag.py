@@ -10,10 +10,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import ns_from_parts
 from tactile_control.tasks import TASKS
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_filter import se3
-from tactile_filter.pose_covariance import left_from_ros
+from tactile_filter.gaussian import left_from_ros
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.record import (
     ArmSeries,
@@ -121,7 +122,7 @@ class _Rows:
 
 
 def _ns(time: Any) -> int:
-    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
+    return ns_from_parts(time.sec, time.nanosec)
 
 
 def stamp_of(message: Any) -> int:

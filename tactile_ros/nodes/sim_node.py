@@ -28,6 +28,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter import se3
@@ -40,7 +41,6 @@ from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.markers import mesh_marker
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import COMMAND, IMAGE, LATCHED, STATE, TF, TF_STATIC
-from tactile_ros.stamps import SECOND_NS
 from tactile_ros.wire import gaussian_bytes, headed_bytes, read_twist, twist_bytes
 
 WORLD = "world"
@@ -123,12 +123,12 @@ class ArmTopics:
 
     def transform(self, stamp_ns: int, T_base_sensor: NDArray[np.float64]) -> tuple[float, ...]:
         """Where the tool is: the numbers of a TransformStamped."""
-        return *split_stamp(stamp_ns), *numbers_from_pose(T_base_sensor @ self.T_sensor_tool)
+        return *split_stamp(stamp_ns), *numbers_from_pose(T_base_sensor @ self.T_sensor_tool).tolist()
 
     def publish_status(self, T_base_sensor: NDArray[np.float64]) -> None:
         """Where the sensor is in the base, what the arm does, and the twist that it makes of its commands."""
         status = self._node.cell.status(self.name)
-        stamp_ns, numbers = status.stamp_ns, numbers_from_pose(T_base_sensor)
+        stamp_ns, numbers = status.stamp_ns, numbers_from_pose(T_base_sensor).tolist()
         self._pose.publish(headed_bytes(PoseStamped, stamp_ns, self.base, *numbers))
         self._limited.publish(twist_bytes(stamp_ns, self.sensor, status.twist))
         numbers = int(status.mode), status.command_age, status.limited, *status.twist.tolist()
@@ -319,7 +319,7 @@ def truth_bytes(frame: Frame, base_frame: str) -> bytes:
         *np.asarray(truth.shear).tolist(),
         truth.slip_fraction,
         truth.normal_force,
-        *numbers_from_pose(frame.T_base_sensor),
+        *numbers_from_pose(frame.T_base_sensor).tolist(),
         *truth.point.tolist(),
         *truth.normal.tolist(),
     )
