@@ -47,7 +47,7 @@ def test_the_copy_states_the_errors_that_the_data_have(folder, constant_model, t
     assert run(model, folder, out) == 0
     rms = np.sqrt(((read_dataset(folder).labels - MU) ** 2).mean(axis=0))
     np.testing.assert_allclose(sigma_of(out), rms, rtol=1e-4)
-    np.testing.assert_allclose(sigma_of(model), SIGMA / 3.0, rtol=1e-5)
+    np.testing.assert_allclose(sigma_of(model), SIGMA / 3.0, rtol=1e-4)
     assert f"calibrated on {SAMPLES} samples" in capsys.readouterr().out
 
 
@@ -56,7 +56,7 @@ def test_settings_can_be_changed(folder, constant_model, tmp_path):
     plain, wide = tmp_path / "plain.onnx", tmp_path / "wide.onnx"
     assert run(model, folder, plain) == 0
     assert run(model, folder, wide, "--set", "margin=[2, 1, 1, 1, 1, 1.5]") == 0
-    np.testing.assert_allclose(sigma_of(wide) / sigma_of(plain), [2, 1, 1, 1, 1, 1.5], rtol=1e-5)
+    np.testing.assert_allclose(sigma_of(wide) / sigma_of(plain), [2, 1, 1, 1, 1, 1.5], rtol=1e-4)
 
 
 @pytest.mark.parametrize("holdback", [0.5, 0.0])
