@@ -145,6 +145,21 @@ def test_a_folder_becomes_a_table_and_a_picture(folder, constant_model, tmp_path
     assert (out / "predicted_against_actual.png").stat().st_size > 10_000
 
 
+def test_processed_images_of_another_size_are_taken_as_they_are_and_told(
+    folder, constant_model, tmp_path, capsys
+):
+    for path in (folder / "processed_images").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[:420, :420])
+    (folder / "process_image_params.json").write_text('{"bbox": [110, 30, 530, 450]}')
+    (folder / "processed_image_params.json").unlink()
+    out = tmp_path / "out"
+    assert commands.run_estimate(arguments(folder, constant_model(), out)) == 0
+    assert len(rows(out / "estimates.csv")) == 12
+    told = capsys.readouterr().err
+    assert "bbox = (110, 30, 530, 450), not (105, 20, 550, 460)" in told
+    assert "processed images are 420x420, not 445x440" in told
+
+
 def test_errors_are_those_of_the_labels(folder, constant_model):
     source = open_folder(folder)
     estimator = Estimator(constant_model((0.5, 0, -3.0, 0, 0, 0)))

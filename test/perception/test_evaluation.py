@@ -7,6 +7,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from folders import write_folder
@@ -183,6 +184,15 @@ def test_results_are_those_of_the_estimator_image_by_image(folder, constant_mode
     np.testing.assert_allclose(result.raw.predictions.mean, means, atol=1e-5)
     np.testing.assert_allclose(result.accuracy.mae, np.abs(means - data.labels).mean(axis=0), atol=1e-5)
     assert result.raw.consistency.joint == pytest.approx(1.0, abs=0.2)
+
+
+def test_processed_images_of_another_size_are_evaluated(folder, constant_model, tmp_path, capsys):
+    shutil.copytree(folder, tmp_path / "other")
+    for path in (tmp_path / "other" / "processed_images").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[:420, :420])
+    model = constant_model(MU, 1.0 / SIGMA)
+    assert run(tmp_path / "other", model, out=tmp_path / "out", more=("--no-figures",)) == 0
+    assert "processed images are 420x420, not 445x440" in capsys.readouterr().err
 
 
 def test_command_writes_tables_and_figures(folder, constant_model, tmp_path, capsys):
