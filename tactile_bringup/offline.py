@@ -351,6 +351,8 @@ def _chosen(goals: tuple[Any, ...], names: tuple[str, ...]) -> tuple[Any, ...]:
 
 
 def _perception(scene: Scene, arm: str, options: OfflineOptions) -> Perception:
-    sensor = scene.arms[arm].sensor
-    assert sensor is not None
-    return IdealPerception() if sensor.settings.fidelity == "ideal" else ImagePerception(options.model)
+    return (
+        ImagePerception(options.model or scene.model_file(arm))
+        if scene.gives_images(arm)
+        else IdealPerception()
+    )

@@ -72,11 +72,12 @@ def _start(scene: Scene) -> NDArray[np.float64]:
 
 def outline(scene: Scene) -> SceneOutline:
     """What the graph has to know of a scene."""
-    return SceneOutline(scene.name, scene.path.absolute(), tuple(_arm(arm) for arm in scene.arms.values()))
+    return SceneOutline(
+        scene.name, scene.path.absolute(), tuple(_arm(scene, arm) for arm in scene.arms.values())
+    )
 
 
-def _arm(arm: ArmScene) -> ArmOutline:
+def _arm(scene: Scene, arm: ArmScene) -> ArmOutline:
     if arm.sensor is None:
         return ArmOutline(arm.name, None, images=False)
-    settings = arm.sensor.settings
-    return ArmOutline(arm.name, settings.camera_rate, images=settings.fidelity == "image")
+    return ArmOutline(arm.name, arm.sensor.settings.camera_rate, images=scene.gives_images(arm.name))
