@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from tactile_base.config_paths import named_file
 from tactile_base.settings import SettingError
 from tactile_bringup.graph import ArmOutline, Graph, GraphOptions, SceneOutline, build_graph
-from tactile_control.files import load_task, task_path
+from tactile_control.task_file import load_task, task_path
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
-from tactile_filter.files import load_filter_settings
+from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.file import load_object
 
 

@@ -213,7 +213,7 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_control.collection_settings import (
+    from tactile_control.collection import (
         CollectionMotionSettings,
         CollectionWatchdogSettings,
         TouchSettings,

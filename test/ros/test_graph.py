@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tactile_base.config_paths import config_path
-from tactile_control.files import load_task
+from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLatency
