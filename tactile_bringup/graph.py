@@ -23,12 +23,11 @@ from tactile_base.topics import ARM_TOPICS, IMAGE, OBJECT_TOPICS, SENSOR_TOPICS,
 from tactile_bringup.run_sequence import ArmPlan, arm_plans
 from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
 from tactile_control.tasks import TASKS
-from tactile_drivers.scene import ArmScene, Scene, load_scene
+from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.file import load_object
 
 RECORDER = "recorder"
-FEELS, ONLY_MOVES = "tactile_sensor", "tool"  # the frame by which an arm is controlled
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,7 @@ def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: Grap
     for plan in plans:
         arm = scene.arms[plan.arm]
         if arm.sensor is not None:
-            nodes += _senses(arm, filter_values, options)
+            nodes += _senses(scene, plan.arm, filter_values, options)
         nodes.append(_controller(plan, arm))
     topics = tuple(_topics(list(scene.arms.values())))
     feeling = [plan.arm for plan in plans if scene.arms[plan.arm].sensor is not None]
@@ -231,18 +230,30 @@ def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
 
 
 def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
-    parameters: dict[str, Any] = {"scene": str(scene.path.absolute()), "seed": options.seed}
-    if options.rate is not None:
-        parameters["camera_rate"] = float(options.rate)
-    return [NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters)]
+    """What moves arms and exposes sensors: the simulated cell, a process for each driver of a registry."""
+    file, nodes = str(scene.path.absolute()), []
+    if scene.is_simulated:
+        parameters: dict[str, Any] = {"scene": file, "seed": options.seed}
+        if options.rate is not None:
+            parameters["camera_rate"] = float(options.rate)
+        nodes.append(NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters))
+    for arm in scene.arms.values():
+        if arm.driver not in (SIM, EXTERNAL):
+            module = "tactile_ros.nodes.arm_node"
+            nodes.append(NodeProcess("arm", f"/{arm.name}", module, "arm", {"scene": file}))
+        if arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL):
+            module = "tactile_ros.nodes.camera_node"
+            nodes.append(NodeProcess("camera", f"/{arm.name}", module, "camera", {"scene": file}))
+    return nodes
 
 
-def _senses(arm: ArmScene, filter_values: Mapping[str, Any], options: GraphOptions) -> list[NodeProcess]:
+def _senses(
+    scene: Scene, arm: str, filter_values: Mapping[str, Any], options: GraphOptions
+) -> list[NodeProcess]:
     """From the arm's images to its belief; an ideal simulated sensor gives the contact pose itself."""
-    assert arm.sensor is not None
-    namespace, nodes = f"/{arm.name}", []
-    if arm.sensor.settings.fidelity == "image":
-        nodes.append(_estimator(arm, options))
+    namespace, nodes = f"/{arm}", []
+    if scene.gives_images(arm):
+        nodes.append(_estimator(scene, arm, options))
         if options.marker_view:
             module = "tactile_ros.nodes.marker_view_node"
             nodes.append(NodeProcess("marker_view", namespace, module, "marker_view"))
@@ -250,19 +261,19 @@ def _senses(arm: ArmScene, filter_values: Mapping[str, Any], options: GraphOptio
     return nodes
 
 
-def _estimator(arm: ArmScene, options: GraphOptions) -> NodeProcess:
-    assert arm.sensor is not None
-    parameters: dict[str, Any] = {"images.rate": float(options.rate or arm.sensor.settings.camera_rate)}
-    if options.model is not None:
-        parameters["model"] = str(options.model)
+def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
+    sensor, model = scene.arms[arm].sensor, options.model or scene.model_file(arm)
+    assert sensor is not None
+    parameters: dict[str, Any] = {"images.rate": float(options.rate or sensor.settings.camera_rate)}
+    if model is not None:
+        parameters["model"] = str(model.absolute())
     module = "tactile_ros.nodes.estimator_node"
-    return NodeProcess("estimator", f"/{arm.name}", module, "estimator", parameters)
+    return NodeProcess("estimator", f"/{arm}", module, "estimator", parameters)
 
 
 def _controller(plan: ArmPlan, arm: ArmScene) -> NodeProcess:
     groups: dict[str, dict[str, Any]] = dataclasses.asdict(plan.role.settings)
-    frame = ONLY_MOVES if arm.sensor is None else FEELS
-    parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": frame}
+    parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": arm.controlled_frame}
     for group, values in groups.items():
         parameters |= {f"{group}.{name}": value for name, value in values.items()}
     module = "tactile_ros.nodes.controller_node"
@@ -288,11 +299,7 @@ def _recorder(
     nodes: Sequence[NodeProcess],
     options: GraphOptions,
 ) -> NodeProcess:
-    images = [
-        IMAGE.of(arm.name).name
-        for arm in scene.arms.values()
-        if arm.sensor is not None and arm.sensor.settings.fidelity == "image"
-    ]
+    images = [IMAGE.of(arm).name for arm in scene.arms if scene.gives_images(arm)]
     note = {
         "task": task,
         "scene": scene.name,
@@ -317,6 +324,7 @@ def _role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
         "task": plan.role.task,
         "goals": [goal.name for goal in plan.goals],
         "T_world_base": arm.T_world_base.tolist(),
+        "tip_radius": arm.sensor.settings.tip_radius if arm.sensor is not None else 0.0,
     }
 
 

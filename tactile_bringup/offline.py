@@ -187,8 +187,8 @@ class _OfflineArm:
         self, scene: Scene, task: str, plan: ArmPlan, cell: Cell, options: OfflineOptions, number: int
     ) -> None:
         self.plan, self.cell, self.options = plan, cell, options
-        self.feels = scene.arms[plan.arm].sensor is not None
-        self.perceive = perception(scene, plan.arm, options.model) if self.feels else None
+        sensor = scene.arms[plan.arm].sensor
+        self.perceive = perception(scene, plan.arm, options.model) if sensor is not None else None
         self.filter = ContactFilter(options.filter)
         self.random = np.random.default_rng([options.seed, number] if number else options.seed)
         self.log = RunLog(
@@ -202,6 +202,7 @@ class _OfflineArm:
                 source="offline",
                 seed=options.seed,
                 goals=[goal.name for goal in plan.goals],
+                tip_radius=sensor.settings.tip_radius if sensor is not None else 0.0,
                 T_world_base=scene.arms[plan.arm].T_world_base,
                 surface=surface_mesh(scene, plan.arm),
             )
@@ -302,15 +303,13 @@ class _OfflineArm:
 
 def perception(scene: Scene, arm: str, model: Path | None = None) -> Perception:
     """What makes percepts of an arm's frames: the network, or the ideal sensor's own answer."""
-    sensor = scene.arms[arm].sensor
-    assert sensor is not None
-    if sensor.settings.fidelity == "ideal":
+    if not scene.gives_images(arm):
         return _ideal_percept
     # here, since runs with an ideal sensor do without onnxruntime
     from tactile_perception.estimating.presence import ContactPresence
     from tactile_perception.estimator import Estimator
 
-    perceiver = Perceiver(Estimator(model or ""), ContactPresence())
+    perceiver = Perceiver(Estimator(model or scene.model_file(arm) or ""), ContactPresence())
 
     def perceive(frame: Frame) -> Percept:
         assert frame.image is not None
