@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from tactile_base.config_paths import named_file
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
+from tactile_drivers.shapes import SHAPES
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.arm import ArmSettings
 from tactile_drivers.sim.ideal_sensor import IdealSensorSettings
-from tactile_drivers.sim.surfaces import SURFACES, Surface
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
@@ -109,7 +110,7 @@ class SurfaceScene:
 
     def make(self) -> Surface:
         """The surface, in its own frame."""
-        return SURFACES[self.shape](self.parameters)  # type: ignore[call-arg]
+        return SHAPES.load(self.shape)(self.parameters)
 
     def T_base_surface(self, arm: ArmScene) -> Array:
         """The surface's frame in the base of an arm (4, 4)."""
@@ -204,8 +205,8 @@ def _named(root: Section, key: str) -> dict[str, Section]:
 
 def _surface(name: str, section: Section) -> SurfaceScene:
     section.allow("shape", "pose", "parameters")
-    shape = section.choice("shape", list(SURFACES))
-    parameters = section.settings("parameters", SURFACES[shape].settings_class)
+    shape = section.choice("shape", list(SHAPES.names()))
+    parameters = section.settings("parameters", SHAPES.load(shape).settings_class)
     return SurfaceScene(name, shape, _pose(section.section("pose")), parameters)
 
 

@@ -21,9 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import unknown_name
 from tactile_drivers.scene import ArmScene, Scene, SensorScene
+from tactile_drivers.shapes.contact import contact_pose
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.arm import NS, ArmMode, ArmStatus, SimArm
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealSensorSettings
-from tactile_drivers.sim.surfaces import Surface, contact_pose
 from tactile_drivers.sim.truth import Truth, shear_of
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_drivers.sim.surfaces import ContactGeometry, Surface, contact_pose
+from tactile_drivers.shapes.contact import ContactGeometry, contact_pose
+from tactile_drivers.shapes.surface import Surface
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 

@@ -14,8 +14,8 @@ import pytest
 import tactile_filter
 from tactile_base.config_paths import config_names, config_path
 from tactile_drivers.scene import SceneError, SensorSettings, load_scene
+from tactile_drivers.shapes import SHAPES
 from tactile_drivers.sim.arm import ArmSettings
-from tactile_drivers.sim.surfaces import SURFACES
 
 GOOD = """\
 description: a test
@@ -116,7 +116,7 @@ def test_all_packaged_scenes_load():
         (
             "shape: dome",
             "shape: dom",
-            "surfaces.hill.shape: unknown name 'dom' (did you mean 'dome'?); valid: dome",
+            "surfaces.hill.shape: unknown name 'dom' (did you mean 'dome'?); valid: box, cylinder, dome",
         ),
         ("    shape: dome", "    shap: dome", "surfaces.hill: unknown name 'shap' (did you mean 'shape'?)"),
         ("parameters: {radius", "parameters: {radios", "unknown name 'radios' (did you mean 'radius'?)"),
@@ -274,7 +274,7 @@ def test_the_documented_python_runs():
 
 def test_the_documented_names_are_those_that_are_read():
     text = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
-    for cls in (SensorSettings, ArmSettings, *(shape.settings_class for shape in SURFACES.values())):
+    for cls in (SensorSettings, ArmSettings, *(SHAPES.load(name).settings_class for name in SHAPES.names())):
         for item in dataclasses.fields(cls):
             assert f"`{item.name}`" in text, f"{cls.__name__}.{item.name}"
 

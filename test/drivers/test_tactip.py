@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
+from tactile_drivers.shapes import make_surface
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.skin import Skin, SkinSettings, build_skin, load_skin
-from tactile_drivers.sim.surfaces import make_surface
 from tactile_drivers.sim.tactip import CameraSettings, ContactSettings, TacTip, TacTipSettings
 from tactile_filter import se3
 
