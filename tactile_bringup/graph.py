@@ -8,7 +8,6 @@ and a belief over one object that all arms touch.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -18,38 +17,10 @@ from typing import Any
 
 import yaml
 
-from tactile_records.bags.writer import Topic
+from tactile_base import topics as table
+from tactile_base.topics import Topic
 
 RECORDER = "recorder"
-
-# Topics of each arm, below its namespace.
-_ARM_TOPICS = (
-    Topic("arm/pose", "geometry_msgs/msg/PoseStamped"),
-    Topic("arm/status", "tactile_msgs/msg/ArmStatus"),
-    Topic("command/twist", "geometry_msgs/msg/TwistStamped"),
-    Topic("command/twist_limited", "geometry_msgs/msg/TwistStamped"),
-)
-_SENSOR_TOPICS = (
-    Topic("contact/presence", "tactile_msgs/msg/ContactPresence"),
-    Topic("contact/estimate", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    Topic("contact/belief", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    Topic("contact/state", "tactile_msgs/msg/ContactState"),
-    Topic("controller/status", "tactile_msgs/msg/ControllerStatus"),
-    Topic("sim/truth", "tactile_msgs/msg/ContactTruth"),
-    Topic("latency", "tactile_msgs/msg/StageLatency", "sensor"),
-)
-_SHARED_TOPICS = (
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
-    Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent"),
-    Topic("/tf", "tf2_msgs/msg/TFMessage"),
-    Topic("/tf_static", "tf2_msgs/msg/TFMessage", "latched"),
-    Topic("/sim/markers", "visualization_msgs/msg/MarkerArray", "latched"),
-)
-_OBJECT_TOPICS = (
-    Topic("/object/belief", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    Topic("/object/latency", "tactile_msgs/msg/StageLatency", "sensor"),
-)
-IMAGE = Topic("tactile/image", "sensor_msgs/msg/Image", "sensor")
 
 
 @dataclass(frozen=True)
@@ -212,7 +183,7 @@ def build_graph(
     topics = tuple(_topics(scene.arms))
     if options.object_belief:
         nodes.append(_object(feeling, object_values or {}))
-        topics += _OBJECT_TOPICS
+        topics += table.OBJECT_TOPICS
     if options.record is not None:
         nodes.insert(0, _recorder(task, scene, paths, topics, nodes, options))
     return Graph(task, scene.name, tuple(arm.name for arm in feeling), tuple(nodes), topics)
@@ -249,9 +220,9 @@ def _topics(arms: Sequence[ArmOutline]) -> list[Topic]:
     """What the arms of the scene publish; one without a sensor publishes no more than where it is."""
     below = []
     for arm in arms:
-        kinds = _ARM_TOPICS if arm.camera_rate is None else _ARM_TOPICS + _SENSOR_TOPICS
-        below += [dataclasses.replace(topic, name=f"/{arm.name}/{topic.name}") for topic in kinds]
-    return [*below, *_SHARED_TOPICS]
+        kinds = table.ARM_TOPICS if arm.camera_rate is None else table.ARM_TOPICS + table.SENSOR_TOPICS
+        below += [topic.of(arm.name) for topic in kinds]
+    return [*below, *table.SHARED_TOPICS]
 
 
 def _simulator(scene: SceneOutline, options: GraphOptions) -> NodeProcess:
@@ -300,7 +271,9 @@ def _recorder(
     nodes: Sequence[NodeProcess],
     options: GraphOptions,
 ) -> NodeProcess:
-    images = [f"/{arm.name}/{IMAGE.name}" for arm in scene.arms if arm.images and arm.camera_rate is not None]
+    images = [
+        table.IMAGE.of(arm.name).name for arm in scene.arms if arm.images and arm.camera_rate is not None
+    ]
     note = {
         "task": task,
         "scene": scene.name,

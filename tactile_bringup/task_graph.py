@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from tactile_base.config_paths import named_file
 from tactile_base.settings import SettingError
 from tactile_bringup.graph import ArmOutline, Graph, GraphOptions, SceneOutline, build_graph
-from tactile_control.files import load_task, task_path
+from tactile_control.task_file import load_task, task_path
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
-from tactile_filter.files import load_filter_settings
+from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.file import load_object
 
 
@@ -72,11 +72,12 @@ def _start(scene: Scene) -> NDArray[np.float64]:
 
 def outline(scene: Scene) -> SceneOutline:
     """What the graph has to know of a scene."""
-    return SceneOutline(scene.name, scene.path.absolute(), tuple(_arm(arm) for arm in scene.arms.values()))
+    return SceneOutline(
+        scene.name, scene.path.absolute(), tuple(_arm(scene, arm) for arm in scene.arms.values())
+    )
 
 
-def _arm(arm: ArmScene) -> ArmOutline:
+def _arm(scene: Scene, arm: ArmScene) -> ArmOutline:
     if arm.sensor is None:
         return ArmOutline(arm.name, None, images=False)
-    settings = arm.sensor.settings
-    return ArmOutline(arm.name, settings.camera_rate, images=settings.fidelity == "image")
+    return ArmOutline(arm.name, arm.sensor.settings.camera_rate, images=scene.gives_images(arm.name))

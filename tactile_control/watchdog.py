@@ -37,6 +37,9 @@ class WatchdogSettings(Settings):
     future_tolerance: float = setting(
         0.02, lower=0.0, upper=10.0, unit="s", doc="a stamp may lie this far ahead of the clock"
     )
+    start_timeout: float = setting(
+        2.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
+    )
 
     def limit(self, name: str) -> float:
         """The age limit of the input `name`: belief, presence or pose."""

@@ -32,3 +32,7 @@ class PoseGaussian:
             if value.shape != shape:
                 raise ValueError(f"{name}: must have shape {shape}, has {value.shape}")
             object.__setattr__(self, name, value)
+
+
+UNUSABLE = PoseGaussian(np.full((4, 4), np.nan), np.full((6, 6), np.nan))
+"""Stands for an estimate that could not be read: the filter refuses it and predicts."""

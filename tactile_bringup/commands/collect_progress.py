@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tactile_bringup.launching.progress import LINE_PERIOD, MM, REFRESH_RATE, Display
-from tactile_control.collection_types import REFERENCE, TOUCH
+from tactile_control.collection import REFERENCE, TOUCH
 from tactile_control.phases import GO_TO_START
 
 if TYPE_CHECKING:

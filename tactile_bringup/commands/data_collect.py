@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from tactile_bringup.graph import Graph
     from tactile_bringup.launching.launcher import Outcome
-    from tactile_drivers.scene import ArmScene, Scene, SurfaceScene
+    from tactile_drivers.scene import ArmScene, BodyScene, Scene
 
 DESCRIPTION = """Press and shear an arm's tactile sensor against a flat surface, as the paper does, and keep
 an image and a label of each contact. The same command goes on after an interruption."""
@@ -150,7 +150,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         "seed": arguments.seed,
         "first": VALIDATION_START if arguments.validation else 0,
         "images": arguments.images,
-        "frame": se3.euler_from_pose(frame_on(surface, arm)).tolist(),
+        "frame": se3.euler_from_pose(frame_on(scene, surface, arm)).tolist(),
     }
     what = {name: collector[name] for name in ("seed", "first", "images", "frame")}
     what |= {name: dataclasses.asdict(groups[name]) for name in ("sampling", "preprocessing")}
@@ -173,11 +173,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
 
 def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
     """The arm of that name, or the only one with a camera."""
-    with_camera = {
-        arm.name: arm
-        for arm in scene.arms.values()
-        if arm.sensor is not None and arm.sensor.settings.fidelity == "image"
-    }
+    with_camera = {name: arm for name, arm in scene.arms.items() if scene.gives_images(name)}
     if name is None and len(with_camera) == 1:
         return next(iter(with_camera.values()))
     if name in with_camera:
@@ -186,9 +182,9 @@ def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
     raise ValueError(f"{scene.path}: --arm must name an arm whose sensor gives images; there are: {listed}")
 
 
-def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> SurfaceScene:
+def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> BodyScene:
     """The surface of that name, or the only plane that the arm can touch; it has to be flat."""
-    surfaces = scene.surfaces_of(arm.name)
+    surfaces = scene.bodies_of(arm.name)
     planes = [surface for surface in surfaces.values() if surface.shape == "plane"]
     if name is None:
         if len(planes) != 1:
@@ -205,19 +201,19 @@ def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> SurfaceScen
     return surfaces[name]
 
 
-def frame_on(surface: SurfaceScene, arm: ArmScene) -> Any:
+def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
     """T_base_f (4, 4): the contact frame on the surface, under where the arm starts."""
     from tactile_control.collection_geometry import contact_frame
 
     assert arm.sensor is not None
-    radius = arm.sensor.model.skin.radius
-    return contact_frame(surface.T_base_surface(arm), arm.T_base_start, radius)
+    T_base_surface = scene.T_base_body(arm.name, surface.name)
+    return contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
 
 
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_control.collection_settings import (
+    from tactile_control.collection import (
         CollectionMotionSettings,
         CollectionWatchdogSettings,
         TouchSettings,

@@ -99,7 +99,7 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
 
 def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
     from tactile_filter.bayes_filter import ContactFilter
-    from tactile_filter.files import load_filter_settings
+    from tactile_filter.filter_settings import load_filter_settings
     from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import SourceError, read_poses, video_frames
 

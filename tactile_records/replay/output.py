@@ -10,12 +10,13 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from tactile_base.topics import Topic
 from tactile_filter.belief import Belief
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import rows_of
 from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.reader import Bag
-from tactile_records.bags.writer import BagWriter, Topic
+from tactile_records.bags.writer import BagWriter
 from tactile_records.replay.run import BELIEF_TYPE, STATE_TYPE, ArmRun, pose_rows
 from tactile_records.replay.topics import STATE
 

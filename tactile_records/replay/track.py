@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.contact_belief import UNUSABLE
 from tactile_filter.filter_settings import FilterSettings
-from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_records.replay.numbers import left_from_ros, poses_from_numbers, sound_poses
 from tactile_records.replay.settings import Change, commanded_resets, recorded_changes, recorded_settings

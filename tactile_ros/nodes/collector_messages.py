@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.collection_types import (
+from tactile_control.collection import (
     CAPTURE,
     CONTACT,
     REFERENCE,

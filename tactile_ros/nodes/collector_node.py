@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
 from tactile_base.settings import Settings
-from tactile_control.collection import DataCollection
-from tactile_control.collection_settings import (
+from tactile_control.tasks.data_collection import DataCollection
+from tactile_control.collection import (
     CollectionMotionSettings,
     CollectionWatchdogSettings,
     DataCollectionSettings,
     TouchSettings,
 )
-from tactile_control.collection_types import (
+from tactile_control.collection import (
     REFERENCE,
     ROTATE,
     TOUCH,

@@ -15,8 +15,9 @@ import cv2
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
+from tactile_base.topics import Topic
 from tactile_records.bags.message_definitions import DefinitionMissing
-from tactile_records.bags.writer import BagError, BagWriter, Topic
+from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MessageError, array_from_image
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import declare_read_only

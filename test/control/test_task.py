@@ -7,7 +7,7 @@ import pytest
 from kinematic_plant import MS, Plane, Plant, Sphere, pointing_down, run
 
 from tactile_base.settings import SettingError
-from tactile_control.files import load_controller
+from tactile_control.task_file import load_controller
 from tactile_control.task import (
     APPROACH,
     DONE,

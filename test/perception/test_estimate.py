@@ -13,8 +13,13 @@ from tactile_bringup.commands import estimate as commands
 from tactile_filter.gaussian import PoseGaussian
 from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.estimating.image import ImageError
-from tactile_perception.estimating.labels import label_from_euler, surface_contact_pose
-from tactile_perception.estimating.run import EstimateTable, network_row, run_estimates
+from tactile_perception.estimating.labels import (
+    label_from_euler,
+    network_row,
+    pose_gaussian,
+    surface_contact_pose,
+)
+from tactile_perception.estimating.run import EstimateTable, run_estimates
 from tactile_perception.estimating.sources import (
     Frame,
     SourceError,
@@ -23,7 +28,7 @@ from tactile_perception.estimating.sources import (
     usable_order,
     video_frames,
 )
-from tactile_perception.estimator import Estimator, pose_gaussian
+from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)

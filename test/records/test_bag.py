@@ -15,9 +15,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from tactile_base.topics import Topic
 from tactile_records.bags.message_definitions import DefinitionMissing, message_definition, type_hash
 from tactile_records.bags.reader import read_bag
-from tactile_records.bags.writer import BagError, BagWriter, Topic
+from tactile_records.bags.writer import BagError, BagWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 TWIST = Topic("/arm/command/twist", "geometry_msgs/msg/TwistStamped")

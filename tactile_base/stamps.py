@@ -1,0 +1,3 @@
+"""Stamps: whole nanoseconds of one clock, as int."""
+
+SECOND_NS = 1_000_000_000
