@@ -284,7 +284,7 @@ def _body(name: str, section: Section, arms: Iterable[str]) -> BodyScene:
     parameters = section.settings("parameters", SHAPES.load(shape).settings_class)
     carried_by = section.choice("carried_by", list(arms), "") if "carried_by" in section.values else ""
     motion = _registered(section, "motion", MOTIONS, (FIXED, CARRIED), CARRIED if carried_by else FIXED)
-    if bool(carried_by) != (motion == CARRIED):
+    if motion == (FIXED if carried_by else CARRIED):
         section.fail(f"{section.name}: motion '{CARRIED}' and carried_by belong together", "motion")
     pose = _pose(section.section("pose"))
     return BodyScene(name, shape, parameters, pose, carried_by, motion, section.section("motion_settings"))
