@@ -18,24 +18,22 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
 from tactile_base.settings import Settings
-from tactile_control.tasks.data_collection import DataCollection
-from tactile_control.collection import (
-    CollectionMotionSettings,
-    CollectionWatchdogSettings,
-    DataCollectionSettings,
-    TouchSettings,
-)
 from tactile_control.collection import (
     REFERENCE,
     ROTATE,
     TOUCH,
     CollectionCommand,
     CollectionInputs,
+    CollectionMotionSettings,
+    CollectionWatchdogSettings,
+    DataCollectionSettings,
     Exposure,
     Target,
+    TouchSettings,
 )
 from tactile_control.limiter import LimiterSettings
 from tactile_control.phases import StampedPose
+from tactile_control.tasks.data_collection import DataCollection
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
-from tactile_control.task_file import TASKS
 from tactile_control.phases import StampedPose
 from tactile_control.task import Command, PathGoal, StampedPresence, SurfaceFollowing, TaskInputs
+from tactile_control.task_file import TASKS
 from tactile_control.task_settings import SurfaceFollowingSettings
 from tactile_filter import se3
 from tactile_msgs.action import RunTask
