@@ -1,4 +1,4 @@
-"""Bodies of the simulated cell: carried, moved by a model of another package, and contact relative to them."""
+"""Bodies of the simulated cell: carried, moved by a model of another package; contact relative to them."""
 
 import sys
 
