@@ -32,7 +32,6 @@ from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-WORLD = "world"
 SIM = "sim"  # driven or exposed by the simulated cell
 EXTERNAL = "external"  # somebody else's driver or camera, which runs already
 _NAME = re.compile(r"[a-z][a-z0-9_]*")  # a ROS namespace and frame prefix
