@@ -89,9 +89,7 @@ def least_press(settings: HeldSettings, poses: np.ndarray, share: float) -> floa
 
 def holding() -> None:
     poses = trajectory()[0][::20]
-    print(
-        "object, mass kg, least press N over the trajectory: plate alone, tip carrying half; at 6 mm depth N"
-    )
+    print("object, mass kg, least press N on the way: tip without shear, with half the weight; N at 6 mm")
     for name in SCENES:
         body = next(iter(load_scene(name).bodies.values()))
         settings = body.motion_settings.checked(HeldSettings, body.motion_settings.values)

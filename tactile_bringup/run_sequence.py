@@ -2,7 +2,7 @@
 
 The same for processes over ROS and for the loop without: both say what the arms report, and ask what to do.
 Each arm runs its goals one after the other. A role may wait for another one's phase, a follower's contact for
-instance; when the arms whose end ends the run are through, or one has failed, the others are asked to finish::
+instance; when the arms whose end ends the run are through, or one has failed, the others finish::
 
     sequence = RunSequence(arm_plans(task, scene))
     while not sequence.finished:

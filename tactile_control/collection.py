@@ -15,6 +15,8 @@ from tactile_control.watchdog import WatchdogSettings
 
 Array = NDArray[np.float64]
 
+TASK = "data_collection"  # its name among the tasks
+
 REFERENCE = "reference"
 TOUCH = "touch"
 ROTATE = "rotate"

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingGroups, Settings, setting
+from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_control.limiter import LimiterSettings
 from tactile_control.motion import Odometer, TravelSettings, Waypoint, along_z, twist_towards, way_to_start
 from tactile_control.phases import (
@@ -38,7 +39,7 @@ from tactile_control.phases import (
     TaskInputs,
     newer,
 )
-from tactile_control.pid import NANOSECOND, PidSettings
+from tactile_control.pid import PidSettings
 from tactile_control.servoing import ServoingController, ServoingOutput, ServoingSettings
 from tactile_control.watchdog import WatchdogSettings
 from tactile_filter import se3
@@ -50,7 +51,7 @@ Array = NDArray[np.float64]
 APPROACH = "approach"
 SETTLE = "settle"
 LOST_CONTACT = ("reapproach", "fail")
-TRACK_NS = 1_000_000_000  # the sensor's poses are remembered for this long
+TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; the work takes the large middle part
 PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, RETREAT: 0.97, DONE: 1.0}

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingGroups, Settings
+from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings, TwistLimiter
-from tactile_control.pid import NANOSECOND
 from tactile_control.watchdog import Watchdog, WatchdogSettings
 from tactile_filter.se3 import PoseError
 

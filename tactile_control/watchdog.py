@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from tactile_base.settings import Settings, setting
-from tactile_control.pid import NANOSECOND
+from tactile_base.stamps import NANOSECOND
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag, invalid_belief
-from tactile_filter.filter_settings import SECOND_NS, FilterSettings, Tuning, gate_threshold
+from tactile_filter.filter_settings import FilterSettings, Tuning, gate_threshold
 from tactile_filter.fusion import FusionError, FusionStatus, check_gaussian, fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.history import Entry, History, Key

@@ -13,9 +13,8 @@ from scipy.special import gammaincinv
 
 from tactile_base.config_paths import config_path, named_file
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_base.yaml_file import read_yaml
-
-SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,9 @@ class CollectionDisplay(Display):
         self._pace = Pace()
         self._said_s = -math.inf
 
-    def update(self, path: str, arms: Mapping[str, Progress]) -> None:
+    def update(self, arms: Mapping[str, tuple[str, Progress]]) -> None:
         """Show the collection of the one arm."""
-        for progress in arms.values():
+        for _, progress in arms.values():
             if progress.phase:
                 self._show(progress)
 

@@ -97,13 +97,11 @@ def run(arguments: argparse.Namespace) -> int:
 def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
     from tactile_bringup.commands.collect_progress import CollectionDisplay
     from tactile_bringup.launching.launcher import Launcher
-    from tactile_control.task import PathGoal
 
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
-    goal = PathGoal(name=f"{plan.missing} samples")
     with CollectionDisplay(console, live, plan.samples) as display:
-        return Launcher(plan.graph, [goal], folder.absolute(), display).run()
+        return Launcher(plan.graph, folder.absolute(), display).run()
 
 
 def _summarize(folder: Path, console: Console) -> None:
@@ -127,13 +125,13 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     """
     from tactile_base.whole_file import check_folder
     from tactile_bringup.graph import GraphOptions, build_collection_graph
-    from tactile_bringup.task_graph import outline
+    from tactile_control.collection import TASK, CollectionGoal
+    from tactile_control.task_file import NamedGoal
     from tactile_drivers.sampling import VALIDATION_START
     from tactile_drivers.scene import load_scene
     from tactile_filter import se3
     from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
     from tactile_records.collecting.parameters import check_same_run
-    from tactile_ros.nodes.collector_settings import TASK
 
     check_folder(arguments.out)
     if arguments.images not in IMAGE_KINDS:
@@ -146,13 +144,16 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     groups = chosen_settings(arguments.config, arguments.changes, arguments.touch)
     collector: dict[str, Any] = {
         "folder": str(arguments.out.absolute()),
-        "samples": arguments.samples,
-        "seed": arguments.seed,
-        "first": VALIDATION_START if arguments.validation else 0,
         "images": arguments.images,
         "frame": se3.euler_from_pose(frame_on(scene, surface, arm)).tolist(),
     }
-    what = {name: collector[name] for name in ("seed", "first", "images", "frame")}
+    goal = CollectionGoal(
+        samples=arguments.samples,
+        seed=arguments.seed,
+        first=VALIDATION_START if arguments.validation else 0,
+    )
+    what: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
+    what |= {name: collector[name] for name in ("images", "frame")}
     what |= {name: dataclasses.asdict(groups[name]) for name in ("sampling", "preprocessing")}
     check_same_run(arguments.out, {"robot": arm.driver, "scene": scene.name, "arm": arm.name, **what})
     with DatasetWriter(arguments.out, groups["preprocessing"], arguments.images) as writer:  # type: ignore[arg-type]
@@ -165,8 +166,9 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         record=arguments.record.absolute() if arguments.record else None,
         record_images=arguments.record_images,
     )
+    named = NamedGoal(f"{missing} samples", goal)
     graph = build_collection_graph(
-        TASK, outline(scene), arm.name, collector, options, simulate=not arguments.external
+        TASK, scene, arm.name, named, collector, options, simulate=not arguments.external
     )
     return Plan(graph, arguments.samples, missing)
 

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import NANOSECOND
 from tactile_control import collection_geometry as geometry
 from tactile_control.collection import (
     CAPTURE,
@@ -57,7 +58,6 @@ from tactile_control.phases import (
     StampedPose,
     newer,
 )
-from tactile_control.pid import NANOSECOND
 from tactile_control.touch_off import TouchFailed, TouchOff, at
 from tactile_filter import se3
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, SettingGroups, Settings, setting
+from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings
 from tactile_control.motion import Odometer, TravelSettings, Waypoint, twist_towards, way_to_start
 from tactile_control.phases import (
@@ -21,7 +22,6 @@ from tactile_control.phases import (
     TaskInputs,
     newer,
 )
-from tactile_control.pid import NANOSECOND
 from tactile_control.watchdog import WatchdogSettings
 from tactile_filter import se3
 

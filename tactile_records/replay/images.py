@@ -18,13 +18,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, ModelError
+from tactile_records.bags.cdr import MessageError as Unreadable
+from tactile_records.bags.cdr import blank_layout, layout_of
 from tactile_records.bags.contents import Recorded
-from tactile_records.bags.message_columns import MessageError as Unreadable
-from tactile_records.bags.message_columns import blank_layout, layout_of, rows_of
+from tactile_records.bags.message_columns import rows_of
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
 from tactile_records.replay.run import BELIEF_TYPE, pose_rows
@@ -34,7 +36,6 @@ Array = NDArray[Any]
 
 RAW, COMPRESSED = "tactile/image", "tactile/image/compressed"
 PRESENCE_TYPE = "tactile_msgs/msg/ContactPresence"
-SECOND_NS = 1_000_000_000
 AHEAD = 64  # images that are decoded before they are needed
 
 
@@ -205,7 +206,7 @@ class _Estimates:
 def _presence_message(
     arm: str, image: Image, frame: str, score: float, threshold: float, in_contact: bool
 ) -> Recorded:
-    layout = blank_layout(type_fields({}, PRESENCE_TYPE), PRESENCE_TYPE, {"header.frame_id": frame})
+    layout = blank_layout(PRESENCE_TYPE, {"header.frame_id": frame})
     row = np.frombuffer(bytearray(layout.template), layout.dtype)
     row["header.stamp.sec"], row["header.stamp.nanosec"] = divmod(image.stamp_ns, SECOND_NS)
     row["score"], row["threshold"], row["in_contact"] = score, threshold, in_contact

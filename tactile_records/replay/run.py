@@ -5,6 +5,7 @@ The same bag, settings and program give the same bytes, however often and on how
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,20 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
+from tactile_base.stamps import SECOND_NS
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.gaussian import UNUSABLE
+from tactile_filter.gaussian import UNUSABLE, ros_from_left
+from tactile_filter.pose_numbers import numbers_from_pose
 from tactile_filter.smoother import smooth
-from tactile_records.bags.message_columns import Layout, blank_layout, stamps_ns
-from tactile_records.bags.message_definitions import type_fields
-from tactile_records.replay.numbers import ros_from_left
+from tactile_records.bags.cdr import Layout, blank_layout
+from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.replay.settings import Change
-from tactile_records.replay.track import ArmInputs, LiveStates, Measurement
+from tactile_records.replay.track import POSE, ArmInputs, LiveStates, Measurement
 from tactile_records.runs.record import BeliefSeries
 
 Array = NDArray[Any]
 
-SECOND_NS = 1_000_000_000
 STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
 NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
 
@@ -163,24 +163,16 @@ def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> A
         return rows
     _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])
     means = np.array([mean for _, mean, _ in gaussians])
-    for column, axis in enumerate("xyz"):
-        rows[f"pose.pose.position.{axis}"] = means[:, column, 3]
-    quaternions = np.array([se3.quaternion_from_rotation(T[:3, :3]) for T in means])
-    for column, axis in enumerate("xyzw"):
-        rows[f"pose.pose.orientation.{axis}"] = quaternions[:, column]
+    for name, values in zip(POSE, numbers_from_pose(means).T, strict=True):
+        rows[name] = values
     covs = ros_from_left(np.array([cov for _, _, cov in gaussians]), means[:, :3, 3])
     rows["pose.covariance"] = covs.reshape(-1, 36)
     return rows
 
 
-_LAYOUTS: dict[tuple[str, str], Layout] = {}
-
-
+@functools.lru_cache(maxsize=64)
 def _layout(type_name: str, frame_id: str) -> Layout:
-    if (type_name, frame_id) not in _LAYOUTS:
-        texts = {"header.frame_id": frame_id}
-        _LAYOUTS[type_name, frame_id] = blank_layout(type_fields({}, type_name), type_name, texts)
-    return _LAYOUTS[type_name, frame_id]
+    return blank_layout(type_name, {"header.frame_id": frame_id})
 
 
 def _blank(layout: Layout, count: int) -> Array:

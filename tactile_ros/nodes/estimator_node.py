@@ -21,6 +21,7 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver, Percept
@@ -32,7 +33,6 @@ from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE, STATE
-from tactile_ros.stamps import SECOND_NS
 from tactile_ros.wire import gaussian_bytes, headed_bytes
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
+from tactile_base.stamps import parts_from_ns
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
 from tactile_filter.events import Event, measurement_join, says_no_contact
@@ -31,7 +32,6 @@ from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
-from tactile_ros.stamps import SECOND_NS
 from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
 from tactile_ros.wire import gaussian_bytes, headed_bytes, read_gaussian
 
@@ -228,7 +228,7 @@ class FilterNode(ManagedNode):
 def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:
     """ContactState message of a belief; NaN where it holds nothing."""
     xi, euler = belief.vectors()
-    latency = divmod(emitted_ns - belief.stamp_ns, SECOND_NS)
+    latency = parts_from_ns(emitted_ns - belief.stamp_ns)
     return headed_bytes(
         ContactState,
         belief.stamp_ns,

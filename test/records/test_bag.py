@@ -221,8 +221,8 @@ def test_chunks_of_every_compression_are_read_up_to_where_the_file_is_cut(tmp_pa
 
 
 @pytest.mark.parametrize("part", [0.3, 0.6, 0.95])
-def test_a_truncated_sqlite_bag_gives_every_row_on_whole_pages(tmp_path, part):
-    """With messages that are larger than a page among them, and where sqlite itself finds nothing."""
+def test_a_truncated_sqlite_bag_gives_what_sqlite_still_finds(tmp_path, part):
+    """Messages that are larger than a page among them: none of those comes with its end cut off."""
     folder, long = tmp_path / "run", Topic("/long", "std_msgs/msg/String")
     texts = {index: str(index) * 3000 for index in range(0, 3000, 100)}
     with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
