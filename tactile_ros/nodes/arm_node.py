@@ -24,8 +24,12 @@ from tf2_msgs.msg import TFMessage
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import ARM_POSE, ARM_STATUS, LIMITED_COMMAND, WORLD, tool_frame
+from tactile_base.topics import COMMAND as COMMAND_TOPIC
+from tactile_base.topics import TF as TF_TOPIC
+from tactile_base.topics import TF_STATIC as TF_STATIC_TOPIC
 from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
-from tactile_drivers.scene import EXTERNAL, SIM, WORLD, ArmScene, load_scene
+from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus
 from tactile_ros.cdr import Layout, split_stamp
@@ -64,20 +68,20 @@ class ArmNode(ManagedNode):
         """Open topics and, unless another node does, the driver."""
         scene = self.hosted or self._scene()
         self.frame = f"{self.arm}/{scene.controlled_frame}"
-        self.tool_frame = f"{self.arm}/tool"
+        self.tool_frame = tool_frame(self.arm)
         self.limits = scene.limits
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
         self.static = [transform_stamped(0, WORLD, self.base_frame, scene.T_world_base)]
         if scene.sensor is not None:
             self.static.append(transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled))
-        self.tf_out = self.publisher(TFMessage, "/tf", TF)
-        self.tf_static_out = self.publisher(TFMessage, "/tf_static", TF_STATIC)
+        self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+        self.tf_static_out = self.publisher(TFMessage, TF_STATIC_TOPIC.name, TF_STATIC)
         example = transform_stamped(0, self.base_frame, self.tool_frame, np.eye(4))
         self.tf_layout = Layout(TFMessage(transforms=[example]))
-        self.pose_out = self.publisher(PoseStamped, "arm/pose", STATE)
-        self.status_out = self.publisher(ArmStatus, "arm/status", STATE)
-        self.limited_out = self.publisher(TwistStamped, "command/twist_limited", STATE)
-        self.subscribe(TwistStamped, "command/twist", self._receive, COMMAND, 0.0, raw=True)
+        self.pose_out = self.publisher(PoseStamped, ARM_POSE.name, STATE)
+        self.status_out = self.publisher(ArmStatus, ARM_STATUS.name, STATE)
+        self.limited_out = self.publisher(TwistStamped, LIMITED_COMMAND.name, STATE)
+        self.subscribe(TwistStamped, COMMAND_TOPIC.name, self._receive, COMMAND, 0.0, raw=True)
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self.timer(min(0.02, scene.limits.command_timeout / 4), self._watch)
         self._forget()
@@ -154,8 +158,8 @@ class ArmNode(ManagedNode):
         self._status_due_ns = due_ns if due_ns > state.stamp_ns and not first else state.stamp_ns + period_ns
         if state.mode is ArmMode.FAULT:
             self.report.complain("fault", f"{self.arm}: in fault: {state.reason}")
-        pose = numbers_from_pose(state.T_base_controlled).tolist()
-        self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *pose))
+        numbers = numbers_from_pose(state.T_base_controlled).tolist()
+        self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
         layout = _status_layout(self.base_frame, state.reason)
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()

@@ -27,8 +27,20 @@ from visualization_msgs.msg import MarkerArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import (
+    ESTIMATE,
+    LATENCY,
+    PRESENCE,
+    SIM_MARKERS,
+    TRUTH,
+    WORLD,
+    base_frame,
+    sensor_frame,
+    tool_frame,
+)
+from tactile_base.topics import TF as TF_TOPIC
 from tactile_drivers.camera import CameraFrame
-from tactile_drivers.scene import SIM, WORLD, Scene, load_scene
+from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.motions import FIXED
 from tactile_filter import se3
@@ -76,14 +88,14 @@ class SensorOutlet:
     """What the cell knows of one simulated sensor: the truth, and the estimate of one without a camera."""
 
     def __init__(self, node: SimNode, arm: str, camera: CameraNode | None) -> None:
-        self.base, self.frame = f"{arm}/base", f"{arm}/tactile_sensor"
+        self.base, self.frame = base_frame(arm), sensor_frame(arm)
         self.arm, self.camera, self.lost = arm, camera, 0
         self._node = node
-        self._truth = node.publisher(ContactTruth, f"/{arm}/sim/truth", STATE)
+        self._truth = node.publisher(ContactTruth, TRUTH.of(arm).name, STATE)
         if camera is None:
-            self._presence = node.publisher(ContactPresence, f"/{arm}/contact/presence", STATE)
-            self._estimate = node.publisher(PoseWithCovarianceStamped, f"/{arm}/contact/estimate", STATE)
-            self._latency = LatencyPublisher(node, "camera", self.frame, f"/{arm}/latency")
+            self._presence = node.publisher(ContactPresence, PRESENCE.of(arm).name, STATE)
+            self._estimate = node.publisher(PoseWithCovarianceStamped, ESTIMATE.of(arm).name, STATE)
+            self._latency = LatencyPublisher(node, "camera", self.frame, LATENCY.of(arm).name)
 
     def publish(self, frame: Frame) -> None:
         """What the sensor gives."""
@@ -160,8 +172,8 @@ class SimNode(ManagedNode):
             if self.scene.arms[name].simulated_sensor
         ]
         self.loose = [name for name, body in self.scene.bodies.items() if not _frame_of(self.scene, name)]
-        self.tf_out = self.publisher(TFMessage, "/tf", TF) if self.loose else None
-        self.markers_out = self.publisher(MarkerArray, "/sim/markers", LATCHED)
+        self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF) if self.loose else None
+        self.markers_out = self.publisher(MarkerArray, SIM_MARKERS.name, LATCHED)
 
     def activate(self) -> None:
         """The cell starts anew, as soon as everything else has been made ready."""
@@ -248,7 +260,7 @@ def _frame_of(scene: Scene, body: str) -> str:
     """The frame that a body stands still in; empty if a motion model moves it."""
     described = scene.bodies[body]
     if described.carried_by:
-        return f"{described.carried_by}/tool"
+        return tool_frame(described.carried_by)
     return WORLD if described.motion == FIXED else ""
 
 
