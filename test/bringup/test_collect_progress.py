@@ -38,6 +38,6 @@ def test_lines_tell_samples_pace_and_time_left_and_finding_the_surface_does_not_
     monkeypatch.setattr(collect_progress, "LINE_PERIOD", 0.0)
     with CollectionDisplay(Console(force_terminal=False), live=False, samples=10) as display:
         for said in (Said("touch", 0.4), Said("rotate", 0.4), Said("shear", 0.5), Said("rotate", 0.6, 0.001)):
-            display.update("", {"arm": said})
+            display.update({"arm": ("", said)})
     last = capsys.readouterr().out.splitlines()[-1]
     assert "6 of 10 samples" in last and "2.00 s each" in last and "8 s left" in last and "1.00 mm" in last

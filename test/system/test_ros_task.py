@@ -30,12 +30,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PATH_LENGTH = 0.04  # m
 # a machine that holds up a process only delays the task
-SETTINGS = """settings:
-  watchdog: {patience: 30.0}
-  task:
-    start_timeout: 60.0
-    approach_timeout: 100.0
-    settle_timeout: 100.0
+SETTINGS = """    settings:
+      watchdog: {patience: 30.0, start_timeout: 60.0}
+      contact: {approach_timeout: 100.0, settle_timeout: 100.0}
 """
 
 
@@ -46,9 +43,9 @@ def configuration(tmp_path_factory) -> Path:
     shutil.copytree(config_folder(), folder)
     task = folder / "tasks" / "surface_following.yaml"
     text, changed = re.subn(r"(name: ramp, .*length: )[\d.]+", rf"\g<1>{PATH_LENGTH}", task.read_text())
-    assert changed == 1, "the task file has one path named ramp"
-    assert "settings:\n  task:\n" in text
-    task.write_text(text.replace("settings:\n  task:\n", SETTINGS))
+    assert changed == 1, "the task file has one goal named ramp"
+    assert text.count("    settings:\n      task:\n") == 1
+    task.write_text(text.replace("    settings:\n", SETTINGS, 1))
     return folder
 
 
@@ -203,7 +200,7 @@ def test_a_truncated_bag_still_gives_the_run_up_to_there(finished, tmp_path):
     part = read_run(tmp_path / "bag")
     assert 0 < len(part.belief) < len(record.belief)
     assert not part.result["bag_complete"] and "ends early" in part.result["bag_problem"]
-    assert not part.result["succeeded"] and part.result["reason"] == "path ramp did not reach its end"
+    assert not part.result["succeeded"] and part.result["reason"] == "goal ramp did not reach its end"
 
 
 def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
