@@ -39,10 +39,11 @@ def bench(tmp_path):
     """The scene and a task on it; an arm is said by the fidelity of its sensor, None for an arm without."""
 
     def make(options: GraphOptions | None = None, rate: int = 60, **arms: str | None) -> Graph:
+        arms = arms or {"left": "image"}
         described = {
             name: {"start": {"position": [0, 0, 0.1]}}
             | ({"sensor": {"camera_rate": rate}} if fidelity else {})
-            for name, fidelity in (arms := arms or {"left": "image"}).items()
+            for name, fidelity in arms.items()
         }
         sensors = {name: {"fidelity": fidelity} for name, fidelity in arms.items() if fidelity}
         scene, task = tmp_path / "bench.yaml", tmp_path / "wipe.yaml"
