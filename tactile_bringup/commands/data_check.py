@@ -43,6 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     """`tactile data check`: returns the exit status."""
     from rich.console import Console
 
+    from tactile_base.progress import Progress
     from tactile_base.whole_file import check_folder
     from tactile_perception.datasets.check import check
     from tactile_perception.datasets.dataset import open_folder
@@ -54,8 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
             check_folder(arguments.out)
         folder = open_folder(arguments.folder)
         settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
-        with _Bars() as bars:
-            result = check(folder, settings, bars.update)
+        with Progress() as progress:
+            result = check(folder, settings, progress.update)
         if arguments.out is not None:
             _write(result, arguments.out)
     except (ValueError, OSError) as error:
@@ -131,28 +132,3 @@ def _write(result: CheckResult, folder: Path) -> None:
         "camera_deg": result.conventions.camera_deg if result.conventions else math.nan,
     }
     (folder / "check.json").write_text(json.dumps(content, indent=2) + "\n")
-
-
-class _Bars:
-    """A progress bar for each stage."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._tasks: dict[str, Any] = {}
-
-    def __enter__(self) -> _Bars:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._progress.stop()
-
-    def update(self, what: str, done: int, total: int) -> None:
-        if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=total)
-        self._progress.update(self._tasks[what], completed=done)

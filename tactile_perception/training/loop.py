@@ -21,16 +21,17 @@ from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.data import RunData, Samples, check_samples
 from tactile_perception.training.export import export_onnx
 from tactile_perception.training.network import PoseNetwork
-from tactile_perception.training.progress import Progress
+from tactile_perception.training.progress import TimeLeft, TrainingProgress
 from tactile_perception.training.run_folder import MODEL_NAME, Epoch, RunFolder, TrainResult
 from tactile_perception.training.settings import learning_rate
 from tactile_perception.training.symmetry import SymmetryAxis
-from tactile_perception.training.time_left import TimeLeft
 
 _EVALUATION_BATCH = 100
 
 
-def train_network(data: RunData, folder: RunFolder, config: TrainConfig, progress: Progress) -> TrainResult:
+def train_network(
+    data: RunData, folder: RunFolder, config: TrainConfig, progress: TrainingProgress
+) -> TrainResult:
     """Train on data in memory, from the start or from the state in the run folder."""
     # What cannot be trained is refused here, before anything is written that would be in the way of another.
     check_samples(data, config)
@@ -118,7 +119,7 @@ class _Run:
         self.steps_per_epoch = max(1, len(data.training) // settings.batch_size)
 
     def epoch(
-        self, number: int, best: Epoch | None, progress: Progress, remaining: TimeLeft
+        self, number: int, best: Epoch | None, progress: TrainingProgress, remaining: TimeLeft
     ) -> tuple[Epoch, dict[str, Tensor]]:
         """One pass over the training data and a validation; the epoch and the validated weights."""
         started = time.monotonic()
@@ -136,7 +137,7 @@ class _Run:
         epoch = Epoch(number, rate, train_loss, validation_loss, mae, ended - started, bool(better), left)
         return epoch, weights
 
-    def _train_epoch(self, number: int, progress: Progress, remaining: TimeLeft) -> float:
+    def _train_epoch(self, number: int, progress: TrainingProgress, remaining: TimeLeft) -> float:
         settings = self.config.training
         # Every epoch has random numbers of its own, so that a resumed run draws those of a whole one.
         torch.manual_seed(_epoch_seed(settings.seed, number))

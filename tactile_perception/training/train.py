@@ -7,10 +7,10 @@ from pathlib import Path
 from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.data import load_data
 from tactile_perception.training.loop import train_network
-from tactile_perception.training.progress import Progress
+from tactile_perception.training.progress import TrainingProgress
 from tactile_perception.training.run_folder import Epoch, RunFolder, TrainResult
 
-__all__ = ["Epoch", "Progress", "TrainConfig", "TrainResult", "train"]
+__all__ = ["Epoch", "TrainConfig", "TrainResult", "TrainingProgress", "train"]
 
 
 def train(
@@ -19,7 +19,7 @@ def train(
     config: TrainConfig | None = None,
     validation_dir: Path | str | None = None,
     limit: int | None = None,
-    progress: Progress | None = None,
+    progress: TrainingProgress | None = None,
 ) -> TrainResult:
     """Train on a folder of the public layout and leave everything about the run in `out_dir`.
 
@@ -50,7 +50,7 @@ def train(
         If `out_dir` holds a finished run, or one with another configuration or other data.
     """
     config = config or TrainConfig()
-    progress = progress or Progress()
+    progress = progress or TrainingProgress()
     folder = RunFolder(out_dir)
     folder.check_free()  # before the images are read
     data = load_data(Path(data_dir), validation_dir, config, limit, progress.loading)

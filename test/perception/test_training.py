@@ -20,7 +20,7 @@ from tactile_perception.evaluation.calibration import CalibrationError  # noqa: 
 from tactile_perception.training.augmentation import AugmentationError, Augmenter  # noqa: E402
 from tactile_perception.training.data import Samples, load_data, split_holdback  # noqa: E402
 from tactile_perception.training.network import PoseNetwork  # noqa: E402
-from tactile_perception.training.progress import Progress  # noqa: E402
+from tactile_perception.training.progress import TrainingProgress  # noqa: E402
 from tactile_perception.training.run_folder import RunFolder  # noqa: E402
 from tactile_perception.training.settings import (  # noqa: E402
     AugmentationSettings,
@@ -115,7 +115,7 @@ class Killed(Exception):
     pass
 
 
-class KilledIn(Progress):
+class KilledIn(TrainingProgress):
     """Ends the run in the middle of an epoch, as a kill would."""
 
     def __init__(self, epoch: int) -> None:
@@ -126,7 +126,7 @@ class KilledIn(Progress):
             raise Killed
 
 
-class KilledAfter(Progress):
+class KilledAfter(TrainingProgress):
     """Ends the run between two epochs."""
 
     def __init__(self, epoch: int) -> None:
