@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_perception.evaluation.reference import paper_tables
+from tactile_perception.evaluation.report import paper_tables
 
 if TYPE_CHECKING:
     from dial import Row

@@ -70,7 +70,7 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
     from tactile_perception.datasets.dataset import open_folder
     from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import folder_frames, usable_order
-    from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
+    from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
     folder = open_folder(arguments.source, estimator.metadata.preprocessing)
     order = usable_order(folder, arguments.seed, arguments.limit)

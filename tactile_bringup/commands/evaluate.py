@@ -111,7 +111,7 @@ def _run_network(arguments: argparse.Namespace, console: Console) -> None:
 
 def _run_filter(arguments: argparse.Namespace, console: Console) -> None:
     from tactile_perception.evaluation import filter_experiment
-    from tactile_perception.evaluation.reference import paper_tables
+    from tactile_perception.evaluation.report import paper_tables
 
     experiment = _experiment(arguments)
     data, results, out = _predict(arguments, console)
@@ -173,7 +173,7 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
 
 def _print_tables(console: Console, results: Any, paper: bool) -> None:
     from tactile_perception.evaluation import report
-    from tactile_perception.evaluation.reference import paper_tables
+    from tactile_perception.evaluation.report import paper_tables
 
     console.print(report.accuracy_table(results, paper_tables() if paper else None))
     for name, members in report.groups(results).items():

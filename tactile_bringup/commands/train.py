@@ -16,7 +16,7 @@ from tactile_base.whole_file import check_file
 from tactile_bringup.commands.changes import add_set_option, needs_extra, positive_int, refuse
 from tactile_bringup.commands.quantize import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS, errors_in_words
-from tactile_perception.training.profiles import profile
+from tactile_perception.training.config import profile
 
 
 def register(subparsers: Any) -> None:

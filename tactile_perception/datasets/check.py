@@ -17,9 +17,8 @@ import numpy as np
 
 from tactile_perception.datasets.conventions import Conventions, find_conventions
 from tactile_perception.datasets.dataset import TactileFolder
-from tactile_perception.datasets.images import read_image
 from tactile_perception.datasets.statistics import LabelStatistics, label_statistics
-from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.image import ImageError, read_image
 from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, measure
 
 LEVELS = ("ok", "note", "warning", "error")
