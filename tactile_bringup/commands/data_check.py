@@ -34,7 +34,7 @@ def register(commands: Any) -> None:
     parser.add_argument("--strict", action="store_true", help="end with exit code 1 for warnings too")
     parser.add_argument(
         "--write-conventions", action="store_true",
-        help="where signs or units are others and there is one way to mend them, write conventions.json",
+        help="where signs or units are others and there is one way to correct them, write conventions.json",
     )  # fmt: skip
     parser.set_defaults(run=run)
 
@@ -93,7 +93,7 @@ def show(result: CheckResult, console: Console) -> None:
 
 
 def write_conventions(result: CheckResult) -> str:
-    """Write `conventions.json` if there is one way to mend the labels; returns what was done, in words."""
+    """Write `conventions.json` if there is one way to correct the labels; returns what was done, in words."""
     from tactile_perception.datasets.table import CONVENTIONS_NAME
 
     found = result.conventions
@@ -103,7 +103,7 @@ def write_conventions(result: CheckResult) -> str:
     ways = [way for way in found.explanations if not way.swapped and not way.mirrored]
     if len(ways) != 1:
         listed = "; ".join(map(str, found.explanations)) or "none"
-        return f"{path}: not written, since there is not one way to mend the signs (found: {listed})"
+        return f"{path}: not written, since there is not one way to correct the signs (found: {listed})"
     flip = [*ways[0].flipped, *(["z"] if found.depth_flipped else [])]
     content = {
         "flip": flip,
@@ -113,7 +113,7 @@ def write_conventions(result: CheckResult) -> str:
     if not flip and content["length_unit"] == "mm" and content["angle_unit"] == "deg":
         return f"{path}: not needed"
     path.write_text(json.dumps(content) + "\n")
-    return f"{path}: written; every reader heeds it from now on: {json.dumps(content)}"
+    return f"{path}: written; every reader applies it from now on: {json.dumps(content)}"
 
 
 def _write(result: CheckResult, folder: Path) -> None:

@@ -172,7 +172,7 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
         console.print(f"{len(runs) - len(waiting)} of {len(runs)} runs are already there", highlight=False)
     errors: list[str] = []
 
-    def tell(job: jobs.Job, error: str) -> None:
+    def report(job: jobs.Job, error: str) -> None:
         errors.extend([error] if error else [])
         console.print(
             f"{job.name}: {error}" if error else _line(job.name, job.folder.result()),
@@ -183,12 +183,12 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
         )
 
     if arguments.scheduler:
-        jobs.run_cluster(waiting, arguments.scheduler, tell)
+        jobs.run_cluster(waiting, arguments.scheduler, report)
     elif arguments.processes > 1:
-        jobs.run_processes(waiting, arguments.processes, tell)
+        jobs.run_processes(waiting, arguments.processes, report)
     else:
         for job in waiting:
-            tell(job, _train_in_sight(job, console))
+            report(job, _train_here(job, console))
     _print_repeat(Console(), arguments.out, runs)
     if _quantized(arguments):
         for job in runs:
@@ -197,7 +197,7 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
     return 1 if errors else 0
 
 
-def _train_in_sight(job: Any, console: Console) -> str:
+def _train_here(job: Any, console: Console) -> str:
     """One of many runs, in this process and with its progress; returns why it came to nothing, or ""."""
     from tactile_perception.training.progress import TrainingDisplay
     from tactile_perception.training.train import train

@@ -79,7 +79,7 @@ def _report_reading(result: CheckResult) -> None:
 
 
 def _report_images(result: CheckResult, progress: Callable[[str, int, int], None] | None) -> None:
-    """Every file is read whole; equal contents are told."""
+    """Every file is read whole; equal contents are reported."""
     folder = result.folder
     seen: dict[bytes, str] = {}
     twice, broken, blank = [], [], []

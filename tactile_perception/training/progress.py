@@ -76,7 +76,7 @@ class TimeLeft:
     """Estimates from the steps and validations so far; early stopping may end a run sooner.
 
     What counts is the last epoch's steps, so that the estimate follows a machine that others use as well: the
-    median over a few stretches of them of each stretch's mean, which a hiccup of some seconds does not move
+    median over a few stretches of them of each stretch's mean, which a pause of some seconds does not move
     and one that comes again and again does. In the first epoch only the later half of the steps counts, since
     the first ones warm up caches and memory, and nothing is said before there is enough of them.
     """
