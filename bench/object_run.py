@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.config_paths import config_path
+from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_drivers.scene import Scene, load_scene
 from tactile_filter import se3
@@ -44,7 +45,6 @@ from tactile_records.runs.record import RunRecord
 
 Array = NDArray[Any]
 GAP_NS = 300_000_000  # after a longer silence the object's frame may be another one
-SECOND_NS = 1_000_000_000
 SETTLED_NS = SECOND_NS // 2  # of holding is not looked at: the arms are still pressing
 
 

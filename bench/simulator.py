@@ -11,8 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tactile_drivers.sim.collection import CollectionSettings, generate, press_then_shear
+from tactile_drivers.sim.settings import ContactSettings, TacTipSettings
 from tactile_drivers.sim.surfaces import Surface, make_surface
-from tactile_drivers.sim.tactip import ContactSettings, TacTip, TacTipSettings
+from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # mm

@@ -3,22 +3,22 @@
 Predict: the surface stands still in the base while the sensor moves, so the contact moves in the sensor by
 T_k = (X_k^sens)^-1 X_{k-1}^sens, and process noise is added. Correct: the prediction is fused with the
 estimate that was made from the image. What the paper's algorithm does not say is what happens when something
-is wrong, and that is most of this file: estimates that are outliers, not finite, late or repeated, time that
-jumps, gaps. Everything refused is counted by its reason.
+is wrong, and that is most of this file: lost contact, estimates that are outliers, not finite, late or
+repeated, time that jumps, gaps. Everything refused is counted by its reason.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_filter import se3
-from tactile_filter.belief import Belief, BeliefFlag
-from tactile_filter.filter_settings import SECOND_NS, FilterSettings, Tuning, gate_threshold
+from tactile_filter.belief import Belief, BeliefFlag, invalid_belief
+from tactile_filter.filter_settings import FilterSettings, Tuning, gate_threshold
 from tactile_filter.fusion import FusionError, FusionStatus, check_gaussian, fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.history import Entry, History, Key
@@ -43,7 +43,6 @@ _STARTED = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
 _NOT_CONVERGED = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.NOT_CONVERGED
 _PREDICTED = BeliefFlag.PREDICTED_ONLY
 _GATED = BeliefFlag.PREDICTED_ONLY | BeliefFlag.GATED
-_INVALID = BeliefFlag.INVALID | BeliefFlag.PREDICTED_ONLY
 _OVERFLOW = "the prediction is beyond double precision"
 
 
@@ -63,6 +62,7 @@ class _Memory(NamedTuple):
     state: _State | None
     refused_in_a_row: int
     rejections: Counter[str]
+    rejections_before_reset: Counter[str]
     resets: Counter[str]
 
 
@@ -81,6 +81,7 @@ class ContactFilter:
         self._state: _State | None = None
         self._refused_in_a_row = 0
         self._rejections: Counter[str] = Counter()  # counters are replaced, never changed: see _memory
+        self._rejections_before_reset: Counter[str] = Counter()
         self._resets: Counter[str] = Counter()
         self._history = History(0)
         self.configure(FilterSettings() if settings is None else settings)
@@ -114,6 +115,11 @@ class ContactFilter:
         return sum(self._rejections.values()) + self.late["too late"]
 
     @property
+    def all_rejections(self) -> Counter[str]:
+        """The same, since construction."""
+        return self._rejections_before_reset + self.rejections
+
+    @property
     def resets(self) -> Counter[str]:
         """Restarts since construction, by reason."""
         return self._resets
@@ -136,11 +142,36 @@ class ContactFilter:
         self._forget(reason)
         self._history.clear(stamp_ns)
 
+    def observe(
+        self, stamp_ns: int, estimate: PoseGaussian | None, T_base_sensor: ArrayLike | None
+    ) -> Belief:
+        """Take what one exposure told: `step` with its estimate; without contact, forget the belief.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Of the exposure.
+        estimate : PoseGaussian or None
+            Estimate of X_sf; None: there is no contact.
+        T_base_sensor : (4, 4) or None
+            As for `step`; not needed without contact.
+
+        Returns
+        -------
+        Belief
+            Without contact one with the flags NO_CONTACT and INVALID.
+        """
+        if estimate is not None:
+            return self.step(stamp_ns, estimate, T_base_sensor)
+        if self.has_belief:
+            self.reset("no contact", stamp_ns)
+        return invalid_belief(int(stamp_ns), BeliefFlag.NO_CONTACT, rejected=self.rejected)
+
     def step(
         self,
         stamp_ns: int,
         measurement: PoseGaussian,
-        T_base_sensor: ArrayLike,
+        T_base_sensor: ArrayLike | None,
         *,
         source: str = "",
         sequence: int = 0,
@@ -155,7 +186,8 @@ class ContactFilter:
             Estimate of X_sf. One that is not finite or has no positive definite covariance is refused; the
             step then only predicts.
         T_base_sensor : (4, 4)
-            The sensor's pose in a frame in which the surface stands still, at that stamp.
+            The sensor's pose in a frame in which the surface stands still, at that stamp. A measurement
+            whose pose is none is refused, and the belief stays what it is.
         source, sequence : str, int
             Order of measurements of the same stamp (of which the first is fused).
 
@@ -187,7 +219,7 @@ class ContactFilter:
         if len(following) == 1:
             return self._step_in_order(stamp_ns, entry.measurement, entry.T_base_sensor)
         self.late["put in place"] += 1
-        self._state, self._refused_in_a_row, self._rejections, self._resets = entry.before
+        self._recall(entry.before)
         newest_tuning = self._tuning
         for each in following:
             each.before, self._tuning = self._memory(), each.tuning
@@ -196,7 +228,13 @@ class ContactFilter:
         return belief
 
     def _memory(self) -> _Memory:
-        return _Memory(self._state, self._refused_in_a_row, self._rejections, self._resets)
+        counts = self._rejections, self._rejections_before_reset, self._resets
+        return _Memory(self._state, self._refused_in_a_row, *counts)
+
+    def _recall(self, memory: _Memory) -> None:
+        self._state, self._refused_in_a_row = memory.state, memory.refused_in_a_row
+        self._rejections, self._rejections_before_reset = memory.rejections, memory.rejections_before_reset
+        self._resets = memory.resets
 
     def _step_in_order(self, stamp_ns: int, measurement: PoseGaussian, sensor: Array | None) -> Belief:
         if sensor is None:
@@ -349,6 +387,7 @@ class ContactFilter:
     def _forget(self, reason: str) -> None:
         self._state = None
         self._refused_in_a_row = 0
+        self._rejections_before_reset = self.all_rejections
         self._rejections = Counter()
         self.late = Counter()
         self._count_reset(reason)
@@ -383,8 +422,7 @@ class ContactFilter:
         return Belief(state.stamp_ns, mean, cov, nis, dof, flags, reason, self.rejected, whitened, inflation)
 
     def _invalid(self, stamp_ns: int, reason: str) -> Belief:
-        mean, cov = np.full((4, 4), math.nan), np.full((DOF, DOF), math.nan)
-        return Belief(stamp_ns, mean, cov, flags=_INVALID, reason=reason, rejected=self.rejected)
+        return invalid_belief(stamp_ns, _PREDICTED, reason, self.rejected)
 
 
 def normalized_innovation_squared(measurement: PoseGaussian, mean: Array, cov: Array) -> float:

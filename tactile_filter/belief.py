@@ -9,6 +9,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_filter import se3
+
 Array = NDArray[np.float64]
 
 
@@ -64,3 +66,15 @@ class Belief:
     def valid(self) -> bool:
         """Whether mean and cov may be used."""
         return not self.flags & BeliefFlag.INVALID
+
+    def vectors(self) -> tuple[Array, Array]:
+        """xi_sf (6,) and the Euler surface contact pose (6,) of X_fs; NaN where the belief is not valid."""
+        if not self.valid:
+            return np.full(6, math.nan), np.full(6, math.nan)
+        return se3.log(self.mean), se3.euler_from_pose(se3.inverse(self.mean))
+
+
+def invalid_belief(stamp_ns: int, flags: BeliefFlag, reason: str = "", rejected: int = 0) -> Belief:
+    """A belief that holds nothing but why."""
+    mean, cov = np.full((4, 4), math.nan), np.full((6, 6), math.nan)
+    return Belief(stamp_ns, mean, cov, flags=flags | BeliefFlag.INVALID, reason=reason, rejected=rejected)

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
-from tactile_filter.filter_settings import SECOND_NS
 
 Array = NDArray[np.float64]
 

@@ -1,18 +1,20 @@
-"""Everything about the filter that can be tuned."""
+"""Everything about the filter that can be tuned, and the files that hold it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from tactile_base.config_paths import config_path, named_file
 from tactile_base.settings import SettingError, Settings, setting
-
-SECOND_NS = 1_000_000_000
+from tactile_base.stamps import SECOND_NS
+from tactile_base.yaml_file import read_yaml
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,27 @@ class FilterSettings(Settings):
                 f"history = {self.history:g} s: must not be longer than backward_jump "
                 f"= {self.backward_jump:g} s"
             )
+
+
+def load_filter_settings(profile: str | Path = "") -> FilterSettings:
+    """Settings from a file.
+
+    Parameters
+    ----------
+    profile : str or Path
+        Name of one of `config/filters`, or path of a .yaml file; empty: `config/filter.yaml`.
+
+    Raises
+    ------
+    SettingError
+        With file, line and valid choices.
+    FileNotFoundError
+        With the names of `config/filters`, if there is no such profile.
+    OSError
+        Where the file cannot be read.
+    """
+    section = read_yaml(named_file("filter", profile) if str(profile) else config_path("filter.yaml"))
+    return section.checked(FilterSettings, section.values)
 
 
 class Tuning(NamedTuple):

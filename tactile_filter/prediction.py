@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_filter import se3
-from tactile_filter.filter_settings import SECOND_NS
 
 Array = NDArray[np.float64]
 

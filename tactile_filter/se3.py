@@ -2,7 +2,8 @@
 
 A pose is a homogeneous matrix ``T`` (4, 4), a tangent vector ``xi = [rho, phi]`` (6,) with the translation
 first and the rotation in radians (the paper's "Notation and mathematical preliminaries", after Barfoot).
-Nothing here knows units of length.
+Nothing here knows units of length. Conversions from and to Euler angles and quaternions also take stacks,
+with leading dimensions, and convert each to the bit as alone.
 
 exp, log, adjoint and the Jacobians are in C (`_csrc/se3_exact.h`): worked out with twice the precision and
 rounded once, so that they are correct to about the last digit from angle 0 to pi, the Jacobians to 2 pi.
@@ -17,7 +18,9 @@ ValueError
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +29,8 @@ from tactile_filter.native import _fusion
 
 Array = NDArray[np.float64]
 Vector = Sequence[float]
+Rows = Sequence[Vector]
+Shape = tuple[int, ...]
 
 ROTATION_TOLERANCE = 1e-6  # largest element of R^T R - I for R to count as a rotation
 
@@ -150,44 +155,54 @@ def checked_pose(name: str, value: ArrayLike) -> Array:
 
 
 def pose_from_euler(pose6: ArrayLike) -> Array:
-    """Pose (4, 4) of (x, y, z, alpha, beta, gamma): turns (rad) about the fixed axes x, y, z in turn.
+    """Poses (..., 4, 4) of (x, y, z, alpha, beta, gamma) (..., 6): turns (rad) about fixed x, y, z in turn.
 
     This is 'sxyz' of transforms3d and 'xyz' of SciPy: R = Rz(gamma) Ry(beta) Rx(alpha).
     """
-    x, y, z, alpha, beta, gamma = _checked(pose6, (6,), "pose6").tolist()
+    return _each(_pose_from_euler, pose6, (6,), (4, 4), "pose6")
+
+
+def _pose_from_euler(x: float, y: float, z: float, alpha: float, beta: float, gamma: float) -> Rows:
     ca, sa = math.cos(alpha), math.sin(alpha)
     cb, sb = math.cos(beta), math.sin(beta)
     cg, sg = math.cos(gamma), math.sin(gamma)
-    return np.array(
-        (
-            (cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa, x),
-            (sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa, y),
-            (-sb, cb * sa, cb * ca, z),
-            (0.0, 0.0, 0.0, 1.0),
-        )
+    return (
+        (cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa, x),
+        (sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa, y),
+        (-sb, cb * sa, cb * ca, z),
+        (0.0, 0.0, 0.0, 1.0),
     )
 
 
 def euler_from_pose(T: ArrayLike) -> Array:
-    """(x, y, z, alpha, beta, gamma) (6,) of a pose (4, 4), |beta| <= pi/2; the inverse of `pose_from_euler`.
+    """(x, y, z, alpha, beta, gamma) (..., 6) of poses (..., 4, 4), |beta| <= pi/2; inverts `pose_from_euler`.
 
     At |beta| = pi/2, where only alpha and gamma together are defined, gamma is 0.
     """
-    pose = _checked_pose(T)
-    (r00, _, _, x), (r10, r11, r12, y), (r20, r21, r22, z), _ = pose.tolist()
+    return _each(_euler_from_pose, T, (4, 4), (6,), "T")
+
+
+def _euler_from_pose(first: Vector, second: Vector, third: Vector, last: Vector) -> Vector:
+    if last != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"T: last row must be [0, 0, 0, 1], is {last}")
+    (r00, _, _, x), (r10, r11, r12, y), (r20, r21, r22, z) = first, second, third
     cos_beta = math.hypot(r00, r10)
     beta = math.atan2(-r20, cos_beta)
-    if cos_beta > 4.0 * np.finfo(np.float64).eps:
-        return np.array((x, y, z, math.atan2(r21, r22), beta, math.atan2(r10, r00)))
-    return np.array((x, y, z, math.atan2(-r12, r11), beta, 0.0))
+    if cos_beta > 4.0 * sys.float_info.epsilon:
+        return x, y, z, math.atan2(r21, r22), beta, math.atan2(r10, r00)
+    return x, y, z, math.atan2(-r12, r11), beta, 0.0
 
 
 def quaternion_from_rotation(R: ArrayLike) -> Array:
-    """Unit quaternion (4,) as (x, y, z, w) of a rotation (3, 3), w >= 0 (Shepperd's method).
+    """Unit quaternions (..., 4) as (x, y, z, w) of rotations (..., 3, 3), w >= 0 (Shepperd's method).
 
     At w = 0 the first non-zero component is positive.
     """
-    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = _checked(R, (3, 3), "R").tolist()
+    return _each(_quaternion_from_rotation, R, (3, 3), (4,), "R")
+
+
+def _quaternion_from_rotation(first: Vector, second: Vector, third: Vector) -> Vector:
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = first, second, third
     trace = r00 + r11 + r22
     largest = max(trace, r00, r11, r22)
     if largest == trace:
@@ -202,23 +217,39 @@ def quaternion_from_rotation(R: ArrayLike) -> Array:
     if norm == 0.0:
         raise ValueError("R: is not a rotation")
     leading = q[3] or next(component for component in q if component)
-    return np.array(q) * math.copysign(1.0 / norm, leading) + 0.0
+    scale = math.copysign(1.0 / norm, leading)
+    return tuple(component * scale + 0.0 for component in q)
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
-    """Rotation (3, 3) of a quaternion (x, y, z, w) of any non-zero norm."""
-    x, y, z, w = _checked(quaternion, (4,), "quaternion").tolist()
+    """Rotations (..., 3, 3) of quaternions (x, y, z, w) (..., 4) of any non-zero norm."""
+    return _each(_rotation_from_quaternion, quaternion, (4,), (3, 3), "quaternion")
+
+
+def _rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Rows:
     norm = math.hypot(x, y, z, w)
     if norm == 0.0:
         raise ValueError("quaternion: is zero, must have norm 1")
     x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    return np.array(
-        (
-            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-            (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-            (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-        )
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
     )
+
+
+def _each(convert: Callable[..., Any], value: ArrayLike, shape: Shape, result: Shape, name: str) -> Array:
+    """One array of a shape converted, or each in a stack: by the same operations, so that bits agree."""
+    array = np.asarray(value, dtype=np.float64)
+    lead = array.shape[: array.ndim - len(shape)]
+    if array.shape != lead + shape:
+        raise ValueError(f"{name}: must have shape {shape}, or that behind others, has {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: must be finite, is {array.tolist()}")
+    if not lead:
+        return np.array(convert(*array.tolist()))
+    found = [convert(*each) for each in array.reshape(-1, *shape).tolist()]
+    return np.array(found, dtype=np.float64).reshape(lead + result)
 
 
 def _skew(v: Vector) -> Array:
@@ -240,10 +271,3 @@ def _checked(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: must be finite, is {array.tolist()}")
     return array
-
-
-def _checked_pose(T: ArrayLike) -> Array:
-    pose = _checked(T, (4, 4), "T")
-    if pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise ValueError(f"T: last row must be [0, 0, 0, 1], is {pose[3].tolist()}")
-    return pose

@@ -13,10 +13,10 @@ from typing import Any
 
 from rclpy.serialization import serialize_message
 
+from tactile_base.stamps import SECOND_NS
 from tactile_records.bags import cdr
 from tactile_records.bags.cdr import Number as Number
 from tactile_records.bags.message_definitions import type_fields
-from tactile_ros.stamps import SECOND_NS
 
 FRAME = "header.frame_id"
 STAMP_NUMBERS = 2  # sec and nanosec, which a message with a header starts with

@@ -23,7 +23,6 @@ from std_msgs.msg import Header
 
 from tactile_filter.pose_numbers import MessageError as MessageError
 from tactile_filter.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
-from tactile_filter.pose_numbers import matrix_from_quaternion as matrix_from_quaternion
 from tactile_filter.pose_numbers import numbers_from_pose as numbers_from_pose
 from tactile_filter.pose_numbers import pose_from_numbers as pose_from_numbers
 from tactile_ros.stamps import time_from_ns
@@ -41,24 +40,24 @@ def header(stamp_ns: int, frame_id: str) -> Header:
 def matrix_from_pose(pose: Pose) -> Array:
     """T (4, 4) of a Pose message."""
     p, q = pose.position, pose.orientation
-    return pose_from_numbers((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    return pose_from_numbers((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
 def pose_from_matrix(T: Array) -> Pose:
     """Pose message of T (4, 4)."""
-    x, y, z, *q = numbers_from_pose(T)
+    x, y, z, *q = numbers_from_pose(T).tolist()
     return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(q))
 
 
 def matrix_from_transform(transform: Transform) -> Array:
     """T_parent_child (4, 4) of a Transform message."""
     p, q = transform.translation, transform.rotation
-    return pose_from_numbers((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    return pose_from_numbers((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
 def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Array) -> TransformStamped:
     """TransformStamped message of T_parent_child (4, 4)."""
-    x, y, z, *q = numbers_from_pose(T_parent_child)
+    x, y, z, *q = numbers_from_pose(T_parent_child).tolist()
     transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=_quaternion(q))
     return TransformStamped(header=header(stamp_ns, parent), child_frame_id=child, transform=transform)
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import ns_from_parts
 from tactile_records.bags.cdr import Layout, MessageReader, blank_layout
 from tactile_ros.cdr import split_stamp
 from tactile_ros.conversions import MONO8, MessageError, checked_image
-from tactile_ros.stamps import SECOND_NS
 
 Image = NDArray[np.uint8]
 
@@ -48,7 +48,7 @@ def image_from_bytes(data: bytes) -> ReceivedImage:
     """The fields of a serialized Image; raises `MessageError` for cut bytes."""
     layout, (sec, nanosec, height, width, _, step) = _read_head(data)
     pixels = np.frombuffer(data, np.uint8, layout.lengths[PIXELS], len(layout.template))
-    stamp_ns, encoding = sec * SECOND_NS + nanosec, layout.texts["encoding"]
+    stamp_ns, encoding = ns_from_parts(sec, nanosec), layout.texts["encoding"]
     return ReceivedImage(stamp_ns, height, width, encoding, step, pixels)
 
 

@@ -1,4 +1,4 @@
-"""TF behind one interface: tf2's buffer where it is installed, else our own, both fed from real /tf messages.
+"""/tf and /tf_static into a `TransformBuffer` and out of it, the same one that a replayed bag goes through.
 
 Lookups are at a stamp and never fall back to another one in silence. Who needs a transform that is not there
 yet waits for it with a `TransformGate`, in the order of the stamps and up to a deadline.
@@ -8,175 +8,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
+from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, EventJoin
-from tactile_filter.transform_buffer import (
-    TransformBuffer,
-    TransformDisconnected,
-    TransformInFuture,
-    TransformInPast,
-    TransformUnavailable,
-)
+from tactile_filter.transform_buffer import TransformBuffer, TransformInPast, TransformUnavailable
 from tactile_ros.cdr import ReceivedTransform, transforms_from_bytes
-from tactile_ros.conversions import (
-    MessageError,
-    matrix_from_transform,
-    pose_from_numbers,
-    transform_stamped,
-)
+from tactile_ros.conversions import pose_from_numbers, transform_stamped
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.qos import TF, TF_STATIC
-from tactile_ros.stamps import SECOND_NS
-
-try:
-    import tf2_ros
-except ImportError:  # no wheels of it exist
-    tf2_ros = None
 
 Array = NDArray[np.float64]
-
-
-class Store(Protocol):
-    """Where transforms are kept."""
-
-    def put(self, transform: ReceivedTransform, static: bool) -> None:
-        """Keep a transform; raises `MessageError` if it cannot be used."""
-
-    def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
-        """T_target_source (4, 4) at the stamp; raises `TransformUnavailable`."""
-
-    def newest(self, target: str, source: str) -> tuple[int, Array]:
-        """Newest stamp along the chain, and T_target_source there; raises `TransformUnavailable`."""
-
-    def clear(self) -> None:
-        """Forget what is not static."""
-
-
-class OwnStore:
-    """Our own buffer, `tactile_filter.transform_buffer`."""
-
-    def __init__(self) -> None:
-        self._buffer = TransformBuffer()
-
-    def put(self, transform: ReceivedTransform, static: bool) -> None:
-        """See `Store`."""
-        parent, child = _frames(transform)
-        T = pose_from_numbers(transform.translation, transform.rotation)
-        try:
-            self._buffer.set_transform(parent, child, transform.stamp_ns, T, static=static)
-        except ValueError as error:
-            raise MessageError(str(error)) from error
-
-    def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
-        """See `Store`."""
-        return self._buffer.lookup(target, source, stamp_ns)
-
-    def newest(self, target: str, source: str) -> tuple[int, Array]:
-        """See `Store`."""
-        stamp_ns = self._buffer.latest_stamp(target, source)
-        if stamp_ns is None:
-            raise _nothing_moves(target, source)
-        return stamp_ns, self._buffer.lookup(target, source, stamp_ns)
-
-    def clear(self) -> None:
-        """See `Store`."""
-        self._buffer.clear()
-
-
-class Tf2Store:
-    """The buffer of tf2_ros, which interpolates position and rotation each on its own.
-
-    What tf2 would log and ignore, or take and answer wrongly later, is refused here as by our own buffer.
-    """
-
-    def __init__(self) -> None:
-        self._buffer = tf2_ros.Buffer()
-        self._parents: dict[str, tuple[str, bool]] = {}  # by child, with whether the link is static
-
-    def put(self, transform: ReceivedTransform, static: bool) -> None:
-        """See `Store`."""
-        parent, child = _frames(transform)
-        self._check_link(parent, child)
-        T = pose_from_numbers(transform.translation, transform.rotation)
-        if not np.isfinite(T).all():
-            raise MessageError(f"transform '{parent}' -> '{child}': must be finite, is {transform}")
-        self._parents[child] = parent, static
-        message = transform_stamped(transform.stamp_ns, parent, child, T)
-        if static:
-            self._buffer.set_transform_static(message, "tf_static")
-        else:
-            self._buffer.set_transform(message, "tf")
-
-    def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
-        """See `Store`; tf2 takes a time of zero for 'the newest', which is right only where nothing moves."""
-        if stamp_ns <= 0 and self._newest_ns(target, source) > 0:
-            raise TransformInPast(f"{_asked(target, source, stamp_ns)}: must be later than 0")
-        try:
-            found = self._buffer.lookup_transform(target, source, Time(nanoseconds=max(stamp_ns, 0)))
-        except tf2_ros.TransformException as error:
-            raise self._unavailable(target, source, stamp_ns, error) from error
-        return matrix_from_transform(found.transform)
-
-    def newest(self, target: str, source: str) -> tuple[int, Array]:
-        """See `Store`."""
-        stamp_ns = self._newest_ns(target, source)
-        if stamp_ns == 0:
-            raise _nothing_moves(target, source)
-        return stamp_ns, self.lookup(target, source, stamp_ns)
-
-    def clear(self) -> None:
-        """See `Store`; tf2 keeps static transforms as well."""
-        self._buffer.clear()
-        self._parents = {child: link for child, link in self._parents.items() if link[1]}
-
-    def _check_link(self, parent: str, child: str) -> None:
-        """Raise `MessageError` for a link without a name or one that would close a loop."""
-        if not parent or not child:
-            raise MessageError(f"transform '{parent}' -> '{child}': a frame's name must not be empty")
-        ancestor = parent
-        while ancestor != child and ancestor in self._parents:
-            ancestor = self._parents[ancestor][0]
-        if ancestor == child:
-            raise MessageError(f"transform '{parent}' -> '{child}': would close a loop")
-
-    def _newest_ns(self, target: str, source: str) -> int:
-        """Newest stamp along the chain (ns), 0 if nothing moves in it; raises `TransformDisconnected`."""
-        try:
-            return int(self._buffer.get_latest_common_time(target, source).nanoseconds)
-        except tf2_ros.TransformException as error:
-            raise TransformDisconnected(f"no transform from '{source}' to '{target}': {error}") from error
-
-    def _unavailable(self, target: str, source: str, stamp_ns: int, error: Exception) -> TransformUnavailable:
-        """The error that says whether waiting may help, which tf2's do not tell in Python."""
-        try:
-            newest_ns = self._newest_ns(target, source)
-        except TransformDisconnected as disconnected:
-            return disconnected
-        asked, later = _asked(target, source, stamp_ns), (stamp_ns - newest_ns) / SECOND_NS
-        if later > 0.0:
-            return TransformInFuture(
-                f"{asked}: the newest is of {newest_ns} ns, the stamp is {later:.6f} s later"
-            )
-        return TransformInPast(f"{asked}: the stamp is earlier than what is kept: {error}")
-
-
-def _frames(transform: ReceivedTransform) -> tuple[str, str]:
-    """Parent and child; a leading slash, which old programs still send, is no part of a name in tf2."""
-    return transform.parent.removeprefix("/"), transform.child.removeprefix("/")
-
-
-def _asked(target: str, source: str, stamp_ns: int) -> str:
-    return f"transform from '{source}' to '{target}' at {stamp_ns} ns"
-
-
-def _nothing_moves(target: str, source: str) -> TransformUnavailable:
-    return TransformUnavailable(f"nothing moves between '{target}' and '{source}': no newest transform")
 
 
 class TransformListener:
@@ -205,18 +50,17 @@ class TransformListener:
         self._on_update = on_update
         self._on_jump = on_jump
         self._ignore = frozenset(ignore)
-        self._newest_ns: dict[str, int] = {}
-        self.store: Store = OwnStore() if tf2_ros is None else Tf2Store()
+        self._buffer = TransformBuffer(jump_ns=JUMP_NS)
         node.subscribe(TFMessage, "/tf_static", self._receive_static, TF_STATIC, always=True, raw=True)
         node.subscribe(TFMessage, "/tf", self._receive, TF, always=True, raw=True)
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
         """T_target_source (4, 4) at the stamp; raises `TransformUnavailable`."""
-        return self.store.lookup(target, source, stamp_ns)
+        return self._buffer.lookup(target, source, stamp_ns)
 
     def newest(self, target: str, source: str) -> tuple[int, Array]:
-        """The newest T_target_source with its stamp, for who asks where things are and heeds the age."""
-        return self.store.newest(target, source)
+        """The newest T_target_source with its stamp; raises `TransformUnavailable`."""
+        return self._buffer.newest(target, source)
 
     def _receive_static(self, data: bytes) -> None:
         self._put_all(transforms_from_bytes(data), static=True)
@@ -228,28 +72,28 @@ class TransformListener:
         for transform in transforms:
             if transform.child in self._ignore:
                 continue
-            if not static:
-                self._look_for_jump(transform)
             try:
-                self.store.put(transform, static)
-            except MessageError as error:
+                jump_ns = self._put(transform, static)
+            except ValueError as error:
                 self._node.count("transforms refused")
                 self._node.warn("tf", f"transform of {transform.child} refused: {error}")
+                continue
+            if jump_ns:
+                self._report_jump(jump_ns / SECOND_NS)
         if self._on_update is not None:
             self._on_update()
 
-    def _look_for_jump(self, transform: ReceivedTransform) -> None:
-        stamp_ns, child = transform.stamp_ns, transform.child
-        newest_ns = self._newest_ns.get(child, stamp_ns)
-        if stamp_ns < newest_ns - JUMP_NS:
-            self._newest_ns.clear()
-            self.store.clear()
-            self._node.count("backward time jumps")
-            seconds = (newest_ns - stamp_ns) / SECOND_NS
-            self._node.warn("jump", f"time jumped back by {seconds:.3f} s: transforms and state are cleared")
-            if self._on_jump is not None:
-                self._on_jump(seconds)
-        self._newest_ns[child] = max(stamp_ns, self._newest_ns.get(child, 0))
+    def _put(self, transform: ReceivedTransform, static: bool) -> int:
+        """Add to the buffer; a leading slash, which old programs still send, is no part of a name."""
+        parent, child = transform.parent.removeprefix("/"), transform.child.removeprefix("/")
+        T = pose_from_numbers((*transform.translation, *transform.rotation))
+        return self._buffer.set_transform(parent, child, transform.stamp_ns, T, static=static)
+
+    def _report_jump(self, seconds: float) -> None:
+        self._node.count("backward time jumps")
+        self._node.warn("jump", f"time jumped back by {seconds:.3f} s: transforms and state are cleared")
+        if self._on_jump is not None:
+            self._on_jump(seconds)
 
 
 class FramePublisher:

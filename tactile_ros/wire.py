@@ -12,7 +12,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistStamped
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter import pose_covariance
+from tactile_filter.gaussian import ros_from_left
 from tactile_ros.cdr import HeadedReader, Layout, Number, split_stamp
 from tactile_ros.conversions import numbers_from_pose
 
@@ -31,8 +31,8 @@ def twist_bytes(stamp_ns: int, frame_id: str, twist: ArrayLike) -> bytes:
 
 def gaussian_bytes(stamp_ns: int, frame_id: str, mean: Array, cov: Array) -> bytes:
     """PoseWithCovarianceStamped of a mean (4, 4) with left covariance (6, 6), both in `frame_id`."""
-    ros = pose_covariance.ros_from_left(cov, mean[:3, 3])
-    numbers = (*numbers_from_pose(mean), *ros.ravel().tolist())
+    ros = ros_from_left(cov, mean[:3, 3])
+    numbers = (*numbers_from_pose(mean).tolist(), *ros.ravel().tolist())
     return headed_bytes(PoseWithCovarianceStamped, stamp_ns, frame_id, *numbers)
 
 

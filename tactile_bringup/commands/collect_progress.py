@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tactile_bringup.launching.progress import LINE_PERIOD, MM, REFRESH_RATE, Display
-from tactile_control.collection_types import REFERENCE, TOUCH
+from tactile_control.collection import REFERENCE, TOUCH
 from tactile_control.phases import GO_TO_START
 
 if TYPE_CHECKING:
@@ -60,9 +60,9 @@ class CollectionDisplay(Display):
         self._pace = Pace()
         self._said_s = -math.inf
 
-    def update(self, path: str, arms: Mapping[str, Progress]) -> None:
+    def update(self, arms: Mapping[str, tuple[str, Progress]]) -> None:
         """Show the collection of the one arm."""
-        for progress in arms.values():
+        for _, progress in arms.values():
             if progress.phase:
                 self._show(progress)
 

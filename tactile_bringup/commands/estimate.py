@@ -80,14 +80,9 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
     from tactile_perception.estimating.sources import folder_frames, usable_order
     from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
 
-    folder = open_folder(arguments.source)
+    folder = open_folder(arguments.source, estimator.metadata.preprocessing)
     order = usable_order(folder, arguments.seed, arguments.limit)
     console.print("\n".join(folder.report.lines()), markup=False, highlight=False, soft_wrap=True)
-    if folder.processed and folder.preprocessing != estimator.metadata.preprocessing:
-        console.print(
-            "note: the folder's images were pre-processed with other settings than the model's",
-            style="yellow",
-        )
     frames = folder_frames(folder, order)
     contact_filter = None
     if not arguments.no_filter:
@@ -99,7 +94,7 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
 
 def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
     from tactile_filter.bayes_filter import ContactFilter
-    from tactile_filter.files import load_filter_settings
+    from tactile_filter.filter_settings import load_filter_settings
     from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import SourceError, read_poses, video_frames
 

@@ -8,15 +8,17 @@ from typing import Any
 
 import yaml
 
-from tactile_base.config_paths import config_path
+from tactile_base.config_paths import config_names, config_path
 from tactile_bringup.graph import Graph
 
+DEFAULT = "default"  # the displays of a task that has no file of its own
 ARM = "arm"  # in the packaged file: each of the graph's arms
 
 
 def write_view(graph: Graph, folder: Path) -> Path:
     """Write the graph's RViz configuration into a folder; returns its path."""
-    config = yaml.safe_load(config_path(f"rviz/{graph.task}.rviz").read_text())
+    own = graph.task if graph.task in config_names("rviz", ".rviz") else DEFAULT
+    config = yaml.safe_load(config_path(f"rviz/{own}.rviz").read_text())
     manager = config["Visualization Manager"]
     manager["Displays"] = [shown for display in manager["Displays"] for shown in _shown(display, graph)]
     folder.mkdir(parents=True, exist_ok=True)

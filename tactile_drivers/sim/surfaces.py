@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 
 Array = NDArray[np.float64]
@@ -280,6 +281,9 @@ class Dome(Surface):
 
 
 SURFACES: dict[str, type[Surface]] = {cls.kind: cls for cls in (Plane, Ramp, Dome)}
+SHAPES: Registry[Any] = Registry(
+    "shape", "tactile_servoing.shapes", {kind: f"{__name__}:{cls.__name__}" for kind, cls in SURFACES.items()}
+)
 
 
 def make_surface(kind: str, parameters: Mapping[str, Any] | None = None, where: str = "") -> Surface:

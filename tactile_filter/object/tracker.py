@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import unknown_name
+from tactile_base.stamps import SECOND_NS
 from tactile_filter import se3
-from tactile_filter.filter_settings import SECOND_NS
 from tactile_filter.fusion import FusionError, check_gaussian
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.belief import (

@@ -27,11 +27,22 @@ def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.
     array of int
         All rows of data that are not the training data; empty where nothing was held back of those.
     """
+    used = _parts_held_back(metadata, sha256)
+    # The held-back samples of a smaller part are among those of a larger one.
+    return split_holdback(count, min(used))[1] if used else np.arange(count)
+
+
+def is_training_data(metadata: ModelMetadata, sha256: str) -> bool:
+    """Whether a model, or what it was started from, was trained on this data set."""
+    return bool(_parts_held_back(metadata, sha256))
+
+
+def _parts_held_back(metadata: ModelMetadata, sha256: str) -> list[float]:
+    """What part of a data set each network held back that was trained on it; empty for other data."""
     data, runs = metadata.training_data, metadata.training.get("members", [metadata.training])
     parts = [float(run.get("training", {}).get("holdback", 0.0)) for run in runs]
     used = [] if data.get("sha256") != sha256 else parts
     while "start" in data:  # what an earlier network learned from, this one has seen, too
         data = data["start"]
         used += [float(data.get("holdback", 0.0))] if data.get("sha256") == sha256 else []
-    # The held-back samples of a smaller part are among those of a larger one.
-    return split_holdback(count, min(used))[1] if used else np.arange(count)
+    return used

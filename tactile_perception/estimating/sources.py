@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_perception.datasets.dataset import DatasetError, TactileFolder
 from tactile_perception.estimating.image import Image, ImageError
 from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_UNITS, surface_contact_pose
 
 POSE_COLUMNS = tuple(f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True))
-_NANOSECONDS = 1_000_000_000
 
 
 class SourceError(ValueError):
@@ -52,7 +52,7 @@ def folder_frames(folder: TactileFolder, order: NDArray[np.int64], period_s: flo
         euler = folder.euler_mm_deg[index]
         yield Frame(
             name=folder.names[index],
-            stamp_ns=round(count * period_s * _NANOSECONDS),
+            stamp_ns=round(count * period_s * SECOND_NS),
             image=folder.image(index),
             processed=folder.processed,
             label=euler,
@@ -93,7 +93,7 @@ def video_frames(
                 raise SourceError(f"{source}: has more frames than there are poses ({len(poses)})")
             gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
             pose = None if poses is None else poses[count]
-            yield Frame(f"frame {count}", round(count / rate * _NANOSECONDS), gray, False, None, pose)
+            yield Frame(f"frame {count}", round(count / rate * SECOND_NS), gray, False, None, pose)
             count += 1
         if count == 0:
             raise SourceError(f"{source}: gave no frame")

@@ -20,9 +20,7 @@ from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.fusion import fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import predict
-from tactile_perception.estimating.labels import surface_contact_pose
-from tactile_perception.estimating.run import tangent_gaussian
-from tactile_perception.estimator import pose_gaussian
+from tactile_perception.estimating.labels import pose_gaussian, surface_contact_pose, tangent_gaussian
 from tactile_perception.evaluation.evaluate import EvaluationData
 from tactile_perception.evaluation.metrics import squared_mahalanobis
 from tactile_perception.evaluation.motion_noise import Drift, motion_covariance, motion_filter

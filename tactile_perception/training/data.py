@@ -82,8 +82,8 @@ def load_data(
     preprocessing = training.preprocessing.replaced(**changes)
     if preprocessing != validation.preprocessing:
         raise DatasetError(
-            f"{train_dir} and {validation_dir} were pre-processed differently: "
-            f"{preprocessing} and {validation.preprocessing}"
+            f"{train_dir} and {validation_dir} were pre-processed differently: the first has "
+            f"{preprocessing.differences(validation.preprocessing)}"
         )
     data = arrange(training, validation, config, preprocessing)
     if start is None:

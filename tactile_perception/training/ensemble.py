@@ -67,10 +67,8 @@ def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
     first = members[0]
     for file, member in zip(files, members, strict=True):
         if member.preprocessing != first.preprocessing:
-            raise EnsembleError(
-                f"{file}: prepares images otherwise than {files[0]}: "
-                f"{member.preprocessing}, not {first.preprocessing}"
-            )
+            difference = member.preprocessing.differences(first.preprocessing)
+            raise EnsembleError(f"{file}: prepares images otherwise than {files[0]}: {difference}")
     facts = [{"validation": member.validation, **member.training} for member in members]
     return ModelMetadata(
         preprocessing=first.preprocessing,

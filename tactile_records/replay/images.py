@@ -18,9 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import EstimateError, Estimator, ModelError
+from tactile_perception.estimator import Estimator, ModelError
 from tactile_records.bags.cdr import MessageError as Unreadable
 from tactile_records.bags.cdr import blank_layout, layout_of
 from tactile_records.bags.contents import Recorded
@@ -34,7 +36,6 @@ Array = NDArray[Any]
 
 RAW, COMPRESSED = "tactile/image", "tactile/image/compressed"
 PRESENCE_TYPE = "tactile_msgs/msg/ContactPresence"
-SECOND_NS = 1_000_000_000
 AHEAD = 64  # images that are decoded before they are needed
 
 
@@ -154,13 +155,14 @@ class _Estimates:
             remarks.append(f"{arm}: the model {recorded} is not there: the shipped one is taken")
         chosen = model or (recorded if recorded and Path(recorded).exists() else "")
         try:
-            self.estimator = Estimator(chosen)
+            estimator = Estimator(chosen)
         except ModelError as error:
             raise ReplayError(str(error)) from error
         presence = {
             n.removeprefix("presence."): v for n, v in parameters.items() if n.startswith("presence.")
         }
         self.presence = ContactPresence(PresenceSettings.from_mapping(presence))
+        self.perceive = Perceiver(estimator, self.presence)
         self.last_ns = -1
         self.faults: Counter[str] = Counter()
         self.first_fault: dict[str, str] = {}
@@ -173,22 +175,18 @@ class _Estimates:
             return self._refuse("images are not later than the one before them", f"stamp {image.stamp_ns} ns")
         self.last_ns = image.stamp_ns
         try:
-            prepared = self.estimator.preprocessor(image.pixels)
+            percept = self.perceive(image.pixels)
         except ImageError as error:
             return self._refuse("images cannot be used", str(error))
-        seen = self.presence.update(prepared)
-        if seen.in_contact is None:
+        if percept.in_contact is None:
             return []
         frame = image.frame_id or f"{self.arm}/tactile_sensor"
-        messages = [
-            _presence_message(self.arm, image, frame, seen.score, self.presence.settings.on, seen.in_contact)
-        ]
-        if seen.in_contact:
-            try:
-                gaussian = self.estimator.estimate_prepared(prepared)
-            except EstimateError as error:
-                return messages + self._refuse("estimates are no Gaussians", str(error))
-            rows = pose_rows([(image.stamp_ns, gaussian.mean, gaussian.cov)], frame)
+        numbers = percept.score, self.presence.settings.on, percept.in_contact
+        messages = [_presence_message(self.arm, image, frame, *numbers)]
+        if percept.fault:
+            messages += self._refuse("estimates are no Gaussians", percept.fault)
+        if percept.estimate is not None:
+            rows = pose_rows([(image.stamp_ns, percept.estimate.mean, percept.estimate.cov)], frame)
             messages.insert(0, _recorded(self.arm, ESTIMATE, BELIEF_TYPE, next(rows_of(rows)), image))
         return messages
 

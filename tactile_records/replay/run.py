@@ -14,20 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
+from tactile_base.stamps import SECOND_NS
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.contact_belief import UNUSABLE, belief_vectors, nothing
+from tactile_filter.gaussian import UNUSABLE, ros_from_left
+from tactile_filter.pose_numbers import numbers_from_pose
 from tactile_filter.smoother import smooth
 from tactile_records.bags.cdr import Layout, blank_layout
 from tactile_records.bags.message_columns import stamps_ns
-from tactile_records.replay.numbers import ros_from_left
 from tactile_records.replay.settings import Change
-from tactile_records.replay.track import ArmInputs, LiveStates, Measurement
+from tactile_records.replay.track import POSE, ArmInputs, LiveStates, Measurement
 from tactile_records.runs.record import BeliefSeries
 
 Array = NDArray[Any]
 
-SECOND_NS = 1_000_000_000
 STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
 NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
 
@@ -98,16 +97,16 @@ def run_filter(
             continue
         if measurement.epoch != epoch:
             epoch = measurement.epoch
-            _reset(contact_filter, "time jumped back", run)
+            contact_filter.reset("time jumped back")
         if as_recorded and measurement.stamp_ns in inputs.resets:
-            _reset(contact_filter, "service", run)
+            contact_filter.reset("service")
         now_ns = taken_at.get(measurement.stamp_ns, measurement.received_ns)
         while waiting and waiting[0].stamp_ns < now_ns:
             contact_filter.configure(contact_filter.settings.replaced(**waiting.pop(0).values))
         run.measurements.append(measurement)
-        run.beliefs.append(_step(contact_filter, measurement, run))
-    run.rejections.update(contact_filter.rejections)
-    run.resets = contact_filter.resets
+        belief = contact_filter.observe(measurement.stamp_ns, measurement.estimate, measurement.T_base_sensor)
+        run.beliefs.append(belief)
+    run.rejections, run.resets = contact_filter.all_rejections, contact_filter.resets
     run.states = state_rows(run.beliefs, inputs.sensor_frame)
     return run
 
@@ -137,21 +136,6 @@ def _times_taken(inputs: ArmInputs) -> dict[int, int]:
     return dict(zip(inputs.live.stamps_ns.tolist(), (inputs.live.stamps_ns + latency).tolist(), strict=True))
 
 
-def _step(contact_filter: ContactFilter, measurement: Measurement, run: ArmRun) -> Belief:
-    """What the live node does with an event."""
-    if measurement.estimate is None:
-        if contact_filter.has_belief:
-            _reset(contact_filter, "no contact", run, measurement.stamp_ns)
-        return nothing(measurement.stamp_ns, contact_filter.rejected)
-    assert measurement.T_base_sensor is not None
-    return contact_filter.step(measurement.stamp_ns, measurement.estimate, measurement.T_base_sensor)
-
-
-def _reset(contact_filter: ContactFilter, reason: str, run: ArmRun, stamp_ns: int | None = None) -> None:
-    run.rejections.update(contact_filter.rejections)
-    contact_filter.reset(reason, stamp_ns)
-
-
 # ---- messages ----
 
 
@@ -161,7 +145,7 @@ def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
     if not len(rows):
         return rows
     _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
-    vectors = [belief_vectors(belief) for belief in beliefs]
+    vectors = [belief.vectors() for belief in beliefs]
     rows["xi"], rows["euler"] = [xi for xi, _ in vectors], [euler for _, euler in vectors]
     rows["covariance"] = np.array([belief.cov for belief in beliefs]).reshape(-1, 36)
     rows["nis"] = [belief.nis for belief in beliefs]
@@ -179,11 +163,8 @@ def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> A
         return rows
     _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])
     means = np.array([mean for _, mean, _ in gaussians])
-    for column, axis in enumerate("xyz"):
-        rows[f"pose.pose.position.{axis}"] = means[:, column, 3]
-    quaternions = np.array([se3.quaternion_from_rotation(T[:3, :3]) for T in means])
-    for column, axis in enumerate("xyzw"):
-        rows[f"pose.pose.orientation.{axis}"] = quaternions[:, column]
+    for name, values in zip(POSE, numbers_from_pose(means).T, strict=True):
+        rows[name] = values
     covs = ros_from_left(np.array([cov for _, _, cov in gaussians]), means[:, :3, 3])
     rows["pose.covariance"] = covs.reshape(-1, 36)
     return rows

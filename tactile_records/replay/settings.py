@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 from tactile_records.bags.cdr import MessageError, layout_of
 from tactile_records.bags.contents import Recorded
@@ -20,7 +21,6 @@ from tactile_records.bags.reader import Bag
 
 Array = NDArray[Any]
 
-SECOND_NS = 1_000_000_000
 REINITIALIZED, INVALID = int(BeliefFlag.REINITIALIZED), int(BeliefFlag.INVALID)
 MEASUREMENT_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
 PARAMETER_EVENTS = "/parameter_events"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tactile_base.settings import SettingError, unknown_name
 from tactile_filter.bayes_filter import FilterSettings
-from tactile_filter.files import load_filter_settings
+from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.bags.contents import Recorded
 from tactile_records.replay.inputs import Inputs
 from tactile_records.replay.output import write_bag

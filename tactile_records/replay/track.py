@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.contact_belief import UNUSABLE
+from tactile_filter import se3
 from tactile_filter.filter_settings import FilterSettings
-from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.gaussian import UNUSABLE, PoseGaussian
+from tactile_filter.pose_numbers import gaussians_from_numbers
 from tactile_filter.transform_buffer import TransformUnavailable
-from tactile_records.replay.numbers import left_from_ros, poses_from_numbers, sound_poses
 from tactile_records.replay.settings import Change, commanded_resets, recorded_changes, recorded_settings
 from tactile_records.replay.topics import (
     ARM_POSE,
@@ -165,8 +165,8 @@ class Track:
         groups = [g for g in topic.columns if g.layout.texts["header.frame_id"] == sensor]
         rows = np.concatenate([group.indices for group in groups])
         poses = np.concatenate([group.stack(POSE) for group in groups])
-        covs = np.concatenate([group.values["pose.covariance"] for group in groups]).reshape(-1, 6, 6)
-        gaussians = _gaussians(poses, covs.astype(np.float64))
+        covs = np.concatenate([group.values["pose.covariance"] for group in groups]).reshape(-1, 36)
+        gaussians = gaussians_from_numbers(np.concatenate([poses, covs], axis=1))
         unusable = sum(gaussian is UNUSABLE for gaussian in gaussians)
         if unusable:
             remarks.append(f"{unusable} estimates are not finite or no Gaussians: there the filter predicts")
@@ -239,18 +239,6 @@ def _hint(recording: Recording) -> str:
     return f"; the bag has no messages on {' and '.join(lacking)}" if lacking else ""
 
 
-def _gaussians(poses: Array, covs: Array) -> list[PoseGaussian]:
-    """Of poses (N, 7) with ROS covariances (N, 6, 6); UNUSABLE for those that live nodes refuse."""
-    variances = np.diagonal(covs, axis1=1, axis2=2)
-    sound = sound_poses(poses) & np.isfinite(covs).all(axis=(1, 2)) & (variances >= 0.0).all(axis=1)
-    rows = np.flatnonzero(sound)
-    means, lefts = poses_from_numbers(poses[rows]), left_from_ros(covs[rows], poses[rows, :3])
-    result = [UNUSABLE] * len(poses)
-    for row, mean, left in zip(rows.tolist(), means, lefts, strict=True):
-        result[row] = PoseGaussian(mean, left)
-    return result
-
-
 def _first_of_each_stamp(topic: Topic, rows: Array) -> dict[tuple[int, int], int]:
     """(epoch, stamp) -> row, of these rows; of equal stamps the first one holds, as in the live nodes."""
     found: dict[tuple[int, int], int] = {}
@@ -281,23 +269,12 @@ def _truth(topic: Topic) -> TruthSeries:
         np.concatenate([group.values[name] for group in topic.columns])
         for name in ("euler", "depth", "slip_fraction", "in_contact")
     )
-    T_fs = _poses_from_euler(euler)
+    T_fs = np.full((len(euler), 4, 4), np.nan)  # where the simulator gives none
+    known = np.isfinite(euler).all(axis=1)
+    T_fs[known] = se3.pose_from_euler(euler[known])
     T_fs[:, 2, 3] = depth
     order = np.argsort(stamp_ns, kind="stable")
     return TruthSeries(stamp_ns[order], T_fs[order], slip[order], touching[order])
-
-
-def _poses_from_euler(euler: Array) -> Array:
-    """T (N, 4, 4) of Euler poses (N, 6), as `se3.pose_from_euler`; NaN where they are."""
-    ca, cb, cg = np.cos(euler[:, 3:]).T
-    sa, sb, sg = np.sin(euler[:, 3:]).T
-    T = np.zeros((len(euler), 4, 4))
-    T[:, 0, :3] = np.stack((cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa), -1)
-    T[:, 1, :3] = np.stack((sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa), -1)
-    T[:, 2, :3] = np.stack((-sb, cb * sa, cb * ca), -1)
-    T[:, :3, 3] = euler[:, :3]
-    T[:, 3, 3] = 1.0
-    return T
 
 
 def _live(topic: Topic) -> LiveStates | None:

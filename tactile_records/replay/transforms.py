@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_filter.pose_numbers import are_poses, pose_from_numbers
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import ColumnReader, Columns, stamps_ns
 from tactile_records.replay.clock import Timeline
-from tactile_records.replay.numbers import poses_from_numbers, sound_poses
 
 Array = NDArray[Any]
 
@@ -124,7 +124,7 @@ def _link(pieces: list[tuple[Array, Array, str, Array]], child: str, refused: Co
     stamps = np.concatenate([piece[1] for piece in pieces])
     parents = [parent for places, _, parent, _ in pieces for _ in places]
     numbers = np.concatenate([piece[3] for piece in pieces])
-    sound = sound_poses(numbers)
+    sound = are_poses(numbers)
     if not sound.all():
         refused[child] += int((~sound).sum())
     rows = np.flatnonzero(sound)
@@ -159,7 +159,7 @@ def poses_at(
 
 
 def _put(buffer: TransformBuffer, child: str, link: Link, rows: list[int], static: bool) -> None:
-    poses = poses_from_numbers(link.numbers[rows])
+    poses = pose_from_numbers(link.numbers[rows])
     for row, stamp_ns, T in zip(rows, link.stamps_ns[rows].tolist(), poses, strict=True):
         try:
             buffer.set_transform(link.parents[row], child, stamp_ns, T, static=static)
@@ -177,7 +177,7 @@ def follow_pose(
 ) -> None:
     """Take the sensor's poses (N, 7) in its base in the place of its transforms."""
     recording.static.pop(sensor, None)
-    sound = np.flatnonzero(sound_poses(numbers))
+    sound = np.flatnonzero(are_poses(numbers))
     recording.moving[sensor] = Link(stamps[sound], order[sound], [base] * len(sound), numbers[sound])
 
 

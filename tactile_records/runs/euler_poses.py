@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_filter import se3
 from tactile_records.runs.metrics import inverses
 from tactile_records.runs.record import GaussianSeries
 
@@ -14,13 +15,10 @@ Array = NDArray[Any]
 
 
 def euler_poses(T: Array) -> Array:
-    """Euler contact poses (N, 6) of (N, 4, 4), m and rad, as `se3.euler_from_pose`; NaN where the pose is."""
-    cosine = np.hypot(T[:, 0, 0], T[:, 1, 0])
-    beta = np.arctan2(-T[:, 2, 0], cosine)
-    regular = ~(cosine <= 4.0 * np.finfo(np.float64).eps)  # else only alpha and gamma together are defined
-    alpha = np.where(regular, np.arctan2(T[:, 2, 1], T[:, 2, 2]), np.arctan2(-T[:, 1, 2], T[:, 1, 1]))
-    gamma = np.where(regular, np.arctan2(T[:, 1, 0], T[:, 0, 0]), 0.0)
-    return np.concatenate([T[:, :3, 3], np.stack([alpha, beta, gamma], axis=1)], axis=1)
+    """Euler contact poses (N, 6) of (N, 4, 4), m and rad; NaN where the pose is."""
+    result, known = np.full((len(T), 6), np.nan), np.isfinite(T).all(axis=(1, 2))
+    result[known] = se3.euler_from_pose(T[known])
+    return result
 
 
 def euler_sigmas(series: GaussianSeries) -> Array:

@@ -18,11 +18,11 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
+from tactile_base.stamps import parts_from_ns
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
-from tactile_filter.contact_belief import UNUSABLE, belief_vectors, nothing
 from tactile_filter.events import Event, measurement_join, says_no_contact
-from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
@@ -32,7 +32,6 @@ from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
-from tactile_ros.stamps import SECOND_NS
 from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
 from tactile_ros.wire import gaussian_bytes, headed_bytes, read_gaussian
 
@@ -81,11 +80,13 @@ class FilterNode(ManagedNode):
         self.estimates = self.subscribe(
             PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit, raw=True
         )
-        serve_reset(self, lambda: self._reset("service"), "the next measurement starts a new belief")
+        serve_reset(self, lambda: self.filter.reset("service"), "the next measurement starts a new belief")
 
     def activate(self) -> None:
-        """Start without a belief and without pending inputs."""
-        self._clear("activated")
+        """Start with a new filter and without pending inputs."""
+        self.filter = ContactFilter(self.settings.value)
+        self.report.values.clear()
+        self._clear_inputs()
 
     # ---- inputs ----
 
@@ -143,20 +144,19 @@ class FilterNode(ManagedNode):
         self.warn("drop", f"estimate dropped ({self.counters['estimates dropped']} so far): {reason}")
 
     def _jumped(self, seconds: float) -> None:
-        self._clear("time jumped back")
+        self.filter.reset("time jumped back")
+        self._clear_inputs()
 
     # ---- steps ----
 
     def _process(self, event: Event, T_base_sensor: NDArray[np.float64]) -> None:
+        estimate = None
         if says_no_contact(event.parts):
             _, received_ns = event.parts["presence"]
-            if self.filter.has_belief:
-                self._reset("no contact", event.stamp_ns)
             self.no_contact_ns = event.stamp_ns
-            belief = nothing(event.stamp_ns, self.filter.rejected)
         else:
             estimate, received_ns = event.parts["estimate"]
-            belief = self.filter.step(event.stamp_ns, estimate, T_base_sensor)
+        belief = self.filter.observe(event.stamp_ns, estimate, T_base_sensor)
         emitted_ns = self._publish(belief)
         self.latency.note(event.stamp_ns, received_ns, emitted_ns, self._dropped())
 
@@ -184,19 +184,21 @@ class FilterNode(ManagedNode):
     def publish_diagnostics(self) -> None:
         """Add what the filter refused and how consistent it is."""
         if self.active:
-            self._tell_counts()
-            self._tell_consistency()
+            self._report_counts()
+            self._report_consistency()
         super().publish_diagnostics()
 
-    def _tell_counts(self) -> None:
+    def _report_counts(self) -> None:
         values = self.report.values
+        for reason, number in self.filter.resets.items():
+            values[f"resets: {reason}"] = str(number)
         values["refused since the last reset"] = str(self.filter.rejected)
         for reason, number in self.filter.rejections.items():
             values[f"refused: {reason}"] = str(number)
         for what, number in self.filter.late.items():
             values[f"late: {what}"] = str(number)
 
-    def _tell_consistency(self) -> None:
+    def _report_consistency(self) -> None:
         report = self.monitor.report()
         low, high = report.nis_bounds
         values = self.report.values
@@ -209,17 +211,12 @@ class FilterNode(ManagedNode):
 
     # ---- reset and parameters ----
 
-    def _clear(self, reason: str) -> None:
-        """Start anew, inputs included."""
-        self._reset(reason)
+    def _clear_inputs(self) -> None:
+        """Forget what waits, and what the diagnostics rest on."""
         self.join.clear()
         self.monitor.reset()
         self.no_contact_ns = -1
         self.frame_out.clear()
-
-    def _reset(self, reason: str, stamp_ns: int | None = None) -> None:
-        self.filter.reset(reason, stamp_ns)
-        self.count(f"resets: {reason}")
 
     def _change_settings(self, settings: FilterSettings) -> None:
         self.filter.configure(settings)
@@ -230,8 +227,8 @@ class FilterNode(ManagedNode):
 
 def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:
     """ContactState message of a belief; NaN where it holds nothing."""
-    xi, euler = belief_vectors(belief)
-    latency = divmod(emitted_ns - belief.stamp_ns, SECOND_NS)
+    xi, euler = belief.vectors()
+    latency = parts_from_ns(emitted_ns - belief.stamp_ns)
     return headed_bytes(
         ContactState,
         belief.stamp_ns,

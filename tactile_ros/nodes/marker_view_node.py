@@ -15,6 +15,7 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.markers.detection import DetectedMarkers, DetectionSettings, density_change, detect
 from tactile_perception.markers.view import side_by_side
@@ -23,7 +24,6 @@ from tactile_ros.image_bytes import image_from_bytes
 from tactile_ros.managed_node import ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
-from tactile_ros.stamps import SECOND_NS
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,12 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, setting
+from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
+from tactile_filter.gaussian import ros_from_left
 from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
-from tactile_filter.pose_covariance import ros_from_left
 from tactile_msgs.msg import ContactState
 from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
 from tactile_ros.cdr import HeadedReader
@@ -36,7 +37,6 @@ from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import STATE
-from tactile_ros.stamps import SECOND_NS
 from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
 from tactile_ros.wire import gaussian_bytes, read_gaussian
 

@@ -15,6 +15,14 @@ from tactile_bringup.task_graph import load_task_graph
 
 CONTROLLER = {"pid": {"gain": 2.0}, "task": {"speed": 0.01, "reference": (0.0, 0.0, 0.003)}}
 
+IDEAL_SCENE = """
+arms:
+  arm:
+    start: {position: [0, 0, 0.1]}
+    sensor: {}
+simulation: {sensors: {arm: {fidelity: ideal}}}
+"""
+
 
 def graph_of(*arms: ArmOutline, options: GraphOptions | None = None):
     scene = SceneOutline("bench", Path("/scenes/bench.yaml"), arms)
@@ -198,14 +206,14 @@ def test_a_scene_file_with_a_typo_names_file_line_and_choices(tmp_path):
 
 def test_a_scene_that_the_task_has_no_paths_for_is_refused(tmp_path):
     file = tmp_path / "kitchen.yaml"
-    file.write_text("arms:\n  arm:\n    start: {position: [0, 0, 0.1]}\n    sensor: {fidelity: ideal}\n")
+    file.write_text(IDEAL_SCENE)
     with pytest.raises(SettingError, match=r"no paths for this scene: unknown name 'kitchen'.*ramp"):
         load_task_graph("surface_following", str(file), GraphOptions())
 
 
 def test_a_scene_and_a_task_of_ones_own_run_with_the_packaged_controllers(tmp_path):
     scene, task = tmp_path / "kitchen.yaml", tmp_path / "wipe.yaml"
-    scene.write_text("arms:\n  arm:\n    start: {position: [0, 0, 0.1]}\n    sensor: {fidelity: ideal}\n")
+    scene.write_text(IDEAL_SCENE)
     task.write_text(
         "task: surface_following\ncontroller: surface_following_tuned\n"
         "scenes:\n  kitchen:\n    paths:\n      - {name: table, direction_deg: 0, length: 0.3}\n"

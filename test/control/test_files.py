@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
-from tactile_control.files import load_controller, load_task
+from tactile_control.task_file import load_controller, load_task
 
 TASK = """\
 task: surface_following

@@ -7,7 +7,6 @@ import pytest
 from kinematic_plant import MS, Plane, Plant, Sphere, pointing_down, run
 
 from tactile_base.settings import SettingError
-from tactile_control.files import load_controller
 from tactile_control.task import (
     APPROACH,
     DONE,
@@ -22,6 +21,7 @@ from tactile_control.task import (
     SurfaceFollowing,
     TaskInputs,
 )
+from tactile_control.task_file import load_controller
 from tactile_control.task_settings import SurfaceFollowingSettings
 
 CONTROLLER = "config/controllers/surface_following.yaml"

@@ -231,6 +231,49 @@ def test_reset_forgets_belief_and_counts():
     assert contact_filter.step(0, estimate(), np.eye(4)).flags & BeliefFlag.REINITIALIZED
 
 
+def test_observing_an_estimate_is_a_step():
+    observed, stepped = running_filter(), running_filter()
+    sensor = se3.exp([1e-3, 0, 0, 0, 0, 0.01])
+    found = observed.observe(3 * PERIOD, estimate(), sensor)
+    expected = stepped.step(3 * PERIOD, estimate(), sensor)
+    np.testing.assert_array_equal(found.mean, expected.mean)
+    np.testing.assert_array_equal(found.cov, expected.cov)
+    assert found.flags == expected.flags == BeliefFlag.MEASUREMENT_FUSED
+
+
+def test_without_contact_the_belief_is_forgotten_once_and_the_next_contact_starts_anew():
+    contact_filter = running_filter()
+    for k in (3, 4):
+        belief = contact_filter.observe(k * PERIOD, None, None)
+        assert belief.flags == BeliefFlag.NO_CONTACT | BeliefFlag.INVALID
+        assert belief.stamp_ns == k * PERIOD
+        assert np.isnan(belief.mean).all() and np.isnan(belief.cov).all()
+        assert all(np.isnan(vector).all() for vector in belief.vectors())
+    assert contact_filter.resets == {"no contact": 1}
+    assert not contact_filter.has_belief
+    assert contact_filter.observe(5 * PERIOD, estimate(), np.eye(4)).flags & BeliefFlag.REINITIALIZED
+
+
+def test_with_a_history_an_estimate_from_before_the_contact_was_lost_is_too_late():
+    contact_filter = running_filter(FilterSettings(history=0.5))
+    contact_filter.observe(4 * PERIOD, None, None)
+    belief = contact_filter.observe(3 * PERIOD, estimate(), np.eye(4))
+    assert "too late" in belief.reason
+    assert contact_filter.late["too late"] == 1
+
+
+def test_refused_measurements_are_counted_over_resets_too():
+    contact_filter = ContactFilter()
+    broken = estimate(cov=np.full((6, 6), np.nan))
+    contact_filter.observe(0, broken, np.eye(4))
+    contact_filter.observe(PERIOD, estimate(), np.eye(4))
+    contact_filter.observe(2 * PERIOD, None, None)
+    contact_filter.observe(3 * PERIOD, broken, np.eye(4))
+    contact_filter.observe(4 * PERIOD, estimate(), None)
+    assert contact_filter.rejections == {"not usable": 1, "sensor pose": 1}
+    assert contact_filter.all_rejections == {"not usable": 2, "sensor pose": 1}
+
+
 def test_settings_change_between_steps_and_keep_the_belief():
     contact_filter = running_filter()
     contact_filter.configure(FilterSettings(process_noise_translation=0.0, process_noise_rotation=0.0))

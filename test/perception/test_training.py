@@ -1,6 +1,8 @@
 """Training runs: schedule, folder, resuming, command line. Needs PyTorch."""
 
 import argparse
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -321,6 +323,16 @@ def test_a_file_in_place_of_the_run_folder_is_told_before_data_are_read(tmp_path
 def test_a_folder_that_holds_a_run_is_not_overwritten(run, training_data):
     with pytest.raises(FileExistsError, match="holds another run"):
         train(training_data, run[1], QUICK)
+
+
+def test_folders_processed_differently_are_refused_with_the_settings_that_differ(training_data, tmp_path):
+    val = tmp_path / "val"
+    shutil.copytree(training_data / "val", val)
+    params = json.loads((val / "processed_image_params.json").read_text())
+    (val / "processed_image_params.json").unlink()
+    (val / "process_image_params.json").write_text(json.dumps({**params, "circle_mask_radius": 200}))
+    with pytest.raises(DatasetError, match=r"the first has circle_mask_radius = 230, not 200$"):
+        train(training_data, tmp_path / "run", QUICK, val)
 
 
 def test_validation_data_has_to_be_named(training_data, tmp_path):

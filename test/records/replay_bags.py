@@ -12,8 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tactile_base.topics import Topic
 from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
-from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.pose_covariance import left_from_ros, ros_from_left
+from tactile_filter.gaussian import PoseGaussian, left_from_ros, ros_from_left
 from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.writer import BagWriter
 

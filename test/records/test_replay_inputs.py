@@ -21,14 +21,13 @@ from replay_bags import (
 )
 from rosbags.rosbag2 import StoragePlugin
 
-from tactile_filter import pose_covariance, se3
+from tactile_filter import se3
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.transform_buffer import TransformBuffer
 from tactile_records.bags.message_columns import ColumnReader
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.replay.inputs import read_inputs
-from tactile_records.replay.numbers import left_from_ros, poses_from_numbers, ros_from_left, sound_poses
 from tactile_records.replay.run import run_filter
 from tactile_records.replay.topics import ReplayError
 
@@ -229,30 +228,7 @@ def test_of_a_truncated_bag_what_is_readable_is_replayed(tmp_path, as_written):
     assert means(whole) == [expected[belief.stamp_ns].mean.tolist() for belief in whole]
 
 
-# ---- many at once are what each one is ----
-
-
-def test_poses_and_covariances_of_many_are_those_of_each_to_the_bit():
-    random = np.random.default_rng(3)
-    numbers = random.standard_normal((500, 7))
-    numbers[:, 3:] /= np.linalg.norm(numbers[:, 3:], axis=1)[:, None]
-    numbers[:, 3:] *= 1.0 + 5e-4 * random.uniform(-1, 1, (500, 1))
-    assert sound_poses(numbers).all()
-    poses = poses_from_numbers(numbers)
-    factors = random.standard_normal((500, 6, 6)) * 10.0 ** random.uniform(-6, 2, (500, 1, 6))
-    covs = factors @ factors.transpose(0, 2, 1)
-    left, ros = left_from_ros(covs, numbers[:, :3]), ros_from_left(covs, numbers[:, :3])
-    for k, row in enumerate(numbers):
-        assert (poses[k, :3, :3] == se3.rotation_from_quaternion(row[3:])).all()
-        assert (poses[k, :3, 3] == row[:3]).all()
-        assert (left[k] == pose_covariance.left_from_ros(covs[k], row[:3])).all()
-        assert (ros[k] == pose_covariance.ros_from_left(covs[k], row[:3])).all()
-
-
-def test_poses_that_are_none_are_found():
-    good = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-    bad = [[np.nan, *good[1:]], [*good[:6], 0.9], [*good[:6], np.inf], [0.0] * 7]
-    assert sound_poses(np.array([good, *bad])).tolist() == [True, False, False, False, False]
+# ---- columns ----
 
 
 def test_columns_are_the_numbers_of_the_messages():

@@ -6,8 +6,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped, Twist, TwistStamped, Vector3
 from sensor_msgs.msg import Image
 
-from tactile_filter import pose_covariance
-from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.gaussian import PoseGaussian, ros_from_left
 from tactile_ros.conversions import MONO8, gaussian_from_numbers, header, pose_from_matrix
 
 
@@ -32,7 +31,7 @@ def gaussian_from_message(message: PoseWithCovariance) -> PoseGaussian:
 
 def gaussian_message(stamp_ns: int, frame_id: str, mean: np.ndarray, cov: np.ndarray):
     """Of a mean (4, 4) with left covariance (6, 6)."""
-    ros = pose_covariance.ros_from_left(cov, mean[:3, 3])
+    ros = ros_from_left(cov, mean[:3, 3])
     pose = PoseWithCovariance(pose=pose_from_matrix(mean), covariance=np.ascontiguousarray(ros).reshape(36))
     return PoseWithCovarianceStamped(header=header(stamp_ns, frame_id), pose=pose)
 

@@ -272,8 +272,9 @@ def test_without_a_folder_it_does_not_start(graph):
 
 def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, folder):
     scene = load_scene("plane")
-    arm, surface = scene.arms["arm"], next(iter(scene.surfaces.values()))
-    frame = contact_frame(surface.T_base_surface(arm), arm.T_base_start, arm.sensor.model.skin.radius)
+    arm, (surface,) = scene.arms["arm"], scene.bodies
+    T_base_surface = scene.T_base_body("arm", surface)
+    frame = contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
     truths = graph.collect(ContactTruth, "sim/truth", qos.LATENCY)
     graph.start("tactile_ros.nodes.sim_node", {"scene": "plane"}, namespace="")
     parameters = {"folder": folder, "samples": 2, "seed": 4, "frame": se3.euler_from_pose(frame).tolist()}

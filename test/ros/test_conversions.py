@@ -18,8 +18,8 @@ from tactile_ros.conversions import (
     array_from_image,
     gaussian_from_numbers,
     matrix_from_pose,
-    matrix_from_quaternion,
     pose_from_matrix,
+    pose_from_numbers,
 )
 from tactile_ros.image_bytes import bytes_from_array, image_from_bytes
 from tactile_ros.wire import gaussian_bytes, read_gaussian, read_twist, twist_bytes
@@ -50,7 +50,7 @@ def test_quaternions_have_norm_one_and_a_real_part_that_is_not_negative():
 )
 def test_a_quaternion_that_is_no_rotation_is_refused(q):
     with pytest.raises(MessageError, match="norm 1"):
-        matrix_from_quaternion(*q)
+        pose_from_numbers((0.0, 0.0, 0.0, *q))
 
 
 def test_a_gaussian_survives_the_way_through_a_message():
@@ -112,4 +112,4 @@ def test_a_twist_survives_the_way_through_a_message():
 
 def test_the_identity_quaternion_is_the_default_of_messages():
     q = Quaternion()
-    assert np.array_equal(matrix_from_quaternion(q.x, q.y, q.z, q.w), np.eye(3))
+    assert np.array_equal(pose_from_numbers((0.0, 0.0, 0.0, q.x, q.y, q.z, q.w)), np.eye(4))

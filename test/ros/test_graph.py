@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tactile_base.config_paths import config_path
-from tactile_control.files import load_task
+from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLatency
@@ -22,7 +22,7 @@ SIM, FILTER = "tactile_ros.nodes.sim_node", "tactile_ros.nodes.filter_node"
 CONTROLLER = "tactile_ros.nodes.controller_node"
 SECOND = 1_000_000_000
 CHEAPER = (
-    ("fidelity: image", "fidelity: ideal"),
+    ("bodies:", "simulation:\n  sensors: {arm: {fidelity: ideal}}\nbodies:"),
     ("0.062]", "0.053]"),  # 3 mm above the ramp instead of 12
     ("rate: 120", "rate: 60"),
     ("camera_rate: 60", "camera_rate: 30"),

@@ -109,9 +109,9 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
 def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_table():
     scene = load_scene("plane")
     arm = scene.arms["arm"]
-    T = frame_on(chosen_surface(scene, arm, None), arm)
+    T = frame_on(scene, chosen_surface(scene, arm, None), arm)
     np.testing.assert_allclose(T[:2, 3], arm.T_base_start[:2, 3], atol=1e-12)
-    assert T[2, 3] == pytest.approx(arm.sensor.model.skin.radius)
+    assert T[2, 3] == pytest.approx(arm.sensor.settings.tip_radius)
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=1e-12)
 
 

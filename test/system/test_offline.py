@@ -9,7 +9,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
 from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_control.files import load_task
+from tactile_control.task_file import load_task
 from tactile_drivers.sim.cell import Cell
 from tactile_perception.estimator import shipped_model
 from tactile_records.runs import metrics

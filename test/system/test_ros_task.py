@@ -17,7 +17,7 @@ from launched import Launched
 
 from tactile_base.config_paths import config_folder
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_control.files import load_task
+from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
 from tactile_records.replay.inputs import lost_messages, read_inputs
 from tactile_records.replay.run import agreement, run_filter

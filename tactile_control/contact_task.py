@@ -1,161 +1,163 @@
-"""Surface following as a state machine: go to the start, approach, settle, follow, retreat.
+"""What tasks in contact share: go to the start, approach, settle, retreat; contact lost and found again.
 
 A library without ROS and without a clock of its own: whoever owns the time calls `step(now_ns, inputs)` at
 the control rate and sends the twist of the `Command` that comes back. In between, settings can be replaced
-(`configure`) and the task can be asked to end (`stop`)::
+(`configure`) and the task can be asked to end (`finish`, `stop`)::
 
-    task = SurfaceFollowing(settings, PathGoal(direction=math.pi / 2, length=0.1))
+    task = SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.1), T_base_start)
     while not (command := task.step(now_ns(), inputs())).done:
         send(command.twist)
 
-Phases: go_to_start -> approach -> settle -> follow -> retreat -> done, or failed; how a task stops and fails
-is told in `phases`.
+Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed. What a task adds is
+one file of tactile_control/tasks: its own phase's name, the reference velocity in it, and when it is done.
+How a task stops and fails is in `phases`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import abstractmethod
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.motion import Odometer, Waypoint, smooth_ramp, twist_towards, way_to_start
+from tactile_base.settings import SettingGroups, Settings, setting
+from tactile_base.stamps import NANOSECOND, SECOND_NS
+from tactile_control.limiter import LimiterSettings
+from tactile_control.motion import Odometer, TravelSettings, Waypoint, along_z, twist_towards, way_to_start
 from tactile_control.phases import (
     DONE,
     FAILED,
     GO_TO_START,
     RETREAT,
     STOPPING,
+    Command,
+    Goal,
     PhaseMachine,
     StampedPose,
-    TaskCommand,
+    StampedPresence,
+    TaskInputs,
     newer,
 )
-from tactile_control.pid import NANOSECOND
-from tactile_control.servoing import ServoingController, ServoingOutput
-from tactile_control.task_settings import SurfaceFollowingSettings
+from tactile_control.pid import PidSettings
+from tactile_control.servoing import ServoingController, ServoingOutput, ServoingSettings
+from tactile_control.watchdog import WatchdogSettings
 from tactile_filter import se3
-from tactile_filter.prediction import ContactPredictor
+from tactile_filter.prediction import ContactPredictor, PredictionSettings
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
 
 Array = NDArray[np.float64]
 
 APPROACH = "approach"
 SETTLE = "settle"
-FOLLOW = "follow"
-PHASES = (GO_TO_START, APPROACH, SETTLE, FOLLOW, STOPPING, RETREAT, DONE, FAILED)
+LOST_CONTACT = ("reapproach", "fail")
+TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 
-# inputs whose age matters, by phase; a phase that is not here moves without looking
-NEEDS = {
-    GO_TO_START: ("sensor_pose", "presence"),
-    APPROACH: ("sensor_pose", "presence"),
-    SETTLE: ("sensor_pose", "presence", "belief"),
-    FOLLOW: ("sensor_pose", "presence", "belief"),
-    RETREAT: ("sensor_pose",),
-}
-WATCHDOG_NAMES = {"sensor_pose": "pose", "presence": "presence", "belief": "belief"}
-TRACK_NS = 1_000_000_000  # the sensor's poses are remembered for this long
-
-# progress at which each phase begins; following takes the large middle part
-PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, FOLLOW: 0.1, RETREAT: 0.97, DONE: 1.0}
+# progress at which each phase begins; the work takes the large middle part
+PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, RETREAT: 0.97, DONE: 1.0}
+WORK_PROGRESS = 0.1
 
 
 @dataclass(frozen=True)
-class StampedPresence:
-    """Whether the sensor touches, at the exposure's stamp."""
+class ContactSettings(Settings):
+    """Speeds, tolerances and time limits of the phases that tasks in contact share."""
 
-    stamp_ns: int
-    in_contact: bool
+    approach_speed: float = setting(
+        0.004, lower=1e-4, upper=0.1, unit="m/s", doc="speed along the sensor's z until contact"
+    )
+    press_distance: float = setting(
+        0.0007,
+        lower=0.0,
+        upper=0.02,
+        unit="m",
+        doc="the approach goes on for this much after the first touch, where images say little yet",
+    )
+    approach_distance: float = setting(
+        0.05, lower=1e-3, upper=1.0, unit="m", doc="without contact within this the task fails"
+    )
+    approach_timeout: float = setting(20.0, lower=0.1, upper=600.0, unit="s", doc="longest approach")
+    settle_depth_tolerance: float = setting(
+        0.00025, lower=1e-6, upper=0.02, unit="m", doc="settled when the error along z stays below this"
+    )
+    settle_angle_tolerance: float = setting(
+        0.03, lower=1e-4, upper=1.0, unit="rad", doc="and the tilt error (phi_x, phi_y) below this"
+    )
+    settle_time: float = setting(0.3, lower=0.0, upper=60.0, unit="s", doc="for this long")
+    settle_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest settling")
+    lost_contact_time: float = setting(
+        0.1, lower=0.0, upper=10.0, unit="s", doc="contact counts as lost when it was absent for this long"
+    )
+    lost_contact: str = setting(
+        "reapproach", choices=LOST_CONTACT, doc="on lost contact: approach again where the sensor is, or fail"
+    )
+    reapproaches: int = setting(3, lower=0, upper=100, doc="fail when contact is lost more often than this")
+    retreat_distance: float = setting(
+        0.015, lower=0.0, upper=1.0, unit="m", doc="way back along the sensor's -z"
+    )
+    retreat_speed: float = setting(0.03, lower=1e-3, upper=1.0, unit="m/s", doc="speed of the retreat")
+    retreat_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest retreat")
+    pose_step: float = setting(
+        0.0002,
+        lower=0.0,
+        upper=0.01,
+        unit="m",
+        doc="sensor positions nearer to each other than this do not add to the path length (poses are noisy)",
+    )
 
 
 @dataclass(frozen=True)
-class TaskInputs:
-    """The latest of each input; None where none has arrived yet."""
+class ContactTaskSettings(SettingGroups):
+    """All settings of the control chain; a task adds its own as the group `task`."""
 
-    belief: StampedPose | None = None
-    presence: StampedPresence | None = None
-    sensor_pose: StampedPose | None = None
+    travel: TravelSettings = field(default_factory=TravelSettings)
+    contact: ContactSettings = field(default_factory=ContactSettings)
+    servoing: ServoingSettings = field(default_factory=ServoingSettings)
+    pid: PidSettings = field(default_factory=PidSettings)
+    limiter: LimiterSettings = field(default_factory=LimiterSettings)
+    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
 
 
-@dataclass(frozen=True)
-class PathGoal:
-    """One path over a surface.
+class ContactTask(PhaseMachine[TaskInputs, Command]):
+    """Base of tasks in contact; see the module's text. One object runs one goal.
 
-    Attributes
+    A task names its phase `work` and fills in `reference_velocity`, `finished`, and where it has them
+    `failure` and `fraction`.
+
+    Parameters
     ----------
-    direction : float
-        Direction of motion in the xy-plane of the reference frame {s'}, rad from x towards y.
-    length : float
-        Arc length of the sensor centre's path after which the path is done, m.
-    start : ndarray (4, 4) or None
-        T_base_sensor in the air from where to approach; None: approach from where the arm stands.
-    target : ndarray (3,) or None
-        Position in the base, m: done when the sensor's centre comes within `target_radius` of it. Arriving
-        nowhere near within `length` is then a failure.
-    name : str
-        For people.
+    settings : ContactTaskSettings
+        Of the task's `settings_class`.
+    goal : Goal
+        Of the task's `goal_class`.
+    start : ndarray (4, 4), optional
+        T_base_sensor in the air from where to approach; without, the approach begins where the arm stands.
     """
 
-    direction: float = np.pi / 2
-    length: float = 0.1
-    start: Array | None = None
-    target: Array | None = None
-    target_radius: float = 0.002
-    name: str = "path"
-
-    def __post_init__(self) -> None:
-        if not np.isfinite(self.direction):
-            raise ValueError(f"direction = {self.direction}: must be a finite angle in rad")
-        if not 0.0 < self.length < 100.0:
-            raise ValueError(f"length = {self.length} m: must lie in (0, 100) m")
-        if self.start is not None:
-            se3.checked_pose("start", self.start)
-        if self.target is not None and (np.shape(self.target) != (3,) or not np.isfinite(self.target).all()):
-            raise ValueError(f"target = {self.target}: must be three finite numbers, m")
-
-
-@dataclass(frozen=True)
-class Command(TaskCommand):
-    """What one step of surface following says, beyond a `TaskCommand`; its phase is one of `PHASES`.
-
-    Attributes
-    ----------
-    error, feedforward : ndarray (6,)
-        log(X_ss') and Ad(X_ss') v of the servoing controller; NaN and zero in phases that do not servo.
-    progress : float
-        0 to 1 over all phases; it never goes back.
-    travelled : float
-        Arc length followed so far, m.
-    exposure_ns : int
-        Stamp of the belief that the twist is based on, 0 for none.
-    """
-
-    error: Array
-    feedforward: Array
-    progress: float
-    travelled: float
-    exposure_ns: int
-
-
-class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
-    """Follows one path over a surface; see the module's text. One object runs one goal."""
-
-    def __init__(self, settings: SurfaceFollowingSettings, goal: PathGoal) -> None:
+    def __init__(self, settings: ContactTaskSettings, goal: Goal, start: Array | None = None) -> None:
         handlers = {
             GO_TO_START: self._go_to_start,
             APPROACH: self._approach,
             SETTLE: self._settle,
-            FOLLOW: self._follow,
+            self.work: self._work,
             STOPPING: self._stopping,
             RETREAT: self._retreat,
         }
-        first = GO_TO_START if goal.start is not None else APPROACH
+        first = APPROACH if start is None else GO_TO_START
         super().__init__(first, handlers, settings.limiter, settings.watchdog)
         self.settings = settings
         self.goal = goal
+        self.start = None if start is None else se3.checked_pose("start", start)
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
-        self._odometer = Odometer(settings.task.pose_step)
+        self._needs = {
+            GO_TO_START: ("pose", "presence"),
+            APPROACH: ("pose", "presence"),
+            SETTLE: ("pose", "presence", "belief"),
+            self.work: ("pose", "presence", "belief"),
+            RETREAT: ("pose",),
+        }
+        self._odometer = Odometer(settings.contact.pose_step)
         self._track = TransformBuffer(TRACK_NS)
         self._phase_pose: Array | None = None
         self._belief: StampedPose | None = None
@@ -172,14 +174,36 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
 
     # ---- what the owner calls ----
 
-    def configure(self, settings: SurfaceFollowingSettings) -> None:
+    def configure(self, settings: ContactTaskSettings) -> None:
         """Replace the settings; they hold from the next step on, gains without a jump of the twist."""
         self.settings = settings
         self.servoing.configure(settings.servoing, settings.pid)
         self.limiter.configure(settings.limiter)
         self.watchdog.configure(settings.watchdog)
         self.predictor.configure(settings.prediction)
-        self._odometer.step = settings.task.pose_step
+        self._odometer.step = settings.contact.pose_step
+
+    # ---- what a task fills in ----
+
+    @abstractmethod
+    def reference_velocity(self, elapsed: float) -> Array:
+        """Velocity (6,) in the reference frame {s'} after `elapsed` s of the task's own phase."""
+
+    @abstractmethod
+    def finished(self, elapsed: float) -> bool:
+        """Whether the goal has been reached."""
+
+    def failure(self, elapsed: float) -> str:
+        """Why the goal cannot be reached any more; '' while it can."""
+        return ""
+
+    def fraction(self) -> float:
+        """Part of the goal that is done, 0 to 1."""
+        return 0.0
+
+    def follows_motion(self) -> bool:
+        """Whether the motion of the touched surface is to be estimated."""
+        return self.settings.prediction.enabled
 
     # ---- inputs ----
 
@@ -198,13 +222,13 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
 
     def _follow_sensor(self) -> None:
         assert self._pose is not None
-        if self.settings.prediction.enabled:
+        if self.follows_motion():
             self._track.set_transform("base", "sensor", self._pose.stamp_ns, self._pose.T)
 
     def _follow_contact(self) -> None:
         """Let the predictor know the belief, with the sensor's pose at its exposure."""
         assert self._belief is not None
-        if not self.settings.prediction.enabled:
+        if not self.follows_motion():
             return
         stamp_ns = self._belief.stamp_ns
         try:
@@ -213,10 +237,10 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
             self.predictor.reset()  # without the pose then, nothing can be carried on
 
     def _stamps(self) -> dict[str, int | None]:
-        latest = {"sensor_pose": self._pose, "presence": self._presence, "belief": self._belief}
+        latest = {"pose": self._pose, "presence": self._presence, "belief": self._belief}
         return {
-            WATCHDOG_NAMES[name]: value.stamp_ns if (value := latest[name]) is not None else None
-            for name in NEEDS.get(self.phase, ())
+            name: value.stamp_ns if (value := latest[name]) is not None else None
+            for name in self._needs.get(self.phase, ())
         }
 
     def _missing(self) -> list[str]:
@@ -226,31 +250,29 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
             missing = ["belief since the contact"] if self._belief.stamp_ns < self._touch_ns else []
         return missing
 
-    def _start_timeout(self) -> float:
-        return self.settings.task.start_timeout
-
     # ---- phases: each returns the twist wanted now ----
 
     def _go_to_start(self, now_ns: int) -> Array:
-        pose, settings = self._sensor_pose(), self.settings.task
-        assert self.goal.start is not None
+        pose, travel = self._sensor_pose(), self.settings.travel
+        assert self.start is not None
         if self._waypoints is None:
-            self._waypoints = way_to_start(pose, self.goal.start, settings)
-        if self._touching() and self._in_phase(now_ns) > settings.lost_contact_time:
+            self._waypoints = way_to_start(pose, self.start, travel)
+        if self._touching() and self._in_phase(now_ns) > self.settings.contact.lost_contact_time:
             return self._fail("touched something on the way to the start")
-        if self._in_phase(now_ns) > settings.travel_timeout:
-            return self._fail(f"the start was not reached within {settings.travel_timeout:g} s")
+        if self._in_phase(now_ns) > travel.timeout:
+            return self._fail(f"the start was not reached within {travel.timeout:g} s")
         while self._waypoints and self._waypoints[0].reached(pose):
             self._waypoints.pop(0)
         if not self._waypoints:
             self._enter(APPROACH)
             return np.zeros(6)
-        return twist_towards(pose, self._waypoints[0].T_base_goal, settings)
+        return twist_towards(pose, self._waypoints[0].T_base_goal, travel)
 
     def _approach(self, now_ns: int) -> Array:
-        settings = self.settings.task
+        settings = self.settings.contact
         if self._pressed() >= settings.press_distance:
             self.servoing.reset()
+            self.predictor.reset()  # a new contact is another feature: the way to it is no motion
             self._servo = None
             self._enter(SETTLE)
             return np.zeros(6)
@@ -258,7 +280,7 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
             return self._fail(f"no contact within {settings.approach_distance * 1e3:.1f} mm of approach")
         if self._in_phase(now_ns) > settings.approach_timeout:
             return self._fail(f"no contact within {settings.approach_timeout:g} s of approach")
-        return _along_z(settings.approach_speed)
+        return along_z(settings.approach_speed)
 
     def _pressed(self) -> float:
         """Way since the first touch of this approach, m; negative before it."""
@@ -273,7 +295,7 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
         return float(np.linalg.norm(position - self._touch_position))
 
     def _settle(self, now_ns: int) -> Array:
-        settings = self.settings.task
+        settings = self.settings.contact
         if self._contact_lost():
             return self._after_lost_contact()
         # the way in is no steady error: an integral of it would only be an offset on the path
@@ -285,7 +307,7 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
             self._settled_ns = now_ns
         if self._settled_ns is not None and (now_ns - self._settled_ns) * NANOSECOND >= settings.settle_time:
             self._odometer.break_off()
-            self._enter(FOLLOW)
+            self._enter(self.work)
         elif self._in_phase(now_ns) > settings.settle_timeout:
             return self._fail(
                 f"not settled within {settings.settle_timeout:g} s: depth error {depth * 1e3:.2f} mm, "
@@ -293,37 +315,33 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
             )
         return output.twist
 
-    def _follow(self, now_ns: int) -> Array:
-        settings = self.settings.task
+    def _work(self, now_ns: int) -> Array:
         if self._contact_lost():
             return self._after_lost_contact()
-        position = self._sensor_pose()[:3, 3]
-        travelled = self._odometer.add(position)
-        near = (
-            self.goal.target is not None
-            and np.linalg.norm(position - self.goal.target) <= self.goal.target_radius
-        )
-        if near or (self.goal.target is None and travelled >= self.goal.length):
+        self._odometer.add(self._sensor_pose()[:3, 3])
+        elapsed = self._in_phase(now_ns)
+        if self.finished(elapsed):
             self._enter(RETREAT)
-        elif travelled >= self.goal.length:
-            return self._fail(f"the target was not reached within {self.goal.length * 1e3:.1f} mm of path")
-        elif self._in_phase(now_ns) > settings.follow_timeout:
-            return self._fail(f"the path was not done within {settings.follow_timeout:g} s")
-        return self._serve(self._reference_velocity(self._in_phase(now_ns))).twist
+        elif reason := self.failure(elapsed):
+            return self._fail(reason)
+        return self._serve(self.reference_velocity(self._in_phase(now_ns))).twist
 
     def _stopping(self, now_ns: int) -> Array:
         if self._at_rest():
-            self._enter(RETREAT if self._contact_ns is not None else FAILED)
+            if self._contact_ns is not None:
+                self._enter(RETREAT)
+            else:
+                self._enter(FAILED if self.reason else DONE)
         return np.zeros(6)
 
     def _retreat(self, now_ns: int) -> Array:
-        settings = self.settings.task
+        settings = self.settings.contact
         if self._gone_from_phase_start() >= settings.retreat_distance:
             self._enter(FAILED if self.reason else DONE)
             return np.zeros(6)
         if self._in_phase(now_ns) > settings.retreat_timeout:
             return self._retreat_late(settings.retreat_timeout)
-        return _along_z(-settings.retreat_speed)
+        return along_z(-settings.retreat_speed)
 
     # ---- parts of phases ----
 
@@ -346,14 +364,6 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
         X_sf = self.predictor.ahead(self._now_ns, T_base_sensor)
         return belief if X_sf is None else StampedPose(self._now_ns, X_sf)
 
-    def _reference_velocity(self, elapsed: float) -> Array:
-        """Velocity in {s'}: along the path, with the turning that a known curvature asks for."""
-        settings = self.settings.task
-        speed = settings.speed * smooth_ramp(elapsed, settings.ramp_time)
-        along = np.array([np.cos(self.goal.direction), np.sin(self.goal.direction), 0.0])
-        turn = settings.curvature * speed * np.array([along[1], -along[0], 0.0])  # along x z
-        return np.concatenate([speed * along, turn])
-
     def _touching(self) -> bool:
         """In contact, by an image exposed since this phase began."""
         presence = self._presence
@@ -364,10 +374,10 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
         assert presence is not None and self._contact_ns is not None
         if presence.in_contact:
             self._contact_ns = max(self._contact_ns, presence.stamp_ns)
-        return (presence.stamp_ns - self._contact_ns) * NANOSECOND > self.settings.task.lost_contact_time
+        return (presence.stamp_ns - self._contact_ns) * NANOSECOND > self.settings.contact.lost_contact_time
 
     def _after_lost_contact(self) -> Array:
-        settings = self.settings.task
+        settings = self.settings.contact
         self._reapproaches += 1
         if settings.lost_contact == "fail":
             return self._fail(f"contact was lost in phase {self.phase}")
@@ -399,27 +409,22 @@ class SurfaceFollowing(PhaseMachine[TaskInputs, Command]):
     def _answer(self, wanted: Array, waiting: str) -> Command:
         common = self._command(wanted, waiting)
         self._limited = "speed" in common.limited
-        servo = self._servo if self.phase in (SETTLE, FOLLOW) else None
-        return Command(
-            **vars(common),
-            error=servo.error if servo else np.full(6, np.nan),
-            feedforward=servo.feedforward if servo else np.zeros(6),
-            progress=self._advance_progress(),
-            travelled=self._odometer.length,
-            exposure_ns=self._belief.stamp_ns if servo and self._belief else 0,
+        servo = self._servo if self.phase in (SETTLE, self.work) else None
+        shown = replace(common, progress=self._advance_progress(), travelled=self._odometer.length)
+        if servo is None or self._belief is None:
+            return shown
+        return replace(
+            shown,
+            error=servo.error,
+            feedforward=servo.feedforward,
+            reference=servo.reference,
+            exposure_ns=self._belief.stamp_ns,
         )
 
     def _advance_progress(self) -> float:
-        progress = PROGRESS.get(self.phase, 0.0)
-        if self.phase == FOLLOW:
-            progress += (PROGRESS[RETREAT] - progress) * self._followed()
+        if self.phase == self.work:
+            progress = WORK_PROGRESS + (PROGRESS[RETREAT] - WORK_PROGRESS) * self.fraction()
+        else:
+            progress = PROGRESS.get(self.phase, 0.0)
         self._progress = max(self._progress, progress if not self.reason else 0.0)
         return self._progress
-
-    def _followed(self) -> float:
-        """Part of the path done, 0 to 1."""
-        return min(1.0, self._odometer.length / self.goal.length)
-
-
-def _along_z(speed: float) -> Array:
-    return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])
