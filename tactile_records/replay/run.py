@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import BELIEF, STATE
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.gaussian import UNUSABLE, ros_from_left
 from tactile_filter.pose_numbers import numbers_from_pose
@@ -27,7 +28,6 @@ from tactile_records.runs.record import BeliefSeries
 
 Array = NDArray[Any]
 
-STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
 NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
 
 
@@ -141,7 +141,7 @@ def _times_taken(inputs: ArmInputs) -> dict[int, int]:
 
 def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
     """The ContactState messages of beliefs, as structured array; their latency is 0."""
-    rows = _blank(_layout(STATE_TYPE, sensor_frame), len(beliefs))
+    rows = _blank(_layout(STATE.type, sensor_frame), len(beliefs))
     if not len(rows):
         return rows
     _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
@@ -158,7 +158,7 @@ def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
 
 def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> Array:
     """PoseWithCovarianceStamped messages of Gaussians (stamp, mean, left covariance), as structured array."""
-    rows = _blank(_layout(BELIEF_TYPE, frame_id), len(gaussians))
+    rows = _blank(_layout(BELIEF.type, frame_id), len(gaussians))
     if not len(rows):
         return rows
     _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from tactile_bringup.cli import main
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
-from tactile_filter.contact_belief import nothing
+from tactile_filter.belief import invalid_belief
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import Agreement, agreement, run_filter
@@ -150,7 +150,9 @@ def test_events_that_the_live_filter_dropped_are_left_out_unless_asked_for(tmp_p
 def test_beliefs_after_one_whose_inputs_were_lost_are_not_compared_until_the_contact_ends(tmp_path):
     touching = lambda k: k % 20 >= 5  # noqa: E731
     source = recording(60, touching=touching)
-    nowhere = [nothing(START_NS + k * STEP_NS, 0) for k in range(60) if not touching(k)]
+    nowhere = [
+        invalid_belief(START_NS + k * STEP_NS, BeliefFlag.NO_CONTACT) for k in range(60) if not touching(k)
+    ]
     for belief in sorted([*believed(source), *nowhere], key=lambda belief: belief.stamp_ns):
         source.state(belief)
     lost_ns = START_NS + 30 * STEP_NS
