@@ -24,9 +24,10 @@ from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
 from tactile_drivers.arm import ARMS, ArmLimits
 from tactile_drivers.camera import CAMERAS
+from tactile_drivers.shapes import SHAPES
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.motions import CARRIED, FIXED, MOTIONS
 from tactile_drivers.sim.simulation import Simulation, read_simulation
-from tactile_drivers.sim.surfaces import SHAPES, Surface
 from tactile_filter import se3
 
 Array = NDArray[np.float64]

@@ -23,11 +23,12 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_base.settings import unknown_name
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
+from tactile_drivers.shapes.contact import contact_pose
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.arm import NS, SimArm
 from tactile_drivers.sim.ideal_sensor import IdealSensor
 from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
 from tactile_drivers.sim.settings import IdealSensorSettings, SkinSettings, TacTipSettings
-from tactile_drivers.sim.surfaces import Surface, contact_pose
 from tactile_drivers.sim.truth import Truth, shear_of
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian

@@ -15,7 +15,7 @@ import tactile_base
 from tactile_base.config_paths import config_names, config_path
 from tactile_drivers.arm import ArmLimits
 from tactile_drivers.scene import SceneError, SensorSettings, load_scene
-from tactile_drivers.sim.surfaces import SHAPES
+from tactile_drivers.shapes import SHAPES
 
 GOOD = """\
 description: a test
@@ -119,7 +119,7 @@ def test_all_packaged_scenes_load():
         (
             "shape: dome",
             "shape: dom",
-            "bodies.hill.shape: unknown name 'dom' (did you mean 'dome'?); valid: dome",
+            "bodies.hill.shape: unknown name 'dom' (did you mean 'dome'?); valid: box, cylinder, dome",
         ),
         ("    shape: dome", "    shap: dome", "bodies.hill: unknown name 'shap' (did you mean 'shape'?)"),
         ("parameters: {radius", "parameters: {radios", "unknown name 'radios' (did you mean 'radius'?)"),

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
+from tactile_drivers.shapes import make_surface
 from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.settings import CameraSettings, ContactSettings, SkinSettings, TacTipSettings
 from tactile_drivers.sim.skin import Skin, build_skin, load_skin
-from tactile_drivers.sim.surfaces import make_surface
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
-from tactile_drivers.sim.surfaces import Plane
+from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 from tactile_perception import _image
