@@ -76,7 +76,7 @@ class ManagedNode(LifecycleNode):
         self._last_warning: dict[str, float] = {}
         self._while_configured: list[tuple[Callable[[Any], Any], Any]] = []
         self._diagnostics = self.create_publisher(
-            DiagnosticArray, "/diagnostics", writer_profile(DIAGNOSTICS)
+            DiagnosticArray, topics.DIAGNOSTICS.name, writer_profile(DIAGNOSTICS)
         )
         period = declare_read_only(
             self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
