@@ -33,11 +33,12 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
+from tactile_base import topics
 from tactile_base.settings import SettingError, unknown_name
 from tactile_ros.dds_profile import use_dds_profile
 from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.parameters import declare_read_only
-from tactile_ros.qos import DIAGNOSTICS
+from tactile_ros.qos import DIAGNOSTICS, writer_profile
 
 Result = TransitionCallbackReturn
 
@@ -64,8 +65,8 @@ class ManagedNode(LifecycleNode):
             namespace.rsplit("/", 1)[-1] or "arm",
             "name of the arm, first part of its frames' names",
         )
-        self.base_frame = f"{self.arm}/base"
-        self.sensor_frame = f"{self.arm}/tactile_sensor"
+        self.base_frame = topics.base_frame(self.arm)
+        self.sensor_frame = topics.sensor_frame(self.arm)
         self.active = False
         self.stop_reason = ""
         self.exit_code = 0
@@ -74,7 +75,9 @@ class ManagedNode(LifecycleNode):
         self.counters = self.report.counters
         self._last_warning: dict[str, float] = {}
         self._while_configured: list[tuple[Callable[[Any], Any], Any]] = []
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DIAGNOSTICS)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, topics.DIAGNOSTICS.name, writer_profile(DIAGNOSTICS)
+        )
         period = declare_read_only(
             self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
         )
@@ -109,7 +112,7 @@ class ManagedNode(LifecycleNode):
 
     def publisher(self, message_type: type, topic: str, qos: QoSProfile) -> Any:
         """A publisher that exists while the node is configured and publishes while it is active."""
-        publisher: Any = self.create_lifecycle_publisher(message_type, topic, qos)
+        publisher: Any = self.create_lifecycle_publisher(message_type, topic, writer_profile(qos))
         self._while_configured.append((self.destroy_lifecycle_publisher, publisher))
         return publisher
 

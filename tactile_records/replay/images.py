@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import ESTIMATE, IMAGE, PRESENCE, Topic, compressed, sensor_frame
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
@@ -29,13 +30,12 @@ from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import rows_of
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
-from tactile_records.replay.run import BELIEF_TYPE, pose_rows
-from tactile_records.replay.topics import ESTIMATE, PRESENCE, ReplayError, wanted_topics
+from tactile_records.replay.run import pose_rows
+from tactile_records.replay.topics import ReplayError, wanted_topics
 
 Array = NDArray[Any]
 
-RAW, COMPRESSED = "tactile/image", "tactile/image/compressed"
-PRESENCE_TYPE = "tactile_msgs/msg/ContactPresence"
+COMPRESSED = compressed(IMAGE)
 AHEAD = 64  # images that are decoded before they are needed
 
 
@@ -72,11 +72,11 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
     if not arms:
         topics = ", ".join(sorted(bag.topics)) or "none"
         raise ReplayError(
-            f"{bag.folder}: no images on <arm>/{RAW} or <arm>/{COMPRESSED} (--record-images records them); "
-            f"topics with messages: {topics}"
+            f"{bag.folder}: no images on <arm>/{IMAGE.name} or <arm>/{COMPRESSED.name} "
+            f"(--record-images records them); topics with messages: {topics}"
         )
     remarks: list[str] = []
-    replaced = {f"/{arm}/{name}" for arm in arms for name in (ESTIMATE, PRESENCE)}
+    replaced = {kind.of(arm).name for arm in arms for kind in (ESTIMATE, PRESENCE)}
     made = {arm: _Estimates(bag, arm, model, remarks) for arm in arms}
     messages: list[Recorded] = []
     for item in _decoded(bag):
@@ -93,10 +93,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
 
 def _arm_of(topic: str) -> str | None:
     """The arm whose images a topic has."""
-    for name in (RAW, COMPRESSED):
-        if topic.endswith(f"/{name}"):
-            return topic[1 : -len(name) - 1]
-    return None
+    return IMAGE.arm_of(topic) or COMPRESSED.arm_of(topic)
 
 
 def _decoded(bag: Bag) -> Iterator[Recorded | Image]:
@@ -180,14 +177,14 @@ class _Estimates:
             return self._refuse("images cannot be used", str(error))
         if percept.in_contact is None:
             return []
-        frame = image.frame_id or f"{self.arm}/tactile_sensor"
+        frame = image.frame_id or sensor_frame(self.arm)
         numbers = percept.score, self.presence.settings.on, percept.in_contact
         messages = [_presence_message(self.arm, image, frame, *numbers)]
         if percept.fault:
             messages += self._refuse("estimates are no Gaussians", percept.fault)
         if percept.estimate is not None:
             rows = pose_rows([(image.stamp_ns, percept.estimate.mean, percept.estimate.cov)], frame)
-            messages.insert(0, _recorded(self.arm, ESTIMATE, BELIEF_TYPE, next(rows_of(rows)), image))
+            messages.insert(0, _recorded(self.arm, ESTIMATE, next(rows_of(rows)), image))
         return messages
 
     def tell(self, remarks: list[str]) -> None:
@@ -206,13 +203,13 @@ class _Estimates:
 def _presence_message(
     arm: str, image: Image, frame: str, score: float, threshold: float, in_contact: bool
 ) -> Recorded:
-    layout = blank_layout(PRESENCE_TYPE, {"header.frame_id": frame})
+    layout = blank_layout(PRESENCE.type, {"header.frame_id": frame})
     row = np.frombuffer(bytearray(layout.template), layout.dtype)
     row["header.stamp.sec"], row["header.stamp.nanosec"] = divmod(image.stamp_ns, SECOND_NS)
     row["score"], row["threshold"], row["in_contact"] = score, threshold, in_contact
-    return _recorded(arm, PRESENCE, PRESENCE_TYPE, row.tobytes(), image)
+    return _recorded(arm, PRESENCE, row.tobytes(), image)
 
 
-def _recorded(arm: str, name: str, type_name: str, data: bytes, image: Image) -> Recorded:
+def _recorded(arm: str, topic: Topic, data: bytes, image: Image) -> Recorded:
     received_ns = image.message.received_ns
-    return Recorded(f"/{arm}/{name}", type_name, data, received_ns, received_ns)
+    return Recorded(topic.of(arm).name, topic.type, data, received_ns, received_ns)

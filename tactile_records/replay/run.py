@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import BELIEF, STATE
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.gaussian import UNUSABLE, ros_from_left
 from tactile_filter.pose_numbers import numbers_from_pose
@@ -27,7 +28,6 @@ from tactile_records.runs.record import BeliefSeries
 
 Array = NDArray[Any]
 
-STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
 NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
 
 
@@ -141,7 +141,7 @@ def _times_taken(inputs: ArmInputs) -> dict[int, int]:
 
 def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
     """The ContactState messages of beliefs, as structured array; their latency is 0."""
-    rows = _blank(_layout(STATE_TYPE, sensor_frame), len(beliefs))
+    rows = _blank(_layout(STATE.type, sensor_frame), len(beliefs))
     if not len(rows):
         return rows
     _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
@@ -158,7 +158,7 @@ def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
 
 def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> Array:
     """PoseWithCovarianceStamped messages of Gaussians (stamp, mean, left covariance), as structured array."""
-    rows = _blank(_layout(BELIEF_TYPE, frame_id), len(gaussians))
+    rows = _blank(_layout(BELIEF.type, frame_id), len(gaussians))
     if not len(rows):
         return rows
     _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])
@@ -194,13 +194,16 @@ class Agreement:
     Attributes
     ----------
     common : int
-        Stamps that both have.
+        Stamps that both have, with the same history.
     identical : int
         Of these, messages that are the same to the bit (latency aside).
     only_live, only_replayed : int
-        Stamps that only one of them has.
+        Stamps that only one of them has; of those that only the live filter has, the bag lacks the inputs.
     first_difference : str
         Where they first differ, and in what; empty where they do not.
+    after_gap : int
+        Stamps that both have, after one that only the live filter has and in the same contact: what that
+        one did to the belief is not known.
     """
 
     common: int
@@ -208,13 +211,24 @@ class Agreement:
     only_live: int
     only_replayed: int
     first_difference: str = ""
+    after_gap: int = 0
 
 
 def agreement(rows: Array, live: LiveStates) -> Agreement:
     """Compare `state_rows` with what the live filter published."""
     stamps = stamps_ns(rows, "header.stamp")
-    places = {int(stamp): place for place, stamp in enumerate(live.stamps_ns)}
-    pairs = [(row, places[int(stamp)]) for row, stamp in enumerate(stamps) if int(stamp) in places]
+    replayed = {int(stamp): row for row, stamp in enumerate(stamps)}
+    pairs, only_live, after_gap = [], 0, 0
+    gap = False
+    for place, (stamp, flags) in enumerate(zip(live.stamps_ns.tolist(), live.values["flags"], strict=True)):
+        if stamp not in replayed:
+            only_live, gap = only_live + 1, True
+            continue
+        gap = gap and not flags & BeliefFlag.NO_CONTACT
+        if gap:
+            after_gap += 1
+        else:
+            pairs.append((replayed[stamp], place))
     mine, theirs = (np.array([pair[k] for pair in pairs], np.int64) for k in (0, 1))
     names = [
         n for n in rows.dtype.names or () if n in (live.values.dtype.names or ()) and n not in NOT_COMPARED
@@ -231,6 +245,5 @@ def agreement(rows: Array, live: LiveStates) -> Agreement:
     if not same.all():
         at = int(np.argmin(same))
         first = f"{differing[at]} at {int(stamps[mine[at]])} ns"
-    return Agreement(
-        len(pairs), int(same.sum()), len(live.stamps_ns) - len(pairs), len(rows) - len(pairs), first
-    )
+    only_replayed = len(rows) - len(pairs) - after_gap
+    return Agreement(len(pairs), int(same.sum()), only_live, only_replayed, first, after_gap)

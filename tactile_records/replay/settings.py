@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 from tactile_records.bags.cdr import MessageError, layout_of
 from tactile_records.bags.contents import Recorded
@@ -23,7 +24,6 @@ Array = NDArray[Any]
 
 REINITIALIZED, INVALID = int(BeliefFlag.REINITIALIZED), int(BeliefFlag.INVALID)
 MEASUREMENT_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
-PARAMETER_EVENTS = "/parameter_events"
 NAMES = tuple(item.name for item in dataclasses.fields(FilterSettings))
 _VALUES = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value"}  # of ParameterType
 
@@ -54,7 +54,7 @@ def recorded_changes(bag: Bag, arm: str) -> list[Change]:
     """Changes of the filter's settings while it ran, by time; empty where the bag does not hold them."""
     node = f"/{arm}/filter"
     # nearly all of a bag's events are of other nodes
-    messages = [m for m in bag.messages if m.topic == PARAMETER_EVENTS and node.encode() in m.data]
+    messages = [m for m in bag.messages if m.topic == PARAMETER_EVENTS.name and node.encode() in m.data]
     return sorted(_changes(bag, messages, node), key=lambda change: change.stamp_ns)
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
+from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_msgs.msg import ContactPresence as PresenceMessage
@@ -77,11 +78,11 @@ class EstimatorNode(ManagedNode):
         self.report.values["model"] = str(estimator.path)
         self.presence = ContactPresence(self.presence_settings.value)
         self.perceive = Perceiver(estimator, self.presence)
-        self.presence_out = self.publisher(PresenceMessage, "contact/presence", STATE)
-        self.estimate_out = self.publisher(PoseWithCovarianceStamped, "contact/estimate", STATE)
+        self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
+        self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
         self.serve(Trigger, "~/capture_reference", self._capture_reference)
-        self.subscribe(Image, "tactile/image", self._receive, IMAGE, self.images.value.age_limit, raw=True)
+        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.images.value.age_limit, raw=True)
 
     def activate(self) -> None:
         """Start with a new reference image."""

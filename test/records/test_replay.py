@@ -13,6 +13,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from tactile_bringup.cli import main
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
+from tactile_filter.belief import invalid_belief
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import Agreement, agreement, run_filter
@@ -144,6 +145,25 @@ def test_events_that_the_live_filter_dropped_are_left_out_unless_asked_for(tmp_p
     assert agreement(run.states, inputs.arms[0].live) == Agreement(57, 57, 0, 0)
     _, (whole,) = replayed(folder, as_recorded=False)
     assert whole.left_out == 0 and same(whole.beliefs, believed(source))
+
+
+def test_beliefs_after_one_whose_inputs_were_lost_are_not_compared_until_the_contact_ends(tmp_path):
+    touching = lambda k: k % 20 >= 5  # noqa: E731
+    source = recording(60, touching=touching)
+    nowhere = [
+        invalid_belief(START_NS + k * STEP_NS, BeliefFlag.NO_CONTACT) for k in range(60) if not touching(k)
+    ]
+    for belief in sorted([*believed(source), *nowhere], key=lambda belief: belief.stamp_ns):
+        source.state(belief)
+    lost_ns = START_NS + 30 * STEP_NS
+    received_ns = lost_ns + source.late_ns
+    source.messages = [m for m in source.messages if m[0] == "/arm/contact/state" or m[3] != received_ns]
+    source.note["messages_lost"] = json.dumps({"/tf": 1, "/arm/contact/estimate": 1, "/other": 7})
+    inputs, (run,) = replayed(source.write(tmp_path / "bag"))
+    found = agreement(run.states, inputs.arms[0].live)
+    assert found == Agreement(50, 50, only_live=1, only_replayed=0, after_gap=9)
+    lost = "messages were lost on their way to the recorder: /tf 1, /arm/contact/estimate 1"
+    assert lost in inputs.remarks
 
 
 def test_a_single_bit_that_differs_is_found(tmp_path):

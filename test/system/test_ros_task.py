@@ -19,7 +19,7 @@ from tactile_base.config_paths import config_folder
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
-from tactile_records.replay.inputs import read_inputs
+from tactile_records.replay.inputs import lost_messages, read_inputs
 from tactile_records.replay.run import agreement, run_filter
 from tactile_records.replay.sweep import base_settings
 from tactile_records.runs.from_bag import read_run
@@ -180,10 +180,11 @@ def test_replayed_beliefs_are_the_live_ones_to_the_bit(finished, tmp_path):
     inputs = read_inputs(launch.folder / "bag")
     settings = base_settings(inputs, None)["arm"]
     run = run_filter(inputs.arms[0], settings)
-    assert inputs.remarks == [] and inputs.arms[0].live is not None
+    lost = sum(lost_messages(inputs.bag).values())  # a recorder that is not held up for 30 s loses none
+    assert inputs.arms[0].live is not None and (inputs.remarks == [] or lost)
     found = agreement(run.states, inputs.arms[0].live)
-    assert found.common > 300 and found.only_live == 0
-    assert found.identical == found.common, found.first_difference
+    assert found.only_live <= lost
+    assert found.common > 300 and found.identical == found.common, found.first_difference
 
 
 def read_note(bag: Path) -> dict[str, str]:
