@@ -2,11 +2,11 @@
 
     python bench/fusion_dial.py [--quick] [--json FILE] [--plot docs/images/fusion_dial.png]
 
-Numbers of iterations and orders of the inverse Jacobian against the converged exact answer (mode "exact"), at
-angles between the means from 1 to 179 degrees, for isotropic and strongly anisotropic covariances. Errors are
-medians over random pairs: of the mean in posterior standard deviations, of the covariance as the largest error
-of an element relative to the standard deviations of its row and column. Times are of one call from Python with
-estimates of a contact, in nanoseconds.
+Numbers of iterations and orders of the inverse Jacobian against the converged exact answer (mode "exact"),
+at angles between the means from 1 to 179 degrees, for isotropic and strongly anisotropic covariances. Errors
+are medians over random pairs: of the mean in posterior standard deviations, of the covariance as the largest
+error of an element relative to the standard deviations of its row and column. Times are of one call from
+Python with estimates of a contact, in nanoseconds.
 """
 
 from __future__ import annotations

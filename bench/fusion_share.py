@@ -3,10 +3,10 @@
     python bench/fusion_share.py [BAG] [--repeat N]
 
 Each run is made once with its fusions kept, then again and again in turn as it is and with the kept ones in
-place of fused ones: the same beliefs, without the time of `fuse`. The ratio of the two is the bound on what any
-batch of fusions could gain, however quick. Processor time, the least of all repeats. Runs: a filter alone over
-simulated estimates (what a Monte Carlo repeats), the paper's filter experiment on simulated contacts, and, with
-a bag, one run of `tactile replay --sweep` with its new bag.
+place of fused ones: the same beliefs, without the time of `fuse`. The ratio of the two is the bound on what
+any batch of fusions could gain, however quick. Processor time, the least of all repeats. Runs: a filter
+alone over simulated estimates (what a Monte Carlo repeats), the paper's filter experiment on simulated
+contacts, and, with a bag, one run of `tactile replay --sweep` with its new bag.
 """
 
 from __future__ import annotations
