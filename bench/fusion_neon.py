@@ -27,9 +27,12 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from aarch64 import Machine, build
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "bench"))
+
+from aarch64 import Machine, build  # noqa: E402
+
 TESTS = ["se3", "worst_errors", "fusion", "fusion_exact", "propagation"]
 STATISTICS = "errors_of_fused_poses"  # 60000 fusions for a property of the method, whatever the processor
 NUMBERS = [("step", "f8"), ("iterations", "i4"), ("status", "i4")]

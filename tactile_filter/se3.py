@@ -76,6 +76,8 @@ def log(T: ArrayLike) -> Array:
     """Tangent vector (6,) of a pose (4, 4), with |phi| <= pi (paper's logarithmic map).
 
     At exactly pi, where phi and -phi are the same rotation, the first non-zero component of phi is positive.
+    A rotation that is off by more than rounding, and by no more than `ROTATION_TOLERANCE`, counts as the
+    nearest one; that it is no further off is not checked.
     """
     return _fusion.log(T)
 
