@@ -117,7 +117,7 @@ class GraphOptions:
     object_belief : bool
         Whether the contacts of all arms are fused into one belief over the object that they touch.
     object_file : str
-        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object.file`);
+        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object.settings`);
         empty: that is found by touch.
     """
 

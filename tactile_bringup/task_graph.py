@@ -16,7 +16,7 @@ from tactile_control.files import load_task, task_path
 from tactile_control.task import PathGoal
 from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_filter.filter_settings import load_filter_settings
-from tactile_filter.object.file import load_object
+from tactile_filter.object.settings import load_object
 
 
 @dataclass(frozen=True)
