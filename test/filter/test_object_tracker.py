@@ -302,7 +302,7 @@ def test_the_order_in_which_sensors_arrive_changes_no_bit():
         for name, offset in zip(names, (0, 5 * MS, 5 * MS), strict=True)
     }
     events["left"][5] = events["left"][5][0], None
-    told = []
+    found_beliefs = []
     for _ in range(3):
         merge, tracker, results = EventMerge(names), tracker_of(*names), []
         for name in names:
@@ -314,9 +314,9 @@ def test_the_order_in_which_sensors_arrive_changes_no_bit():
             merge.add(name, stamp_ns, what, 0)
             results += [tracker.step(g.stamp_ns, g.parts) for g in merge.take(0, STEP, STEP)]
         poses = [found.belief.pose for found in results]
-        told.append(b"".join(p.mean.tobytes() + p.cov.tobytes() for p in poses if p is not None))
+        found_beliefs.append(b"".join(p.mean.tobytes() + p.cov.tobytes() for p in poses if p is not None))
         assert len(results) > 20
-    assert told[0] == told[1] == told[2]
+    assert found_beliefs[0] == found_beliefs[1] == found_beliefs[2]
 
 
 # ---- contacts that slide ----

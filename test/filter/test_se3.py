@@ -2,6 +2,7 @@
 
 import math
 
+import mpmath as mp
 import numpy as np
 import pytest
 import se3_oracle as oracle
@@ -247,3 +248,21 @@ def test_orthonormalization_takes_rounding_out_and_refuses_more():
 def test_bad_arguments_are_named(call, argument, message):
     with pytest.raises(ValueError, match=message):
         call(argument)
+
+
+@pytest.mark.parametrize("angle", [1e-3, 0.5, 2.0, 3.1])
+@pytest.mark.parametrize("off", [1e-12, 1e-9, 3e-7])
+def test_log_of_a_matrix_that_is_a_little_off_is_that_of_the_nearest_rotation(angle, off):
+    rng = np.random.default_rng(6)
+    for _ in range(5):
+        axis = rng.normal(size=3)
+        T = se3.exp(np.concatenate((rng.normal(size=3), angle * axis / np.linalg.norm(axis))))
+        T[:3, :3] += off * rng.uniform(-1.0, 1.0, (3, 3))
+        exact = mp.matrix(T.tolist())
+        R = exact[:3, :3]
+        for _ in range(8):  # Newton's iteration for the orthogonal polar factor
+            R = (R + (R**-1).T) / 2
+        exact[:3, :3] = R
+        expected = np.array([float(x) for x in oracle.closed_log(exact)])
+        np.testing.assert_allclose(se3.log(T), expected, atol=4e-15)
+        np.testing.assert_allclose(se3.rotation_vector(T[:3, :3]), expected[3:], atol=4e-15)
