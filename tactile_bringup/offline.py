@@ -187,8 +187,8 @@ class _OfflineArm:
         self, scene: Scene, task: str, plan: ArmPlan, cell: Cell, options: OfflineOptions, number: int
     ) -> None:
         self.plan, self.cell, self.options = plan, cell, options
-        self.feels = scene.arms[plan.arm].sensor is not None
-        self.perceive = perception(scene, plan.arm, options.model) if self.feels else None
+        sensor = scene.arms[plan.arm].sensor
+        self.perceive = perception(scene, plan.arm, options.model) if sensor is not None else None
         self.filter = ContactFilter(options.filter)
         self.random = np.random.default_rng([options.seed, number] if number else options.seed)
         self.log = RunLog(
@@ -202,6 +202,7 @@ class _OfflineArm:
                 source="offline",
                 seed=options.seed,
                 goals=[goal.name for goal in plan.goals],
+                tip_radius=sensor.settings.tip_radius if sensor is not None else 0.0,
                 T_world_base=scene.arms[plan.arm].T_world_base,
                 surface=surface_mesh(scene, plan.arm),
             )

@@ -86,6 +86,7 @@ def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
         source="ros",
         seed=int(bag.note.get("seed", 0)),
         goals=role.get("goals", []),
+        tip_radius=role.get("tip_radius", RunRecord.tip_radius),
         T_world_base=np.array(role.get("T_world_base", np.eye(4).tolist())),
     )
     record.pose = rows.series(PoseSeries, "arm/pose", _pose_row)
