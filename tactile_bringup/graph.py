@@ -2,9 +2,8 @@
 
 One description, built from scene, task and options, from which `tactile launch` starts processes and
 `launch/*.launch.py` builds its launch description. Only what the scene names, and the task has a role for, is
-in it: an estimator, a filter and a controller for each arm; the simulated cell, if any of it is simulated; a
-process for each other driver of an arm or a camera, and none for what runs already; and where they are asked
-for, a recorder and a belief over one object that all arms touch.
+in it: an estimator, a filter and a controller for each arm; the simulator that is the cell; and where they
+are asked for, a recorder and a belief over one object that all arms touch.
 """
 
 from __future__ import annotations
@@ -178,7 +177,7 @@ def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: Grap
     for plan in plans:
         arm = scene.arms[plan.arm]
         if arm.sensor is not None:
-            nodes += _senses(scene, arm, filter_values, options)
+            nodes += _senses(scene, plan.arm, filter_values, options)
         nodes.append(_controller(plan, arm))
     topics = tuple(_topics(list(scene.arms.values())))
     feeling = [plan.arm for plan in plans if scene.arms[plan.arm].sensor is not None]
@@ -231,30 +230,29 @@ def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
 
 
 def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
-    """The simulated cell, and a process for each driver of the registry; what is external runs already."""
-    file, elsewhere = {"scene": str(scene.path.absolute())}, (SIM, EXTERNAL)
-    nodes = [_simulator(file, options)] if scene.is_simulated else []
-    for name, arm in scene.arms.items():
-        if arm.driver not in elsewhere:
-            nodes.append(NodeProcess("arm", f"/{name}", "tactile_ros.nodes.arm_node", "arm", file))
-        if arm.sensor is not None and arm.sensor.camera not in elsewhere:
-            nodes.append(NodeProcess("camera", f"/{name}", "tactile_ros.nodes.camera_node", "camera", file))
+    """What moves arms and exposes sensors: the simulated cell, a process for each driver of a registry."""
+    file, nodes = str(scene.path.absolute()), []
+    if scene.is_simulated:
+        parameters: dict[str, Any] = {"scene": file, "seed": options.seed}
+        if options.rate is not None:
+            parameters["camera_rate"] = float(options.rate)
+        nodes.append(NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters))
+    for arm in scene.arms.values():
+        if arm.driver not in (SIM, EXTERNAL):
+            module = "tactile_ros.nodes.arm_node"
+            nodes.append(NodeProcess("arm", f"/{arm.name}", module, "arm", {"scene": file}))
+        if arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL):
+            module = "tactile_ros.nodes.camera_node"
+            nodes.append(NodeProcess("camera", f"/{arm.name}", module, "camera", {"scene": file}))
     return nodes
 
 
-def _simulator(file: Mapping[str, Any], options: GraphOptions) -> NodeProcess:
-    parameters: dict[str, Any] = {**file, "seed": options.seed}
-    if options.rate is not None:
-        parameters["camera_rate"] = float(options.rate)
-    return NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters)
-
-
 def _senses(
-    scene: Scene, arm: ArmScene, filter_values: Mapping[str, Any], options: GraphOptions
+    scene: Scene, arm: str, filter_values: Mapping[str, Any], options: GraphOptions
 ) -> list[NodeProcess]:
     """From the arm's images to its belief; an ideal simulated sensor gives the contact pose itself."""
-    namespace, nodes = f"/{arm.name}", []
-    if scene.gives_images(arm.name):
+    namespace, nodes = f"/{arm}", []
+    if scene.gives_images(arm):
         nodes.append(_estimator(scene, arm, options))
         if options.marker_view:
             module = "tactile_ros.nodes.marker_view_node"
@@ -263,11 +261,11 @@ def _senses(
     return nodes
 
 
-def _estimator(scene: Scene, arm: ArmScene, options: GraphOptions) -> NodeProcess:
-    assert arm.sensor is not None
-    rate = options.rate if arm.simulated_sensor else None
-    parameters: dict[str, Any] = {"images.rate": float(rate or arm.sensor.settings.camera_rate)}
-    model = options.model or scene.model_file(arm.name)
+def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
+    sensor, model = scene.arms[arm].sensor, options.model or scene.model_file(arm)
+    assert sensor is not None
+    rate = options.rate if scene.arms[arm].simulated_sensor else None
+    parameters: dict[str, Any] = {"images.rate": float(rate or sensor.settings.camera_rate)}
     if model is not None:
         parameters["model"] = str(model.absolute())
     module = "tactile_ros.nodes.estimator_node"
@@ -302,7 +300,7 @@ def _recorder(
     nodes: Sequence[NodeProcess],
     options: GraphOptions,
 ) -> NodeProcess:
-    images = [IMAGE.of(name).name for name in scene.arms if scene.gives_images(name)]
+    images = [IMAGE.of(arm).name for arm in scene.arms if scene.gives_images(arm)]
     note = {
         "task": task,
         "scene": scene.name,

@@ -39,12 +39,14 @@ from tactile_base.topics import (
     tool_frame,
 )
 from tactile_base.topics import TF as TF_TOPIC
+from tactile_drivers.arm import ArmState
 from tactile_drivers.camera import CameraFrame
 from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.motions import FIXED
 from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
+from tactile_ros.cdr import Layout, split_stamp
 from tactile_ros.conversions import numbers_from_pose, transform_stamped
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
@@ -171,8 +173,11 @@ class SimNode(ManagedNode):
             for name in self.arms
             if self.scene.arms[name].simulated_sensor
         ]
-        self.loose = [name for name, body in self.scene.bodies.items() if not _frame_of(self.scene, name)]
-        self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF) if self.loose else None
+        self.loose = [name for name in self.scene.bodies if not _frame_of(self.scene, name)]
+        self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+        moving = [node.moving_transform() for node in self.arms.values()]
+        moving += [transform_stamped(0, WORLD, f"body/{name}", np.eye(4)) for name in self.loose]
+        self.tf_layout = Layout(TFMessage(transforms=moving))
         self.markers_out = self.publisher(MarkerArray, SIM_MARKERS.name, LATCHED)
 
     def activate(self) -> None:
@@ -226,19 +231,18 @@ class SimNode(ManagedNode):
         self._wait_until(stamp_ns)
         for outlet, frame in frames:
             outlet.publish(frame)
-        for node, state in states:
-            node.publish_transform(state)
-        self._publish_loose_bodies(stamp_ns)
+        self._publish_transforms(stamp_ns, states)
         for outlet, frame in frames:
             outlet.publish_truth(frame)
         for node, state in states:
             node.publish_status(state)
 
-    def _publish_loose_bodies(self, stamp_ns: int) -> None:
-        if self.tf_out is not None:
-            poses = [(f"body/{name}", self.cell.T_world_body(name)) for name in self.loose]
-            transforms = [transform_stamped(stamp_ns, WORLD, frame, T) for frame, T in poses]
-            self.tf_out.publish(TFMessage(transforms=transforms))
+    def _publish_transforms(self, stamp_ns: int, states: list[tuple[ArmNode, ArmState]]) -> None:
+        """Where all tools are, and the bodies that a motion model moves."""
+        numbers = [number for node, state in states for number in node.transform_numbers(state)]
+        for name in self.loose:
+            numbers += [*split_stamp(stamp_ns), *numbers_from_pose(self.cell.T_world_body(name)).tolist()]
+        self.tf_out.publish(self.tf_layout.pack(*numbers))
 
     def _in_time(self, outlet: SensorOutlet, in_time: bool) -> bool:
         """Whether there is time for an exposure; else it is left out, counted and told."""

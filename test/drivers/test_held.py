@@ -320,6 +320,16 @@ def test_with_the_forces_of_the_simulated_skin_the_cube_is_held_as_by_the_curves
     assert truths[-1].normal_force == pytest.approx(settings.normal_force(truths[-1].depth), rel=0.1)
 
 
+def test_a_simulated_tip_that_loses_an_object_on_its_way_goes_on_without_contact():
+    def sideways(time):
+        return np.array([0.08, 0, 0, 0, 0, 0]) * (time > 2)  # faster than the follower's gains hold it
+
+    truths = followed(load_scene("tracking_cube"), 0.004, 5, sideways)[1]
+    touched = [truth.in_contact for truth in truths]
+    assert touched[120]
+    assert not any(touched[-30:])
+
+
 def test_a_held_body_needs_an_arm_with_the_plate(tmp_path):
     text = (load_scene("tracking_cube").path).read_text()
     path = tmp_path / "scene.yaml"
