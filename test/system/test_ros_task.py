@@ -3,6 +3,7 @@
 The path on the ramp is a short one, in a copy of the configuration; everything else is as shipped.
 """
 
+import itertools
 import json
 import os
 import re
@@ -134,8 +135,10 @@ def test_latency_is_recorded_stage_by_stage(finished):
     stages = list(record.latency)
     assert stages == [s for s in ("camera", "estimator", "filter", "controller") if s in stages]
     assert stages[-2:] == ["filter", "controller"]
-    medians = [values["latency_ms"]["stages"][stage]["p50"] for stage in stages]
-    assert medians == sorted(medians) and medians[0] > 0.0
+    assert all(values["latency_ms"]["stages"][stage]["p50"] > 0.0 for stage in stages)
+    for earlier, later in itertools.pairwise(record.latency.values()):  # a stage may lose its slowest frames
+        _, first, second = np.intersect1d(earlier.stamp_ns, later.stamp_ns, return_indices=True)
+        assert len(first) > 100 and np.all(later.seconds[second] > earlier.seconds[first])
     assert 0.0 < values["latency_ms"]["p50"] <= values["latency_ms"]["p99"] < 1000.0
 
 
@@ -201,7 +204,7 @@ def test_a_truncated_bag_still_gives_the_run_up_to_there(finished, tmp_path):
     part = read_run(tmp_path / "bag")
     assert 0 < len(part.belief) < len(record.belief)
     assert not part.result["bag_complete"] and "ends early" in part.result["bag_problem"]
-    assert not part.result["succeeded"] and part.result["reason"] == "goal ramp did not reach its end"
+    assert not part.result["succeeded"] and part.result["reason"] == "goal ramp was not reached"
 
 
 def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
