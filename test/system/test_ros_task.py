@@ -3,6 +3,7 @@
 The path on the ramp is a short one, in a copy of the configuration; everything else is as shipped.
 """
 
+import itertools
 import json
 import os
 import re
@@ -137,8 +138,11 @@ def test_latency_is_recorded_stage_by_stage(finished):
     stages = list(record.latency)
     assert stages == [s for s in ("camera", "estimator", "filter", "controller") if s in stages]
     assert stages[-2:] == ["filter", "controller"]
-    medians = [values["latency_ms"]["stages"][stage]["p50"] for stage in stages]
-    assert medians == sorted(medians) and medians[0] > 0.0
+    assert values["latency_ms"]["stages"][stages[0]]["p50"] > 0.0
+    for earlier, later in itertools.pairwise(record.latency[stage] for stage in stages):
+        # of the frames that both have: on a loaded machine each stage leaves out others
+        _, a, b = np.intersect1d(earlier.stamp_ns, later.stamp_ns, return_indices=True)
+        assert len(a) > 100 and np.median(later.seconds[b] - earlier.seconds[a]) > 0.0
     assert 0.0 < values["latency_ms"]["p50"] <= values["latency_ms"]["p99"] < 1000.0
 
 
