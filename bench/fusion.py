@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import _fusion, se3
-from tactile_filter.fusion import MODES, fuse, fuse_batch
+from tactile_filter import se3
+from tactile_filter.fusion import MODES, fuse
 from tactile_filter.fusion_reference import fuse_exact, fuse_fixed
 
 Array = NDArray[np.float64]
@@ -34,8 +34,7 @@ Pair = tuple[Array, Array, Array, Array]
 ROOT = Path(__file__).resolve().parent
 SOURCES = ROOT.parent / "tactile_filter" / "_csrc"
 SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])  # m, rad: an estimate of the contact
-BATCH = 512
-CALL_US, SCALAR_RATIO, BATCH_RATIO, GTSAM_RATIO = 2.0, 1.5, 2.0, 50.0  # targets
+CALL_US, LIMIT_RATIO, GTSAM_RATIO = 2.0, 1.5, 50.0  # targets
 
 
 def random_covariance(rng: np.random.Generator, sigma: Array, spread: float) -> Array:
@@ -118,27 +117,6 @@ def measure_calls(rounds: int) -> dict[str, float]:
     return microseconds(calls, rounds)
 
 
-def measure_batches(rounds: int) -> dict[str, float]:
-    """Nanoseconds a fusion of mode paper in a batch, by instruction set and precision."""
-    columns = [np.stack(column) for column in zip(*map(contact_pair, range(BATCH)), strict=True)]
-    singles = [column.astype(np.float32) for column in columns]
-    best, found = _fusion.instruction_set(), {}
-    for name in ("base", "avx2", "avx512"):
-        try:
-            _fusion.instruction_set(name)
-        except ValueError:
-            continue
-        for kind, inputs in (("float64", columns), ("float32", singles)):
-            times, out = [], fuse_batch(*inputs)
-            for _ in range(rounds):
-                start = time.perf_counter_ns()
-                fuse_batch(*inputs, out=out)
-                times.append((time.perf_counter_ns() - start) / BATCH)
-            found[f"{name}, {kind}"] = min(times)
-    _fusion.instruction_set(best)
-    return found
-
-
 def measure_limit() -> dict[str, float]:
     """What bench/fusion_limit/ answers: peaks in ns an instruction, fusions in ns, counts of instructions."""
     flags = ["-O3", "-std=gnu99", "-ffp-contract=off", f"-I{SOURCES}"]
@@ -165,26 +143,15 @@ def print_calls(times: dict[str, float]) -> None:
         print("GTSAM is not installed here: not compared")
 
 
-def print_limit(limit: dict[str, float], batches: dict[str, float]) -> tuple[float, float]:
-    """Print kernels against the machine's limit; returns the ratios of the single and of the widest one."""
+def print_limit(limit: dict[str, float]) -> float:
+    """Print one fusion against the machine's limit for plain numbers; returns their ratio."""
     count = limit["instructions_5"]
-    lanes = {"base": 2, "avx2": 4, "avx512": 8}
-    scalar_limit = count * limit["peak_1"]
+    bound = count * limit["peak_1"]
+    ratio = limit["fusion_paper"] / bound
     print(f"\nmode paper: {count:.0f} floating-point instructions, a multiply-add counted once")
     print(f"{'':30}{'ns a fusion':>12}{'limit':>9}{'times limit':>13}")
-    scalar = limit["fusion_paper"] / scalar_limit
-    print(f"{'one fusion, without Python':30}{limit['fusion_paper']:12.0f}{scalar_limit:9.0f}{scalar:13.2f}")
-    best = float("inf")
-    for name, value in batches.items():
-        instruction_set, kind = name.split(", ")
-        width = lanes[instruction_set] * (2 if kind == "float32" else 1)
-        peak = limit.get(f"peak_{lanes[instruction_set]}")
-        if peak is None:
-            continue
-        bound = count * peak / width
-        print(f"{'batch, ' + name:30}{value:12.0f}{bound:9.0f}{value / bound:13.2f}")
-        best = value / bound if kind == "float64" else best
-    return scalar, best
+    print(f"{'one fusion, without Python':30}{limit['fusion_paper']:12.0f}{bound:9.0f}{ratio:13.2f}")
+    return ratio
 
 
 def main() -> int:
@@ -194,20 +161,19 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="fewer repetitions")
     options = parser.parse_args()
     rounds = 20 if options.quick else 200
-    times, batches, limit = measure_calls(rounds), measure_batches(10 * rounds), measure_limit()
+    times, limit = measure_calls(rounds), measure_limit()
     print_calls(times)
-    scalar, batch = print_limit(limit, batches)
+    ratio = print_limit(limit)
     if options.json:
         report = {
             "machine": platform.machine(), "python": platform.python_version(), "us_per_call": times,
-            "ns_in_batch": batches, "limit": limit,
+            "limit": limit,
         }  # fmt: skip
         options.json.write_text(json.dumps(report, indent=1) + "\n")
 
     reached = {
         f"a call from Python under {CALL_US:g} us": times["C, paper"] < CALL_US,
-        f"one fusion within {SCALAR_RATIO:g} times the scalar limit": scalar <= SCALAR_RATIO,
-        f"the widest batch within {BATCH_RATIO:g} times its limit": batch <= BATCH_RATIO,
+        f"one fusion within {LIMIT_RATIO:g} times the limit": ratio <= LIMIT_RATIO,
     }
     if "GTSAM" in times:
         reached[f"{GTSAM_RATIO:g} times GTSAM"] = times["GTSAM"] >= GTSAM_RATIO * times["C, paper"]

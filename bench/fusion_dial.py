@@ -2,11 +2,11 @@
 
     python bench/fusion_dial.py [--quick] [--json FILE] [--plot docs/images/fusion_dial.png]
 
-Numbers of iterations, orders of the inverse Jacobian and precisions against the converged exact answer (mode
-"exact", float64), at angles between the means from 1 to 179 degrees, for isotropic and strongly anisotropic
-covariances. Errors are medians over random pairs: of the mean in posterior standard deviations, of the
-covariance as the largest error of an element relative to the standard deviations of its row and column. Times
-are of one fusion in a batch of estimates of contacts, in nanoseconds.
+Numbers of iterations and orders of the inverse Jacobian against the converged exact answer (mode "exact"),
+at angles between the means from 1 to 179 degrees, for isotropic and strongly anisotropic covariances. Errors
+are medians over random pairs: of the mean in posterior standard deviations, of the covariance as the largest
+error of an element relative to the standard deviations of its row and column. Times are of one call from
+Python with estimates of a contact, in nanoseconds.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_filter import se3
-from tactile_filter.fusion import FusionBatch, FusionStatus, fuse_batch
+from tactile_filter.fusion import FusionResult, FusionStatus, fuse
 
 Array = NDArray[np.float64]
-Columns = list[Array]
+Pair = tuple[Array, Array, Array, Array]
 
 DEGREES = (1, 2, 5, 10, 20, 45, 90, 135, 179)
 SHOWN = (1, 5, 20, 45, 90, 179)
@@ -37,33 +37,24 @@ class Plan(NamedTuple):
 
     iterations: int | None
     order: int | str = "exact"
-    dtype: type[np.floating] = np.float64
 
     @property
     def name(self) -> str:
         """As in the tables."""
-        steps = "exact" if self.iterations is None else f"{self.iterations} x {self.order}"
-        return steps + ("" if self.dtype is np.float64 else ", float32")
+        return "exact" if self.iterations is None else f"{self.iterations} x {self.order}"
 
-    def fuse(self, columns: Columns) -> tuple[Array, Array]:
-        """Means and covariances, float64."""
-        inputs = [column.astype(self.dtype) for column in columns]
-        batch = self.run(inputs)
-        return batch.mean.astype(np.float64), batch.cov.astype(np.float64)
-
-    def run(self, inputs: Columns, out: FusionBatch | None = None) -> FusionBatch:
+    def fuse(self, pair: Pair) -> FusionResult:
         """The fusion itself."""
         if self.iterations is None:
-            return fuse_batch(*inputs, "exact", out=out)
-        return fuse_batch(*inputs, iterations=self.iterations, jacobian_order=self.order, out=out)
+            return fuse(*pair, "exact")
+        return fuse(*pair, iterations=self.iterations, jacobian_order=self.order)
 
 
 PLANS = [Plan(n, order) for order in (2, 4, "exact") for n in range(1, 11)]
-PLANS += [Plan(n, order, np.float32) for order in (2, "exact") for n in (1, 2, 3, 5, 10)]
 PLANS += [Plan(None)]
 TABLE = [Plan(n, 2) for n in (1, 2, 3, 5, 10)] + [Plan(n, 4) for n in (3, 5, 10)]
 TABLE += [Plan(n) for n in (2, 3, 4, 5, 10)]
-TABLE += [Plan(5, 2, np.float32), Plan(3, "exact", np.float32), Plan(None)]
+TABLE += [Plan(None)]
 
 
 def random_covariance(rng: np.random.Generator, sigma: Array, spread: float) -> Array:
@@ -75,7 +66,7 @@ def random_covariance(rng: np.random.Generator, sigma: Array, spread: float) -> 
     return 0.5 * (result + result.T)
 
 
-def separated(degrees: float, spread: float, count: int) -> Columns:
+def separated(degrees: float, spread: float, count: int) -> list[Pair]:
     """Pairs whose means are turned against each other by this angle and shifted in proportion."""
     rng = np.random.default_rng(int(degrees))
     pairs = []
@@ -86,10 +77,10 @@ def separated(degrees: float, spread: float, count: int) -> Columns:
         between = se3.exp(np.concatenate((0.1 * np.radians(degrees) * rng.normal(size=3), turn)))
         covs = [random_covariance(rng, VAGUE, spread) for _ in range(2)]
         pairs.append((mean, covs[0], between @ mean, covs[1]))
-    return [np.stack(column) for column in zip(*pairs, strict=True)]
+    return pairs
 
 
-def contacts(count: int) -> Columns:
+def contacts(count: int) -> list[Pair]:
     """Pairs of estimates of one contact, as the filter meets them."""
     rng = np.random.default_rng(0)
     pairs = []
@@ -97,37 +88,36 @@ def contacts(count: int) -> Columns:
         mean = se3.exp(0.1 * rng.normal(size=6))
         other = se3.exp(SIGMA * rng.normal(size=6)) @ mean
         pairs.append((mean, random_covariance(rng, SIGMA, 0.3), other, random_covariance(rng, SIGMA, 0.3)))
-    return [np.stack(column) for column in zip(*pairs, strict=True)]
+    return pairs
 
 
-def errors(columns: Columns) -> dict[str, tuple[float, float]]:
+def errors(pairs: list[Pair]) -> dict[str, tuple[float, float]]:
     """Median error of the mean and of the covariance, by plan; pairs that do not converge are left out."""
-    exact = fuse_batch(*columns, "exact")
-    used = np.flatnonzero(exact.status == FusionStatus.CONVERGED)
-    sigma = np.sqrt(np.einsum("nii->ni", exact.cov))
+    fused = [(pair, fuse(*pair, "exact")) for pair in pairs]
+    converged = [(pair, exact) for pair, exact in fused if exact.status == FusionStatus.CONVERGED]
     found = {}
     for plan in PLANS:
-        mean, cov = plan.fuse(columns)
         of_mean, of_cov = [], []
-        for n in used:
-            xi = se3.log(se3.orthonormalized(mean[n]) @ se3.inverse(exact.mean[n]))
-            of_mean.append(np.linalg.norm(np.linalg.solve(exact.factor[n], xi)))
-            of_cov.append(np.abs((cov[n] - exact.cov[n]) / np.outer(sigma[n], sigma[n])).max())
+        for pair, exact in converged:
+            mean, cov = plan.fuse(pair)[:2]
+            xi = se3.log(se3.orthonormalized(mean) @ se3.inverse(exact.mean))
+            sigma = np.sqrt(np.diag(exact.cov))
+            of_mean.append(np.linalg.norm(np.linalg.solve(exact.factor, xi)))
+            of_cov.append(np.abs((cov - exact.cov) / np.outer(sigma, sigma)).max())
         found[plan.name] = float(np.median(of_mean)), float(np.median(of_cov))
     return found
 
 
 def times(rounds: int) -> dict[str, float]:
     """Nanoseconds a fusion, by plan; the rounds go through all in turn, so all see one load."""
-    columns = contacts(256)
-    inputs = {dtype: [column.astype(dtype) for column in columns] for dtype in (np.float64, np.float32)}
-    out = {dtype: fuse_batch(*values) for dtype, values in inputs.items()}
+    pairs = contacts(64)
     best = {plan.name: float("inf") for plan in PLANS}
     for _ in range(rounds):
         for plan in PLANS:
             start = time.perf_counter_ns()
-            plan.run(inputs[plan.dtype], out[plan.dtype])
-            best[plan.name] = min(best[plan.name], (time.perf_counter_ns() - start) / 256)
+            for pair in pairs:
+                plan.fuse(pair)
+            best[plan.name] = min(best[plan.name], (time.perf_counter_ns() - start) / len(pairs))
     return best
 
 
@@ -153,18 +143,11 @@ def plot(
 
     shown, floor = (5, 20, 45, 135), 1e-16
     figure, axes = plt.subplots(2, len(shown), figsize=(11, 5), sharex=True, sharey=True)
-    series = [
-        ("order 2", 2, np.float64, "o-"),
-        ("order 4", 4, np.float64, "s-"),
-        ("exact", "exact", np.float64, "^-"),
-    ]
-    series += [("order 2, float32", 2, np.float32, "o:"), ("exact, float32", "exact", np.float32, "^:")]
+    series = [("order 2", 2, "o-"), ("order 4", 4, "s-"), ("exact", "exact", "^-")]
     for row, (kind, by_angle) in zip(axes, kinds.items(), strict=True):
         for axis, degrees in zip(row, shown, strict=True):
-            for label, order, dtype, style in series:
-                plans = [
-                    plan for plan in PLANS if plan.iterations and (plan.order, plan.dtype) == (order, dtype)
-                ]
+            for label, order, style in series:
+                plans = [plan for plan in PLANS if plan.iterations and plan.order == order]
                 values = [max(by_angle[degrees][plan.name][0], floor) for plan in plans]
                 axis.loglog([ns[plan.name] for plan in plans], values, style, label=label, ms=4, lw=1)
             axis.plot(ns["exact"], max(by_angle[degrees]["exact"][0], floor), "k*", label="mode exact", ms=9)
@@ -172,7 +155,7 @@ def plot(
             axis.set_title(f"{kind}, {degrees}° apart", fontsize=9)
             axis.grid(alpha=0.3)
     for axis in axes[1]:
-        axis.set_xlabel("ns a fusion, in a batch")
+        axis.set_xlabel("ns a call from Python")
     for row in axes:
         row[0].set_ylabel("error of the mean, sigmas")
     axes[0][0].legend(fontsize=7)

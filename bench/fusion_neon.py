@@ -27,10 +27,13 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from aarch64 import Machine, build
 
 ROOT = Path(__file__).resolve().parent.parent
-TESTS = ["se3", "worst_errors", "fusion", "fusion_exact", "fusion_batch", "propagation"]
+sys.path.insert(0, str(ROOT / "bench"))
+
+from aarch64 import Machine, build  # noqa: E402
+
+TESTS = ["se3", "worst_errors", "fusion", "fusion_exact", "propagation"]
 STATISTICS = "errors_of_fused_poses"  # 60000 fusions for a property of the method, whatever the processor
 NUMBERS = [("step", "f8"), ("iterations", "i4"), ("status", "i4")]
 OUTPUT = np.dtype([("mean", "f8", (4, 4)), ("cov", "f8", (6, 6)), ("factor", "f8", (6, 6)), *NUMBERS])
@@ -149,23 +152,6 @@ class Emulated:
         numbers = {"step": found["step"].item(), "iterations": found["iterations"].item()}
         return expected._replace(**{**found, **numbers, "status": self.statuses[found["status"]]})
 
-    def fuse_batch(self, *args: Any) -> tuple[int, int] | None:
-        """Inputs, outputs mean, cov, factor, step, status; iterations, order."""
-        expected, inputs, (iterations, order) = self.native.fuse_batch(*args), args[:4], args[9:]
-        name = f"fuse_batch{' to convergence' if order == -1 else ''}, {args[0].dtype}"
-        routine = self.routines["fuse_batch_float" if args[0].dtype == np.float32 else "fuse_batch"]
-        outputs, at = [np.full_like(array, -1) for array in args[4:9]], np.zeros(1, np.int64)
-        plan = iterations + (order << 32)
-        batch = (len(args[8]), plan, inputs[0], inputs[2], inputs[1], inputs[3], *outputs)
-        fault = self.machine.run(routine, batch, at, outputs=[*outputs, at]) % 2**32
-        if fault or expected:
-            self.compare(f"{name}, refused", (expected, (int(at[0]), fault)))
-            return int(at[0]), fault
-        self.compare(name, *zip(args[4:9], outputs, strict=True))
-        for array, output in zip(args[4:9], outputs, strict=True):
-            array[...] = output
-        return None
-
     def instruction_set(self, name: str = "base", /) -> str:
         """What the emulated processor has."""
         if not self.machine.run(self.machine.symbols["routines_select"], name.encode() + b"\0"):
@@ -183,33 +169,22 @@ class Emulated:
 
 
 def run_extremes(fusion: ModuleType) -> None:
-    """Every extreme case of the tests in every mode, one by one and in batches of both precisions."""
+    """Every extreme case of the tests in every mode."""
     from fusion_cases import cases
 
     for seed in range(3):
-        pairs = list(cases(seed).values())
-        columns = [np.stack(column) for column in zip(*pairs, strict=True)]
-        for mode in fusion.MODES:
-            for pair in pairs:
+        for pair in cases(seed).values():
+            for mode in fusion.MODES:
                 fusion.fuse(*pair, mode)
-            fusion.fuse_batch(*columns, mode)
-            for pair in zip(*(column.astype(np.float32) for column in columns), strict=True):
-                try:
-                    fusion.fuse_batch(*(array[None] for array in pair), mode)
-                except fusion.FusionError:
-                    continue  # past single precision; the refusals are compared
 
 
 def print_instructions(machine: Machine, fusion: ModuleType) -> None:
-    """What two fusions for each lane execute; multiply-adds of 1 number would be of lanes done alone."""
+    """What a fusion executes."""
     from fusion_cases import cases
 
-    print("\nexecuted instructions, mode paper")
-    for dtype, lanes in ((np.float64, 2), (np.float32, 4)):
-        columns = [np.stack([array] * 2 * lanes).astype(dtype) for array in cases(0)["contact"]]
-        found = machine.count(partial(fusion.fuse_batch, *columns))
-        numbers = ", ".join(f"{number} {name}" for name, number in found.items())
-        print(f"{2 * lanes} fusions, {np.dtype(dtype)}: {numbers}")
+    found = machine.count(partial(fusion.fuse, *cases(0)["contact"]))
+    numbers = ", ".join(f"{number} {name}" for name, number in found.items())
+    print(f"\nexecuted instructions of one fusion, mode paper: {numbers}")
 
 
 def main() -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
+from tactile_drivers.scene import load_scene
 from tactile_drivers.shapes import make_surface
 from tactile_drivers.sim.held import GRAVITY, HeldObject, HeldSettings
 from tactile_drivers.sim.tactip import TacTip
@@ -20,9 +21,7 @@ AMPLITUDE = np.array([0.075, 0.075, 0.075, *np.radians([25.0] * 3)])
 PHASE = np.array([np.pi / 2, 0, 0, 0, 0, 0])
 PERIOD = 30.0  # s
 STEP = 0.05  # s
-OBJECTS = {
-    "Rubik's cube": HeldSettings(),
-}
+SCENES = ("tracking_cube", "tracking_mustard", "tracking_ball")
 
 
 def curve(name: str, kind: str, parameters: dict[str, float], top: float) -> None:
@@ -90,12 +89,12 @@ def least_press(settings: HeldSettings, poses: np.ndarray, share: float) -> floa
 
 def holding() -> None:
     poses = trajectory()[0][::20]
-    print(
-        "object, mass kg, least press N over the trajectory: plate alone, tip carrying half; at 6 mm depth N"
-    )
-    for name, settings in OBJECTS.items():
+    print("object, mass kg, least press N on the way: tip without shear, with half the weight; N at 6 mm")
+    for name in SCENES:
+        body = next(iter(load_scene(name).bodies.values()))
+        settings = body.motion_settings.checked(HeldSettings, body.motion_settings.values)
         alone, half = (least_press(settings, poses, share) for share in (0.0, 0.5))
-        print(f"  {name:14} {settings.mass:6.3f} {alone:6.2f} {half:6.2f} {settings.normal_force(6e-3):6.2f}")
+        print(f"  {name:16} {settings.mass:6.3f} {alone:6.2f} {half:6.2f} {settings.normal_force(6e-3):6.2f}")
 
 
 def main() -> None:

@@ -29,8 +29,7 @@ from tactile_drivers.scene import Scene, load_scene
 from tactile_filter import se3
 from tactile_filter.consistency import nees
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.object.file import load_object
-from tactile_filter.object.settings import TrackerSettings
+from tactile_filter.object.settings import TrackerSettings, load_object
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.from_bag import (

@@ -16,4 +16,4 @@ resolve() {
 
 cat scripts/ros_wheels.txt <(.venv/bin/python scripts/requirements.py train cluster test lint lock) |
     resolve constraints.txt
-.venv/bin/python scripts/requirements.py test | resolve lowest.txt --resolution lowest-direct
+.venv/bin/python scripts/requirements.py train test | grep -v '^torch' | resolve lowest.txt --resolution lowest-direct

@@ -30,6 +30,7 @@ fi
 
 exec 9>&-
 export PYTHONPATH=$lowest/lib
-[ $# -gt 0 ] || set -- -q -m "not slow and not ros" test/base test/filter test/control test/drivers test/records \
-    test/perception/test_estimator.py test/perception/test_wrong_usage.py
+[ $# -gt 0 ] || set -- -q --disable-warnings --numprocesses auto --maxprocesses 4 --dist loadfile \
+    -m "not slow and not ros" test/base test/filter test/control test/drivers test/records \
+    test/perception/test_estimator.py test/perception/test_estimate.py test/perception/test_evaluation.py
 exec "$venv/bin/pytest" "$@"

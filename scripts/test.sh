@@ -9,8 +9,8 @@ export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((1 + $$ % 101))}
 if [ $# -gt 0 ]; then
     exec pytest "$@"
 fi
-# By file: what a file's tests share is made once.
+# By file: what a file's tests share is made once. A thread each: there are as many processes as cores.
 status=0
-pytest -q -m "not ros" --numprocesses auto --maxprocesses 4 --dist loadfile || status=$?
+OMP_NUM_THREADS=1 pytest -q -m "not ros" --numprocesses auto --maxprocesses 4 --dist loadfile || status=$?
 pytest -q -m ros || status=$?
 exit "$status"

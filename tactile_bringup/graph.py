@@ -25,7 +25,7 @@ from tactile_control.task_file import NamedGoal, Role, default_scene, load_task,
 from tactile_control.tasks import TASKS
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter.filter_settings import load_filter_settings
-from tactile_filter.object.file import load_object
+from tactile_filter.object.settings import load_object
 
 RECORDER = "recorder"
 
@@ -103,7 +103,7 @@ class GraphOptions:
     object_belief : bool
         Whether the contacts of all arms are fused into one belief over the object that they touch.
     object_file : str
-        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object.file`);
+        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object.settings`);
         empty: that is found by touch.
     """
 
@@ -264,7 +264,8 @@ def _senses(
 def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
     sensor, model = scene.arms[arm].sensor, options.model or scene.model_file(arm)
     assert sensor is not None
-    parameters: dict[str, Any] = {"images.rate": float(options.rate or sensor.settings.camera_rate)}
+    rate = options.rate if scene.arms[arm].simulated_sensor else None
+    parameters: dict[str, Any] = {"images.rate": float(rate or sensor.settings.camera_rate)}
     if model is not None:
         parameters["model"] = str(model.absolute())
     module = "tactile_ros.nodes.estimator_node"

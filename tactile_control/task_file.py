@@ -168,7 +168,7 @@ def load_task(
     scenes[scene].allow(*roles)
     folder = Path(controllers) if controllers is not None else _controllers_of(Path(path))
     loaded = [
-        _role(name, section, scenes[scene].section(name), folder, controller, list(roles))
+        _role(name, section, scenes[scene].section(name), folder, controller, roles)
         for name, section in roles.items()
     ]
     task = Task(Path(path).stem, scene, tuple(loaded))
@@ -178,7 +178,12 @@ def load_task(
 
 
 def _role(
-    name: str, section: Section, on_scene: Section, folder: Path, controller: str | None, roles: list[str]
+    name: str,
+    section: Section,
+    on_scene: Section,
+    folder: Path,
+    controller: str | None,
+    roles: dict[str, Section],
 ) -> Role:
     section.allow("task", "controller", "settings")
     on_scene.allow("arms", "after", "ends_run", "settings", "goals")
@@ -203,14 +208,21 @@ def _role(
         task=task,
         controller=chosen,
         settings=settings,
-        arms=tuple(map(str, on_scene.value("arms", ()))),
+        arms=_arms(on_scene),
         goals=_goals(on_scene, task_type),
-        after=_after(on_scene, roles),
+        after=_after(on_scene, {other: roles[other] for other in roles if other != name}),
         ends_run=ends,
     )
 
 
-def _after(on_scene: Section, roles: list[str]) -> tuple[str, str] | None:
+def _arms(on_scene: Section) -> tuple[str, ...]:
+    arms = on_scene.value("arms", [])
+    if not isinstance(arms, list):
+        on_scene.fail(f"{on_scene.name}.arms = {arms!r}: must be a list of names", "arms")
+    return tuple(map(str, arms))
+
+
+def _after(on_scene: Section, others: dict[str, Section]) -> tuple[str, str] | None:
     if "after" not in on_scene.values:
         return None
     after = on_scene.section("after")
@@ -219,8 +231,9 @@ def _after(on_scene: Section, roles: list[str]) -> tuple[str, str] | None:
             f"{on_scene.name}.after: must name one role and its phase, as {{follower: track}}", "after"
         )
     role = next(iter(after.values))
-    after.allow(*roles)
-    return role, after.text(role)
+    after.allow(*others)
+    awaited = TASKS.load(others[role].choice("task", list(TASKS.names())))
+    return role, after.choice(role, awaited.phases)
 
 
 def _goals(on_scene: Section, task_type: type[PhaseMachine[Any, Any]]) -> tuple[NamedGoal, ...]:

@@ -25,13 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.registry import Registry
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene
 
 Array = NDArray[np.float64]
-
-_SECOND_NS = 1_000_000_000
 
 
 class ArmMode(IntEnum):
@@ -198,7 +197,7 @@ class CommandGate:
 
     def age(self, now_ns: int) -> float:
         """Age (s) of the command in force; -1 without one."""
-        return (now_ns - self.in_force_ns) / _SECOND_NS if self.in_force_ns is not None else -1.0
+        return (now_ns - self.in_force_ns) / SECOND_NS if self.in_force_ns is not None else -1.0
 
     def silence(self, now_ns: int) -> str:
         """Why the command in force is too old to be followed; empty if it is not, or there is none."""
@@ -216,11 +215,11 @@ class CommandGate:
             return f"a twist has 6 elements, this one has shape {twist.shape}"
         if not np.isfinite(twist).all():
             return f"the twist is not finite: {twist.tolist()}"
-        age, limit = (now_ns - stamp_ns) / _SECOND_NS, self.limits.command_timeout
+        age, limit = (now_ns - stamp_ns) / SECOND_NS, self.limits.command_timeout
         if abs(age) > limit:
             return f"the command is {age:.3f} s old (limit {limit:g} s, same into the future)"
         if self.in_force_ns is not None and stamp_ns < self.in_force_ns:
-            behind = (self.in_force_ns - stamp_ns) / _SECOND_NS
+            behind = (self.in_force_ns - stamp_ns) / SECOND_NS
             return f"the command is {behind:.3f} s older than the one in force"
         return ""
 

@@ -32,7 +32,6 @@ from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-WORLD = "world"
 SIM = "sim"  # driven or exposed by the simulated cell
 EXTERNAL = "external"  # somebody else's driver or camera, which runs already
 _NAME = re.compile(r"[a-z][a-z0-9_]*")  # a ROS namespace and frame prefix
@@ -136,7 +135,7 @@ class BodyScene:
     T_parent_body : ndarray (4, 4)
         In the tool of the arm that carries it, else in the world, where it starts.
     carried_by : str
-        Name of that arm; empty for none.
+        Name of that arm, with which it moves at least as long as nothing else happens; empty for none.
     motion : str
         A name of `MOTIONS`.
     motion_settings : Section
@@ -274,7 +273,7 @@ def _registered(
     """A name of a registry, or one `more`; packages are searched only for a name that is not ours."""
     if section.values.get(key, default) in more:
         return section.choice(key, more, default)
-    names = [*more, *registry.names()]
+    names = list(dict.fromkeys((*more, *registry.names())))
     return section.choice(key, names, default) if default else section.choice(key, names)
 
 
@@ -284,8 +283,9 @@ def _body(name: str, section: Section, arms: Iterable[str]) -> BodyScene:
     parameters = section.settings("parameters", SHAPES.load(shape).settings_class)
     carried_by = section.choice("carried_by", list(arms), "") if "carried_by" in section.values else ""
     motion = _registered(section, "motion", MOTIONS, (FIXED, CARRIED), CARRIED if carried_by else FIXED)
-    if bool(carried_by) != (motion == CARRIED):
-        section.fail(f"{section.name}: motion '{CARRIED}' and carried_by belong together", "motion")
+    if (motion == CARRIED and not carried_by) or (motion == FIXED and carried_by):
+        who = "needs" if motion == CARRIED else "cannot have"
+        section.fail(f"{section.name}: a body whose motion is '{motion}' {who} carried_by", "motion")
     pose = _pose(section.section("pose"))
     return BodyScene(name, shape, parameters, pose, carried_by, motion, section.section("motion_settings"))
 

@@ -4,10 +4,9 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter.fusion_result import FusionResult
+from tactile_filter.fusion import FusionResult
 
 Array = NDArray[np.float64]
-AnyArray = NDArray[np.floating]
 
 def exp(xi: ArrayLike, /) -> Array: ...
 def log(T: ArrayLike, /) -> Array: ...
@@ -28,20 +27,6 @@ def fuse(
     mean_1: ArrayLike, cov_1: ArrayLike, mean_2: ArrayLike, cov_2: ArrayLike, plan: str | tuple[int, int], /
 ) -> FusionResult: ...
 def check(mean: ArrayLike, cov: ArrayLike, /) -> int: ...
-def fuse_batch(
-    mean_1: AnyArray,
-    cov_1: AnyArray,
-    mean_2: AnyArray,
-    cov_2: AnyArray,
-    mean: AnyArray,
-    cov: AnyArray,
-    factor: AnyArray,
-    step: AnyArray,
-    status: NDArray[np.int32],
-    iterations: int,
-    order: int,
-    /,
-) -> tuple[int, int] | None: ...
 def set_up(
     result: type,
     statuses: tuple,

@@ -145,7 +145,7 @@ class ContactFilter:
     def observe(
         self, stamp_ns: int, estimate: PoseGaussian | None, T_base_sensor: ArrayLike | None
     ) -> Belief:
-        """Take what one exposure told: `step` with its estimate; without contact, forget the belief.
+        """Take the result of one exposure: `step` with its estimate; without contact, forget the belief.
 
         Parameters
         ----------

@@ -41,7 +41,7 @@ class ConsistencySettings(Settings):
         0.999, lower=0.5, upper=0.999999, doc="of a consistent filter's statistic to lie inside its bounds"
     )
     patience: float = setting(
-        2.0, lower=0.0, upper=3600.0, unit="s", doc="a statistic has to be outside this long to be told"
+        2.0, lower=0.0, upper=3600.0, unit="s", doc="a statistic has to be outside this long to be reported"
     )
     warn_of: str = setting(
         "harmful",

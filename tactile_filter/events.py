@@ -108,12 +108,12 @@ class EventJoin:
 
 
 def measurement_join() -> EventJoin:
-    """Joins `presence` and `estimate`, each as (content, received); one that tells of no contact will do."""
+    """Joins `presence` and `estimate`, each as (content, received); without contact presence will do."""
     return EventJoin(
         ("presence", "estimate"), complete=lambda parts: "estimate" in parts or says_no_contact(parts)
     )
 
 
 def says_no_contact(parts: Mapping[str, Any]) -> bool:
-    """Whether a contact presence among an event's parts tells of no contact, whatever an estimate says."""
+    """Whether a contact presence among an event's parts is one without contact, whatever an estimate says."""
     return "presence" in parts and not parts["presence"][0]

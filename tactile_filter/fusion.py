@@ -1,31 +1,22 @@
 """Fusion of two Gaussians over poses into one: the correction step of the filter, in C.
 
 The algorithm is the paper's "SE(3) data fusion" (its Algorithm, after Barfoot and Furgale);
-`tactile_filter.fusion_reference` is the same in NumPy, to be read.
+`tactile_filter.fusion_reference` is the same in NumPy, to be read. One pair at a time: what fusing many side
+by side could save filters is measured in docs/fusion.md.
 """
 
 from __future__ import annotations
 
-from typing import NoReturn
+from enum import IntEnum
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import unknown_name
-from tactile_filter.fusion_result import FusionBatch, FusionError, FusionResult, FusionStatus
-from tactile_filter.native import _fusion
+from tactile_filter import _fusion
 
-__all__ = [
-    "JACOBIAN_ORDERS",
-    "MODES",
-    "FusionBatch",
-    "FusionError",
-    "FusionResult",
-    "FusionStatus",
-    "check_gaussian",
-    "fuse",
-    "fuse_batch",
-]
+Array = NDArray[np.float64]
 
 # Mode -> its number of iterations and its Jacobian order.
 MODES: dict[str, tuple[int, int | str]] = {"paper": (5, 2), "fast": (3, "exact"), "exact": (100, "exact")}
@@ -33,6 +24,56 @@ JACOBIAN_ORDERS: dict[int | str, int] = {2: 2, 4: 4, "exact": 0}
 
 _TO_CONVERGENCE = -1
 _INPUTS = ("mean_1", "cov_1", "mean_2", "cov_2")
+
+# A last step below this many posterior standard deviations counts as converged (fixed number of iterations).
+CONVERGED_STEP = 1e-3
+
+
+class FusionError(ValueError):
+    """An input that cannot be fused; the message names the matrix and what is wrong with it."""
+
+
+class FusionStatus(IntEnum):
+    """How a fusion ended.
+
+    Attributes
+    ----------
+    CONVERGED
+        The last step was below the tolerance: `CONVERGED_STEP`, or rounding in mode "exact".
+    NOT_CONVERGED
+        The iterations ended before.
+    STALLED
+        Mode "exact" only: from no start was a minimum found. The cost is lowest where a mean is a half turn
+        away and the logarithm jumps, so that the two inputs contradict each other by many standard
+        deviations. The mean is the best one found.
+    """
+
+    CONVERGED = 0
+    NOT_CONVERGED = 1
+    STALLED = 2
+
+
+class FusionResult(NamedTuple):
+    """The fused Gaussian.
+
+    Attributes
+    ----------
+    mean : (4, 4) pose
+    cov : (6, 6) left covariance, equal to ``factor @ factor.T`` and thus symmetric and never indefinite
+    factor : (6, 6) lower triangular
+    iterations : int
+        Steps taken.
+    status : FusionStatus
+    step : float
+        Length of the last step in posterior standard deviations: how far from converged it is.
+    """
+
+    mean: Array
+    cov: Array
+    factor: Array
+    iterations: int
+    status: FusionStatus
+    step: float
 
 
 def fuse(
@@ -81,58 +122,6 @@ def fuse(
     return _fuse(mean_1, cov_1, mean_2, cov_2, _plan(mode, iterations, jacobian_order))
 
 
-def fuse_batch(
-    mean_1: ArrayLike,
-    cov_1: ArrayLike,
-    mean_2: ArrayLike,
-    cov_2: ArrayLike,
-    mode: str = "paper",
-    *,
-    iterations: int | None = None,
-    jacobian_order: int | str | None = None,
-    out: FusionBatch | None = None,
-) -> FusionBatch:
-    """As `fuse`, for N pairs side by side: several times faster than one by one, and the same to the bit.
-
-    Parameters
-    ----------
-    mean_1, mean_2 : (N, 4, 4)
-    cov_1, cov_2 : (N, 6, 6)
-        All four float32: the fusion works with that precision. Otherwise with float64.
-    out : FusionBatch, optional
-        A former answer for as many pairs with the same precision, to be overwritten; it saves the time of
-        getting new memory. None of it may be an input of this call.
-
-    Raises
-    ------
-    FusionError
-        Naming the first pair that cannot be fused, as ``cov_2[17]: ...``; none is answered then.
-    ValueError
-        If an array has the wrong shape or an option is unknown.
-    """
-    count, order = _plan(mode, iterations, jacobian_order)
-    arrays = [np.asarray(value) for value in (mean_1, cov_1, mean_2, cov_2)]
-    single = all(array.dtype == np.float32 for array in arrays)
-    dtype: type[np.floating] = np.float32 if single else np.float64
-    number = len(arrays[0]) if arrays[0].ndim else 0
-    for array, name, size in zip(arrays, _INPUTS, (4, 6, 4, 6), strict=True):
-        if array.shape != (number, size, size):
-            raise ValueError(f"{name}: must have shape ({number}, {size}, {size}), has {array.shape}")
-    X_1, S_1, X_2, S_2 = (np.ascontiguousarray(array, dtype=dtype) for array in arrays)
-    if out is None:
-        mean, cov, factor, step = (np.empty((number, *s), dtype) for s in ((4, 4), (6, 6), (6, 6), ()))
-        out = FusionBatch(mean, cov, factor, np.empty(number, dtype=np.int32), step)
-    mean, cov, factor, status, step = out
-    if len(status) != number:
-        raise ValueError(f"out: must be of {number} pairs, is of {len(status)}")
-    fault = _fusion.fuse_batch(X_1, S_1, X_2, S_2, mean, cov, factor, step, status, count, order)
-    if fault is not None:
-        at, code = fault
-        names = tuple(f"{name}[{at}]" for name in _INPUTS)
-        raise FusionError(_fault(code, tuple(array[at] for array in arrays), names, f"pair {at}: "))
-    return out
-
-
 def check_gaussian(mean: ArrayLike, cov: ArrayLike, name: str) -> None:
     """Raise FusionError, naming the Gaussian, if `fuse` would not take this mean and covariance."""
     code = _fusion.check(mean, cov)
@@ -162,19 +151,19 @@ def _refuse(code: int, inputs: tuple[ArrayLike, ...]) -> NoReturn:
     raise FusionError(_fault(code, inputs))
 
 
-def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _INPUTS, pair: str = "") -> str:
+def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _INPUTS) -> str:
     """What is wrong with the argument at which `_fusion` has found a fault."""
     index, lack = divmod(code, 16)
     if lack == 5:
         return (
-            f"{pair}the two covariances cannot be combined in double precision: their ratio, or the "
+            "the two covariances cannot be combined in double precision: their ratio, or the "
             "separation of the means in standard deviations, is too large"
         )
     name, matrix = names[index], np.asarray(inputs[index], dtype=np.float64)
     return f"{name}: {_covariance_fault(matrix) if lack == 4 else _pose_fault(matrix)}"
 
 
-def _pose_fault(mean: NDArray[np.float64]) -> str:
+def _pose_fault(mean: Array) -> str:
     if not np.isfinite(mean).all():
         return f"is not finite: {mean.tolist()}"
     if mean[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
@@ -184,7 +173,7 @@ def _pose_fault(mean: NDArray[np.float64]) -> str:
     return f"is no pose: R^T R is off the identity by {error:.3g}, det R = {np.linalg.det(R):.3g}"
 
 
-def _covariance_fault(cov: NDArray[np.float64]) -> str:
+def _covariance_fault(cov: Array) -> str:
     if not np.isfinite(cov).all():
         return f"is not finite: {cov.tolist()}"
     eigenvalues = np.linalg.eigvalsh(0.5 * (cov + cov.T))

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_filter import se3
 from tactile_filter import se3_reference as plain
-from tactile_filter.fusion_result import CONVERGED_STEP, FusionResult, FusionStatus
+from tactile_filter.fusion import CONVERGED_STEP, FusionResult, FusionStatus
 
 Array = NDArray[np.float64]
 Factors = list[tuple[Array, Array]]

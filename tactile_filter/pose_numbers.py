@@ -68,9 +68,8 @@ def gaussian_from_numbers(numbers: Sequence[float]) -> PoseGaussian:
     array = np.array(numbers, dtype=np.float64)
     mean, cov = pose_from_numbers(array[:7]), array[7:].reshape(6, 6)
     if not _are_covariances(cov):
-        raise MessageError(
-            f"covariance must be finite with variances of at least 0: its diagonal is {np.diag(cov).tolist()}"
-        )
+        lack = "has a negative variance" if np.isfinite(cov).all() else "is not finite"
+        raise MessageError(f"covariance {lack}; its diagonal is {np.diag(cov).tolist()}")
     return PoseGaussian(mean, left_from_ros(cov, mean[:3, 3]))
 
 
@@ -100,4 +99,4 @@ def _pose_fault(numbers: Array) -> str:
     x, y, z, *quaternion = numbers.tolist()
     if not _have_norm_1(numbers[3:]):
         return f"quaternion (x, y, z, w) = {tuple(quaternion)}: must have norm 1"
-    return f"position ({x}, {y}, {z}): must be finite"
+    return f"position ({x}, {y}, {z}) is not finite"

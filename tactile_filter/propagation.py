@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter.native import _fusion
+from tactile_filter import _fusion
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dsygv
 
 from tactile_filter import se3
-from tactile_filter.fusion_result import FusionError
+from tactile_filter.fusion import FusionError
 from tactile_filter.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]

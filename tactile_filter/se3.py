@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter.native import _fusion
+from tactile_filter import _fusion
 
 Array = NDArray[np.float64]
 Vector = Sequence[float]
@@ -76,6 +76,8 @@ def log(T: ArrayLike) -> Array:
     """Tangent vector (6,) of a pose (4, 4), with |phi| <= pi (paper's logarithmic map).
 
     At exactly pi, where phi and -phi are the same rotation, the first non-zero component of phi is positive.
+    A rotation that is off by more than rounding, and by no more than `ROTATION_TOLERANCE`, counts as the
+    nearest one; that it is no further off is not checked.
     """
     return _fusion.log(T)
 

@@ -14,7 +14,7 @@ from tactile_ros.parameters import SettingsParameters
 
 @dataclass(frozen=True)
 class BeliefInputSettings(Settings):
-    """How long the node waits for what it needs, and how often it tells it as a frame."""
+    """How long the node waits for what it needs, and how often it publishes its frame."""
 
     tf_timeout: float = setting(
         0.05, lower=0.0, upper=5.0, unit="s",
@@ -22,7 +22,7 @@ class BeliefInputSettings(Settings):
     )  # fmt: skip
     age_limit: float = setting(
         0.25, lower=0.0, upper=60.0, unit="s",
-        doc="longer silence of an input is told in /diagnostics; 0: never",
+        doc="longer silence of an input is reported in /diagnostics; 0: never",
     )  # fmt: skip
     tf_rate: float = setting(
         15.0, lower=0.0, upper=1000.0, unit="Hz",

@@ -1,5 +1,5 @@
-// What this machine can do: nanoseconds a multiply-add instruction on vectors of each width, many of them
-// independent; and of one fusion without Python. Prints `name value` lines. Built and run by bench/fusion.py.
+// What this machine can do: nanoseconds a multiply-add instruction, many of them independent; and of one fusion
+// without Python. Prints `name value` lines. Built and run by bench/fusion.py.
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -43,19 +43,11 @@ static double now(void) {
   }
 
 #ifdef __x86_64__
-#include <immintrin.h>
 #define REGISTER(x) "x"(x)
 MEASURE_PEAK(peak_1, double, __attribute__((target("avx2,fma"))), x[k] = __builtin_fma(x[k], a, b))
-MEASURE_PEAK(peak_2, __m128d, __attribute__((target("avx2,fma"))), x[k] = _mm_fmadd_pd(x[k], a, b))
-MEASURE_PEAK(peak_4, __m256d, __attribute__((target("avx2,fma"))), x[k] = _mm256_fmadd_pd(x[k], a, b))
-#undef REGISTER
-#define REGISTER(x) "v"(x)
-MEASURE_PEAK(peak_8, __m512d, __attribute__((target("avx512f"))), x[k] = _mm512_fmadd_pd(x[k], a, b))
 #else
 #define REGISTER(x) "w"(x)
-typedef double V2 __attribute__((vector_size(16)));
 MEASURE_PEAK(peak_1, double, , x[k] = __builtin_fma(x[k], a, b))
-MEASURE_PEAK(peak_2, V2, , x[k] = (V2)vfmaq_f64((float64x2_t)b, (float64x2_t)x[k], (float64x2_t)a))
 #endif
 
 
@@ -88,13 +80,7 @@ static double time_fusion(const Routines* routines, int iterations, int order) {
 
 int main(void) {
   const Routines* routines = routines_select(NULL);
-  printf("peak_1 %.5f\npeak_2 %.5f\n", peak_1(), peak_2());
-#ifdef __x86_64__
-  printf("peak_4 %.5f\n", peak_4());
-  if (routines_select("avx512")) {
-    printf("peak_8 %.5f\n", peak_8());
-  }
-#endif
+  printf("peak_1 %.5f\n", peak_1());
   printf("fusion_paper %.2f\n", time_fusion(routines, 5, JACOBIAN_ORDER_2));
   printf("fusion_fast %.2f\n", time_fusion(routines, 3, JACOBIAN_EXACT));
   printf("fusion_exact %.2f\n", time_fusion(routines, 100, TO_CONVERGENCE));

@@ -48,20 +48,13 @@ extern "C" {
 
 #define V Number
 #define M int
-#define ELEM double
 #define LANES 1
 #define NAME(name) name##_counted
 #define LANE(v, lane) (*(double*)(&(v) + (lane)))
 #define NOT(mask) (!(mask))
 #define SPLAT(x) Number(x)
-#define LARGEST DBL_MAX
-#define POOR_PIVOT 1e-7
-#define ASYMMETRY SYMMETRY_TOLERANCE
-#define SKEWNESS ROTATION_TOLERANCE
-#define ELEM_BYTES 8
 #define UNROLL
 #define INLINE static inline
-#define MOST 2
 static int any_counted(int mask) { return mask; }
 #include "fusion_lanes.h"
 
@@ -92,15 +85,21 @@ static void count(int iterations) {
   }
   set_relative_counted(&relative, &first, &second);
   for (int i = 0; i < iterations; i++) {
-    V information[21], gradient[6], xi[2][6], e[2], de[2];
+    V information[2][21], gradient[2][6], xi[6], e, de;
     Pose_counted difference[2] = {y};
     product_counted(difference + 1, &y, &relative);
-    log_all_counted(xi, e, de, difference, 2);
     for (int k = 0; k < 2; k++) {
-      contribution_counted(information, gradient, xi[k], e[k], de[k], side + k, JACOBIAN_ORDER_2, k);
+      log_counted(xi, &e, &de, difference + k);
+      contribution_counted(information[k], gradient[k], xi, e, de, side + k, JACOBIAN_ORDER_2);
     }
-    factorize_counted(&factor, information, &bad);
-    square = gauss_newton_counted(step, gradient, &factor);
+    for (int k = 0; k < 21; k++) {
+      information[0][k] = information[0][k] + information[1][k];
+    }
+    for (int k = 0; k < 6; k++) {
+      gradient[0][k] = gradient[0][k] + gradient[1][k];
+    }
+    factorize_counted(&factor, information[0], &bad);
+    square = gauss_newton_counted(step, gradient[0], &factor);
     perturb_counted(&y, step);
   }
   product_counted(&mean, &y, &first);

@@ -15,12 +15,12 @@ import numpy as np
 import ruckig
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, CommandGate
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-NS = 1_000_000_000
 _SAME_TWIST = 1e-9  # m/s and rad/s: below this, a twist is as commanded
 
 
@@ -132,7 +132,7 @@ class SimArm:
 
     def advance(self, dt: float) -> Array:
         """Move on by `dt` seconds and return T_base_controlled."""
-        return self.advance_to(self._stamp_ns + round(dt * NS))
+        return self.advance_to(self._stamp_ns + round(dt * SECOND_NS))
 
     def advance_to(self, stamp_ns: int) -> Array:
         """Move on to a stamp (ns) and return T_base_controlled; the watchdog looks where the step starts.
@@ -143,7 +143,7 @@ class SimArm:
             raise ValueError(f"stamp {stamp_ns} lies {self._stamp_ns - stamp_ns} ns before the arm's time")
         self._watch()
         if stamp_ns > self._stamp_ns:
-            self._integrate((stamp_ns - self._stamp_ns) / NS)
+            self._integrate((stamp_ns - self._stamp_ns) / SECOND_NS)
         self._stamp_ns = int(stamp_ns)
         self._settle()
         return self.T_base_controlled

@@ -21,11 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import unknown_name
+from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
 from tactile_drivers.shapes.contact import contact_pose
 from tactile_drivers.shapes.surface import Surface
-from tactile_drivers.sim.arm import NS, SimArm
+from tactile_drivers.sim.arm import SimArm
 from tactile_drivers.sim.ideal_sensor import IdealSensor
 from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
 from tactile_drivers.sim.settings import IdealSensorSettings, SkinSettings, TacTipSettings
@@ -108,7 +109,7 @@ class Cell:
     @property
     def stamp_ns(self) -> int:
         """Time of the cell, ns: the start plus a whole number of steps, without drift."""
-        return self._start_ns + (self._ticks * NS) // self._rate
+        return self._start_ns + (self._ticks * SECOND_NS) // self._rate
 
     def step(self, steps: int = 1) -> int:
         """Move arms and bodies on by that many steps of the simulation and return the stamp."""

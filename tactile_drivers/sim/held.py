@@ -6,15 +6,16 @@ keep the object where it is; what of each is used up is 1 at its limit::
 
     pressed    P_z > 0                                      else it comes off the plate
     slip       |(P_xy, M / r)| / (mu P_z)                   friction and torsion: an ellipsoidal limit surface
-    tilt       center of pressure within the foot           else it rolls over the foot's edge
+    tilt       center of pressure within the foot           else it rocks on the foot's edge
 
 Where `slip` is above 1 the object moves over the plate, along the normal of the limit surface: until the
 shear of the tip's skin carries what the plate does not, or, once the tip slips as well, as a mass that the
-rest of the load accelerates. Off the plate, or over its own edge, it has fallen, for good. Under the tip's
-force it yields like a spring in series with the skin.
+rest of the load accelerates. Where `tilt` is above 1 it turns about the edge until the skin holds it up.
+Off the plate, or tilted too far, it has fallen, for good. Under the tip's force it yields like a spring in
+series with the skin.
 
-Assumed: no inertia while it sticks (bench/held_objects.py compares it with the weight), no tilting short of
-the fall, no torsion from the tip, and a hand that holds the object until `hand_time` after the first touch.
+Assumed: no inertia but that of a free slide (bench/held_objects.py compares it with the weight), no torsion
+from the tip, and a hand that holds the object until `hand_time` after the first touch.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
@@ -35,6 +37,7 @@ GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, in the world
 _REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper holds objects at
 _STEEPEST_DEG = 85.0  # of the friction cone and the rim together
 _TIP_SLIPS = 0.95  # of the tip's friction: from here on its force grows no more
+_TOPPLED = math.radians(15.0)  # tilt that nothing comes back from
 
 
 class HeldState(Enum):
@@ -43,6 +46,7 @@ class HeldState(Enum):
     BY_HAND = "held by hand"
     STICKING = "sticking"
     SLIPPING = "slipping"
+    ROCKING = "rocking"
     FALLEN = "fallen"
 
 
@@ -67,9 +71,9 @@ class HeldSettings(Settings):
         doc="half extent along x and y of what stands on the plate",
     )  # fmt: skip
     plate: tuple[float, ...] = setting(
-        (0.04, 0.04), unit="m", lower=1e-3, upper=1.0, length=2, doc="half extent of the plate along x and y"
+        (0.06, 0.06), unit="m", lower=1e-3, upper=1.0, length=2, doc="half extent of the plate along x and y"
     )
-    friction_plate: float = setting(0.8, lower=0.0, upper=5.0, doc="between object and plate")
+    friction_plate: float = setting(1.0, lower=0.0, upper=5.0, doc="between object and plate")
     rim_deg: float = setting(
         0.0, unit="deg", lower=0.0, upper=80.0, doc="slope of the plate at its edge: 0 flat, above concave"
     )
@@ -122,6 +126,8 @@ class HeldLoad:
     ----------
     force : ndarray (3,)
         Weight and the tip's force together, N, in the plate's frame.
+    pressure : ndarray (2,)
+        Center of pressure on the plate, m.
     torsion : float
         Torque of both about the plate's normal through the center of pressure, N m.
     slip, tilt : float
@@ -129,6 +135,7 @@ class HeldLoad:
     """
 
     force: Array
+    pressure: Array
     torsion: float
     slip: float
     tilt: float
@@ -150,6 +157,7 @@ class HeldObject:
         self._touched = False
         self._offset = np.zeros(3)  # over the plate: x, y (m) and turn (rad)
         self._speed = 0.0  # m/s over the plate
+        self._tilted = np.zeros(2)  # rad, towards x and y
         self._yield = 0.0  # m
 
     @property
@@ -160,7 +168,13 @@ class HeldObject:
         T = np.eye(4)
         T[:2, :2] = [[cos, -sin], [sin, cos]]
         T[:3, 3] = x, y, self.settings.standoff - self._yield
-        return T
+        if not self._tilted.any():
+            return T
+        middle, half = self._support()
+        edge = np.array([*(middle + np.sign(self._tilted) * half), 0.0])
+        about = se3.exp([0.0, 0.0, 0.0, -self._tilted[1], self._tilted[0], 0.0])
+        about[:3, 3] = edge - about[:3, :3] @ edge
+        return np.asarray(about @ T)
 
     def step(
         self,
@@ -188,14 +202,18 @@ class HeldObject:
             return self.T_plate_object
         weight = self.settings.mass * (T_world_plate[:3, :3].T @ np.asarray(gravity, dtype=float))
         self.load = self._load(weight, force, point)
-        if self.load.force[2] >= 0 or self.load.tilt > 1:
-            self.state = HeldState.FALLEN
-        elif self.load.slip > 1:
-            self.state = HeldState.SLIPPING
-            self._slide(self.load, force, dt)
-        else:
-            self.state, self._speed = HeldState.STICKING, 0.0
+        self._move(self.load, force, point, dt)
         return self.T_plate_object
+
+    def _move(self, load: HeldLoad, force: Array, point: Array, dt: float) -> None:
+        if load.force[2] >= 0 or not self._rock(load, force, point):
+            self.state = HeldState.FALLEN
+        elif load.slip > 1:
+            self.state = HeldState.SLIPPING
+            self._slide(load, force, dt)
+        else:
+            self.state = HeldState.ROCKING if self._tilted.any() else HeldState.STICKING
+            self._speed = 0.0
 
     def _in_hand(self, force: Array, dt: float) -> bool:
         """Whether the hand still holds it: from the first touch on for `hand_time`."""
@@ -218,21 +236,50 @@ class HeldObject:
         moment = np.cross(center, weight) + np.cross(point, force)
         press = -float(total[2])
         if press <= 0:
-            return HeldLoad(total, 0.0, math.inf, math.inf)
+            return HeldLoad(total, np.zeros(2), 0.0, math.inf, math.inf)
         pressure = np.array([moment[1], -moment[0]]) / press
         torsion = float(moment[2] - (pressure[0] * total[1] - pressure[1] * total[0]))
         limit = s.friction * press
         sheared = math.hypot(float(total[0]), float(total[1]), torsion / float(np.mean(s.foot)))
         slip = sheared / limit if limit > 0 else (math.inf if sheared > 0 else 0.0)
-        return HeldLoad(total, torsion, slip, self._tilt(pressure))
+        middle, half = self._support()
+        tilt = float(np.max(np.abs(pressure - middle) / half)) if (half > 0).all() else math.inf
+        return HeldLoad(total, pressure, torsion, slip, tilt)
 
-    def _tilt(self, pressure: Array) -> float:
-        """How far the center of pressure is out towards the edge of what of the foot is on the plate."""
+    def _support(self) -> tuple[Array, Array]:
+        """Middle and half extent (2,) m of what of the foot is on the plate; not positive if it is off."""
         foot, plate = np.array(self.settings.foot), np.array(self.settings.plate)
         low, high = np.maximum(self._offset[:2] - foot, -plate), np.minimum(self._offset[:2] + foot, plate)
-        if (high <= low).any():
-            return math.inf
-        return float(np.max(np.abs(2 * pressure - low - high) / (high - low)))
+        return (low + high) / 2, (high - low) / 2
+
+    def _rock(self, load: HeldLoad, force: Array, point: Array) -> bool:
+        """Turn about the edge of the foot by what lets the skin take the moment; False if that is too far.
+
+        Turning by an angle shears the skin by the height of the tip over the plate times it, lets the press
+        act as much nearer the middle, and presses deeper by the tip's distance from the edge times it.
+        """
+        s, height, press = self.settings, float(point[2]), max(0.0, -float(force[2]))
+        middle, half = self._support()
+        if not (half > 0).all():
+            return False
+        side = np.where(self._tilted != 0, self._tilted, load.pressure - middle)
+        side = np.where(side < 0, -1.0, 1.0)
+        moment = -load.force[2] * (side * (load.pressure - middle) - half)
+        if not (self._tilted.any() or (moment > 0).any()):
+            return True
+        depth = s.depth(press)
+        shear = 0.0 if self._tip_slips(force) else s.shear_stiffness(depth)
+        normal = s.skin_exponent * press / depth if depth > 0 else 0.0
+        lever = side * (point[:2] - middle) - half
+        stiffness = (shear * height + press) * height + normal * lever**2
+        if (stiffness <= 0).any():
+            return False
+        self._tilted = side * np.maximum(0.0, side * self._tilted + moment / stiffness)
+        return bool((np.abs(self._tilted) < _TOPPLED).all())
+
+    def _tip_slips(self, force: Array) -> bool:
+        """Whether the tip's force across the plate's normal grows no more."""
+        return math.hypot(force[0], force[1]) >= _TIP_SLIPS * self.settings.friction_tip * -float(force[2])
 
     def _slide(self, load: HeldLoad, force: Array, dt: float) -> None:
         """Move by what stretches the skin until it carries the excess, within what inertia allows."""
@@ -241,7 +288,7 @@ class HeldObject:
         along = float(np.hypot(load.force[0], load.force[1]))
         length = (self._speed + excess * along / s.mass * dt) * dt
         stiffness = s.shear_stiffness(s.depth(press))
-        if math.hypot(force[0], force[1]) < _TIP_SLIPS * s.friction_tip * press and stiffness > 0:
+        if stiffness > 0 and not self._tip_slips(force):
             length = min(length, excess * along / stiffness)
         if along > 0:
             # the normal of the limit surface: torsion over the square of its lever turns as force moves

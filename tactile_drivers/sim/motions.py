@@ -83,7 +83,11 @@ class MotionType(Protocol):
 MOTIONS: Registry[MotionType] = Registry(
     "body motion",
     "tactile_servoing.motions",
-    {FIXED: "tactile_drivers.sim.motions:Fixed", CARRIED: "tactile_drivers.sim.motions:Carried"},
+    {
+        FIXED: "tactile_drivers.sim.motions:Fixed",
+        CARRIED: "tactile_drivers.sim.motions:Carried",
+        "held": "tactile_drivers.sim.held_motion:Held",
+    },
 )
 
 

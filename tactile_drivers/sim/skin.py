@@ -98,14 +98,16 @@ def build_skin(settings: SkinSettings) -> Skin:
 
 
 def load_skin(settings: SkinSettings | None = None) -> Skin:
-    """The skin for these settings: from the shipped file if they are the defaults, else built (seconds)."""
-    settings = settings or SkinSettings()
-    if settings.replaced(volume_retention=0.0) != SkinSettings():
+    """The skin for these settings: built (seconds), or the shipped one if only modulus or volume differ."""
+    settings, shipped = settings or SkinSettings(), SkinSettings()
+    same = {"volume_retention": shipped.volume_retention, "gel_modulus": shipped.gel_modulus}
+    if settings.replaced(**same) != shipped:
         return build_skin(settings)
     if not DATA_FILE.exists():
         raise FileNotFoundError(f"{DATA_FILE} is missing: run python -m tactile_drivers.sim.skin --write")
     with np.load(DATA_FILE) as data:
-        return _hold_volume(_assemble_skin(settings, data["columns"]), settings.volume_retention)
+        columns = data["columns"] * np.float32(shipped.gel_modulus / settings.gel_modulus)
+    return _hold_volume(_assemble_skin(settings, columns), settings.volume_retention)
 
 
 def _assemble_skin(settings: SkinSettings, columns: NDArray[np.float32]) -> Skin:

@@ -3,12 +3,10 @@
 #ifndef TACTILE_FUSION_H_
 #define TACTILE_FUSION_H_
 
-#include <stdint.h>
-
 // order of the inverse Jacobian's series; EXACT is the closed form, TO_CONVERGENCE that and the mode "exact"
 enum { TO_CONVERGENCE = -1, JACOBIAN_EXACT = 0, JACOBIAN_ORDER_2 = 2, JACOBIAN_ORDER_4 = 4 };
 
-// how a fusion ended (FusionStatus in fusion_result.py)
+// how a fusion ended (FusionStatus in fusion.py)
 enum { FUSION_CONVERGED = 0, FUSION_NOT_CONVERGED = 1, FUSION_STALLED = 2 };
 
 // why there is none: 16*k + one of these for argument k of mean_1, cov_1, mean_2, cov_2
@@ -18,9 +16,12 @@ enum {
   FUSION_NO_INFORMATION = 5  // the two together are out of the range of doubles
 };
 
-// as in fusion_result.py and se3.py
+// as in fusion.py and se3.py
 #define CONVERGED_STEP 1e-3
 #define ROTATION_TOLERANCE 1e-6
+
+// below this fraction of its diagonal element a pivot asks for twice the precision
+#define POOR_PIVOT 1e-7
 
 // largest difference of a covariance and its transpose, relative to the standard deviations
 #define SYMMETRY_TOLERANCE 1e-8
@@ -42,19 +43,5 @@ typedef struct {
 
 // what a Gaussian lacks, of FUSION_NO_POSE and FUSION_NO_COVARIANCE, or 0; definiteness is not looked at
 int fusion_lack(const double mean[16], const double cov[36]);
-
-// many at a time, of doubles or of floats, the matrices one after the other
-typedef struct {
-  int64_t count;
-  int iterations;
-  int order;
-  const void* input_mean[2];  // 16 elements each
-  const void* input_cov[2];   // 36
-  void* mean;
-  void* cov;
-  void* factor;
-  void* step;                 // 1
-  int* status;
-} FusionBatch;
 
 #endif  // TACTILE_FUSION_H_

@@ -1,5 +1,5 @@
-// The arithmetic of the fusion on LANES fusions side by side, one in each lane of a vector. A template: included
-// once for each kind of vector, which lanes_begin.h describes. Each lane gets the same bits whatever their number.
+// The arithmetic of the fusion on plain numbers, and on both inputs side by side in the two lanes of a vector. A
+// template: included once for each, which lanes_begin.h describes.
 //
 // All poses are relative to the first mean: Y = X X_1^-1, Z_k = X_1 X_k^-1, so that xi_k = log(Y Z_k), and what is
 // sought is a small motion known to its own last digit.
@@ -19,7 +19,7 @@ INLINE void NAME(symmetric_part)(V res[21], const V cov[36], M* bad) {
   V least = SPLAT(0);
   UNROLL
   for (int i = 0; i < 6; i++) {
-    V scale = SPLAT(ASYMMETRY*ASYMMETRY)*cov[7*i];
+    V scale = SPLAT(SYMMETRY_TOLERANCE*SYMMETRY_TOLERANCE)*cov[7*i];
     res[i*(i+1)/2+i] = cov[7*i];
     UNROLL
     for (int j = 0; j < i; j++) {
@@ -41,7 +41,7 @@ INLINE void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
     UNROLL
     for (int j = 0; j <= i; j++) {
       V error = FMA(r[6+i], r[6+j], FMA(r[3+i], r[3+j], r[i]*r[j])) - SPLAT(i == j ? 1 : 0);
-      least = MIN(least, FNMA(error, error, SPLAT(SKEWNESS*SKEWNESS)));
+      least = MIN(least, FNMA(error, error, SPLAT(ROTATION_TOLERANCE*ROTATION_TOLERANCE)));
     }
   }
 
@@ -112,71 +112,47 @@ static __attribute__((noinline, cold, unused)) void NAME(log_irregular)(V phi[3]
       se3_rotation_vector(vec, rot);
       se3_inverse_coefficients(coef, vec[0]*vec[0] + vec[1]*vec[1] + vec[2]*vec[2]);
       for (int i = 0; i < 3; i++) {
-        LANE(phi[i], lane) = (ELEM)vec[i];
+        LANE(phi[i], lane) = vec[i];
       }
-      LANE(*e, lane) = (ELEM)coef[0];
-      LANE(*de, lane) = (ELEM)coef[1];
+      LANE(*e, lane) = coef[0];
+      LANE(*de, lane) = coef[1];
     }
   }
 }
 
 
 // xi = log(pose), with the coefficients of the inverse Jacobian at xi
-INLINE void NAME(log_all)(V xi[][6], V e[], V de[], const NAME(Pose) pose[], int count) {
-  V versine[MOST], turn[MOST], x[MOST];
-  UNROLL
-  for (int n = 0; n < count; n++) {
-    const V* r = pose[n].rot;
-    versine[n] = SPLAT(0.5)*(((SPLAT(1) - r[0]) + (SPLAT(1) - r[4])) + (SPLAT(1) - r[8]));
-  }
-  NAME(polynomials)(turn, FIT_TURN, 12, versine, count);
-  UNROLL
-  for (int n = 0; n < count; n++) {
-    const V* r = pose[n].rot;
-    V half_turn = SPLAT(0.5)*turn[n];
-    xi[n][3] = half_turn*(r[7] - r[5]);
-    xi[n][4] = half_turn*(r[2] - r[6]);
-    xi[n][5] = half_turn*(r[3] - r[1]);
-    x[n] = NAME(dot3)(xi[n] + 3, xi[n] + 3);
-  }
-  NAME(polynomials)(e, FIT_COT, 6, x, count);
-  NAME(polynomials)(de, FIT_D_COT, 6, x, count);
-  UNROLL
-  for (int n = 0; n < count; n++) {
-    M irregular = NOT(versine[n] <= SPLAT(REGULAR_VERSINE));
-    if (NAME(any)(irregular)) {
-      NAME(log_irregular)(xi[n] + 3, e + n, de + n, pose + n, irregular);
-    }
+INLINE void NAME(log)(V xi[6], V* e, V* de, const NAME(Pose)* pose) {
+  const V *r = pose->rot, *t = pose->pos;
+  V* phi = xi + 3;
+  V versine = SPLAT(0.5)*(((SPLAT(1) - r[0]) + (SPLAT(1) - r[4])) + (SPLAT(1) - r[8]));
+  V half_turn = SPLAT(0.5)*NAME(polynomial)(FIT_TURN, 12, versine);
+  phi[0] = half_turn*(r[7] - r[5]);
+  phi[1] = half_turn*(r[2] - r[6]);
+  phi[2] = half_turn*(r[3] - r[1]);
+  V x = NAME(dot3)(phi, phi);
+  *e = NAME(polynomial)(FIT_COT, 6, x);
+  *de = NAME(polynomial)(FIT_D_COT, 6, x);
+  M irregular = NOT(versine <= SPLAT(REGULAR_VERSINE));
+  if (NAME(any)(irregular)) {
+    NAME(log_irregular)(phi, e, de, pose, irregular);
   }
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
+  V turned[3], twice[3];
   UNROLL
-  for (int n = 0; n < count; n++) {
-    const V *t = pose[n].pos, *phi = xi[n] + 3;
-    V turned[3], twice[3];
-    UNROLL
-    for (int i = 0; i < 3; i++) {
-      int j = (i + 1) % 3, k = (i + 2) % 3;
-      turned[i] = FMA(phi[j], t[k], -(phi[k]*t[j]));
-    }
-    UNROLL
-    for (int i = 0; i < 3; i++) {
-      int j = (i + 1) % 3, k = (i + 2) % 3;
-      twice[i] = FMA(phi[j], turned[k], -(phi[k]*turned[j]));
-      xi[n][i] = FMA(e[n], twice[i], FMA(SPLAT(-0.5), turned[i], t[i]));
-    }
+  for (int i = 0; i < 3; i++) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    turned[i] = FMA(phi[j], t[k], -(phi[k]*t[j]));
+  }
+  UNROLL
+  for (int i = 0; i < 3; i++) {
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    twice[i] = FMA(phi[j], turned[k], -(phi[k]*turned[j]));
+    xi[i] = FMA(*e, twice[i], FMA(SPLAT(-0.5), turned[i], t[i]));
   }
 }
 
-
-INLINE void NAME(log)(V xi[6], V* e, V* de, const NAME(Pose)* pose) {
-  V all[1][6];
-  NAME(log_all)(all, e, de, pose, 1);
-  UNROLL
-  for (int i = 0; i < 6; i++) {
-    xi[i] = all[0][i];
-  }
-}
 
 
 // blocks of the inverse left Jacobian [[diag, corner], [0, diag]] with its coefficients e and de
@@ -248,10 +224,10 @@ INLINE V NAME(columns)(const V a[9], int i, const V b[9], int j) {
 
 
 // what one input has in the information (packed) and the gradient, where its error is xi and the coefficients of the
-// inverse Jacobian are e and de, is set or added; returns its squared residual. The order is one that needs few
+// inverse Jacobian are e and de; returns its squared residual. The order is one that needs few
 // registers
 INLINE V NAME(contribution)(V information[21], V gradient[6], const V xi[6], V e, V de, const NAME(Side)* side,
-                            int order, int add) {
+                            int order) {
   V residual[6], ul[9], ur[9], lr[9], lower[6], slope[3];
   V cost = NAME(whitened_residual)(residual, xi, side);
   if (order == JACOBIAN_ORDER_2) {
@@ -287,20 +263,15 @@ INLINE V NAME(contribution)(V information[21], V gradient[6], const V xi[6], V e
   NAME(multiply_upper)(ul, side->ul, ul);
   UNROLL
   for (int i = 0; i < 3; i++) {
-    V upper = FMA(ul[6+i], residual[2], FMA(ul[3+i], residual[1], ul[i]*residual[0]));
-    V below = FMA(ur[6+i], residual[2], FMA(ur[3+i], residual[1], FMA(ur[i], residual[0], slope[i])));
-    gradient[i] = add ? gradient[i] + upper : upper;
-    gradient[3+i] = add ? gradient[3+i] + below : below;
+    gradient[i] = FMA(ul[6+i], residual[2], FMA(ul[3+i], residual[1], ul[i]*residual[0]));
+    gradient[3+i] = FMA(ur[6+i], residual[2], FMA(ur[3+i], residual[1], FMA(ur[i], residual[0], slope[i])));
     UNROLL
     for (int j = 0; j < 3; j++) {
       int n = i*(i+1)/2 + j, m = (3+i)*(4+i)/2 + j;
-      V mixed = NAME(columns)(ur, i, ul, j);
-      information[m] = add ? information[m] + mixed : mixed;
+      information[m] = NAME(columns)(ur, i, ul, j);
       if (j <= i) {
-        V sum = FMA(ur[6+i], ur[6+j], FMA(ur[3+i], ur[3+j], FMA(ur[i], ur[j], lower[n])));
-        upper = NAME(columns)(ul, i, ul, j);
-        information[n] = add ? information[n] + upper : upper;
-        information[m+3] = add ? information[m+3] + sum : sum;
+        information[n] = NAME(columns)(ul, i, ul, j);
+        information[m+3] = FMA(ur[6+i], ur[6+j], FMA(ur[3+i], ur[3+j], FMA(ur[i], ur[j], lower[n])));
       }
     }
   }
@@ -328,7 +299,7 @@ static __attribute__((noinline, cold, unused)) void NAME(exp_irregular)(V coef[3
       double res[3];
       se3_exp_coefficients(res, LANE(x, lane));
       for (int i = 0; i < 3; i++) {
-        LANE(coef[i], lane) = (ELEM)res[i];
+        LANE(coef[i], lane) = res[i];
       }
     }
   }

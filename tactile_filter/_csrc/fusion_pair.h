@@ -1,13 +1,11 @@
 // One fusion: the two inputs lie side by side in the two lanes of a vector, what they have in common is scalar.
 
-#define ELEM_BYTES 8
 #define LANES 2
 #define SUFFIX d2
 #include "lanes_begin.h"
 #include "fusion_lanes.h"
 #include "lanes_end.h"
 
-#define ELEM_BYTES 8
 #define LANES 1
 #define SUFFIX d1
 #include "lanes_begin.h"
@@ -88,7 +86,7 @@ static inline int pair_model(PairModel* model, const Pair* pair, const Pose_d1* 
   spread_d2(&both, y);
   product_d2(&difference, &both, &pair->relative);
   log_d2(xi, &e, &de, &difference);
-  Vec_d2 cost = contribution_d2(information, gradient, xi, e, de, &pair->side, order, 0);
+  Vec_d2 cost = contribution_d2(information, gradient, xi, e, de, &pair->side, order);
 
   double sum[21], slope[6];
   UNROLL

@@ -1,6 +1,5 @@
-// Poses, polynomials and triangular factors on LANES cases side by side, one in each lane of a vector. A template:
-// included by fusion_lanes.h for each kind of vector, which lanes_begin.h describes. Long chains, where each result waits
-// for the one before, take `count` cases at a time, step by step: the one fills what the other waits.
+// Poses, polynomials and triangular factors on one case or on two side by side in the lanes of a vector. A template:
+// included by fusion_lanes.h for each kind of number, which lanes_begin.h describes.
 //
 // Packed lower triangles hold 00, 10, 11, 20, ...
 
@@ -14,45 +13,15 @@ typedef struct {
 } NAME(Factor);
 
 
-// polynomials of even degree; of doubles even and odd powers apart, of floats, where the square of a small argument
-// would be subnormal and slow, by Horner's rule
-INLINE void NAME(polynomials)(V res[], const double* coef, int degree, const V x[], int count) {
-#if ELEM_BYTES == 4
-  UNROLL
-  for (int i = degree; i >= 0; i--) {
-    UNROLL
-    for (int n = 0; n < count; n++) {
-      res[n] = i == degree ? SPLAT(coef[i]) : FMA(res[n], x[n], SPLAT(coef[i]));
-    }
-  }
-#else
-  V square[MOST], odd[MOST];
-  UNROLL
-  for (int n = 0; n < count; n++) {
-    square[n] = x[n]*x[n];
-    res[n] = SPLAT(coef[degree]);
-    odd[n] = SPLAT(coef[degree-1]);
-  }
+// polynomial of even degree, even and odd powers apart
+INLINE V NAME(polynomial)(const double* coef, int degree, V x) {
+  V square = x*x, res = SPLAT(coef[degree]), odd = SPLAT(coef[degree-1]);
   UNROLL
   for (int i = degree - 2; i >= 0; i -= 2) {
-    UNROLL
-    for (int n = 0; n < count; n++) {
-      res[n] = FMA(res[n], square[n], SPLAT(coef[i]));
-      odd[n] = i > 0 ? FMA(odd[n], square[n], SPLAT(coef[i-1])) : odd[n];
-    }
+    res = FMA(res, square, SPLAT(coef[i]));
+    odd = i > 0 ? FMA(odd, square, SPLAT(coef[i-1])) : odd;
   }
-  UNROLL
-  for (int n = 0; n < count; n++) {
-    res[n] = FMA(odd[n], x[n], res[n]);
-  }
-#endif
-}
-
-
-INLINE V NAME(polynomial)(const double* coef, int degree, V x) {
-  V res;
-  NAME(polynomials)(&res, coef, degree, &x, 1);
-  return res;
+  return FMA(odd, x, res);
 }
 
 
@@ -112,51 +81,37 @@ INLINE void NAME(orthonormalize)(V rot[9]) {
 }
 
 
-// factorize packed matrices from the last row up; `poor` gets the lanes whose pivots are not well above rounding
-INLINE void NAME(factorize_all)(NAME(Factor)* const res[], const V* const packed[], M* const poor[], int count) {
-  V left[MOST][21];
+// factorize a packed matrix from the last row up; `poor` gets the lanes whose pivots are not well above rounding
+INLINE void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poor) {
+  V left[21];
   UNROLL
-  for (int n = 0; n < count; n++) {
-    UNROLL
-    for (int i = 0; i < 21; i++) {
-      left[n][i] = packed[n][i];
-    }
+  for (int i = 0; i < 21; i++) {
+    left[i] = packed[i];
   }
   UNROLL
   for (int i = 5; i >= 0; i--) {
+    V *row = left + i*(i+1)/2, inverse = SPLAT(1) / row[i];
+    res->inverse[i] = inverse;
     UNROLL
-    for (int n = 0; n < count; n++) {
-      V *row = left[n] + i*(i+1)/2, inverse = SPLAT(1) / row[i];
-      res[n]->inverse[i] = inverse;
+    for (int j = 0; j < i; j++) {
+      V scaled = row[j]*inverse;
+      res->unit[i*(i-1)/2+j] = scaled;
       UNROLL
-      for (int j = 0; j < i; j++) {
-        V scaled = row[j]*inverse;
-        res[n]->unit[i*(i-1)/2+j] = scaled;
-        UNROLL
-        for (int k = j; k < i; k++) {
-          left[n][k*(k+1)/2+j] = FNMA(row[k], scaled, left[n][k*(k+1)/2+j]);
-        }
+      for (int k = j; k < i; k++) {
+        left[k*(k+1)/2+j] = FNMA(row[k], scaled, left[k*(k+1)/2+j]);
       }
     }
   }
 
   // a pivot that is no number makes all after it none, and with them `least`
+  V least = SPLAT(DBL_MAX), trace = SPLAT(0);
   UNROLL
-  for (int n = 0; n < count; n++) {
-    V least = SPLAT(LARGEST), trace = SPLAT(0);
-    UNROLL
-    for (int i = 5; i >= 0; i--) {
-      int ii = i*(i+1)/2 + i;
-      trace = trace + packed[n][ii];
-      least = MIN(least, FNMA(SPLAT(POOR_PIVOT), packed[n][ii], left[n][ii]));
-    }
-    *poor[n] |= NOT(least > SPLAT(0)) | NOT(trace <= SPLAT(LARGEST));
+  for (int i = 5; i >= 0; i--) {
+    int ii = i*(i+1)/2 + i;
+    trace = trace + packed[ii];
+    least = MIN(least, FNMA(SPLAT(POOR_PIVOT), packed[ii], left[ii]));
   }
-}
-
-
-INLINE void NAME(factorize)(NAME(Factor)* res, const V packed[21], M* poor) {
-  NAME(factorize_all)(&res, &packed, &poor, 1);
+  *poor |= NOT(least > SPLAT(0)) | NOT(trace <= SPLAT(DBL_MAX));
 }
 
 

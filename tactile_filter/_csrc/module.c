@@ -118,77 +118,6 @@ static PyObject* check(PyObject* module, PyObject* const* args, Py_ssize_t nargs
 }
 
 
-// data of an array of this type and number of elements, contiguous; NULL with an error set
-static void* batch_data(PyObject* arg, int type, npy_intp size, int written) {
-  PyArrayObject* array = (PyArrayObject*)arg;
-  if (!PyArray_Check(arg) || PyArray_TYPE(array) != type || !PyArray_ISCARRAY_RO(array)
-      || PyArray_SIZE(array) != size) {
-    PyErr_Format(PyExc_ValueError, "fuse_batch: needs contiguous arrays of one type, %zd elements here", size);
-    return NULL;
-  }
-  if (written && PyArray_FailUnlessWriteable(array, "out") < 0) {
-    return NULL;
-  }
-  return PyArray_DATA(array);
-}
-
-
-static const char fuse_batch_doc[] =
-  "fuse_batch(mean_1, cov_1, mean_2, cov_2, mean, cov, factor, step, status, iterations, order, /)\n--\n\n"
-  "Arrays (N, 4, 4), (N, 6, 6), (N,) of float64 or of float32, status int32. None, or (fusion, fault).";
-
-static PyObject* fuse_batch(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
-  (void)module;
-  FusionBatch batch;
-  if (nargs != 11) {
-    return PyErr_Format(PyExc_TypeError, "fuse_batch takes 11 arguments, got %zd", nargs);
-  }
-  if (!read_plan(&batch.iterations, &batch.order, args + 9)) {
-    return NULL;
-  }
-  if (!PyArray_Check(args[8])) {
-    PyErr_SetString(PyExc_TypeError, "fuse_batch: status must be an array");
-    return NULL;
-  }
-  int type = PyArray_Check(args[0]) ? PyArray_TYPE((PyArrayObject*)args[0]) : NPY_DOUBLE;
-  if (type != NPY_FLOAT) {
-    type = NPY_DOUBLE;
-  }
-  npy_intp count = PyArray_SIZE((PyArrayObject*)args[8]);
-  static const int sizes[8] = {16, 36, 16, 36, 16, 36, 36, 1};
-  void* data[8];
-  for (int i = 0; i < 8; i++) {
-    data[i] = batch_data(args[i], type, sizes[i]*count, i >= 4);
-    if (!data[i]) {
-      return NULL;
-    }
-  }
-  batch.status = batch_data(args[8], NPY_INT32, count, 1);
-  if (!batch.status) {
-    return NULL;
-  }
-  batch.count = count;
-  batch.input_mean[0] = data[0];
-  batch.input_cov[0] = data[1];
-  batch.input_mean[1] = data[2];
-  batch.input_cov[1] = data[3];
-  batch.mean = data[4];
-  batch.cov = data[5];
-  batch.factor = data[6];
-  batch.step = data[7];
-
-  int64_t at = 0;
-  int fault;
-  Py_BEGIN_ALLOW_THREADS
-  fault = (type == NPY_FLOAT ? module_routines->fuse_batch_float : module_routines->fuse_batch)(&batch, &at);
-  Py_END_ALLOW_THREADS
-  if (fault) {
-    return Py_BuildValue("Li", (long long)at, fault);
-  }
-  Py_RETURN_NONE;
-}
-
-
 static const char set_up_doc[] =
   "set_up(type, statuses, plans, refuse, /)\n--\n\n"
   "The class of results, a named tuple of six, its statuses, (iterations, order) by mode, and what is called with a\n"
@@ -214,7 +143,7 @@ static PyObject* set_up(PyObject* module, PyObject* const* args, Py_ssize_t narg
 
 static const char instruction_set_doc[] =
   "instruction_set(name=None, /)\n--\n\n"
-  "Use the routines for this instruction set: base, and on x86-64 avx2 or avx512. Answers the one in use.";
+  "Use the routines for this instruction set: base, and on x86-64 avx2. Answers the one in use.";
 
 static PyObject* instruction_set(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
@@ -236,7 +165,6 @@ static PyObject* instruction_set(PyObject* module, PyObject* const* args, Py_ssi
 static PyMethodDef methods[] = {
   METHOD(check),
   METHOD(fuse),
-  METHOD(fuse_batch),
   METHOD(instruction_set),
   METHOD(set_up),
   MODULE_SE3_METHODS

@@ -19,16 +19,11 @@ typedef struct {
 
   // returns 0 or the fault that one of the two would be, as argument 0 (mean) or 1 (covariance)
   int (*check)(const FusionInput* input);
-
-  // many; returns 0 or the fault of the fusion *at
-  int (*fuse_batch)(const FusionBatch* batch, int64_t* at);
-  int (*fuse_batch_float)(const FusionBatch* batch, int64_t* at);
 } Routines;
 
 extern const Routines routines_base;
 #ifdef __x86_64__
 extern const Routines routines_avx2;
-extern const Routines routines_avx512;
 #endif
 
 // the routines of an instruction set by its name, or null if this machine does not have it; the best for null

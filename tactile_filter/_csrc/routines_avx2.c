@@ -7,7 +7,6 @@
 #endif
 
 #define ROUTINES routines_avx2
-#define VECTOR_BYTES 32
 #define HAS_FMA 1
 #define ROUTINES_NAME "avx2"
 #include "routines_table.h"

@@ -1,6 +1,5 @@
 // The instruction set that every machine of this kind has: SSE2 on x86-64, NEON on aarch64.
 #define ROUTINES routines_base
-#define VECTOR_BYTES 16
 #ifdef __aarch64__
 #define HAS_FMA 1
 #else

@@ -1,4 +1,4 @@
-// Included by routines_*.c, which define ROUTINES, ROUTINES_NAME, VECTOR_BYTES and HAS_FMA, and set the target.
+// Included by routines_*.c, which define ROUTINES, ROUTINES_NAME and HAS_FMA, and set the target.
 #include <float.h>
 #include <math.h>
 #include <stdint.h>
@@ -20,9 +20,6 @@
 #define UNROLL _Pragma("GCC unroll 36")
 #endif
 
-// how many cases a function of fusion_lanes.h takes at most, to do them step by step side by side
-#define MOST 2
-
 // with a choice of its own the compiler leaves calls in the middle of what has to stay in registers
 #define INLINE static inline __attribute__((always_inline))
 
@@ -38,22 +35,6 @@
 #include "se3_exact.h"
 #include "fusion_robust.h"
 #include "fusion_exact.h"
-
-#define ELEM_BYTES 8
-#define LANES (VECTOR_BYTES/8)
-#define SUFFIX wide
-#include "lanes_begin.h"
-#include "fusion_lanes.h"
-#include "fusion_batch.h"
-#include "lanes_end.h"
-
-#define ELEM_BYTES 4
-#define LANES (VECTOR_BYTES/4)
-#define SUFFIX wide_float
-#include "lanes_begin.h"
-#include "fusion_lanes.h"
-#include "fusion_batch.h"
-#include "lanes_end.h"
 
 
 static int fuse(FusionOutput* res, const FusionInput input[2], int iterations, int order) {
@@ -88,6 +69,4 @@ const Routines ROUTINES = {
   .inverse_left_jacobian = se3_exact_inverse_left_jacobian,
   .fuse = fuse,
   .check = check,
-  .fuse_batch = fuse_batch_wide,
-  .fuse_batch_float = fuse_batch_wide_float,
 };

@@ -9,9 +9,13 @@
 #include "coefficients.h"
 #include "dd.h"
 #include "fusion.h"
+#include "se3.h"
 
 // beyond this t^2, a little over a full turn, the series are left for trigonometric functions
 #define SERIES_LIMIT 40.0
+
+// R^T R - I of a rotation that is good to rounding; one that is further off is replaced by the nearest rotation
+#define ROUNDING 1e-14
 
 // of a unit quaternion: below it a component is rounding
 #define NO_COMPONENT 1e-25
@@ -235,8 +239,18 @@ static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
 // matrix is no rotation at all
 static int se3_exact_log(double res[6], const double mat[16]) {
   Dd rot[9], pos[3], rho[3], phi[3];
+  Pose pose;
   for (int i = 0; i < 3; i++) {
-    to_dd3(rot + 3*i, mat + 4*i);
+    for (int j = 0; j < 3; j++) {
+      pose.rot[3*i+j] = mat[4*i+j];
+    }
+  }
+  double error = se3_rotation_error(pose.rot);
+  if (error > ROUNDING && error <= ROTATION_TOLERANCE) {
+    se3_orthonormalize(&pose);
+  }
+  for (int i = 0; i < 3; i++) {
+    to_dd3(rot + 3*i, pose.rot + 3*i);
     pos[i] = dd_from(mat[4*i+3]);
   }
   if (!exact_log(rho, phi, rot, pos)) {

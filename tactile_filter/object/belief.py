@@ -127,7 +127,7 @@ class ObjectBelief:
 def object_belief(contacts: Mapping[str, Contact], settings: ObjectSettings | None = None) -> ObjectBelief:
     """Fuse all contacts, the most certain first.
 
-    Which of two contacts that disagree is right, two cannot tell: the less certain one is refused, and named.
+    Two contacts that disagree do not show which is right: the less certain one is refused, and named.
 
     Raises
     ------

@@ -11,13 +11,13 @@ the object back to where it was. Until then the object is taken to stand still, 
 `object_turn_rate` say. Such motion is common to all contacts that are older, and counts as correlated.
 
 A contact that slides says nothing of where the object is: its feature frame is dragged along with the sensor,
-as if the object moved. One sensor cannot tell the two apart, but a contact slides only at the limit of
+as if the object moved. One sensor cannot distinguish the two, but a contact slides only at the limit of
 friction: one that is sheared by more than `slide_shear` of its depth is left out, its place is forgotten, and
 only when its shear has gone back it is given a new one by what the others know.
 
 Who repeats whom: a place that was found carries the errors that the contacts used for it had then, and those
 have them still, for nobody knows how fast such errors fade. So as long as the place is in use all that these
-contacts know counts as correlated, and a contact cannot confirm what was told by itself.
+contacts know counts as correlated, and a contact cannot confirm what came from itself.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class TrackedObject:
     ----------
     stamp_ns : int
     belief : ObjectBelief
-        Its pose is None where no contact tells it; `reason` says why.
+        Its pose is None where it follows from no contact; `reason` says why.
     stale : dict
         Contacts left out because of their belief's age, by name, in s.
     sliding : dict
@@ -178,7 +178,7 @@ class ObjectTracker:
         """Take what is new of some contacts at a stamp, and say what is known of the object then.
 
         For a stamp that is not later than the last one the answer is None: what is new counts from the next
-        step on, and nothing is told twice or backwards.
+        step on, and nothing is answered twice or backwards.
 
         Parameters
         ----------

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError
 from tactile_perception.datasets import lenient_json
-from tactile_perception.datasets.images import common_shape, list_images, read_image, resolve
 from tactile_perception.datasets.layout import (
     CAMERA_PARAMS_NAMES,
     IMAGE_FOLDERS,
@@ -38,7 +37,14 @@ from tactile_perception.datasets.layout import (
 )
 from tactile_perception.datasets.table import Row, read_conventions, read_table
 from tactile_perception.datasets.writer import DatasetWriter
-from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.image import (
+    Image,
+    ImageError,
+    common_shape,
+    list_images,
+    read_image,
+    resolve,
+)
 from tactile_perception.estimating.labels import labels_from_euler
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 

@@ -25,6 +25,14 @@ EULER_COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
 EULER_UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
 
 
+def errors_in_words(errors: ArrayLike) -> str:
+    """Errors (6,) of xi_sf in mm and rad on a line, with names and units."""
+    values = np.asarray(errors, np.float64)
+    rho = "/".join(f"{value:.3f}" for value in values[:3])
+    phi = "/".join(f"{value:.4f}" for value in values[3:])
+    return f"rho x/y/z {rho} mm, phi x/y/z {phi} rad"
+
+
 class EstimateError(ValueError):
     """An answer of the network that is no Gaussian: NaN, infinite, or without a positive (co)variance."""
 

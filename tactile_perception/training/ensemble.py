@@ -11,17 +11,17 @@ from onnx import helper
 
 from tactile_base.whole_file import whole_file
 from tactile_perception.datasets.dataset import read_dataset
-from tactile_perception.datasets.holdback import split_holdback
 from tactile_perception.estimating.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
     INVERSE_SIGMA,
     MEAN,
     ModelMetadata,
+    split_holdback,
 )
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import CalibrationSettings
-from tactile_perception.training.graph_writer import GraphWriter
+from tactile_perception.training.export import GraphWriter
 from tactile_perception.training.recalibration import fit_on
 from tactile_perception.training.run_folder import MODEL_NAME
 

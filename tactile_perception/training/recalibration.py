@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_base.whole_file import whole_file
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset
-from tactile_perception.datasets.holdback import is_training_data, unseen_rows
-from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.model_metadata import ModelMetadata, is_training_data, unseen_rows
 from tactile_perception.estimating.preprocessing import as_input
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import (

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tactile_records.runs import metrics
-from tactile_records.runs.figures import AXES, BELIEF, CONTACT_PICTURES, TRUTH, message
+from tactile_records.runs.figures import AXES, BELIEF, CONTACT_PICTURES, REFERENCE, TRUTH, message
 from tactile_records.runs.metrics import largest, percent, rms, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import Run, TaskReport
@@ -21,20 +21,13 @@ Array = NDArray[Any]
 
 POSITION_REQUIREMENT, ANGLE_REQUIREMENT = 2.0, 1.5  # mm, deg: RMS of each component
 LENGTH, TRIADS = 30.0, 12  # mm, and how many along each goal: axes that are drawn of a pose
-NAMES = {
-    "x": "x [mm]",
-    "y": "y [mm]",
-    "z": "z [mm]",
-    "alpha": "α [deg]",
-    "beta": "β [deg]",
-    "gamma": "γ [deg]",
-}
+LABELS = ("x [mm]", "y [mm]", "z [mm]", "α [deg]", "β [deg]", "γ [deg]")
 
 FIELDS = {
     **metrics.REPORT_FIELDS,
     "tracking.leader": "name of the arm that moves the object; null: there is none in the run",
     "tracking.seconds": "time in which the leader moves and the follower tracks",
-    "tracking.leader_speed_mm_s": "largest speed of the target: the follower's place on what the leader moves",
+    "tracking.leader_speed_mm_s": "largest speed of the follower's place on what the leader moves",
     "tracking.leader_speed_deg_s": "its largest angular speed",
     "tracking.rms.*": "RMS error by component, in the frame of the sensor as it should be (mm, deg)",
     "tracking.largest.*": "largest error by component (mm, deg)",
@@ -98,14 +91,8 @@ def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if track["leader"] is not None:
         for name in COMPONENTS:
             unit, limit = ("mm", POSITION_REQUIREMENT) if name in "xyz" else ("deg", ANGLE_REQUIREMENT)
-            worst = text(track["largest"][name], unit, 2)
-            rows.append(
-                (
-                    f"error {name} RMS, largest",
-                    f"{text(track['rms'][name], unit, 2)}, {worst}",
-                    f"<= {limit:g} {unit}",
-                )
-            )
+            measured = f"{text(track['rms'][name], unit, 2)}, {text(track['largest'][name], unit, 2)}"
+            rows.append((f"error {name} RMS, largest", measured, f"<= {limit:g} {unit}"))
         rows += [
             ("lag", text(track["lag_ms"], "ms", 0), ""),
             ("lag in rotation", text(track["angular_lag_ms"], "ms", 0), ""),
@@ -135,17 +122,14 @@ def poses(record: RunRecord, run: Run) -> Figure:
         chosen = np.flatnonzero(track.goal == index)
         _draw_goal(axes, track, chosen)
         axes.set_title(track.goals[index])
-    figure.suptitle(
-        f"{record.scene}: poses of leader (black) and follower (blue), x red, y green, z blue", weight="bold"
-    )
+    title = f"{record.scene}: leader (black) and follower (blue); axes x red, y green, z blue"
+    figure.suptitle(title, weight="bold")
     return figure
 
 
 def _draw_goal(axes: Any, track: Tracking, chosen: Array) -> None:
-    for T_all, color, name in (
-        (track.T_world_leader, TRUTH, "leader"),
-        (track.T_world_follower, BELIEF, "follower"),
-    ):
+    both = (track.T_world_leader, TRUTH, "leader"), (track.T_world_follower, BELIEF, "follower")
+    for T_all, color, name in both:
         T = T_all[chosen]
         axes.plot(*(T[:, :3, 3] * 1e3).T, color=color, lw=1.6, label=name)
         for pose in T[np.linspace(0, len(T) - 1, TRIADS).astype(int)]:
@@ -167,22 +151,19 @@ def errors(record: RunRecord, run: Run) -> Figure:
     error, seconds = track.error * UNITS, (track.stamp_ns - track.stamp_ns[0]) * 1e-9
     figure, panels = plt.subplots(3, 2, figsize=(13, 9), sharex=True, layout="constrained")
     changes = np.flatnonzero(np.diff(track.goal)) + 1
-    for k, (name, axes) in enumerate(zip(COMPONENTS, panels.T.ravel(), strict=True)):
+    for k, (label, axes) in enumerate(zip(LABELS, panels.T.ravel(), strict=True)):
         limit = POSITION_REQUIREMENT if k < 3 else ANGLE_REQUIREMENT
-        axes.axhspan(-limit, limit, color="#2e9e4f", alpha=0.10, lw=0)
+        axes.axhspan(-limit, limit, color=REFERENCE, alpha=0.10, lw=0)
         axes.plot(seconds, error[:, k], color=BELIEF, lw=1.2)
-        axes.set(
-            ylabel=NAMES[name],
-            title=f"RMS {rms(error[:, k]):.2f}, largest {largest(np.abs(error[:, k])):.2f}",
-        )
+        worst = largest(np.abs(error[:, k]))
+        axes.set(ylabel=label, title=f"RMS {rms(error[:, k]):.2f}, largest {worst:.2f}")
         for change in changes:
             axes.axvline(seconds[change], color="#999999", lw=0.8, ls=":")
     for axes in panels[-1]:
         axes.set_xlabel("time since the leader began to move [s]")
     names = ", ".join(track.goals[int(index)] for index in np.unique(track.goal))
-    figure.suptitle(
-        f"{record.scene}: error of the follower, in the sensor frame as it should be ({names})", weight="bold"
-    )
+    title = f"{record.scene}: error of the follower in the frame in which it should be ({names})"
+    figure.suptitle(title, weight="bold")
     return figure
 
 

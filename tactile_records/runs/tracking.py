@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -50,18 +51,14 @@ class Tracking:
     @property
     def error(self) -> Array:
         """log(T_target^-1 T_follower) (N, 6): m and rad, in the frame in which the follower should be."""
-        return np.array(
-            [
-                se3.log(se3.inverse(a) @ b)
-                for a, b in zip(self.T_world_target, self.T_world_follower, strict=True)
-            ]
-        ).reshape(-1, 6)
+        pairs = zip(self.T_world_target, self.T_world_follower, strict=True)
+        return np.array([se3.log(se3.inverse(a) @ b) for a, b in pairs]).reshape(-1, 6)
 
     def lag(self) -> tuple[float, float]:
         """Seconds by which the follower's velocity and angular velocity are behind; NaN for none to compare.
 
-        The delay at which the cross-correlation with the velocity of the target is largest, by a parabola
-        through the three points about it.
+        The delay at which the correlation with the velocity of the target is largest, by a parabola through
+        the three points about it.
         """
         seconds = (self.stamp_ns - self.stamp_ns[0]) * 1e-9 if len(self) else np.zeros(0)
         if not len(self) or seconds[-1] < 4.0 * LONGEST_LAG:
@@ -107,7 +104,7 @@ def _velocities(seconds: Array, T: Array) -> Array:
     part = np.clip((even - seconds[index - 1]) / np.diff(seconds)[index - 1], 0.0, 1.0)
     poses = [se3.interpolate(T[i - 1], T[i], float(u)) for i, u in zip(index, part, strict=True)]
     velocities = []
-    for a, b in zip(poses[:-1], poses[1:], strict=True):
+    for a, b in itertools.pairwise(poses):
         turn = se3.log(se3.inverse(a) @ b)[3:]
         velocities.append(np.concatenate([b[:3, 3] - a[:3, 3], a[:3, :3] @ turn]) / STEP)
     return np.array(velocities)
@@ -119,7 +116,8 @@ def _delay(wanted: Array, made: Array) -> float:
         return float("nan")
     most = round(LONGEST_LAG / STEP)
     count = len(wanted) - most
-    match = np.array([np.sum(wanted[:count] * made[k : k + count]) for k in range(most + 1)])
+    windows = [made[k : k + count] for k in range(most + 1)]
+    match = np.array([np.sum(wanted[:count] * window) / np.linalg.norm(window) for window in windows])
     best = int(np.argmax(match))
     if 0 < best < most:
         before, at, after = match[best - 1 : best + 2]

@@ -2,8 +2,9 @@
 
 Publishes /tf from base to tool at every state of the driver, `arm/pose`, `arm/status` and
 `command/twist_limited`; listens to `command/twist`, in the arm's controlled frame. A driver of the registry
-`ARMS` is opened here, in a process of its own; a simulated arm is given by the process of the simulated cell,
-which runs this node beside its own (`attach`).
+`ARMS` is opened here, in a process of its own. A simulated arm is given by the process of the simulated cell,
+which runs this node beside its own (`attach`) and publishes /tf of all its arms in one message: that every
+node takes every message of /tf is most of what a second arm costs them.
 
 The arm is stopped when commands stop coming, when the driver reports no state any more, and when the node is
 deactivated.
@@ -18,14 +19,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import ARM_POSE, ARM_STATUS, LIMITED_COMMAND, WORLD, tool_frame
+from tactile_base.topics import COMMAND as COMMAND_TOPIC
+from tactile_base.topics import TF as TF_TOPIC
+from tactile_base.topics import TF_STATIC as TF_STATIC_TOPIC
 from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
-from tactile_drivers.scene import EXTERNAL, SIM, WORLD, ArmScene, load_scene
+from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus
 from tactile_ros.cdr import Layout, split_stamp
@@ -64,25 +69,26 @@ class ArmNode(ManagedNode):
         """Open topics and, unless another node does, the driver."""
         scene = self.hosted or self._scene()
         self.frame = f"{self.arm}/{scene.controlled_frame}"
-        self.tool_frame = f"{self.arm}/tool"
+        self.tool_frame = tool_frame(self.arm)
         self.limits = scene.limits
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
         self.static = [transform_stamped(0, WORLD, self.base_frame, scene.T_world_base)]
         if scene.sensor is not None:
             self.static.append(transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled))
-        self.tf_out = self.publisher(TFMessage, "/tf", TF)
-        self.tf_static_out = self.publisher(TFMessage, "/tf_static", TF_STATIC)
-        example = transform_stamped(0, self.base_frame, self.tool_frame, np.eye(4))
-        self.tf_layout = Layout(TFMessage(transforms=[example]))
-        self.pose_out = self.publisher(PoseStamped, "arm/pose", STATE)
-        self.status_out = self.publisher(ArmStatus, "arm/status", STATE)
-        self.limited_out = self.publisher(TwistStamped, "command/twist_limited", STATE)
-        self.subscribe(TwistStamped, "command/twist", self._receive, COMMAND, 0.0, raw=True)
+        self.tf_static_out = self.publisher(TFMessage, TF_STATIC_TOPIC.name, TF_STATIC)
+        self.pose_out = self.publisher(PoseStamped, ARM_POSE.name, STATE)
+        self.status_out = self.publisher(ArmStatus, ARM_STATUS.name, STATE)
+        self.limited_out = self.publisher(TwistStamped, LIMITED_COMMAND.name, STATE)
+        self.subscribe(TwistStamped, COMMAND_TOPIC.name, self._receive, COMMAND, 0.0, raw=True)
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
-        self.timer(min(0.02, scene.limits.command_timeout / 4), self._watch)
         self._forget()
         if self.hosted is None:
+            self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+            self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
+            self.timer(scene.limits.command_timeout / 4, self._watch)
             self.driver = self._open(scene)
+        else:  # a simulated arm watches its commands itself, and every timer costs the cell time
+            self.timer(self.settings.value.state_timeout / 2, self._watch)
 
     def activate(self) -> None:
         """Tell what never moves; commands are followed from now on."""
@@ -132,19 +138,22 @@ class ArmNode(ManagedNode):
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state of the arm; a driver may call this from its own thread."""
-        self.publish_transform(state)
+        if self.active:
+            self.tf_out.publish(self.tf_layout.pack(*self.transform_numbers(state)))
         self.publish_status(state)
 
-    def publish_transform(self, state: ArmState) -> None:
-        """Where the tool is, which all else waits for."""
-        self.states.seen()
-        if self.active:
-            T_base_tool = state.T_base_controlled @ self.T_controlled_tool
-            numbers = *split_stamp(state.stamp_ns), *numbers_from_pose(T_base_tool).tolist()
-            self.tf_out.publish(self.tf_layout.pack(*numbers))
+    def moving_transform(self) -> TransformStamped:
+        """An example of what /tf says of the arm; `transform_numbers` are its numbers."""
+        return transform_stamped(0, self.base_frame, self.tool_frame, np.eye(4))
+
+    def transform_numbers(self, state: ArmState) -> tuple[float, ...]:
+        """Stamp and pose of the tool in the base, which all else waits for."""
+        T_base_tool = state.T_base_controlled @ self.T_controlled_tool
+        return *split_stamp(state.stamp_ns), *numbers_from_pose(T_base_tool).tolist()
 
     def publish_status(self, state: ArmState) -> None:
         """Where the controlled frame is, what the arm does and the twist that it makes, if that is due."""
+        self.states.seen()
         first = self._state is None or state.stamp_ns < self._state.stamp_ns
         self._state = state
         if not self.active or (state.stamp_ns < self._status_due_ns and not first):
@@ -154,8 +163,8 @@ class ArmNode(ManagedNode):
         self._status_due_ns = due_ns if due_ns > state.stamp_ns and not first else state.stamp_ns + period_ns
         if state.mode is ArmMode.FAULT:
             self.report.complain("fault", f"{self.arm}: in fault: {state.reason}")
-        pose = numbers_from_pose(state.T_base_controlled).tolist()
-        self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *pose))
+        numbers = numbers_from_pose(state.T_base_controlled).tolist()
+        self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
         layout = _status_layout(self.base_frame, state.reason)
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()

@@ -14,6 +14,7 @@ from typing import Any
 from sensor_msgs.msg import Image
 
 from tactile_base.settings import Settings, setting
+from tactile_base.topics import IMAGE as IMAGE_TOPIC
 from tactile_drivers.camera import Camera, CameraFrame, open_camera
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_ros.conversions import MessageError
@@ -45,7 +46,7 @@ class CameraNode(ManagedNode):
 
     def configure(self) -> None:
         """Open topics and, unless another node gives the frames, the driver."""
-        self.image_out = self.publisher(Image, "tactile/image", IMAGE)
+        self.image_out = self.publisher(Image, IMAGE_TOPIC.name, IMAGE)
         self.latency = LatencyPublisher(self, "camera", self.sensor_frame)
         self.frames = self.report.watch("frames of the camera", self.settings.value.frame_timeout)
         if not self.hosted:

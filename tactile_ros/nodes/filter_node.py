@@ -1,11 +1,11 @@
 """Filter node: estimates + the arm's motion from TF -> belief over the surface contact pose.
 
-Estimates, which tell of contact, and contact presences that tell of none are taken in the order of stamps; a
-presence in contact announces its estimate. Each waits for the sensor's pose at its stamp up to `tf_timeout`;
-then it is dropped and counted. One that comes after a later one has been taken is put in its place, if the
-setting `history` allows. A backward jump of the clock, the loss of contact and `~/reset`
-(tactile_msgs/ResetFilter) clear the belief. Without contact `contact/state` says so and holds no belief.
-/diagnostics tells whether the filter's innovations are what its covariances claim.
+Estimates, and contact presences without contact, are taken in the order of stamps; a presence in contact
+announces its estimate. Each waits for the sensor's pose at its stamp up to `tf_timeout`; then it is dropped
+and counted. One that comes after a later one has been taken is put in its place, if the setting `history`
+allows. A backward jump of the clock, the loss of contact and `~/reset` (tactile_msgs/ResetFilter) clear the
+belief. Without contact `contact/state` says so and holds no belief.
+/diagnostics reports whether the filter's innovations are what its covariances claim.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class FilterNode(ManagedNode):
         self._pump()
 
     def _take_late(self, stamp_ns: int, estimate: PoseGaussian) -> None:
-        """Put an estimate in its place; what it changes is told with the next belief."""
+        """Put an estimate in its place; what it changes is published with the next belief."""
         try:
             T_base_sensor = self.transforms.lookup(self.base_frame, self.sensor_frame, stamp_ns)
         except TransformUnavailable as error:

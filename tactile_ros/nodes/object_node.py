@@ -240,10 +240,10 @@ class ObjectNode(ManagedNode):
     def publish_diagnostics(self) -> None:
         """Add which contacts the belief rests on."""
         if self.active:
-            self.report.values.update(self._told())
+            self.report.values.update(self._values())
         super().publish_diagnostics()
 
-    def _told(self) -> dict[str, str]:
+    def _values(self) -> dict[str, str]:
         """What is known of the object, for people."""
         values = {f"updates refused: {why}": str(n) for why, n in self.tracker.refused.items()}
         found = self.last

@@ -27,12 +27,26 @@ from visualization_msgs.msg import MarkerArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import (
+    ESTIMATE,
+    LATENCY,
+    PRESENCE,
+    SIM_MARKERS,
+    TRUTH,
+    WORLD,
+    base_frame,
+    sensor_frame,
+    tool_frame,
+)
+from tactile_base.topics import TF as TF_TOPIC
+from tactile_drivers.arm import ArmState
 from tactile_drivers.camera import CameraFrame
-from tactile_drivers.scene import SIM, WORLD, Scene, load_scene
+from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.motions import FIXED
 from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
+from tactile_ros.cdr import Layout, split_stamp
 from tactile_ros.conversions import numbers_from_pose, transform_stamped
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
@@ -76,14 +90,14 @@ class SensorOutlet:
     """What the cell knows of one simulated sensor: the truth, and the estimate of one without a camera."""
 
     def __init__(self, node: SimNode, arm: str, camera: CameraNode | None) -> None:
-        self.base, self.frame = f"{arm}/base", f"{arm}/tactile_sensor"
+        self.base, self.frame = base_frame(arm), sensor_frame(arm)
         self.arm, self.camera, self.lost = arm, camera, 0
         self._node = node
-        self._truth = node.publisher(ContactTruth, f"/{arm}/sim/truth", STATE)
+        self._truth = node.publisher(ContactTruth, TRUTH.of(arm).name, STATE)
         if camera is None:
-            self._presence = node.publisher(ContactPresence, f"/{arm}/contact/presence", STATE)
-            self._estimate = node.publisher(PoseWithCovarianceStamped, f"/{arm}/contact/estimate", STATE)
-            self._latency = LatencyPublisher(node, "camera", self.frame, f"/{arm}/latency")
+            self._presence = node.publisher(ContactPresence, PRESENCE.of(arm).name, STATE)
+            self._estimate = node.publisher(PoseWithCovarianceStamped, ESTIMATE.of(arm).name, STATE)
+            self._latency = LatencyPublisher(node, "camera", self.frame, LATENCY.of(arm).name)
 
     def publish(self, frame: Frame) -> None:
         """What the sensor gives."""
@@ -159,9 +173,12 @@ class SimNode(ManagedNode):
             for name in self.arms
             if self.scene.arms[name].simulated_sensor
         ]
-        self.loose = [name for name, body in self.scene.bodies.items() if not _frame_of(self.scene, name)]
-        self.tf_out = self.publisher(TFMessage, "/tf", TF) if self.loose else None
-        self.markers_out = self.publisher(MarkerArray, "/sim/markers", LATCHED)
+        self.loose = [name for name in self.scene.bodies if not _frame_of(self.scene, name)]
+        self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+        moving = [node.moving_transform() for node in self.arms.values()]
+        moving += [transform_stamped(0, WORLD, f"body/{name}", np.eye(4)) for name in self.loose]
+        self.tf_layout = Layout(TFMessage(transforms=moving))
+        self.markers_out = self.publisher(MarkerArray, SIM_MARKERS.name, LATCHED)
 
     def activate(self) -> None:
         """The cell starts anew, as soon as everything else has been made ready."""
@@ -214,19 +231,18 @@ class SimNode(ManagedNode):
         self._wait_until(stamp_ns)
         for outlet, frame in frames:
             outlet.publish(frame)
-        for node, state in states:
-            node.publish_transform(state)
-        self._publish_loose_bodies(stamp_ns)
+        self._publish_transforms(stamp_ns, states)
         for outlet, frame in frames:
             outlet.publish_truth(frame)
         for node, state in states:
             node.publish_status(state)
 
-    def _publish_loose_bodies(self, stamp_ns: int) -> None:
-        if self.tf_out is not None:
-            poses = [(f"body/{name}", self.cell.T_world_body(name)) for name in self.loose]
-            transforms = [transform_stamped(stamp_ns, WORLD, frame, T) for frame, T in poses]
-            self.tf_out.publish(TFMessage(transforms=transforms))
+    def _publish_transforms(self, stamp_ns: int, states: list[tuple[ArmNode, ArmState]]) -> None:
+        """Where all tools are, and the bodies that a motion model moves."""
+        numbers = [number for node, state in states for number in node.transform_numbers(state)]
+        for name in self.loose:
+            numbers += [*split_stamp(stamp_ns), *numbers_from_pose(self.cell.T_world_body(name)).tolist()]
+        self.tf_out.publish(self.tf_layout.pack(*numbers))
 
     def _in_time(self, outlet: SensorOutlet, in_time: bool) -> bool:
         """Whether there is time for an exposure; else it is left out, counted and told."""
@@ -248,7 +264,7 @@ def _frame_of(scene: Scene, body: str) -> str:
     """The frame that a body stands still in; empty if a motion model moves it."""
     described = scene.bodies[body]
     if described.carried_by:
-        return f"{described.carried_by}/tool"
+        return tool_frame(described.carried_by)
     return WORLD if described.motion == FIXED else ""
 
 

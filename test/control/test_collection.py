@@ -17,7 +17,7 @@ from tactile_control.collection import (
     TouchSettings,
 )
 from tactile_control.collection_geometry import contact_frame
-from tactile_control.task import StampedPose
+from tactile_control.phases import StampedPose
 from tactile_control.tasks.data_collection import DataCollection
 from tactile_filter import se3
 

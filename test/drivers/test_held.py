@@ -5,6 +5,8 @@ import pytest
 from scipy.optimize import brentq
 
 from tactile_base.settings import SettingError
+from tactile_drivers.scene import load_scene
+from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.held import HeldObject, HeldSettings, HeldState
 from tactile_filter import se3
 
@@ -119,14 +121,55 @@ def test_without_a_tip_it_slides_down_as_a_block_on_an_inclined_plane():
     assert body.T_plate_object[:2, 3] @ downhill > 0
 
 
-@pytest.mark.parametrize("share, state", [(1.01, HeldState.STICKING), (0.99, HeldState.FALLEN)])
-def test_it_topples_when_its_centre_of_mass_is_too_high_for_the_press_and_its_foot(share, state):
+@pytest.mark.parametrize("share, state", [(1.01, HeldState.STICKING), (0.99, HeldState.ROCKING)])
+def test_it_rocks_when_its_centre_of_mass_is_too_high_for_the_press_and_its_foot(share, state):
     mass, height, foot = 0.237, 0.029, 0.04
     press = share * mass * G * height / foot  # so that the center of pressure is at the foot's edge
     body = held(mass, friction_plate=5.0, standoff=height, foot=(foot, foot), stiffness=1e9)
-    body.step(plate(90), np.array([0, 0, -press]), TIP, DT)
+    body.step(plate(90), np.array([0, 0, -press]), np.array([0, 0, 2 * height]), DT)
     assert body.state is state
     assert body.load.tilt == pytest.approx(1 / share, rel=1e-6)
+
+
+def pushed_at_its_top(body, shear, steps):
+    """A tip, stuck to the top of an object without weight, that has gone `shear` along x."""
+    press, height = 4.0, 0.06
+    stiffness = body.settings.shear_stiffness(body.settings.depth(press))
+    on_top = np.array([0, 0, height - body.settings.standoff, 1.0])
+    for _ in range(steps):
+        top = (body.T_plate_object @ on_top)[:3]
+        force = np.array([stiffness * (shear - top[0]), -stiffness * top[1], -press])
+        body.step(np.eye(4), force, top, DT, gravity=(0, 0, 0))
+    return stiffness, press, height
+
+
+def test_it_rocks_until_the_skin_no_longer_tips_it_and_back_when_the_push_ends():
+    body = held(friction_plate=5.0, foot=(0.02, 0.03), standoff=0.03, stiffness=1e9)
+    stiffness, press, height = pushed_at_its_top(body, 0.008, 60)
+
+    def moment(angle):
+        """About the edge at x = 20 mm, of the tip's force on the top of a block that is turned about it."""
+        x, z = (
+            0.02 - 0.02 * np.cos(angle) + height * np.sin(angle),
+            0.02 * np.sin(angle) + height * np.cos(angle),
+        )
+        return z * stiffness * (0.008 - x) - (0.02 - x) * press
+
+    expected = brentq(moment, 0, 0.2)
+    assert np.degrees(expected) > 2.0
+    assert body.state is HeldState.ROCKING
+    turned = np.arctan2(body.T_plate_object[0, 2], body.T_plate_object[2, 2])
+    assert turned == pytest.approx(expected, rel=1e-5)
+    pushed_at_its_top(body, 0.0, 60)
+    assert body.state is HeldState.STICKING
+    np.testing.assert_allclose(body.T_plate_object[:3, :3], np.eye(3), atol=1e-12)
+
+
+def test_a_moment_that_no_skin_takes_topples_it():
+    body = held(friction_plate=5.0, foot=(0.02, 0.03), standoff=0.03)
+    for _ in range(100):
+        body.step(np.eye(4), np.array([3.0, 0, -4.0]), np.array([0, 0, 0.06]), DT)
+    assert body.state is HeldState.FALLEN
 
 
 def test_a_press_beside_the_centre_of_mass_adds_torsion_to_the_load():
@@ -208,3 +251,88 @@ def test_once_the_tip_is_gone_it_falls_and_stays_so():
 def test_a_friction_cone_that_opens_too_far_is_refused():
     with pytest.raises(SettingError, match=r"the cone opens to 88\.7 degrees, must be at most 85"):
         HeldSettings(friction_plate=0.8, rim_deg=50.0)
+
+
+GAINS = np.diag([10.0, 10.0, 10.0, 4.0, 4.0, 0.0])  # twice those of the paper's follower
+
+
+def followed(scene, depth, seconds, lead):
+    """Cell and truths of a follower that presses `depth` deep, by the true contact pose."""
+    cell, truths = Cell(scene), []
+    reference = se3.pose_from_euler([0, 0, depth, 0, 0, 0])
+    for _ in range(round(seconds * 120)):
+        cell.step()
+        cell.command("leader", cell.stamp_ns, lead(cell.stamp_ns * 1e-9))
+        if cell.exposure_due("follower"):
+            truth = cell.expose("follower").truth
+            truths.append(truth)
+            twist = np.array([0, 0, 0.01, 0, 0, 0])
+            if truth.in_contact:
+                twist = GAINS @ se3.log(se3.inverse(truth.T_fs) @ reference)
+            cell.command("follower", cell.stamp_ns, twist)
+    return cell, truths
+
+
+def still(time):
+    return np.zeros(6)
+
+
+def swinging(time):
+    """The paper's periodic velocity, once the hand has let go."""
+    amplitude = np.array([0.075, 0.075, 0.075, *np.radians([25.0] * 3)])
+    phase = np.array([np.pi / 2, 0, 0, 0, 0, 0])
+    rate = 2 * np.pi / 30
+    return rate * amplitude * np.cos(rate * (time - 4) + phase) * (time > 4)
+
+
+@pytest.mark.parametrize("name", ["flat", "cube", "mustard", "ball"])
+def test_a_follower_at_the_papers_depth_keeps_contact_over_a_period_of_the_papers_motion(name):
+    truths = followed(load_scene(f"tracking_{name}").with_fidelity("ideal"), 0.006, 34, swinging)[1]
+    touched = [truth.in_contact for truth in truths]
+    assert all(touched[touched.index(True) :])
+    assert min(truth.depth for truth in truths[240:]) > 0.004
+
+
+@pytest.mark.parametrize("name", ["cube", "mustard"])
+def test_a_follower_that_presses_too_little_loses_the_object_when_the_hand_lets_go(name):
+    cell, truths = followed(load_scene(f"tracking_{name}").with_fidelity("ideal"), 0.001, 5, still)
+    touched = [truth.in_contact for truth in truths]
+    start = touched.index(True)
+    assert all(touched[start : start + 110])  # while the hand holds it, for two seconds
+    assert not any(touched[-60:])
+    assert cell.T_world_body(name)[2, 3] < 0.4 - 1.0  # on the floor
+
+
+def test_a_soft_ball_gives_way_as_its_stiffness_says():
+    scene = load_scene("tracking_ball").with_fidelity("ideal")
+    cell, truths = followed(scene, 0.006, 8, still)
+    settings = HeldSettings(**scene.bodies["ball"].motion_settings.values)
+    given = cell.scene.T_world_body("ball")[0, 3] - cell.T_world_body("ball")[0, 3]
+    assert truths[-1].depth == pytest.approx(0.006, abs=1e-4)
+    assert given == pytest.approx(settings.normal_force(truths[-1].depth) / settings.stiffness, rel=1e-3)
+
+
+def test_with_the_forces_of_the_simulated_skin_the_cube_is_held_as_by_the_curves():
+    scene = load_scene("tracking_cube")
+    truths = followed(scene, 0.006, 4, still)[1]
+    settings = HeldSettings(**scene.bodies["cube"].motion_settings.values)
+    assert truths[-1].in_contact
+    assert truths[-1].normal_force == pytest.approx(settings.normal_force(truths[-1].depth), rel=0.1)
+
+
+def test_a_simulated_tip_that_loses_an_object_on_its_way_goes_on_without_contact():
+    def sideways(time):
+        return np.array([0.08, 0, 0, 0, 0, 0]) * (time > 2)  # faster than the follower's gains hold it
+
+    truths = followed(load_scene("tracking_cube"), 0.004, 5, sideways)[1]
+    touched = [truth.in_contact for truth in truths]
+    assert touched[120]
+    assert not any(touched[-30:])
+
+
+def test_a_held_body_needs_an_arm_with_the_plate(tmp_path):
+    text = (load_scene("tracking_cube").path).read_text()
+    path = tmp_path / "scene.yaml"
+    path.write_text(text.replace("    carried_by: leader\n", ""))
+    with pytest.raises(SettingError, match="body 'cube': motion 'held' needs carried_by"):
+        Cell(load_scene(path))

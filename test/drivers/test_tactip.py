@@ -288,6 +288,12 @@ def test_the_shipped_skin_is_what_its_command_builds():
     assert np.abs(shipped.compliance - built.compliance).max() < 1e-5 * scale
 
 
+def test_a_skin_of_another_modulus_only_is_the_shipped_one_made_stiffer():
+    settings = SkinSettings(gel_modulus=4.0e4)
+    scaled, built = load_skin(settings), build_skin(settings)
+    assert np.abs(scaled.compliance - built.compliance).max() < 1e-5 * np.abs(built.compliance).max()
+
+
 def test_compliance_is_symmetric_and_positive(skin):
     matrix = skin.compliance.astype(float)
     assert np.array_equal(matrix, matrix.T)

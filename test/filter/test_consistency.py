@@ -69,15 +69,15 @@ def test_a_consistent_filter_is_inside_the_bounds():
 def test_false_alarms_are_as_rare_as_the_setting_says():
     rng = np.random.default_rng(2)
     settings = ConsistencySettings(window=50, probability=0.9, patience=0.0)
-    told = 0
+    reported = 0
     for _ in range(300):
         monitor = ConsistencyMonitor(settings)
         for k in range(50):
             w = rng.normal(size=6)
             monitor.add(Belief(k, np.eye(4), np.eye(6), float(w @ w), 6, innovation=w))
-        told += bool(monitor.report().problems)
+        reported += bool(monitor.report().problems)
     # two statistics, 10 % each
-    assert told / 300 == pytest.approx(0.19, abs=0.08)
+    assert reported / 300 == pytest.approx(0.19, abs=0.08)
 
 
 @pytest.mark.parametrize(
@@ -109,12 +109,12 @@ def test_bounds_are_the_chi_square_quantiles():
 
 def test_only_what_lasts_is_told():
     monitor = ConsistencyMonitor(ConsistencySettings(window=20, patience=0.5))
-    told = []
+    reported = []
     for k, (_, belief) in enumerate(runs(200, 4, sigma=2.0 * SIGMA)):
         monitor.add(belief)
         if monitor.report().problems:
-            told.append(k)
-    assert told[0] == pytest.approx(20 + 0.5 / 8e-3, abs=5)
+            reported.append(k)
+    assert reported[0] == pytest.approx(20 + 0.5 / 8e-3, abs=5)
 
 
 def test_nothing_is_said_before_the_window_is_full_and_after_a_reset():

@@ -124,7 +124,7 @@ def test_the_locked_versions_lie_in_the_ranges_of_the_package(root: Path):
 def test_the_lowest_versions_are_those_that_the_package_allows(root: Path):
     """Patch releases aside: the first one of a version may have been withdrawn or may lack wheels."""
     versions = locked(root / "scripts" / "lowest.txt")
-    for requirement in required(root, "test"):
+    for requirement in required(root, "train", "test"):
         (lowest,) = versions[requirement.name.lower()]
         (bound,) = [item.version for item in requirement.specifier if item.operator == ">="]
         assert f"{lowest}.".startswith(f"{bound}."), f"{requirement}, tested with {lowest}: `make lock`"

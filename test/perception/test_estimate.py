@@ -29,7 +29,7 @@ from tactile_perception.estimating.sources import (
     video_frames,
 )
 from tactile_perception.estimator import Estimator
-from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
+from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
 INVERSE_SIGMA = np.array([2.0, 2.0, 8.0, 100.0, 100.0, 40.0])

@@ -211,12 +211,12 @@ def test_metadata_survives_the_way_through_a_model_file(constant_model, model_me
     assert Estimator(constant_model(properties=expected.to_properties())).metadata == expected
 
 
-def test_images_of_the_wrong_size_are_refused_before_the_network(constant_model):
+def test_images_of_the_wrong_shape_are_refused_before_the_network(constant_model):
     estimator = Estimator(constant_model())
     with pytest.raises(ImageError, match="must be 640x480"):
         estimator.estimate(IMAGE[:240])
-    with pytest.raises(ImageError, match="must be 445x440"):
-        estimator.estimate_processed(IMAGE)
+    with pytest.raises(ImageError, match="must be a gray image"):
+        estimator.estimate_processed(np.zeros((440, 445, 3), np.uint8))
 
 
 @pytest.fixture(scope="module")

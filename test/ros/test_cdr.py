@@ -59,7 +59,7 @@ def test_every_number_arrives_where_the_definition_has_it(message_type):
 
 @given(frame=STRINGS, phase=STRINGS, reason=STRINGS)
 def test_strings_of_any_length_shift_what_follows_as_rclpy_does(frame, phase, reason):
-    message = ControllerStatus(phase_name=phase, reason=reason, progress=0.5, belief_age=-1.0)
+    message = ControllerStatus(phase=phase, reason=reason, progress=0.5, belief_age=-1.0)
     message.header.frame_id = frame
     packed = Layout(message).pack(*numbers_of(message))
     assert deserialize_message(packed, ControllerStatus) == message

@@ -189,7 +189,7 @@ def test_an_estimate_waits_for_its_transform(feed):
     assert feed.state(stamp_ns) is not None
 
 
-def test_without_tf_an_estimate_is_dropped_after_the_deadline_counted_and_told(feed):
+def test_without_tf_an_estimate_is_dropped_after_the_deadline_counted_and_reported(feed):
     feed.tf_timeout(0.05)
     stamp_ns = feed.step(0, tf=False)
     report = feed.graph.wait_for_count("filter", "estimates dropped")
@@ -306,7 +306,7 @@ def test_an_estimate_that_comes_late_is_put_in_its_place(feed):
     np.testing.assert_allclose(last.covariance.reshape(6, 6), expected.cov, rtol=1e-6, atol=1e-15)
 
 
-def test_diagnostics_tell_consistency_and_warn_of_overconfidence(feed):
+def test_diagnostics_report_consistency_and_warn_of_overconfidence(feed):
     assert feed.graph.set_parameter("filter", "consistency.window", 10).successful
     assert feed.graph.set_parameter("filter", "consistency.patience", 0.0).successful
     assert feed.graph.set_parameter("filter", "gate_probability", 1.0).successful
@@ -326,7 +326,7 @@ def test_diagnostics_tell_consistency_and_warn_of_overconfidence(feed):
         assert feed.graph.set_parameter("filter", name, value).successful
 
 
-def test_missing_estimates_are_told_in_contact_only(feed):
+def test_missing_estimates_are_reported_in_contact_only(feed):
     def silence(report) -> bool:
         return "contact/estimate: no message for" in report.message
 

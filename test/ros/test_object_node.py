@@ -233,7 +233,7 @@ def test_the_object_is_a_frame_of_tf_too(feed):
         ({"cov": -COV}, "negative variance"),
     ],
 )
-def test_a_belief_that_cannot_be_used_is_refused_counted_and_told(feed, bad, complaint):
+def test_a_belief_that_cannot_be_used_is_refused_counted_and_reported(feed, bad, complaint):
     feed.at(feed.both(0))
     feed.believe("right", 1, **bad)
     report = feed.graph.wait_for_report("object", lambda report: complaint in report.message)
@@ -241,7 +241,7 @@ def test_a_belief_that_cannot_be_used_is_refused_counted_and_told(feed, bad, com
     assert feed.at(feed.both(2)) is not None
 
 
-def test_a_belief_without_a_transform_is_dropped_after_the_deadline_and_told(feed):
+def test_a_belief_without_a_transform_is_dropped_after_the_deadline_and_reported(feed):
     feed.at(feed.both(0))
     feed.believe("right", 5, tf=False)
     report = feed.graph.wait_for_count("object", "right: beliefs dropped")
@@ -306,7 +306,7 @@ def test_a_place_given_at_runtime_holds_from_the_next_step(feed):
     np.testing.assert_allclose(found.mean, OBJECT, atol=1e-9)
 
 
-def test_latency_is_told_from_the_exposure(feed):
+def test_latency_is_reported_from_the_exposure(feed):
     for k in range(3):
         feed.at(feed.both(k))
     feed.latencies.clear()
@@ -316,7 +316,7 @@ def test_latency_is_told_from_the_exposure(feed):
     assert message.stage == "object" and ns_from_time(message.exposed[-1]) == stamp_ns
 
 
-def test_an_arm_that_says_nothing_is_told(feed):
+def test_an_arm_that_says_nothing_is_reported(feed):
     report = feed.graph.wait_for_report("object", lambda r: "/right/contact/state" in r.message)
     assert "no message" in report.message
 

@@ -97,7 +97,7 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
         return make_plan(parser.parse_args(["data", "collect", str(tmp_path / "data"), *options]))
 
     first = plan("--samples", "10")
-    assert first.missing == 10 and first.graph.node("/arm/collector").parameters["samples"] == 10
+    assert first.missing == 10 and first.graph.plans[0].goals[0].goal.samples == 10
     assert plan("--samples", "20").missing == 20
     with pytest.raises(ValueError, match="made with another sampling"):
         plan("--set", "sampling.depth=[0.001, 0.002]")

@@ -31,12 +31,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PATH_LENGTH = 0.04  # m
 # a machine that holds up a process only delays the task
-SETTINGS = """settings:
-  watchdog: {patience: 30.0}
-  task:
-    start_timeout: 60.0
-    approach_timeout: 100.0
-    settle_timeout: 100.0
+SETTINGS = """    settings:
+      watchdog: {patience: 30.0, start_timeout: 60.0}
+      contact: {approach_timeout: 100.0, settle_timeout: 100.0}
 """
 
 
@@ -47,9 +44,9 @@ def configuration(tmp_path_factory) -> Path:
     shutil.copytree(config_folder(), folder)
     task = folder / "tasks" / "surface_following.yaml"
     text, changed = re.subn(r"(name: ramp, .*length: )[\d.]+", rf"\g<1>{PATH_LENGTH}", task.read_text())
-    assert changed == 1, "the task file has one path named ramp"
-    assert "settings:\n  task:\n" in text
-    task.write_text(text.replace("settings:\n  task:\n", SETTINGS))
+    assert changed == 1, "the task file has one goal named ramp"
+    assert text.count("    settings:\n      task:\n") == 1
+    task.write_text(text.replace("    settings:\n", SETTINGS, 1))
     return folder
 
 
@@ -138,11 +135,12 @@ def test_latency_is_recorded_stage_by_stage(finished):
     stages = list(record.latency)
     assert stages == [s for s in ("camera", "estimator", "filter", "controller") if s in stages]
     assert stages[-2:] == ["filter", "controller"]
-    assert values["latency_ms"]["stages"][stages[0]]["p50"] > 0.0
-    for earlier, later in itertools.pairwise(record.latency[stage] for stage in stages):
-        # of the frames that both have: on a loaded machine each stage leaves out others
-        _, a, b = np.intersect1d(earlier.stamp_ns, later.stamp_ns, return_indices=True)
-        assert len(a) > 100 and np.median(later.seconds[b] - earlier.seconds[a]) > 0.0
+    assert all(values["latency_ms"]["stages"][stage]["p50"] > 0.0 for stage in stages)
+    # Of frames that both have, since a stage may lose its slowest; and of most of them, since a stage takes the
+    # time of its output after it was sent, when the next one may have had it already.
+    for earlier, later in itertools.pairwise(record.latency.values()):
+        _, first, second = np.intersect1d(earlier.stamp_ns, later.stamp_ns, return_indices=True)
+        assert len(first) > 100 and np.median(later.seconds[second] - earlier.seconds[first]) > 0.0
     assert 0.0 < values["latency_ms"]["p50"] <= values["latency_ms"]["p99"] < 1000.0
 
 
@@ -208,7 +206,7 @@ def test_a_truncated_bag_still_gives_the_run_up_to_there(finished, tmp_path):
     part = read_run(tmp_path / "bag")
     assert 0 < len(part.belief) < len(record.belief)
     assert not part.result["bag_complete"] and "ends early" in part.result["bag_problem"]
-    assert not part.result["succeeded"] and part.result["reason"] == "path ramp did not reach its end"
+    assert not part.result["succeeded"] and part.result["reason"] == "goal ramp was not reached"
 
 
 def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):

@@ -7,8 +7,7 @@ import pytest
 
 from tactile_base.settings import SettingError
 from tactile_filter import se3
-from tactile_filter.object.file import load_object
-from tactile_filter.object.settings import TrackerSettings
+from tactile_filter.object.settings import TrackerSettings, load_object
 
 ARMS = ["left", "right"]
 
