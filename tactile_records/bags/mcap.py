@@ -48,7 +48,7 @@ class McapReader:
     def read(self) -> bool:
         """Read all that is readable; False if it is no MCAP file or holds nothing at all."""
         if self._data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
-            self._complain("is not an MCAP file: it does not start as one")
+            self._report("is not an MCAP file: it does not start as one")
             return False
         position: int | None = len(MCAP0_MAGIC)
         while position is not None:
@@ -65,8 +65,8 @@ class McapReader:
             try:
                 self._take(opcode, at, stop)
             except _DAMAGE as error:
-                self._complain_damage(at, str(error) or type(error).__name__)
-        self._complain_early_end()
+                self._report_damage(at, str(error) or type(error).__name__)
+        self._report_early_end()
         return None
 
     def _leave(self, at: int, opcode: int) -> int | None:
@@ -79,9 +79,9 @@ class McapReader:
         if summary is None or not summary.chunk_indexes:
             if opcode == Opcode.CHUNK:
                 self._take_part_of_chunk(at)
-            self._complain_early_end()
+            self._report_early_end()
             return None
-        self._complain_damage(at, "no record of MCAP")
+        self._report_damage(at, "no record of MCAP")
         offsets = [index.chunk_start_offset for index in summary.chunk_indexes]
         return min((offset for offset in offsets if offset > at), default=None)
 
@@ -156,19 +156,19 @@ class McapReader:
         """Damage that looks like a record of another kind shows in the count alone."""
         read = self._contents.read - self._before
         if read != statistics.message_count and not self._contents.problems:
-            self._complain(f"damaged: {read} of {statistics.message_count} messages were found")
+            self._report(f"damaged: {read} of {statistics.message_count} messages were found")
 
-    def _complain(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._contents.problems.append(f"{self._name}: {text}")
 
-    def _complain_damage(self, at: int, what: str) -> None:
+    def _report_damage(self, at: int, what: str) -> None:
         read = f"{self._contents.read} messages before that were read"
-        self._complain(f"damaged near byte {at} of {len(self._data)}: {what}; {read}")
+        self._report(f"damaged near byte {at} of {len(self._data)}: {what}; {read}")
 
-    def _complain_early_end(self) -> None:
+    def _report_early_end(self) -> None:
         read = f"{self._contents.read} messages before that were read"
         without = "without its footer: its writer was killed"
-        self._complain(f"the file ends early, after {len(self._data)} bytes and {without}; {read}")
+        self._report(f"the file ends early, after {len(self._data)} bytes and {without}; {read}")
 
 
 def _records(data: mmap.mmap, position: int) -> Iterator[tuple[int, int, int]]:

@@ -61,7 +61,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
     Parameters
     ----------
     model : Path or None
-        None for the one that was live where the bag tells and it is there, else the shipped one.
+        None for the one that was live where the bag names it and it is there, else the shipped one.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
         elif item.topic not in replaced:
             messages.append(item)
     for each in made.values():
-        each.tell(remarks)
+        each.report(remarks)
     counts = Counter(message.topic for message in messages)
     types = bag.types | {message.topic: message.type for message in messages}
     return dataclasses.replace(bag, messages=messages, counts=dict(counts), types=types), remarks
@@ -187,7 +187,7 @@ class _Estimates:
             messages.insert(0, _recorded(self.arm, ESTIMATE, next(rows_of(rows)), image))
         return messages
 
-    def tell(self, remarks: list[str]) -> None:
+    def report(self, remarks: list[str]) -> None:
         """Add what was odd."""
         for what, count in self.faults.items():
             remarks.append(f"{self.arm}: {count} {what}, the first: {self.first_fault[what]}")

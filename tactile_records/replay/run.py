@@ -84,7 +84,7 @@ def run_filter(
     changes : sequence of Change
         Settings that change on the way.
     as_recorded : bool
-        Take the events that the live filter took, where the bag tells which these were; else all that there
+        Take the events that the live filter took, where the bag shows which these were; else all that there
         are. The live filter drops an event whose parts come too late, and takes none before it is active.
     """
     run = ArmRun(inputs, settings)
@@ -120,7 +120,7 @@ def smooth_run(run: ArmRun) -> None:
 def _taken_live(inputs: ArmInputs) -> Any:
     """Whether the live filter took the event of a stamp; all count as taken after its last message.
 
-    None where the bag does not tell.
+    None where the bag does not show it.
     """
     if inputs.live is None or not len(inputs.live.stamps_ns):
         return None

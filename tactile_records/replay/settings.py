@@ -43,7 +43,7 @@ class Change:
 def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any], list[str]]:
     """Settings with which the filter of a recording started, and names among them that are none now.
 
-    Empty where the recording does not tell.
+    Empty where the recording does not say.
     """
     parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
     own = {name: value for name, value in parameters.items() if "." not in name}
@@ -59,7 +59,7 @@ def recorded_changes(bag: Bag, arm: str) -> list[Change]:
 
 
 def commanded_resets(stamps_ns: Array, flags: Array, nis: Array, max_prediction_age: float) -> frozenset[int]:
-    """Stamps (ns) of beliefs that live filters started anew because they were told to.
+    """Stamps (ns) of beliefs that live filters started anew because they were asked to.
 
     A belief that starts anew says so. Where one stood before it that was neither too old nor refuted by
     measurements in a row, only `~/reset` can have been the reason.

@@ -80,7 +80,7 @@ class ArmInputs:
     changes : list of Change
         Of the live filter's settings while it ran.
     resets : frozenset of int
-        Stamps at which the live filter had been told to start anew.
+        Stamps at which the live filter had been asked to start anew.
     remarks : list of str
         What is missing, was refused, or is odd.
     """

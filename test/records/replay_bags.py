@@ -210,7 +210,7 @@ def believed(
     """What a live filter believes: messages decoded one by one, scalar functions, transforms as they are.
 
     `changes` are pairs of a stamp and the settings that are in force from its exposure on; before the stamps
-    in `resets` it is told to start anew.
+    in `resets` it is asked to start anew.
     """
     poses, in_contact, estimates = {}, {}, {}
     for topic, type_name, data, _ in source.messages:

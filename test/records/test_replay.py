@@ -214,13 +214,13 @@ def test_settings_that_were_changed_while_the_filter_ran_are_changed_again(tmp_p
     assert same(run.beliefs, believed(source, start.replaced(process_noise_rotation=0.01), changes=others))
 
 
-def test_where_the_live_filter_was_told_to_start_anew_the_replay_does(tmp_path):
+def test_where_the_live_filter_was_asked_to_start_anew_the_replay_does(tmp_path):
     source = recording(30, touching=lambda k: True)
-    told = START_NS + 12 * STEP_NS
-    for belief in believed(source, resets=(told,)):
+    asked = START_NS + 12 * STEP_NS
+    for belief in believed(source, resets=(asked,)):
         source.state(belief)
     inputs, (run,) = replayed(source.write(tmp_path / "bag"), FilterSettings(max_prediction_age=0.3))
-    assert inputs.arms[0].resets == {told} and run.resets == {"service": 1}
+    assert inputs.arms[0].resets == {asked} and run.resets == {"service": 1}
     assert agreement(run.states, inputs.arms[0].live) == Agreement(30, 30, 0, 0)
 
 
@@ -301,7 +301,7 @@ def test_settings_come_from_the_recording_a_profile_and_the_command_line(tmp_pat
 
 def test_without_recorded_settings_those_of_the_configuration_are_taken_and_it_is_said(tmp_path, capsys):
     assert replay(recording(20).write(tmp_path / "bag"), tmp_path / "out") == 0
-    assert "does not tell the filter's settings: those of config/filter.yaml" in capsys.readouterr().out
+    assert "does not hold the filter's settings: those of config/filter.yaml" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
