@@ -6,7 +6,7 @@ A file is read into sections (mappings) that know where they stand, and are aske
     root.allow("arms", "surfaces")
     for name, arm in root.sections("arms").items():
         rate = arm.number("rate", default=120.0)
-        limits = arm.settings("limits", ArmSettings)
+        limits = arm.settings("limits", ArmLimits)
 """
 
 from __future__ import annotations
