@@ -1,8 +1,10 @@
 # make         set up and build into .venv and install
 # make demo    follow a curved ramp by touch in simulation; results in out/demo
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
+# make lowest  run tests with the lowest versions that setup.cfg allows
 # make lint    ruff and mypy
 # make model   make the shipped model again: generate simulated images, train, quantize (work in out/model)
+# make lock    renew the exact versions that all of these install (scripts/constraints.txt, scripts/lowest.txt)
 # make clean   remove what was built    (make distclean: .venv and out as well)
 #
 # PYTHON=python3.12 chooses the interpreter for .venv. TORCH is what the tests of the training install; a smaller
@@ -13,7 +15,7 @@ TORCH ?= torch==2.13.0
 ARGS ?=
 export PYTHON TORCH
 
-.PHONY: build demo test lint model clean distclean
+.PHONY: build demo test lowest lint model lock clean distclean
 
 build:
 	@scripts/setup.sh
@@ -23,9 +25,12 @@ demo: build
 	@. scripts/env.sh && exec tactile demo --out out/demo $(ARGS)
 
 test:
-	@scripts/setup.sh test train
+	@scripts/setup.sh test train cluster
 	@scripts/build.sh
 	@scripts/test.sh $(ARGS)
+
+lowest: build
+	@scripts/lowest.sh $(ARGS)
 
 lint:
 	@scripts/setup.sh lint train
@@ -38,6 +43,10 @@ model:
 	        --config config/perception/collection_sim.yaml && rm -rf out/model/run && \
 	    tactile train out/model/data --out out/model/run --config config/perception/tactip_sim.yaml && \
 	    tactile quantize out/model/run --data out/model/data --install tactile_perception/models/tactip_sim.onnx
+
+lock:
+	@scripts/setup.sh lock
+	@scripts/lock.sh
 
 clean:
 	rm -rf build install log

@@ -24,6 +24,8 @@ NODES = {
     "object": "tactile_ros.nodes.object_node",
     "controller": "tactile_ros.nodes.controller_node",
     "sim": "tactile_ros.nodes.sim_node",
+    "arm": "tactile_ros.nodes.arm_node",
+    "camera": "tactile_ros.nodes.camera_node",
     "collector": "tactile_ros.nodes.collector_node",
     "recorder": "tactile_ros.nodes.recorder_node",
 }

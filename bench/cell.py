@@ -23,17 +23,18 @@ SPEED = 0.010  # m/s along the surface
 
 def two_of(scene: Scene) -> Scene:
     """The scene with a second arm like its first; both touch the same surface, not each other."""
-    (arm,) = scene.arms.values()
-    return dataclasses.replace(
-        scene, arms={name: dataclasses.replace(arm, name=name) for name in ("left", "right")}
-    )
+    (arm,), (sensor,) = scene.arms.values(), scene.simulation.sensors.values()
+    names = ("left", "right")
+    simulation = dataclasses.replace(scene.simulation, sensors=dict.fromkeys(names, sensor))
+    arms = {name: dataclasses.replace(arm, name=name) for name in names}
+    return dataclasses.replace(scene, arms=arms, simulation=simulation)
 
 
 def slide(cell: Cell, seconds: float) -> list[float]:
     """Run with a perfect controller on the truth; the durations (s) of all exposures."""
     twists = {arm: np.zeros(6) for arm in cell.arms}
     durations = []
-    for _ in range(round(seconds * cell.scene.rate)):
+    for _ in range(round(seconds * cell.scene.simulation.rate)):
         cell.step()
         for arm in cell.arms:
             if cell.exposure_due(arm):

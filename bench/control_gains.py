@@ -14,7 +14,7 @@ import numpy as np
 
 from tactile_base.config_paths import config_path
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_control.files import load_task
+from tactile_control.task_file import load_task
 from tactile_records.runs import metrics
 
 SCENES = {"ramp": (), "dome": ("theta_1",)}

@@ -25,7 +25,7 @@ from tactile_filter.consistency import nees
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
 from tactile_perception.estimating.labels import label_from_euler
-from tactile_perception.evaluation.motion_noise import Drift, motion_filter
+from tactile_perception.evaluation.filtering import Drift, motion_filter
 
 Array = NDArray[np.float64]
 

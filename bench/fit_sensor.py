@@ -24,8 +24,9 @@ from tactile_drivers.sim.camera import Camera
 from tactile_drivers.sim.collection import Mounting, press_then_shear
 from tactile_drivers.sim.markers import Markers
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
-from tactile_drivers.sim.skin import Skin, SkinSettings, load_skin
-from tactile_drivers.sim.tactip import TacTip, TacTipSettings
+from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
+from tactile_drivers.sim.skin import Skin, load_skin
+from tactile_drivers.sim.tactip import TacTip
 
 SOFT = 3.0  # px, where the loss turns from squares to absolute values
 REST_WEIGHT = 3.0  # of the markers at rest, which are known better

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_control.files import load_task, task_path
+from tactile_control.task_file import load_task, task_path
 from tactile_drivers.scene import load_scene
 from tactile_records.runs import metrics
 

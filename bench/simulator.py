@@ -10,9 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tactile_drivers.shapes import make_surface
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.collection import CollectionSettings, generate, press_then_shear
-from tactile_drivers.sim.surfaces import Surface, make_surface
-from tactile_drivers.sim.tactip import ContactSettings, TacTip, TacTipSettings
+from tactile_drivers.sim.settings import ContactSettings, TacTipSettings
+from tactile_drivers.sim.skin import load_skin
+from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # mm
@@ -50,6 +53,14 @@ def by_depth(sensor: TacTip, plane: Surface) -> None:
         print(f"{depth:6.1f} {step:9.2f} {truth.contact_nodes:6d} {force:12.2f} {shear:14.2f}{slipping}")
 
 
+def queries(sensor: TacTip) -> None:
+    nodes = load_skin(sensor.settings.skin).nodes
+    for kind, center in (("plane", 0.015), ("dome", 0.09), ("box", 0.0435), ("sphere", 0.05)):
+        shape, there = make_surface(kind), nodes + np.array([0.0, 0.0, center])
+        duration = milliseconds(lambda: shape.query(there), 500)  # noqa: B023
+        print(f"query of {len(nodes)} nodes near a {kind}: {duration:.3f} ms")
+
+
 def accuracy() -> None:
     """Markers against a reference with ten times smaller steps, solved to 1 nm."""
     rng = np.random.default_rng(0)
@@ -82,6 +93,7 @@ def main() -> None:
     print(f"start: {time.perf_counter() - start:.2f} s")
     plane = make_surface("plane", {})
     by_depth(sensor, plane)
+    queries(sensor)
     print(f"image 640x480: {milliseconds(sensor.image, 200):.2f} ms")
     print(f"truth: {milliseconds(sensor.truth, 200):.2f} ms")
     start = time.perf_counter()

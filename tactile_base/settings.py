@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 S = TypeVar("S", bound="Settings")
+G = TypeVar("G", bound="SettingGroups")
 
 
 class SettingError(ValueError):
@@ -74,6 +75,55 @@ class Settings:
     def replaced(self: S, **changes: Any) -> S:
         """A copy with some values changed and all of them validated again."""
         return type(self).from_mapping({**dataclasses.asdict(self), **changes})
+
+
+@dataclass(frozen=True)
+class SettingGroups:
+    """Several `Settings` by name: all that can be set of one thing, a controller for instance.
+
+    Each field of a subclass is one group, with a `Settings` class as its `default_factory`::
+
+        @dataclass(frozen=True)
+        class ChainSettings(SettingGroups):
+            pid: PidSettings = field(default_factory=PidSettings)
+    """
+
+    @classmethod
+    def group_names(cls) -> tuple[str, ...]:
+        """Names of the groups."""
+        return tuple(item.name for item in dataclasses.fields(cls))
+
+    def group(self, name: str) -> Settings:
+        """One of the groups by its name."""
+        value: Settings = getattr(self, name)
+        return value
+
+    @classmethod
+    def from_mapping(cls: type[G], values: Mapping[str, Any], where: str = "") -> G:
+        """Build from {group: {name: value}}; raises `SettingError` that says what was wrong and `where`."""
+        return cls().merged(values, where)
+
+    def merged(self: G, values: Mapping[str, Any], where: str = "") -> G:
+        """A copy with the values of {group: {name: value}} in place, the others as they are."""
+        prefix = f"{where}: " if where else ""
+        changed: dict[str, Any] = {}
+        for name, changes in values.items():
+            if name not in self.group_names():
+                raise SettingError(prefix + unknown_name(name, self.group_names()))
+            if not isinstance(changes, Mapping):
+                raise SettingError(f"{prefix}{name} must hold names and values, is {changes!r}")
+            group = self.group(name)
+            values_now = {**dataclasses.asdict(group), **changes}
+            changed[name] = type(group).from_mapping(values_now, f"{prefix}{name}")
+        return dataclasses.replace(self, **changed)
+
+    def replaced(self: G, **changes: Any) -> G:
+        """A copy with values changed by `group__name`: `replaced(pid__kp=[...], task__speed=0.02)`."""
+        nested: dict[str, dict[str, Any]] = {}
+        for name, value in changes.items():
+            group, _, key = name.partition("__")
+            nested.setdefault(group, {})[key] = value
+        return self.merged(nested)
 
 
 def unknown_name(name: str, choices: list[str] | tuple[str, ...]) -> str:

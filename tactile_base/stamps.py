@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 SECOND_NS = 1_000_000_000
+NANOSECOND = 1e-9  # s
 
 
 def ns_from_parts(sec: int, nanosec: int) -> int:

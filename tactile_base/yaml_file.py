@@ -11,6 +11,8 @@ A file is read into sections (mappings) that know where they stand, and are aske
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +20,7 @@ from typing import Any, NoReturn, TypeVar
 
 import yaml
 
-from tactile_base.settings import SettingError, Settings, unknown_name
+from tactile_base.settings import SettingError, SettingGroups, Settings, unknown_name
 
 S = TypeVar("S", bound=Settings)
 _MISSING: Any = object()
@@ -207,6 +209,40 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def text_of(settings: Settings | SettingGroups | Mapping[str, Any]) -> str:
+    """Names and values on one line of YAML, as messages and bags carry them: `{length: 0.1, target: []}`."""
+    values = settings if isinstance(settings, Mapping) else dataclasses.asdict(settings)
+    return yaml.safe_dump(
+        _plain(values), default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True
+    ).strip()
+
+
+def values_of(text: str, what: str) -> dict[str, Any]:
+    """The names and values that `text_of` wrote, or that somebody typed; an empty text holds none.
+
+    Raises
+    ------
+    SettingError
+        If it is not a mapping in YAML; the message begins with `what`.
+    """
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise SettingError(f"{what}: not valid YAML: {' '.join(str(error).split())}") from error
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise SettingError(f"{what} = {_shown(values)}: must hold names and values, as {{length: 0.1}}")
+    return {str(name): _numbers(value) for name, value in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    """What YAML has types for."""
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
 def name_and_value(change: str, example: str) -> tuple[str, Any]:
     """Split NAME=VALUE; the value is read as YAML, and 1e-3 as the number that it is.
 
@@ -226,12 +262,9 @@ def name_and_value(change: str, example: str) -> tuple[str, Any]:
 
 
 def _numbers(value: Any) -> Any:
-    """YAML 1.1 takes 1e-3 for text."""
+    """The value with 1e-3 as the number that it is; YAML 1.1 takes it for text."""
+    if isinstance(value, dict):
+        return {name: _numbers(item) for name, item in value.items()}
     if isinstance(value, list):
         return [_numbers(element) for element in value]
-    if isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
+    return float(value) if isinstance(value, str) and _EXPONENT.fullmatch(value) else value

@@ -1,9 +1,9 @@
 """The graph of a task: which processes run, with which names, parameters and topics.
 
 One description, built from scene, task and options, from which `tactile launch` starts processes and
-`launch/*.launch.py` builds its launch description. Only what the scene names is in it: one estimator, filter
-and controller for each of its arms; the simulator that is the cell; and where they are asked for, a recorder
-and a belief over one object that all arms touch.
+`launch/*.launch.py` builds its launch description. Only what the scene names, and the task has a role for, is
+in it: an estimator, a filter and a controller for each arm; the simulator that is the cell; and where they
+are asked for, a recorder and a belief over one object that all arms touch.
 """
 
 from __future__ import annotations
@@ -18,38 +18,16 @@ from typing import Any
 
 import yaml
 
-from tactile_records.bags.writer import Topic
+from tactile_base.config_paths import named_file
+from tactile_base.topics import ARM_TOPICS, IMAGE, OBJECT_TOPICS, SENSOR_TOPICS, SHARED_TOPICS, Topic
+from tactile_bringup.run_sequence import ArmPlan, arm_plans
+from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
+from tactile_control.tasks import TASKS
+from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
+from tactile_filter.filter_settings import load_filter_settings
+from tactile_filter.object.settings import load_object
 
 RECORDER = "recorder"
-
-# Topics of each arm, below its namespace.
-_ARM_TOPICS = (
-    Topic("arm/pose", "geometry_msgs/msg/PoseStamped"),
-    Topic("arm/status", "tactile_msgs/msg/ArmStatus"),
-    Topic("command/twist", "geometry_msgs/msg/TwistStamped"),
-    Topic("command/twist_limited", "geometry_msgs/msg/TwistStamped"),
-)
-_SENSOR_TOPICS = (
-    Topic("contact/presence", "tactile_msgs/msg/ContactPresence"),
-    Topic("contact/estimate", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    Topic("contact/belief", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    Topic("contact/state", "tactile_msgs/msg/ContactState"),
-    Topic("controller/status", "tactile_msgs/msg/ControllerStatus"),
-    Topic("sim/truth", "tactile_msgs/msg/ContactTruth"),
-    Topic("latency", "tactile_msgs/msg/StageLatency", "sensor"),
-)
-_SHARED_TOPICS = (
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
-    Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent"),
-    Topic("/tf", "tf2_msgs/msg/TFMessage"),
-    Topic("/tf_static", "tf2_msgs/msg/TFMessage", "latched"),
-    Topic("/sim/markers", "visualization_msgs/msg/MarkerArray", "latched"),
-)
-_OBJECT_TOPICS = (
-    Topic("/object/belief", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    Topic("/object/latency", "tactile_msgs/msg/StageLatency", "sensor"),
-)
-IMAGE = Topic("tactile/image", "sensor_msgs/msg/Image", "sensor")
 
 
 @dataclass(frozen=True)
@@ -107,7 +85,15 @@ class GraphOptions:
     seed : int
         Of the simulated cell.
     model : Path or None
-        Of the estimator; None for the one that the package ships.
+        Of all estimators; None: the one that the scene names for each sensor, else the shipped one.
+    filter : str
+        One of config/filters, or a path; empty: config/filter.yaml.
+    controller : str or None
+        One of config/controllers in place of those that the task names.
+    changes : tuple of str
+        Settings on top of all files, each as ROLE.GROUP.NAME=VALUE.
+    goals : tuple of str
+        Names of the goals to run; empty: all.
     record : Path or None
         The bag to write.
     record_images : bool
@@ -124,6 +110,10 @@ class GraphOptions:
     rate: float | None = None
     seed: int = 0
     model: Path | None = None
+    filter: str = ""
+    controller: str | None = None
+    changes: tuple[str, ...] = ()
+    goals: tuple[str, ...] = ()
     record: Path | None = None
     record_images: bool = False
     marker_view: bool = False
@@ -132,43 +122,26 @@ class GraphOptions:
 
 
 @dataclass(frozen=True)
-class ArmOutline:
-    """What the graph has to know of an arm.
+class Graph:
+    """All processes of a task, in the order in which they start, the topics between them, and what is run.
 
     Attributes
     ----------
-    camera_rate : float or None
-        Of its tactile sensor, Hz; None for an arm without one.
-    images : bool
-        Whether the sensor gives images; an ideal simulated one gives the contact pose itself.
-    """
-
-    name: str
-    camera_rate: float | None = 60.0
-    images: bool = True
-
-
-@dataclass(frozen=True)
-class SceneOutline:
-    """What the graph has to know of a scene."""
-
-    name: str
-    file: Path
-    arms: tuple[ArmOutline, ...]
-
-
-@dataclass(frozen=True)
-class Graph:
-    """All processes of a task, in the order in which they start, and the topics between them.
-
-    `arms` are those that can run the task: the ones with a sensor.
+    task, scene : str
+        Names, for people.
+    arms : tuple of str
+        Arms that run something.
+    plans : tuple of ArmPlan
+        What each of them does.
     """
 
     task: str
     scene: str
+    scene_file: Path
     arms: tuple[str, ...]
     nodes: tuple[NodeProcess, ...]
     topics: tuple[Topic, ...]
+    plans: tuple[ArmPlan, ...] = ()
 
     def node(self, full_name: str) -> NodeProcess:
         """The node of that full name; raises KeyError with the names there are."""
@@ -178,50 +151,50 @@ class Graph:
         raise KeyError(f"{full_name}; nodes: {', '.join(n.full_name for n in self.nodes)}")
 
 
-def build_graph(
-    task: str,
-    scene: SceneOutline,
-    controller: Mapping[str, Mapping[str, Any]],
-    paths: Sequence[str] = (),
-    options: GraphOptions | None = None,
-    filter_values: Mapping[str, Any] | None = None,
-    object_values: Mapping[str, Any] | None = None,
-) -> Graph:
-    """The graph of a task on a scene.
+def load_graph(task: str, scene: str | None = None, options: GraphOptions | None = None) -> Graph:
+    """The graph of a task on a scene, each the name of a packaged one or the path of a file.
 
-    Parameters
-    ----------
-    controller : mapping
-        Group -> parameter -> value, for the controller of every arm.
-    paths : sequence of str
-        Names of the paths that will be run; kept with the recording.
-    filter_values : mapping, optional
-        Parameter -> value, for the filter of every arm.
-    object_values : mapping, optional
-        Parameter -> value, for the belief over the object, if the options ask for it.
+    Without a scene it is the first that the task names.
+
+    Raises
+    ------
+    SettingError
+        A file holds something wrong; the message names file, line and valid choices.
+    FileNotFoundError
+        There is no such task or scene; the message lists those that there are.
     """
     options = options or GraphOptions()
-    feeling = tuple(arm for arm in scene.arms if arm.camera_rate is not None)
-    nodes = [_simulator(scene, options)]
-    for arm in feeling:
-        if arm.images:
-            nodes.append(_estimator(arm, options))
-            if options.marker_view:
-                nodes.append(_marker_view(arm))
-        nodes += [_filter(arm, filter_values or {}), _controller(arm, controller)]
-    topics = tuple(_topics(scene.arms))
+    path = task_path(task)
+    loaded = load_scene(scene or default_scene(path))
+    described = load_task(path, loaded.name, controller=options.controller, changes=options.changes)
+    return build_graph(described.name, loaded, arm_plans(described, loaded, goals=options.goals), options)
+
+
+def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: GraphOptions) -> Graph:
+    """The graph in which each arm does what its plan says; raises as `load_graph` does."""
+    filter_values = dataclasses.asdict(load_filter_settings(options.filter))
+    nodes = _drivers(scene, options)
+    for plan in plans:
+        arm = scene.arms[plan.arm]
+        if arm.sensor is not None:
+            nodes += _senses(scene, plan.arm, filter_values, options)
+        nodes.append(_controller(plan, arm))
+    topics = tuple(_topics(list(scene.arms.values())))
+    feeling = [plan.arm for plan in plans if scene.arms[plan.arm].sensor is not None]
     if options.object_belief:
-        nodes.append(_object(feeling, object_values or {}))
-        topics += _OBJECT_TOPICS
+        nodes.append(_object(feeling, options))
+        topics += OBJECT_TOPICS
     if options.record is not None:
-        nodes.insert(0, _recorder(task, scene, paths, topics, nodes, options))
-    return Graph(task, scene.name, tuple(arm.name for arm in feeling), tuple(nodes), topics)
+        nodes.insert(0, _recorder(task, scene, plans, topics, nodes, options))
+    arms = tuple(plan.arm for plan in plans)
+    return Graph(task, scene.name, scene.path.absolute(), arms, tuple(nodes), topics, tuple(plans))
 
 
 def build_collection_graph(
     task: str,
-    scene: SceneOutline,
+    scene: Scene,
     arm: str,
+    goal: NamedGoal,
     collector: Mapping[str, Any],
     options: GraphOptions | None = None,
     simulate: bool = True,
@@ -230,83 +203,110 @@ def build_collection_graph(
 
     Parameters
     ----------
+    goal : NamedGoal
+        Of data collection.
     collector : mapping
         Parameter -> value, for the collector.
     simulate : bool
         Whether the simulated cell is part of it; without, driver and camera run already.
     """
     options = options or GraphOptions()
-    nodes = [_simulator(scene, options)] if simulate else []
-    module, name = "tactile_ros.nodes.collector_node", "collector"
-    nodes.append(NodeProcess(name, f"/{arm}", module, name, collector))
-    topics = tuple(_topics([outline for outline in scene.arms if outline.name == arm]))
+    nodes = _drivers(scene, options) if simulate else []
+    nodes.append(
+        NodeProcess("collector", f"/{arm}", "tactile_ros.nodes.collector_node", "collector", collector)
+    )
+    topics = tuple(_topics([scene.arms[arm]]))
+    role = Role("collector", task, TASKS.load(task).settings_class(), (goal,))
+    plans = (ArmPlan(arm, role, (goal,)),)
     if options.record is not None:
-        nodes.insert(0, _recorder(task, scene, (), topics, nodes, options))
-    return Graph(task, scene.name, (arm,), tuple(nodes), topics)
+        nodes.insert(0, _recorder(task, scene, plans, topics, nodes, options))
+    return Graph(task, scene.name, scene.path.absolute(), (arm,), tuple(nodes), topics, plans)
 
 
-def _topics(arms: Sequence[ArmOutline]) -> list[Topic]:
-    """What the arms of the scene publish; one without a sensor publishes no more than where it is."""
-    below = []
-    for arm in arms:
-        kinds = _ARM_TOPICS if arm.camera_rate is None else _ARM_TOPICS + _SENSOR_TOPICS
-        below += [dataclasses.replace(topic, name=f"/{arm.name}/{topic.name}") for topic in kinds]
-    return [*below, *_SHARED_TOPICS]
+def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
+    """What the arms publish; one without a sensor says no more than where it is and what it does."""
+    kinds = [(arm, ARM_TOPICS if arm.sensor is None else ARM_TOPICS + SENSOR_TOPICS) for arm in arms]
+    return [*(topic.of(arm.name) for arm, topics in kinds for topic in topics), *SHARED_TOPICS]
 
 
-def _simulator(scene: SceneOutline, options: GraphOptions) -> NodeProcess:
-    parameters: dict[str, Any] = {"scene": str(scene.file), "seed": options.seed}
-    if options.rate is not None:
-        parameters["camera_rate"] = float(options.rate)
-    return NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters)
+def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
+    """What moves arms and exposes sensors: the simulated cell, a process for each driver of a registry."""
+    file, nodes = str(scene.path.absolute()), []
+    if scene.is_simulated:
+        parameters: dict[str, Any] = {"scene": file, "seed": options.seed}
+        if options.rate is not None:
+            parameters["camera_rate"] = float(options.rate)
+        nodes.append(NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters))
+    for arm in scene.arms.values():
+        if arm.driver not in (SIM, EXTERNAL):
+            module = "tactile_ros.nodes.arm_node"
+            nodes.append(NodeProcess("arm", f"/{arm.name}", module, "arm", {"scene": file}))
+        if arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL):
+            module = "tactile_ros.nodes.camera_node"
+            nodes.append(NodeProcess("camera", f"/{arm.name}", module, "camera", {"scene": file}))
+    return nodes
 
 
-def _estimator(arm: ArmOutline, options: GraphOptions) -> NodeProcess:
-    parameters: dict[str, Any] = {"images.rate": float(options.rate or arm.camera_rate or 0.0)}
-    if options.model is not None:
-        parameters["model"] = str(options.model)
-    return NodeProcess(
-        "estimator", f"/{arm.name}", "tactile_ros.nodes.estimator_node", "estimator", parameters
-    )
+def _senses(
+    scene: Scene, arm: str, filter_values: Mapping[str, Any], options: GraphOptions
+) -> list[NodeProcess]:
+    """From the arm's images to its belief; an ideal simulated sensor gives the contact pose itself."""
+    namespace, nodes = f"/{arm}", []
+    if scene.gives_images(arm):
+        nodes.append(_estimator(scene, arm, options))
+        if options.marker_view:
+            module = "tactile_ros.nodes.marker_view_node"
+            nodes.append(NodeProcess("marker_view", namespace, module, "marker_view"))
+    nodes.append(NodeProcess("filter", namespace, "tactile_ros.nodes.filter_node", "filter", filter_values))
+    return nodes
 
 
-def _marker_view(arm: ArmOutline) -> NodeProcess:
-    return NodeProcess("marker_view", f"/{arm.name}", "tactile_ros.nodes.marker_view_node", "marker_view", {})
+def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
+    sensor, model = scene.arms[arm].sensor, options.model or scene.model_file(arm)
+    assert sensor is not None
+    rate = options.rate if scene.arms[arm].simulated_sensor else None
+    parameters: dict[str, Any] = {"images.rate": float(rate or sensor.settings.camera_rate)}
+    if model is not None:
+        parameters["model"] = str(model.absolute())
+    module = "tactile_ros.nodes.estimator_node"
+    return NodeProcess("estimator", f"/{arm}", module, "estimator", parameters)
 
 
-def _filter(arm: ArmOutline, values: Mapping[str, Any]) -> NodeProcess:
-    return NodeProcess("filter", f"/{arm.name}", "tactile_ros.nodes.filter_node", "filter", values)
+def _controller(plan: ArmPlan, arm: ArmScene) -> NodeProcess:
+    groups: dict[str, dict[str, Any]] = dataclasses.asdict(plan.role.settings)
+    parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": arm.controlled_frame}
+    for group, values in groups.items():
+        parameters |= {f"{group}.{name}": value for name, value in values.items()}
+    module = "tactile_ros.nodes.controller_node"
+    return NodeProcess("controller", f"/{plan.arm}", module, "controller", parameters)
 
 
-def _controller(arm: ArmOutline, groups: Mapping[str, Mapping[str, Any]]) -> NodeProcess:
-    parameters = {
-        f"{group}.{name}": value for group, values in groups.items() for name, value in values.items()
-    }
-    return NodeProcess(
-        "controller", f"/{arm.name}", "tactile_ros.nodes.controller_node", "controller", parameters
-    )
-
-
-def _object(arms: Sequence[ArmOutline], values: Mapping[str, Any]) -> NodeProcess:
-    parameters = {"arms": [arm.name for arm in arms], **values}
+def _object(arms: Sequence[str], options: GraphOptions) -> NodeProcess:
+    """The belief over one object, with the parameters of its file if there is one."""
+    parameters: dict[str, Any] = {"arms": list(arms)}
+    if options.object_file:
+        settings, places = load_object(named_file("object", options.object_file), list(arms))
+        parameters |= dataclasses.asdict(settings)
+        for arm, place in places.items():
+            parameters |= {f"place.{arm}.{name}": value for name, value in dataclasses.asdict(place).items()}
     return NodeProcess("object", "/", "tactile_ros.nodes.object_node", "object", parameters)
 
 
 def _recorder(
     task: str,
-    scene: SceneOutline,
-    paths: Sequence[str],
+    scene: Scene,
+    plans: Sequence[ArmPlan],
     topics: Sequence[Topic],
     nodes: Sequence[NodeProcess],
     options: GraphOptions,
 ) -> NodeProcess:
-    images = [f"/{arm.name}/{IMAGE.name}" for arm in scene.arms if arm.images and arm.camera_rate is not None]
+    images = [IMAGE.of(arm).name for arm in scene.arms if scene.gives_images(arm)]
     note = {
         "task": task,
         "scene": scene.name,
-        "scene_file": str(scene.file),
+        "scene_file": str(scene.path.absolute()),
         "seed": str(options.seed),
-        "paths": json.dumps(list(paths)),
+        "roles": json.dumps({plan.arm: _role_note(plan, scene.arms[plan.arm]) for plan in plans}),
         "parameters": json.dumps({node.full_name: node.parameters for node in nodes}),
     }
     parameters = {
@@ -316,6 +316,17 @@ def _recorder(
         "note": [f"{name}={text}" for name, text in note.items()],
     }
     return NodeProcess(RECORDER, "/", "tactile_ros.nodes.recorder_node", "recorder", parameters)
+
+
+def _role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
+    """What is kept with a recording of what an arm was to do."""
+    return {
+        "role": plan.role.name,
+        "task": plan.role.task,
+        "goals": [goal.name for goal in plan.goals],
+        "T_world_base": arm.T_world_base.tolist(),
+        "tip_radius": arm.sensor.settings.tip_radius if arm.sensor is not None else 0.0,
+    }
 
 
 def _is_empty(value: Any) -> bool:

@@ -1,11 +1,11 @@
-"""The closed loop without ROS: simulated cell, estimator, filter and task in one process, as fast as it goes.
+"""The closed loop without ROS: cell, perception, filters and tasks in one process, as fast as it goes.
 
-The same libraries as the nodes use, in the order in which the graph would call them, on the cell's own clock.
-What the pipeline would take is simulated: the controller acts on an exposure `latency` seconds after it. The
-same scene, task, options and seed give the same bits::
+The same libraries as the nodes use, in the order in which the graph would call them, for all arms of a scene
+on the cell's own clock. What the pipeline would take is simulated: a controller acts on an exposure `latency`
+seconds after it. The same scene, task, options and seed give the same bits::
 
     record = run_offline("ramp", "surface_following", OfflineOptions(fidelity="ideal", seed=1))
-    values = metrics.report(record)
+    values = surface_following.report(record)
 """
 
 from __future__ import annotations
@@ -13,40 +13,30 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError
 from tactile_base.stamps import SECOND_NS
-from tactile_control.files import Task, load_task, task_path
-from tactile_control.phases import StampedPose
-from tactile_control.task import Command, StampedPresence, SurfaceFollowing, TaskInputs
+from tactile_bringup.run_sequence import ArmPlan, RunSequence, arm_plans
+from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
+from tactile_control.task_file import Task, load_task, task_path
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
-from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.filter_settings import load_filter_settings
-from tactile_filter.gaussian import PoseGaussian
-from tactile_records.runs.record import (
-    ArmSeries,
-    BeliefSeries,
-    CommandSeries,
-    GaussianSeries,
-    PoseSeries,
-    PresenceSeries,
-    RunRecord,
-    StageSeries,
-    TruthSeries,
-)
+from tactile_filter.bayes_filter import ContactFilter
+from tactile_filter.filter_settings import FilterSettings, load_filter_settings
+from tactile_perception.estimating.perceive import Perceiver, Percept
+from tactile_records.runs.log import RunLog
+from tactile_records.runs.record import RunRecord
 from tactile_records.runs.surfaces import surface_mesh
 
-Array = NDArray[Any]
-
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
-CONTROLLER = "controller"
+
+Perception = Callable[[Frame], Percept]
+Progress = Callable[[str, str, Command], None]
 
 
 @dataclass(frozen=True)
@@ -58,19 +48,19 @@ class OfflineOptions:
     fidelity : str or None
         "image" (skin, camera image, network) or "ideal" (noisy truth); None: as the scene says.
     model : Path or None
-        ONNX model for images; None: the shipped one.
+        ONNX model for images; None: that of each sensor in the scene.
     latency : float
         From exposure to command emission, s.
     jitter : float
         Uniform part added to each latency, s.
     control_period : float
-        The controller also steps when nothing arrived for this long, s.
+        A controller also steps when nothing arrived for this long, s.
     arm : str or None
-        Which arm runs the task; None: the scene's only one.
-    paths : tuple of str
-        Names of the paths to run; empty: all.
+        Only this arm runs; None: all that have a role.
+    goals : tuple of str
+        Names of the goals to run; empty: all.
     time_limit : float
-        A path that takes longer than this on the cell's clock is given up, s.
+        A goal that takes longer than this on the cell's clock is given up, s.
     sensor : dict
         Settings of the sensor's model that replace the scene's.
     """
@@ -82,84 +72,50 @@ class OfflineOptions:
     jitter: float = 0.0
     control_period: float = 0.010
     arm: str | None = None
-    paths: tuple[str, ...] = ()
+    goals: tuple[str, ...] = ()
     time_limit: float = 180.0
     filter: FilterSettings = field(default_factory=load_filter_settings)
     sensor: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Percept:
-    """What perception says of one exposure; None while it cannot say anything yet."""
-
-    in_contact: bool | None
-    score: float
-    estimate: PoseGaussian | None
-
-
-class Perception(Protocol):
-    """Turns the exposure of a frame into a percept."""
-
-    def __call__(self, frame: Frame) -> Percept:
-        """The percept of one frame."""
-
-
-class IdealPerception:
-    """For sensors of fidelity "ideal": the frame's own estimate, and contact from the truth."""
-
-    def __call__(self, frame: Frame) -> Percept:
-        return Percept(frame.truth.in_contact, float(frame.truth.in_contact), frame.estimate)
-
-
-class ImagePerception:
-    """For camera images: contact presence and the network, as in the estimator node."""
-
-    def __init__(self, model: Path | None) -> None:
-        # here, since runs with an ideal sensor do without onnxruntime
-        from tactile_perception.estimating.presence import ContactPresence
-        from tactile_perception.estimator import Estimator
-
-        self.estimator = Estimator(model or "")
-        self.presence = ContactPresence()
-
-    def __call__(self, frame: Frame) -> Percept:
-        assert frame.image is not None
-        prepared = self.estimator.preprocessor(frame.image)
-        presence = self.presence.update(prepared)
-        if presence.in_contact is None:
-            return Percept(None, presence.score, None)
-        return Percept(presence.in_contact, presence.score, self.estimator.estimate_prepared(prepared))
-
-
-@dataclass(frozen=True)
-class Event:
-    """A finished exposure on its way to the controller, which sees it at `due_ns`."""
-
-    due_ns: int
-    stamp_ns: int
-    presence: StampedPresence
-    belief: StampedPose | None
 
 
 def run_offline(
     scene: Scene | str,
     task: Task | str = "surface_following",
     options: OfflineOptions | None = None,
-    progress: Callable[[str, Command], None] | None = None,
+    progress: Progress | None = None,
 ) -> RunRecord:
-    """Run all paths of a task on a scene and return what happened.
+    """Run a task in which one arm has a role, and return what happened (see `run_arms_offline`).
+
+    Raises
+    ------
+    SettingError
+        Also where several arms have a role and the options do not say which.
+    """
+    records = run_arms_offline(scene, task, options, progress)
+    if len(records) > 1:
+        raise SettingError(f"several arms have a role: {', '.join(records)}; choose one with --arm")
+    return next(iter(records.values()))
+
+
+def run_arms_offline(
+    scene: Scene | str,
+    task: Task | str = "surface_following",
+    options: OfflineOptions | None = None,
+    progress: Progress | None = None,
+) -> dict[str, RunRecord]:
+    """Run all goals of a task on a scene and return what happened to each arm.
 
     Parameters
     ----------
     scene, task
         Loaded, or by name (config/scenes, config/tasks).
     progress : callable
-        Told the path's name and the command after each step of the controller.
+        Called with arm, goal and command after each step of a controller.
 
     Raises
     ------
     SettingError, FileNotFoundError
-        For scenes, tasks, arms and paths that do not exist or hold something wrong.
+        For scenes, tasks, arms and goals that do not exist or hold something wrong.
     """
     options = options or OfflineOptions()
     scene = load_scene(scene) if isinstance(scene, str) else scene
@@ -170,187 +126,197 @@ def run_offline(
 
 
 class _OfflineLoop:
-    """Cell, perception, filter and controller on the cell's clock."""
+    """The cell and all arms with a role, on the cell's clock."""
+
+    def __init__(self, scene: Scene, task: Task, options: OfflineOptions, progress: Progress | None) -> None:
+        self.options, self.progress = options, progress
+        plans = arm_plans(task, scene, options.arm, options.goals)
+        self.sequence = RunSequence(plans)
+        self.cell = Cell(scene, options.seed, START_NS)
+        self.arms = {
+            plan.arm: _OfflineArm(scene, task.name, plan, self.cell, options, number)
+            for number, plan in enumerate(plans)
+        }
+
+    def run(self) -> dict[str, RunRecord]:
+        started = time.perf_counter()
+        while not self.sequence.finished:
+            for plan, goal in self.sequence.start():
+                self.arms[plan.arm].begin(goal)
+            for arm in self.sequence.finish():
+                self.arms[arm].end(self.sequence.failure)
+            self._tick()
+        wall_s = time.perf_counter() - started
+        failure = self.sequence.failure
+        return {name: arm.log.finish(not failure, failure, wall_s) for name, arm in self.arms.items()}
+
+    def _tick(self) -> None:
+        """One step of the cell: what the arms report, then what has become due, then new exposures."""
+        for arm in self.arms.values():
+            arm.take_pose()
+        now_ns = self.cell.step()
+        for name, arm in self.arms.items():
+            command = arm.control(now_ns)
+            if command is None:
+                continue
+            self.sequence.phase(name, command.phase)
+            if self.progress is not None:
+                self.progress(name, arm.goal_name, command)
+            late = arm.over_time(now_ns)
+            if command.done or late:
+                arm.task = None
+                self.sequence.result(name, command.succeeded, command.reason or "took too long")
+        for arm in self.arms.values():
+            arm.expose()
+
+
+@dataclass(frozen=True)
+class _Event:
+    """A finished exposure on its way to the controller, which sees it at `due_ns`."""
+
+    due_ns: int
+    stamp_ns: int
+    presence: StampedPresence
+    belief: StampedPose | None
+
+
+class _OfflineArm:
+    """One arm with its perception, filter and task."""
 
     def __init__(
-        self,
-        scene: Scene,
-        task: Task,
-        options: OfflineOptions,
-        progress: Callable[[str, Command], None] | None,
+        self, scene: Scene, task: str, plan: ArmPlan, cell: Cell, options: OfflineOptions, number: int
     ) -> None:
-        self.task, self.options, self.progress = task, options, progress
-        self.arm = _arm_name(scene, options.arm)
-        self.start = scene.arms[self.arm].T_base_start
-        self.goals = _chosen(task.goals(self.start), options.paths)
-        self.cell = Cell(scene, options.seed, START_NS)
-        self.perceive = _perception(scene, self.arm, options)
+        self.plan, self.cell, self.options = plan, cell, options
+        sensor = scene.arms[plan.arm].sensor
+        self.perceive = perception(scene, plan.arm, options.model) if sensor is not None else None
         self.filter = ContactFilter(options.filter)
-        self.random = np.random.default_rng(options.seed)
-        self.log = _Log(scene, task, self.arm, options, [goal.name for goal in self.goals])
-        self.queue: deque[Event] = deque()
+        self.random = np.random.default_rng([options.seed, number] if number else options.seed)
+        self.log = RunLog(
+            RunRecord(
+                scene=scene.name,
+                task=plan.role.task,
+                task_file=task,
+                arm=plan.arm,
+                role=plan.role.name,
+                work=plan.role.task_type.work,
+                source="offline",
+                seed=options.seed,
+                goals=[goal.name for goal in plan.goals],
+                tip_radius=sensor.settings.tip_radius if sensor is not None else 0.0,
+                T_world_base=scene.arms[plan.arm].T_world_base,
+                surface=surface_mesh(scene, plan.arm),
+            )
+        )
+        self.queue: deque[_Event] = deque()
         self.inputs = TaskInputs()
         self.stepped_ns = START_NS
+        self.task: PhaseMachine[TaskInputs, Command] | None = None
+        self.goal = 0
+        self.begun_ns = START_NS
 
-    def run(self) -> RunRecord:
-        started = time.perf_counter()
-        last: Command | None = None
-        for index, goal in enumerate(self.goals):
-            last = self._run_path(index, goal.name, SurfaceFollowing(self.task.settings, goal))
-            if not last.succeeded:
-                break
-        assert last is not None
-        reason = "" if last.succeeded else f"{goal.name}: {last.reason or 'took too long'}"
-        return self.log.record(last.succeeded, reason, time.perf_counter() - started)
+    @property
+    def goal_name(self) -> str:
+        return self.plan.goals[self.goal].name
 
-    def _run_path(self, index: int, name: str, task: SurfaceFollowing) -> Command:
-        deadline_ns = self.cell.stamp_ns + round(self.options.time_limit * SECOND_NS)
-        command = None
-        while command is None or not (command.done or self.cell.stamp_ns > deadline_ns):
-            self._take_pose()
-            now_ns = self.cell.step()
-            due = self._due(now_ns)
-            for event in due:
-                command = self._step(task, index, event.due_ns, event)
-            if not due and now_ns - self.stepped_ns >= self.options.control_period * SECOND_NS:
-                command = self._step(task, index, now_ns, None)
-            if self.progress is not None and command is not None:
-                self.progress(name, command)
-            if self.cell.exposure_due(self.arm):
-                self._expose()
+    def begin(self, index: int) -> None:
+        """Start a goal."""
+        role, named = self.plan.role, self.plan.goals[index]
+        make: Any = role.task_type
+        self.task = make(role.settings, named.goal, named.start)
+        self.goal, self.begun_ns = index, self.cell.stamp_ns
+
+    def end(self, failure: str) -> None:
+        """Have the task end, since the run is over: well, unless that was a failure."""
+        assert self.task is not None
+        if failure:
+            self.task.stop(f"the run has failed: {failure}")
+        else:
+            self.task.finish()
+
+    def over_time(self, now_ns: int) -> bool:
+        """Whether a goal that ends by itself has not done so in time."""
+        limit = self.options.time_limit * SECOND_NS
+        return not self.plan.role.task_type.endless and now_ns - self.begun_ns > limit
+
+    def take_pose(self) -> None:
+        """What the arm reports at this step; the controller sees it from the next one on."""
+        pose = StampedPose(self.cell.stamp_ns, self.cell.T_base_sensor(self.plan.arm))
+        self.inputs = replace(self.inputs, sensor_pose=pose)
+        self.log.pose(pose, self.cell.status(self.plan.arm).twist)
+
+    def control(self, now_ns: int) -> Command | None:
+        """Steps of the task for what has become due, or for the time that has passed; the last command."""
+        command, due = None, self._due(now_ns)
+        for event in due:
+            self.inputs = replace(
+                self.inputs, belief=event.belief or self.inputs.belief, presence=event.presence
+            )
+            command = self._step(event.due_ns)
+            if command is not None:
+                self.log.latency(event.stamp_ns, event.due_ns)
+        if not due and now_ns - self.stepped_ns >= self.options.control_period * SECOND_NS:
+            command = self._step(now_ns)
         return command
 
-    def _take_pose(self) -> None:
-        """What the arm reports at this step; the controller sees it from the next one on."""
-        pose = StampedPose(self.cell.stamp_ns, self.cell.T_base_sensor(self.arm))
-        self.inputs = TaskInputs(self.inputs.belief, self.inputs.presence, pose)
-        self.log.pose(pose, self.cell.status(self.arm).twist)
+    def _step(self, now_ns: int) -> Command | None:
+        self.stepped_ns = now_ns
+        if self.task is None:
+            return None
+        command = self.task.step(now_ns, self.inputs)
+        self.cell.command(self.plan.arm, now_ns, command.twist)
+        self.log.command(now_ns, self.goal, command)
+        return command
 
-    def _due(self, now_ns: int) -> list[Event]:
+    def expose(self) -> None:
+        """One exposure through perception and filter, as the nodes do it, if it is time for one."""
+        if self.perceive is None or not self.cell.exposure_due(self.plan.arm):
+            return
+        frame = self.cell.expose(self.plan.arm)
+        percept = self.perceive(frame)
+        self.log.truth(frame.stamp_ns, frame.truth)
+        self.log.percept(frame.stamp_ns, percept)
+        if percept.in_contact is None:
+            return
+        estimate = percept.estimate if percept.in_contact else None
+        if percept.in_contact and estimate is None:  # a network that failed: nothing is known of this contact
+            self._send(frame.stamp_ns, True, None)
+            return
+        belief = self.filter.observe(frame.stamp_ns, estimate, frame.T_base_sensor)
+        if belief.valid:
+            self.log.belief(belief)
+        pose = StampedPose(frame.stamp_ns, belief.mean) if belief.valid else None
+        self._send(frame.stamp_ns, percept.in_contact, pose)
+
+    def _due(self, now_ns: int) -> list[_Event]:
         due = []
         while self.queue and self.queue[0].due_ns <= now_ns:
             due.append(self.queue.popleft())
         return due
 
-    def _step(self, task: SurfaceFollowing, index: int, now_ns: int, event: Event | None) -> Command:
-        if event is not None:
-            belief = event.belief or self.inputs.belief
-            self.inputs = TaskInputs(belief, event.presence, self.inputs.sensor_pose)
-        command = task.step(now_ns, self.inputs)
-        self.cell.command(self.arm, now_ns, command.twist)
-        self.log.command(now_ns, index, command)
-        if event is not None:
-            self.log.latency(event.stamp_ns, now_ns)
-        self.stepped_ns = now_ns
-        return command
-
-    def _expose(self) -> None:
-        """One exposure through perception and filter, as the estimator and filter nodes do it."""
-        frame = self.cell.expose(self.arm)
-        percept = self.perceive(frame)
-        self.log.frame(frame, percept)
-        if percept.in_contact is None:
-            return
-        belief: Belief | None = None
-        if percept.in_contact and percept.estimate is not None:
-            belief = self.filter.step(frame.stamp_ns, percept.estimate, frame.T_base_sensor)
-            belief = belief if belief.valid else None
-        if belief is not None:
-            self.log.belief(belief)
-        elif not percept.in_contact and self.filter.has_belief:
-            self.filter.reset("no contact")
-        self.queue.append(self._event(frame.stamp_ns, percept.in_contact, belief))
-
-    def _event(self, stamp_ns: int, in_contact: bool, belief: Belief | None) -> Event:
+    def _send(self, stamp_ns: int, in_contact: bool, belief: StampedPose | None) -> None:
         latency = self.options.latency + self.options.jitter * float(self.random.random())
         due_ns = stamp_ns + round(latency * SECOND_NS)
         if self.queue:
             due_ns = max(due_ns, self.queue[-1].due_ns)  # a chain of nodes keeps the order
-        pose = StampedPose(stamp_ns, belief.mean) if belief is not None else None
-        return Event(due_ns, stamp_ns, StampedPresence(stamp_ns, in_contact), pose)
+        self.queue.append(_Event(due_ns, stamp_ns, StampedPresence(stamp_ns, in_contact), belief))
 
 
-class _Log:
-    """Collects rows and makes the `RunRecord` of them."""
+def perception(scene: Scene, arm: str, model: Path | None = None) -> Perception:
+    """What makes percepts of an arm's frames: the network, or the ideal sensor's own answer."""
+    if not scene.gives_images(arm):
+        return _ideal_percept
+    # here, since runs with an ideal sensor do without onnxruntime
+    from tactile_perception.estimating.presence import ContactPresence
+    from tactile_perception.estimator import Estimator
 
-    def __init__(self, scene: Scene, task: Task, arm: str, options: OfflineOptions, paths: list[str]) -> None:
-        self.rows: dict[str, list[tuple[Any, ...]]] = {
-            name: []
-            for name in ("pose", "arm", "truth", "presence", "estimate", "belief", "command", "latency")
-        }
-        self.base = RunRecord(
-            scene=scene.name,
-            task=task.name,
-            arm=arm,
-            source="offline",
-            seed=options.seed,
-            reference=np.array(task.settings.servoing.reference),
-            paths=paths,
-            surface=surface_mesh(scene, arm),
-        )
+    perceiver = Perceiver(Estimator(model or scene.model_file(arm) or ""), ContactPresence())
 
-    def pose(self, pose: StampedPose, twist: Array) -> None:
-        self.rows["pose"].append((pose.stamp_ns, pose.T))
-        self.rows["arm"].append((pose.stamp_ns, twist))
+    def perceive(frame: Frame) -> Percept:
+        assert frame.image is not None
+        return perceiver(frame.image)
 
-    def frame(self, frame: Frame, percept: Percept) -> None:
-        truth, stamp = frame.truth, frame.stamp_ns
-        self.rows["truth"].append((stamp, truth.T_fs, truth.slip_fraction, truth.in_contact))
-        self.rows["presence"].append((stamp, percept.score, bool(percept.in_contact)))
-        if percept.in_contact and percept.estimate is not None:
-            self.rows["estimate"].append((stamp, percept.estimate.mean, percept.estimate.cov))
-
-    def belief(self, belief: Belief) -> None:
-        fused = bool(belief.flags & BeliefFlag.MEASUREMENT_FUSED)
-        row = (belief.stamp_ns, belief.mean, belief.cov, belief.nis, belief.nis_dof, fused)
-        self.rows["belief"].append(row)
-
-    def command(self, now_ns: int, path: int, command: Command) -> None:
-        row = (command.twist, command.unlimited, command.error, command.feedforward, command.phase)
-        self.rows["command"].append((now_ns, *row, path, command.exposure_ns))
-
-    def latency(self, stamp_ns: int, now_ns: int) -> None:
-        self.rows["latency"].append((stamp_ns, (now_ns - stamp_ns) / SECOND_NS))
-
-    def record(self, succeeded: bool, reason: str, wall_s: float) -> RunRecord:
-        record = self.base
-        record.pose = PoseSeries(*_columns(self.rows["pose"]))
-        record.arm_twist = ArmSeries(*_columns(self.rows["arm"]))
-        record.truth = TruthSeries(*_columns(self.rows["truth"]))
-        record.presence = PresenceSeries(*_columns(self.rows["presence"]))
-        record.estimate = GaussianSeries(*_columns(self.rows["estimate"]))
-        record.belief = BeliefSeries(*_columns(self.rows["belief"]))
-        record.command = CommandSeries(*_columns(self.rows["command"]))
-        record.latency = {CONTROLLER: StageSeries(*_columns(self.rows["latency"]))}
-        record.lost = {CONTROLLER: 0}
-        record.result = {"succeeded": succeeded, "reason": reason, "wall_s": wall_s}
-        return record
+    return perceive
 
 
-def _columns(rows: list[tuple[Any, ...]]) -> list[Array]:
-    return [np.array(column) for column in zip(*rows, strict=True)]
-
-
-def _arm_name(scene: Scene, wanted: str | None) -> str:
-    names = [name for name, arm in scene.arms.items() if arm.sensor is not None]
-    if wanted is None and len(names) == 1:
-        return names[0]
-    if wanted not in names:
-        raise SettingError(
-            f"scene {scene.name}: --arm must name an arm with a sensor; there are: {', '.join(names)}"
-        )
-    return wanted
-
-
-def _chosen(goals: tuple[Any, ...], names: tuple[str, ...]) -> tuple[Any, ...]:
-    known = [goal.name for goal in goals]
-    for name in names:
-        if name not in known:
-            raise SettingError(f"path '{name}' does not exist; valid: {', '.join(known)}")
-    return tuple(goal for goal in goals if not names or goal.name in names)
-
-
-def _perception(scene: Scene, arm: str, options: OfflineOptions) -> Perception:
-    sensor = scene.arms[arm].sensor
-    assert sensor is not None
-    return IdealPerception() if sensor.settings.fidelity == "ideal" else ImagePerception(options.model)
+def _ideal_percept(frame: Frame) -> Percept:
+    return Percept(frame.truth.in_contact, float(frame.truth.in_contact), frame.estimate)

@@ -1,335 +1,212 @@
-"""Data collection as a state machine: approach, rotate, contact, shear, image, retreat, again and again.
-
-The paper's Algorithm "Data collection" for an arm that takes twists. A library without ROS and without a
-clock of its own: whoever owns the time calls `step(now_ns, inputs)` at the control rate, sends the twist of
-what comes back and, where that holds a `Capture`, stores the image of its exposure under its number::
-
-    task = DataCollection(settings, targets, T_base_f)
-    while not (command := task.step(now_ns(), inputs())).done:
-        send(command.twist)
-        if command.capture:
-            store(image_of(command.capture.stamp_ns), command.capture)
-
-Phases: go_to_start -> reference -> (touch) -> (rotate -> contact -> shear -> capture -> retreat) for each
-sample -> done, or failed. The label is where the arm says that the sensor was at the exposure, not where it
-was sent. How a task stops and fails is told in `phases`.
-"""
+"""What data collection is made of: its settings and goal, what goes in, and what comes out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control import collection_geometry as geometry
-from tactile_control.collection_settings import DataCollectionSettings
-from tactile_control.collection_types import (
-    CAPTURE,
-    CONTACT,
-    REFERENCE,
-    ROTATE,
-    SHEAR,
-    TOUCH,
-    Capture,
-    CollectionCommand,
-    CollectionInputs,
-    Exposure,
-    Target,
-)
-from tactile_control.motion import Odometer, Waypoint, pose_difference, twist_towards, way_to_start
-from tactile_control.phases import (
-    DONE,
-    FAILED,
-    GO_TO_START,
-    RETREAT,
-    STOPPING,
-    PhaseMachine,
-    StampedPose,
-    newer,
-)
-from tactile_control.pid import NANOSECOND
-from tactile_control.task_settings import TaskSettings
-from tactile_control.touch_off import TouchFailed, TouchOff, at
-from tactile_filter import se3
+from tactile_base.settings import SettingError, SettingGroups, Settings, setting
+from tactile_control.limiter import LimiterSettings
+from tactile_control.motion import TravelSettings
+from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Command, Goal, StampedPose
+from tactile_control.watchdog import WatchdogSettings
 
 Array = NDArray[np.float64]
 
+TASK = "data_collection"  # its name among the tasks
 
-class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
-    """Collects one sample after the other; see the module's text.
+REFERENCE = "reference"
+TOUCH = "touch"
+ROTATE = "rotate"
+CONTACT = "contact"
+SHEAR = "shear"
+CAPTURE = "capture"
+PHASES = (GO_TO_START, REFERENCE, TOUCH, ROTATE, CONTACT, SHEAR, CAPTURE, RETREAT, STOPPING, DONE, FAILED)
 
-    Parameters
-    ----------
-    settings : DataCollectionSettings
-    targets : sequence of Target
-    T_base_f : ndarray (4, 4)
-        Contact frame of the flat surface (see `collection_geometry`); touches correct it.
 
-    Raises
-    ------
-    ValueError
-        Without a target, or with a contact frame that is no rigid transform.
+@dataclass(frozen=True)
+class Target:
+    """A sample to collect: its number in the data set, and its surface contact pose (6,), m and rad."""
+
+    number: int
+    euler: Array
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """An image's stamp, T_base_sensor (4, 4) at it, and whether it shows contact.
+
+    `in_contact` is None as long as nobody knows what the sensor looks like without contact.
     """
 
-    def __init__(self, settings: DataCollectionSettings, targets: Sequence[Target], T_base_f: Array) -> None:
-        if not targets:
-            raise ValueError("no sample to collect")
-        handlers = {
-            GO_TO_START: self._go_to_start,
-            REFERENCE: self._reference,
-            TOUCH: self._touch,
-            ROTATE: self._rotate,
-            CONTACT: self._contact,
-            SHEAR: self._shear,
-            CAPTURE: self._capture,
-            RETREAT: self._retreat,
-            STOPPING: self._stopping,
-        }
-        super().__init__(GO_TO_START, handlers, settings.limiter, settings.watchdog)
-        self.settings = settings
-        self.targets = list(targets)
-        self.T_base_f = se3.checked_pose("contact frame", T_base_f)
-        self.collected = 0
-        self.touch = TouchOff(settings.touch)
-        self._odometer = Odometer(1e-4)
-        self._exposure: Exposure | None = None
-        self._waypoints: list[Waypoint] | None = None
-        self._goal: Array | None = None
-        self._still: StampedPose | None = None
-        self._captured: Capture | None = None
+    stamp_ns: int
+    T_base_sensor: Array
+    in_contact: bool | None
 
-    # ---- what the owner calls ----
 
-    def configure(self, settings: DataCollectionSettings) -> None:
-        """Replace the settings; they hold from the next step on."""
-        self.settings = settings
-        self.limiter.configure(settings.limiter)
-        self.watchdog.configure(settings.watchdog)
+@dataclass(frozen=True)
+class CollectionInputs:
+    """The latest of each input; None where none has arrived yet."""
 
-    # ---- inputs ----
+    sensor_pose: StampedPose | None = None
+    exposure: Exposure | None = None
 
-    def _take(self, inputs: CollectionInputs) -> None:
-        pose, exposure = inputs.sensor_pose, inputs.exposure
-        if newer(pose, self._pose):
-            se3.checked_pose("sensor pose", pose.T)
-            self._pose = pose
-            self._odometer.add(pose.T[:3, 3])
-        if newer(exposure, self._exposure):
-            se3.checked_pose("sensor pose at the exposure", exposure.T_base_sensor)
-            self._exposure = exposure
 
-    def _stamps(self) -> dict[str, int | None]:
-        """Stamps of what this phase needs; leaving the surface needs no image."""
-        stamps = {"pose": self._pose.stamp_ns if self._pose else None}
-        if self.phase not in (RETREAT, STOPPING):
-            stamps["image"] = self._exposure.stamp_ns if self._exposure else None
-        return stamps
+@dataclass(frozen=True)
+class Capture:
+    """What to store: the image exposed at `stamp_ns`, as sample `number`.
 
-    def _start_timeout(self) -> float:
-        return self.settings.motion.start_timeout
+    Attributes
+    ----------
+    euler : ndarray (6,)
+        The label: measured Euler surface contact pose of X_fs, m and rad.
+    target : ndarray (6,)
+        What was asked for.
+    T_base_sensor : ndarray (4, 4)
+        Where the arm says that the sensor was.
+    """
 
-    # ---- phases: each returns the twist wanted now ----
+    number: int
+    stamp_ns: int
+    euler: Array
+    target: Array
+    T_base_sensor: Array
 
-    def _go_to_start(self, now_ns: int) -> Array:
-        pose, motion = self._sensor_pose(), self.settings.motion
-        start = self._in_base(at(0.0, 0.0, -motion.standoff))
-        if self._waypoints is None:
-            self._waypoints = way_to_start(pose, start, motion.in_air)
-        while self._waypoints and self._waypoints[0].reached(pose):
-            self._waypoints.pop(0)
-        if not self._waypoints:
-            self._enter(REFERENCE)
-            return np.zeros(6)
-        if self._late(now_ns):
-            return self._fail(f"the start was not reached within {motion.motion_timeout:g} s")
-        return twist_towards(pose, self._waypoints[0].T_base_goal, motion.in_air)
 
-    def _reference(self, now_ns: int) -> Array:
-        """At rest off the surface until the image without contact is known."""
-        exposure, motion = self._exposure, self.settings.motion
-        if exposure is not None and exposure.in_contact is not None and self._resting(now_ns):
-            if exposure.in_contact:
-                return self._fail("the image shows contact where there is none: the reference is no good")
-            self._enter(TOUCH if self.settings.touch.points else ROTATE)
-            return np.zeros(6)
-        if self._in_phase(now_ns) > motion.capture_timeout + motion.settle_time:
-            return self._fail(f"no image without contact was taken within {motion.capture_timeout:g} s")
-        return np.zeros(6)
+@dataclass(frozen=True)
+class CollectionCommand(Command):
+    """What one step of data collection says, beyond a `Command`; its phase is one of `PHASES`.
 
-    def _touch(self, now_ns: int) -> Array:
-        """Touch the surface in places, then correct the contact frame by what was found."""
-        exposure, motion = self._exposure, self.settings.motion
-        assert exposure is not None
-        X_exposed = self._in_contact_frame(exposure.T_base_sensor)
-        try:
-            move = self.touch.step(
-                now_ns, self._X_fs(), exposure.stamp_ns, X_exposed, bool(exposure.in_contact)
-            )
-        except TouchFailed as error:
-            return self._fail(str(error))
-        if self.touch.done:
-            self.T_base_f = self.touch.corrected(self.T_base_f)
-            self._enter(ROTATE)
-            return np.zeros(6)
-        if self._in_phase(now_ns) > motion.motion_timeout * self.settings.touch.points:
-            return self._fail(f"{len(self.touch.touches) + 1} touches took too long")
-        pace = motion.in_contact.replaced(travel_speed=self.settings.touch.speed)
-        return twist_towards(
-            self._sensor_pose(), self._in_base(move.X_fs), pace if move.slowly else motion.in_air
+    Attributes
+    ----------
+    number : int
+        Of the sample under way; 0 where there is none.
+    collected, total : int
+        Samples captured so far, and those asked for.
+    capture : Capture or None
+        What to store now.
+    """
+
+    number: int = 0
+    collected: int = 0
+    total: int = 0
+    capture: Capture | None = None
+
+
+@dataclass(frozen=True)
+class CollectionMotionSettings(Settings):
+    """Speeds, tolerances and time limits of `DataCollection`."""
+
+    clearance: float = setting(
+        0.003, lower=2e-4, upper=0.1, unit="m", doc="gap to the surface in which the sensor turns"
+    )
+    standoff: float = setting(
+        0.010, lower=2e-4, upper=0.5, unit="m", doc="gap at which collection begins and ends"
+    )
+    air_speed: float = setting(0.05, lower=1e-3, upper=1.0, unit="m/s", doc="speed off the surface")
+    air_angular_speed: float = setting(
+        1.0, lower=1e-2, upper=6.3, unit="rad/s", doc="rotation speed off the surface"
+    )
+    contact_speed: float = setting(
+        0.02, lower=1e-4, upper=0.2, unit="m/s", doc="speed of pressing and shearing"
+    )
+    contact_angular_speed: float = setting(
+        0.35, lower=1e-3, upper=3.0, unit="rad/s", doc="rotation speed of shearing"
+    )
+    gain: float = setting(8.0, lower=0.1, upper=50.0, unit="1/s", doc="speed per distance left")
+    position_tolerance: float = setting(
+        5e-5, lower=1e-6, upper=0.005, unit="m", doc="a contact pose is reached within this"
+    )
+    angle_tolerance: float = setting(
+        1e-3, lower=1e-5, upper=0.1, unit="rad", doc="and its orientation within this"
+    )
+    motion_timeout: float = setting(20.0, lower=0.5, upper=600.0, unit="s", doc="longest single motion")
+    settle_time: float = setting(
+        0.15, lower=0.0, upper=10.0, unit="s", doc="rest before the exposure that is kept"
+    )
+    still_distance: float = setting(
+        2e-5, lower=1e-7, upper=0.005, unit="m", doc="rest: the sensor strays no further than this"
+    )
+    still_angle: float = setting(5e-4, lower=1e-6, upper=0.1, unit="rad", doc="and turns no further")
+    capture_timeout: float = setting(
+        5.0, lower=0.1, upper=60.0, unit="s", doc="longest wait for rest and an exposure of it"
+    )
+    certain_depth: float = setting(
+        1e-3, lower=0.0, upper=0.02, unit="m",
+        doc="a contact this deep must show in the image, one this far off must not: else the surface is not "
+        "where it is said to be, and labels would be wrong",
+    )  # fmt: skip
+
+    @property
+    def in_air(self) -> TravelSettings:
+        """Pace off the surface, as the moves of `tactile_control.motion` take it."""
+        return self._pace(self.air_speed, self.air_angular_speed)
+
+    @property
+    def in_contact(self) -> TravelSettings:
+        """Pace of pressing and shearing."""
+        return self._pace(self.contact_speed, self.contact_angular_speed)
+
+    def _pace(self, speed: float, angular_speed: float) -> TravelSettings:
+        return TravelSettings(
+            speed=speed,
+            angular_speed=angular_speed,
+            gain=self.gain,
+            height=self.standoff,
+            position_tolerance=self.position_tolerance,
+            angle_tolerance=self.angle_tolerance,
         )
 
-    def _rotate(self, now_ns: int) -> Array:
-        """Back over the point of first touch, turned to the contact angles, in the air."""
-        target, motion = self._target(), self.settings.motion
-        if self._late(now_ns):
-            return self._fail(f"the start of the contact was not reached within {motion.motion_timeout:g} s")
-        twist = self._towards(geometry.above(target.euler, motion.clearance), motion.in_air)
-        if twist is not None:
-            return twist
-        if self._clear():
-            self._enter(CONTACT)
-        elif self._in_phase(now_ns) > motion.capture_timeout:
-            return self._fail(
-                f"the image shows contact {motion.clearance * 1e3:.1f} mm off the surface: the surface is "
-                "nearer than it is said to be (find it by touch), or the reference image is no good"
-            )
-        return np.zeros(6)
 
-    def _contact(self, now_ns: int) -> Array:
-        return self._slow_leg(now_ns, geometry.pressed(self._target().euler), SHEAR, "depth")
+@dataclass(frozen=True)
+class TouchSettings(Settings):
+    """How the surface is found by touch before the first sample."""
 
-    def _shear(self, now_ns: int) -> Array:
-        return self._slow_leg(now_ns, se3.pose_from_euler(self._target().euler), CAPTURE, "shear")
+    points: int = setting(
+        0, lower=0, upper=24,
+        doc="0: the surface is where it is said to be; 1: a touch finds its height; 3 and more: its tilt too",
+    )  # fmt: skip
+    radius: float = setting(0.015, lower=1e-3, upper=0.2, unit="m", doc="of the circle of 3 and more points")
+    search: float = setting(
+        0.005, lower=2e-4, upper=0.1, unit="m", doc="the surface is sought this far above and below"
+    )
+    speed: float = setting(0.002, lower=1e-4, upper=0.02, unit="m/s", doc="speed of the search")
+    depth: float = setting(
+        2e-4, lower=0.0, upper=0.005, unit="m", doc="depth at which contact first shows in the image"
+    )
 
-    def _capture(self, now_ns: int) -> Array:
-        """At rest until an exposure of that rest has come."""
-        exposure, motion, target = self._exposure, self.settings.motion, self._target()
-        assert exposure is not None
-        if self._resting(now_ns) and self._rested(exposure):
-            X_fs = self._in_contact_frame(exposure.T_base_sensor)
-            if X_fs[2, 3] >= motion.certain_depth and not exposure.in_contact:
-                return self._fail(
-                    f"the image shows no contact at a depth of {X_fs[2, 3] * 1e3:.1f} mm: the surface is "
-                    "further away than it is said to be (find it by touch)"
-                )
-            euler = se3.euler_from_pose(X_fs)
-            self._captured = Capture(
-                target.number, exposure.stamp_ns, euler, target.euler, exposure.T_base_sensor
-            )
-            self.collected += 1
-            self._enter(RETREAT)
-        elif self._in_phase(now_ns) > motion.capture_timeout + motion.settle_time:
-            return self._fail(f"the arm did not rest, or no image came, within {motion.capture_timeout:g} s")
-        return np.zeros(6)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.points == 2:
+            raise SettingError("points = 2: two touches do not tell a plane; must be 0, 1, or 3 and more")
 
-    def _retreat(self, now_ns: int) -> Array:
-        motion = self.settings.motion
-        ends = bool(self.reason) or self.collected == len(self.targets)
-        gap = motion.standoff if ends else motion.clearance
-        if self._goal is None:
-            self._goal = geometry.lifted(self._X_fs(), gap)
-        if self._X_fs()[2, 3] <= -gap + 10.0 * motion.position_tolerance:
-            return self._next_or_end()
-        if self._late(now_ns):
-            return self._retreat_late(motion.motion_timeout)
-        return twist_towards(self._sensor_pose(), self._in_base(self._goal), motion.in_air)
 
-    def _stopping(self, now_ns: int) -> Array:
-        if self._at_rest():
-            self._enter(RETREAT)
-        return np.zeros(6)
+@dataclass(frozen=True)
+class CollectionWatchdogSettings(WatchdogSettings):
+    """Age limits; collection looks at the sensor's pose and at the image."""
 
-    # ---- parts of phases ----
+    image_age: float = setting(0.2, lower=0.005, upper=10.0, unit="s", doc="oldest image acted upon")
+    start_timeout: float = setting(
+        5.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
+    )
 
-    def _next_or_end(self) -> Array:
-        """On to the next sample, or to the end."""
-        if self.reason:
-            self._enter(FAILED)
-        else:
-            self._enter(DONE if self.collected == len(self.targets) else ROTATE)
-        return np.zeros(6)
 
-    def _slow_leg(self, now_ns: int, X_fs: Array, following: str, what: str) -> Array:
-        """On the way in contact; a leg that ends begins the next phase."""
-        motion = self.settings.motion
-        if self._late(now_ns):
-            return self._fail(f"the {what} was not reached within {motion.motion_timeout:g} s")
-        twist = self._towards(X_fs, motion.in_contact)
-        if twist is None:
-            self._enter(following)
-            return np.zeros(6)
-        return twist
+@dataclass(frozen=True)
+class DataCollectionSettings(SettingGroups):
+    """All that can be set of `DataCollection`."""
 
-    def _towards(self, X_fs: Array, pace: TaskSettings) -> Array | None:
-        """Twist towards a pose in {f}; None where it is reached."""
-        goal = self._in_base(X_fs)
-        reached = Waypoint(goal, pace.position_tolerance, pace.angle_tolerance).reached(self._sensor_pose())
-        return None if reached else twist_towards(self._sensor_pose(), goal, pace)
+    motion: CollectionMotionSettings = field(default_factory=CollectionMotionSettings)
+    touch: TouchSettings = field(default_factory=TouchSettings)
+    limiter: LimiterSettings = field(default_factory=LimiterSettings)
+    watchdog: CollectionWatchdogSettings = field(default_factory=CollectionWatchdogSettings)
 
-    def _clear(self) -> bool:
-        """No contact in an image exposed since this phase began."""
-        exposure = self._exposure
-        assert exposure is not None
-        known = exposure.in_contact is not None
-        return known and not exposure.in_contact and exposure.stamp_ns >= self._phase_since_ns
 
-    def _resting(self, now_ns: int) -> bool:
-        """Whether the commanded twist is zero and the pose has not moved for `settle_time`."""
-        motion, pose = self.settings.motion, self._pose
-        assert pose is not None
-        moved = self._still is None or not self._near(pose.T, self._still.T)
-        if moved or not self._at_rest():
-            self._still = pose
-            return False
-        assert self._still is not None
-        return (pose.stamp_ns - self._still.stamp_ns) * NANOSECOND >= motion.settle_time
+@dataclass(frozen=True)
+class CollectionGoal(Goal):
+    """Which samples a data folder is to hold when the goal is done; those that it holds already are kept."""
 
-    def _rested(self, exposure: Exposure) -> bool:
-        """Whether an exposure was made after rest had settled, where the sensor rests."""
-        assert self._still is not None
-        rest = (exposure.stamp_ns - self._still.stamp_ns) * NANOSECOND
-        settled = rest >= self.settings.motion.settle_time
-        return settled and self._near(exposure.T_base_sensor, self._still.T)
-
-    def _near(self, T: Array, other: Array) -> bool:
-        position, rotation = pose_difference(T, other)
-        motion = self.settings.motion
-        return bool(
-            np.linalg.norm(position) <= motion.still_distance
-            and np.linalg.norm(rotation) <= motion.still_angle
-        )
-
-    def _target(self) -> Target:
-        return self.targets[self.collected]
-
-    def _in_base(self, X_fs: Array) -> Array:
-        return np.asarray(self.T_base_f @ X_fs)
-
-    def _in_contact_frame(self, T_base_sensor: Array) -> Array:
-        return np.asarray(se3.inverse(self.T_base_f) @ T_base_sensor)
-
-    def _X_fs(self) -> Array:
-        return self._in_contact_frame(self._sensor_pose())
-
-    def _late(self, now_ns: int) -> bool:
-        return self._in_phase(now_ns) > self.settings.motion.motion_timeout
-
-    def _enter(self, phase: str) -> None:
-        super()._enter(phase)
-        self._goal = self._still = None
-
-    # ---- output ----
-
-    def _answer(self, wanted: Array, waiting: str) -> CollectionCommand:
-        if waiting:
-            self._still = None
-        captured, self._captured = self._captured, None
-        return CollectionCommand(
-            **vars(self._command(wanted, waiting)),
-            number=self._target().number if self.collected < len(self.targets) else 0,
-            collected=self.collected,
-            total=len(self.targets),
-            travelled=self._odometer.length,
-            capture=captured,
-        )
+    samples: int = setting(6000, lower=1, doc="how many")
+    seed: int = setting(0, lower=0, doc="of the poses; a sample's pose depends on seed and number only")
+    first: int = setting(0, lower=0, doc="index of the folder's first sample in the seed's sequence")

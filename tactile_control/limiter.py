@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
-from tactile_control.pid import CHANNELS, NANOSECOND
+from tactile_base.stamps import NANOSECOND
+from tactile_control.pid import CHANNELS
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,37 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.task_settings import TaskSettings
+from tactile_base.settings import Settings, setting
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TravelSettings(Settings):
+    """Moves through the air to a pose: how fast, how near, and how long at most."""
+
+    speed: float = setting(0.05, lower=1e-3, upper=1.0, unit="m/s", doc="speed through the air")
+    angular_speed: float = setting(
+        0.6, lower=1e-2, upper=6.3, unit="rad/s", doc="rotation speed through the air"
+    )
+    gain: float = setting(
+        4.0, lower=0.1, upper=50.0, unit="1/s", doc="speed per distance left when coming to the goal"
+    )
+    height: float = setting(
+        0.02,
+        lower=0.0,
+        upper=1.0,
+        unit="m",
+        doc="sideways moves are made so far above the goal (along -z)",
+    )
+    position_tolerance: float = setting(
+        0.0002, lower=1e-6, upper=0.05, unit="m", doc="the goal is reached within this"
+    )
+    angle_tolerance: float = setting(
+        0.005, lower=1e-5, upper=0.5, unit="rad", doc="the goal's orientation is reached within this"
+    )
+    timeout: float = setting(30.0, lower=0.1, upper=600.0, unit="s", doc="longest way to the goal")
 
 
 @dataclass(frozen=True)
@@ -37,7 +64,7 @@ def pose_difference(T_base_sensor: Array, T_base_goal: Array) -> tuple[Array, Ar
     return R.T @ (T_base_goal[:3, 3] - T_base_sensor[:3, 3]), se3.log(turn)[3:]
 
 
-def way_to_start(T_base_sensor: Array, T_base_start: Array, settings: TaskSettings) -> list[Waypoint]:
+def way_to_start(T_base_sensor: Array, T_base_start: Array, settings: TravelSettings) -> list[Waypoint]:
     """Waypoints: up along the start's -z, across at travel height, down; only the last where it is near."""
     last = Waypoint(T_base_start, settings.position_tolerance, settings.angle_tolerance)
     offset = np.linalg.solve(T_base_start, T_base_sensor)[:3, 3]
@@ -45,7 +72,7 @@ def way_to_start(T_base_sensor: Array, T_base_start: Array, settings: TaskSettin
     coarse = 10.0 * settings.position_tolerance, 10.0 * settings.angle_tolerance
     if np.hypot(*offset[:2]) <= coarse[0] and np.linalg.norm(rotation) <= coarse[1]:
         return [last]
-    height = max(-float(offset[2]), settings.travel_height)
+    height = max(-float(offset[2]), settings.height)
     up = -T_base_start[:3, 2]
     lifted, above = T_base_sensor.copy(), T_base_start.copy()
     lifted[:3, 3] += up * (height + offset[2])
@@ -53,11 +80,11 @@ def way_to_start(T_base_sensor: Array, T_base_start: Array, settings: TaskSettin
     return [Waypoint(lifted, *coarse), Waypoint(above, *coarse), last]
 
 
-def twist_towards(T_base_sensor: Array, T_base_goal: Array, settings: TaskSettings) -> Array:
+def twist_towards(T_base_sensor: Array, T_base_goal: Array, settings: TravelSettings) -> Array:
     """Twist (6,) in {s} straight to the goal, slower with the distance left, within the travel speeds."""
     position, rotation = pose_difference(T_base_sensor, T_base_goal)
-    v = _capped(settings.travel_gain * position, settings.travel_speed)
-    omega = _capped(settings.travel_gain * rotation, settings.travel_angular_speed)
+    v = _capped(settings.gain * position, settings.speed)
+    omega = _capped(settings.gain * rotation, settings.angular_speed)
     return np.concatenate([v, omega])
 
 
@@ -95,3 +122,8 @@ def smooth_ramp(elapsed: float, duration: float) -> float:
 def _capped(vector: Array, largest: float) -> Array:
     norm = float(np.linalg.norm(vector))
     return vector if norm <= largest else vector * (largest / norm)
+
+
+def along_z(speed: float) -> Array:
+    """Twist (6,) along the sensor's z axis, m/s."""
+    return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])

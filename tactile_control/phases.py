@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Generic, Protocol, TypeGuard, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Generic, Protocol, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import SettingGroups, Settings
+from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings, TwistLimiter
-from tactile_control.pid import NANOSECOND
 from tactile_control.watchdog import Watchdog, WatchdogSettings
 from tactile_filter.se3 import PoseError
 
@@ -43,13 +44,35 @@ class StampedPose:
 
 
 @dataclass(frozen=True)
-class TaskCommand:
-    """What one step of a task says; each task adds to it.
+class StampedPresence:
+    """Whether the sensor touches, at the exposure's stamp."""
+
+    stamp_ns: int
+    in_contact: bool
+
+
+@dataclass(frozen=True)
+class TaskInputs:
+    """The latest of each input; None where none has arrived yet."""
+
+    belief: StampedPose | None = None
+    presence: StampedPresence | None = None
+    sensor_pose: StampedPose | None = None
+
+
+@dataclass(frozen=True)
+class Goal(Settings):
+    """What one run of a task is to do, where its settings say how; each task has a class of its own."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What one step of a task says; the last six say nothing in a task, or phase, that has no such thing.
 
     Attributes
     ----------
     twist : ndarray (6,)
-        [v, omega] in {s} to send now: after watchdog and limiter.
+        [v, omega] in the controlled frame to send now: after watchdog and limiter.
     unlimited : ndarray (6,)
         The same before watchdog and limiter.
     phase : str
@@ -60,6 +83,16 @@ class TaskCommand:
         Why it failed, is about to, or waits; '' where all is well.
     limited : str
         What the limiter held back in this step, '' for nothing: speeding up and braking are no trouble.
+    error, feedforward : ndarray (6,)
+        What is left to correct (m, rad) and the part of the twist that does not come of it; NaN and zero.
+    reference : ndarray (6,)
+        The contact pose that is servoed to, Euler (x, y, z, alpha, beta, gamma) of X_fs', m and rad; NaN.
+    progress : float
+        0 to 1 over all phases; it never goes back.
+    travelled : float
+        Way of the sensor's centre so far, m.
+    exposure_ns : int
+        Stamp of the belief that the twist is based on, 0 for none.
     """
 
     twist: Array
@@ -69,6 +102,12 @@ class TaskCommand:
     succeeded: bool
     reason: str
     limited: str
+    error: Array = field(default_factory=lambda: np.full(6, np.nan))
+    feedforward: Array = field(default_factory=lambda: np.zeros(6))
+    reference: Array = field(default_factory=lambda: np.full(6, np.nan))
+    progress: float = 0.0
+    travelled: float = 0.0
+    exposure_ns: int = 0
 
 
 class Stamped(Protocol):
@@ -88,7 +127,7 @@ def newer(value: Item | None, last: Item | None) -> TypeGuard[Item]:
 
 
 Inputs = TypeVar("Inputs")
-Result = TypeVar("Result", bound=TaskCommand)
+Result = TypeVar("Result", bound=Command)
 
 
 class PhaseMachine(ABC, Generic[Inputs, Result]):
@@ -102,7 +141,30 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         By phase, what returns the twist (6,) wanted now, given the time (ns); DONE and FAILED want none.
     limiter, watchdog
         Their settings.
+
+    Attributes
+    ----------
+    settings_class, goal_class
+        What can be set of the task, and what a goal says.
+    phases : tuple of str
+        Names of its phases, for people, in their usual order.
+    work : str
+        The one of them in which it does what it is for.
+    node : str
+        Which node runs it.
+    needs_sensor : bool
+        Whether it needs a tactile sensor.
+    endless : bool
+        Whether it goes on until it is asked to `finish`.
     """
+
+    settings_class: ClassVar[type[SettingGroups]]
+    goal_class: ClassVar[type[Goal]] = Goal
+    phases: ClassVar[tuple[str, ...]]
+    work: ClassVar[str]
+    node: ClassVar[str] = "controller"
+    needs_sensor: ClassVar[bool] = True
+    endless: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -123,6 +185,15 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._refused = ""
 
     # ---- what the owner calls ----
+
+    @abstractmethod
+    def configure(self, settings: Any) -> None:
+        """Replace the settings, of `settings_class`; they hold from the next step on."""
+
+    def finish(self) -> None:
+        """Ask the task to end as if its goal had been reached: it comes to rest and leaves the surface."""
+        if self.phase not in (DONE, FAILED, STOPPING, RETREAT):
+            self._enter(STOPPING)
 
     def stop(self, reason: str) -> None:
         """Ask the task to end: it comes to rest, leaves the surface if it may touch, fails with `reason`."""
@@ -156,10 +227,6 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         """Stamps of what this phase needs, by the watchdog's names; None: none has come yet."""
 
     @abstractmethod
-    def _start_timeout(self) -> float:
-        """How long to wait for an input that has never come, s."""
-
-    @abstractmethod
     def _answer(self, wanted: Array, waiting: str) -> Result:
         """What the step says: a twist for the limiter, and what the watchdog complains about."""
 
@@ -185,7 +252,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
 
     def _waiting(self, now_ns: int) -> bool:
         """True while an input has yet to arrive for the first time; fails after a while."""
-        missing, limit = self._missing(), self._start_timeout()
+        missing, limit = self._missing(), self.watchdog.settings.start_timeout
         if missing and self._in_phase(now_ns) > limit:
             self._fail_here(f"no {' and no '.join(missing)} has arrived within {limit:g} s{self._refused}")
         return bool(missing)
@@ -226,11 +293,11 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         """Whether the twist sent last was zero."""
         return bool(np.abs(self.limiter.twist).max() <= AT_REST)
 
-    def _command(self, wanted: Array, waiting: str) -> TaskCommand:
+    def _command(self, wanted: Array, waiting: str) -> Command:
         """What all tasks say."""
         assert self._now_ns is not None
         limited = self.limiter.step(self._now_ns, wanted)
-        return TaskCommand(
+        return Command(
             twist=limited.twist,
             unlimited=self._wanted.copy(),
             phase=self.phase,

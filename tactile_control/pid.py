@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_base.stamps import NANOSECOND
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
 CHANNELS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
 SPACES = ("local", "global")
-NANOSECOND = 1e-9
 
 
 class ControlInputError(ValueError):

@@ -66,6 +66,8 @@ class ServoingOutput:
         log(X_ss') in {s}, m and rad, whatever the tangent space of the gains.
     feedforward : ndarray (6,)
         Reference velocity mapped into {s} by Ad(X_ss').
+    reference : ndarray (6,)
+        The reference contact pose in force, Euler (x, y, z, alpha, beta, gamma) of X_fs', m and rad.
     pid : PidOutput
         The feedback's parts, in the tangent space of the gains.
     """
@@ -73,6 +75,7 @@ class ServoingOutput:
     twist: Array
     error: Array
     feedforward: Array
+    reference: Array
     pid: PidOutput
 
 
@@ -104,18 +107,19 @@ class ServoingController:
         """
         X_fs = se3.inverse(se3.checked_pose("X_sf", X_sf))
         velocity = checked_vector("velocity", velocity)
-        X_reference = self.reference_for(X_fs)
+        reference = self.reference_for(X_fs)
+        X_reference = se3.pose_from_euler(reference)
         space = self.settings.tangent_space
         pid = self.pid.update(stamp_ns, tangent_error(X_fs, X_reference, space), hold_integral)
         X_ss_ref = se3.inverse(X_fs) @ X_reference
         feedforward = se3.adjoint(X_ss_ref) @ velocity
         twist = to_local(pid.feedback, X_fs, space) + feedforward
-        return ServoingOutput(twist, se3.log(X_ss_ref), feedforward, pid)
+        return ServoingOutput(twist, se3.log(X_ss_ref), feedforward, reference, pid)
 
     def reference_for(self, X_fs: Array) -> Array:
-        """The reference contact pose X_fs' (4, 4) for an observed one."""
+        """The reference contact pose for an observed one (4, 4): Euler (6,) of X_fs', m and rad."""
         euler = np.array(self.settings.reference)
         if self.settings.free_shear:
             observed = se3.euler_from_pose(X_fs)
             euler[[0, 1, 5]] = observed[[0, 1, 5]]
-        return se3.pose_from_euler(euler)
+        return euler

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.collection_settings import TouchSettings
+from tactile_control.collection import TouchSettings
 from tactile_filter import se3
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from tactile_base.settings import Settings, setting
-from tactile_control.pid import NANOSECOND
+from tactile_base.stamps import NANOSECOND
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,9 @@ class WatchdogSettings(Settings):
     )
     future_tolerance: float = setting(
         0.02, lower=0.0, upper=10.0, unit="s", doc="a stamp may lie this far ahead of the clock"
+    )
+    start_timeout: float = setting(
+        2.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
     )
 
     def limit(self, name: str) -> float:

@@ -1,17 +1,17 @@
-"""Scenes: which arms, sensors and surfaces a task has, and where they stand.
+"""Scenes: what stands in a cell: arms with their drivers, sensors with their cameras, and bodies.
 
 A scene is a YAML file (docs/scenes.md). Only what it names is built, started, simulated and published::
 
     scene = load_scene("ramp")            # config/scenes/ramp.yaml, or a path
-    scene.arms["arm"].T_base_start        # where the sensor starts, in the arm's base
-    scene.surfaces["ramp"].make().distance(points)
+    scene.arms["arm"].T_base_start        # where the arm's controlled frame starts, in its base
+    scene.bodies["ramp"].make().distance(points)
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.config_paths import named_file
+from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.sim.arm import ArmSettings
-from tactile_drivers.sim.ideal_sensor import IdealSensorSettings
-from tactile_drivers.sim.surfaces import SURFACES, Surface
+from tactile_drivers.arm import ARMS, ArmLimits
+from tactile_drivers.camera import CAMERAS
+from tactile_drivers.shapes import SHAPES
+from tactile_drivers.shapes.surface import Surface
+from tactile_drivers.sim.motions import CARRIED, FIXED, MOTIONS
+from tactile_drivers.sim.simulation import Simulation, read_simulation
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-DRIVERS = ("sim",)
-FIDELITIES = ("image", "ideal")
+SIM = "sim"  # driven or exposed by the simulated cell
+EXTERNAL = "external"  # somebody else's driver or camera, which runs already
 _NAME = re.compile(r"[a-z][a-z0-9_]*")  # a ROS namespace and frame prefix
 _POSE_KEYS = ("position", "rotation_deg")
 
@@ -40,13 +44,16 @@ class SceneError(SettingError):
 
 @dataclass(frozen=True)
 class SensorSettings(Settings):
-    """What a scene says of a sensor, besides the settings of its model."""
+    """What a scene says of a tactile sensor, besides where it is and who drives its camera."""
 
-    fidelity: str = setting(
-        "image", choices=FIDELITIES, doc="image: camera image of a soft tip; ideal: no image"
-    )
+    tip_radius: float = setting(0.020, unit="m", lower=1e-3, upper=0.1, doc="of the hemispherical tip")
     camera_rate: float = setting(60.0, unit="Hz", lower=1.0, upper=240.0, doc="rate of exposures")
-    touches: tuple[str, ...] = setting((), doc="surfaces that it can touch; empty: all of the scene")
+    model: str = setting(
+        "", doc="its own model (.onnx), seen from the scene's folder; empty: the shipped one"
+    )
+    touches: tuple[str, ...] = setting(
+        (), doc="bodies that it can touch; empty: all but what its arm carries"
+    )
     protective_depth: float = setting(
         0.010, unit="m", lower=1e-4, upper=0.1, doc="depth of the tip at which the arm stops in fault"
     )
@@ -59,12 +66,18 @@ class SensorScene:
     Attributes
     ----------
     settings : SensorSettings
-    model : Settings of the model, or their groups
-        `TacTipSettings` for fidelity "image", `IdealSensorSettings` for "ideal".
+    T_tool_sensor : ndarray (4, 4)
+        The sensor frame, at the centre of the dome, in the arm's tool frame.
+    camera : str
+        Who exposes it: `SIM`, `EXTERNAL`, or a name of `CAMERAS`.
+    camera_settings : Section
+        What the camera's driver wants; it is checked when the driver is loaded.
     """
 
-    settings: SensorSettings = field(default_factory=SensorSettings)
-    model: Any = field(default_factory=IdealSensorSettings)
+    settings: SensorSettings
+    T_tool_sensor: Array
+    camera: str
+    camera_settings: Section = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -74,46 +87,72 @@ class ArmScene:
     Attributes
     ----------
     driver : str
-        Who drives it; "sim" is simulated.
+        Who drives it: `SIM`, `EXTERNAL`, or a name of `ARMS`.
+    driver_settings : Section
+        What the driver wants; it is checked when the driver is loaded.
     T_world_base, T_world_start : ndarray (4, 4)
-        The arm's base, and where its sensor starts, in the world.
-    T_tool_sensor : ndarray (4, 4)
-        The sensor in the arm's tool frame.
-    limits : ArmSettings
+        The arm's base, and where its controlled frame starts, in the world.
+    limits : ArmLimits
     sensor : SensorScene or None
         None for an arm that feels nothing.
     """
 
     name: str
     driver: str
+    driver_settings: Section = field(compare=False)
     T_world_base: Array
     T_world_start: Array
-    T_tool_sensor: Array
-    limits: ArmSettings
+    limits: ArmLimits
     sensor: SensorScene | None
 
     @property
+    def controlled_frame(self) -> str:
+        """What twists move and poses tell: "tactile_sensor", or "tool" for an arm without one."""
+        return "tool" if self.sensor is None else "tactile_sensor"
+
+    @property
+    def T_tool_controlled(self) -> Array:
+        """The controlled frame in the tool frame (4, 4)."""
+        return np.eye(4) if self.sensor is None else self.sensor.T_tool_sensor
+
+    @property
     def T_base_start(self) -> Array:
-        """Where the sensor starts, in the arm's base (4, 4)."""
+        """Where the controlled frame starts, in the arm's base (4, 4)."""
         return se3.inverse(self.T_world_base) @ self.T_world_start
+
+    @property
+    def simulated_sensor(self) -> bool:
+        """Whether the simulated cell exposes its sensor."""
+        return self.sensor is not None and self.sensor.camera == SIM
 
 
 @dataclass(frozen=True)
-class SurfaceScene:
-    """A rigid surface, its pose (4, 4) in the world, and the settings of its shape."""
+class BodyScene:
+    """A rigid body: its shape, where it is, and how it moves.
+
+    Attributes
+    ----------
+    T_parent_body : ndarray (4, 4)
+        In the tool of the arm that carries it, else in the world, where it starts.
+    carried_by : str
+        Name of that arm, with which it moves at least as long as nothing else happens; empty for none.
+    motion : str
+        A name of `MOTIONS`.
+    motion_settings : Section
+        What the motion wants; it is checked when the cell is built.
+    """
 
     name: str
     shape: str
-    T_world_surface: Array
     parameters: Settings
+    T_parent_body: Array
+    carried_by: str
+    motion: str
+    motion_settings: Section = field(compare=False)
 
     def make(self) -> Surface:
-        """The surface, in its own frame."""
-        return SURFACES[self.shape](self.parameters)  # type: ignore[call-arg]
-
-    def T_base_surface(self, arm: ArmScene) -> Array:
-        """The surface's frame in the base of an arm (4, 4)."""
-        return se3.inverse(arm.T_world_base) @ self.T_world_surface
+        """The surface, in the body's own frame."""
+        return SHAPES.load(self.shape)(self.parameters)
 
 
 @dataclass(frozen=True)
@@ -122,40 +161,63 @@ class Scene:
 
     Attributes
     ----------
-    rate : int
-        Steps of the simulation in a second: the arms' poses, and a multiple of every camera's rate (Hz).
+    simulation : Simulation
+        How it is simulated, as far as it is.
     """
 
     name: str
     path: Path
     description: str
-    rate: int
     arms: Mapping[str, ArmScene]
-    surfaces: Mapping[str, SurfaceScene]
+    bodies: Mapping[str, BodyScene]
+    simulation: Simulation
 
-    def surfaces_of(self, arm: str) -> dict[str, SurfaceScene]:
-        """The surfaces that the sensor of an arm can touch, by name."""
+    @property
+    def is_simulated(self) -> bool:
+        """Whether any arm is driven by the simulated cell."""
+        return any(arm.driver == SIM for arm in self.arms.values())
+
+    def gives_images(self, arm: str) -> bool:
+        """Whether the arm has a sensor with a camera; an ideal simulated sensor has none."""
+        scene = self.arms[arm]
+        simulated = scene.simulated_sensor and self.simulation.sensors[arm].fidelity != "image"
+        return scene.sensor is not None and not simulated
+
+    def bodies_of(self, arm: str) -> dict[str, BodyScene]:
+        """The bodies that the sensor of an arm can touch, by name."""
         sensor = self.arms[arm].sensor
         if sensor is None:
             return {}
-        names = sensor.settings.touches or tuple(self.surfaces)
-        return {name: self.surfaces[name] for name in names}
+        own = {name for name, body in self.bodies.items() if body.carried_by == arm}
+        names = sensor.settings.touches or [name for name in self.bodies if name not in own]
+        return {name: self.bodies[name] for name in names}
+
+    def T_world_body(self, body: str) -> Array:
+        """Where a body is at the start, in the world (4, 4)."""
+        scene = self.bodies[body]
+        if not scene.carried_by:
+            return scene.T_parent_body
+        arm = self.arms[scene.carried_by]
+        return arm.T_world_start @ se3.inverse(arm.T_tool_controlled) @ scene.T_parent_body
+
+    def T_base_body(self, arm: str, body: str) -> Array:
+        """Where a body is at the start, in the base of an arm (4, 4)."""
+        return se3.inverse(self.arms[arm].T_world_base) @ self.T_world_body(body)
+
+    def model_file(self, arm: str) -> Path | None:
+        """The model of the arm's own sensor; None for the shipped one."""
+        sensor = self.arms[arm].sensor
+        return self.path.parent / sensor.settings.model if sensor and sensor.settings.model else None
 
     def with_fidelity(self, fidelity: str, **model: Any) -> Scene:
-        """The same scene with all sensors "image" or "ideal", and the model's settings given by name.
+        """The same scene with all simulated sensors "image" or "ideal", and their model's settings by name.
 
         Names are those of the model's settings class; it starts from its defaults where the fidelity changes.
         """
-        arms = {}
-        for name, arm in self.arms.items():
-            sensor = arm.sensor
-            if sensor is not None:
-                same = sensor.settings.fidelity == fidelity
-                base = sensor.model if same else _default_model(fidelity)
-                settings = sensor.settings.replaced(fidelity=fidelity)
-                sensor = SensorScene(settings, replace(base, **model) if model else base)
-            arms[name] = replace(arm, sensor=sensor)
-        return replace(self, arms=arms)
+        sensors = {
+            name: sensor.changed(fidelity, **model) for name, sensor in self.simulation.sensors.items()
+        }
+        return _with_tips(replace(self, simulation=replace(self.simulation, sensors=sensors)))
 
 
 def scene_path(name_or_path: str | Path) -> Path:
@@ -179,17 +241,20 @@ def load_scene(name_or_path: str | Path) -> Scene:
     """
     path = scene_path(name_or_path)
     root = read_yaml(path, SceneError)
-    root.allow("description", "rate", "arms", "surfaces")
-    rate = root.number("rate", 120)
-    if rate != int(rate) or not 1 <= rate <= 1000:
-        root.fail(f"rate = {rate:g}: must be a whole number of Hz in [1, 1000]", "rate")
-    surfaces = {name: _surface(name, section) for name, section in _named(root, "surfaces").items()}
-    arms = {
-        name: _arm(name, section, int(rate), list(surfaces)) for name, section in _named(root, "arms").items()
-    }
-    if not arms:
+    root.allow("description", "arms", "bodies", "simulation")
+    arm_sections, body_sections = _named(root, "arms"), _named(root, "bodies")
+    if not arm_sections:
         root.fail("arms: a scene must have at least one")
-    return Scene(path.stem, path, root.text("description", ""), int(rate), arms, surfaces)
+    bodies = {name: _body(name, section, list(arm_sections)) for name, section in body_sections.items()}
+    arms = {name: _arm(name, section, bodies) for name, section in arm_sections.items()}
+    with_sensor = [name for name, arm in arms.items() if arm.sensor is not None]
+    simulation = read_simulation(root.section("simulation"), with_sensor)
+    simulation = _with_radii(simulation, arms, arm_sections)
+    for name, arm in arms.items():
+        if arm.simulated_sensor:
+            _check_rate(arm, simulation.rate, arm_sections[name].section("sensor"))
+    scene = Scene(path.stem, path, root.text("description", ""), arms, bodies, simulation)
+    return _with_tips(scene)
 
 
 def _named(root: Section, key: str) -> dict[str, Section]:
@@ -202,77 +267,108 @@ def _named(root: Section, key: str) -> dict[str, Section]:
     return sections
 
 
-def _surface(name: str, section: Section) -> SurfaceScene:
-    section.allow("shape", "pose", "parameters")
-    shape = section.choice("shape", list(SURFACES))
-    parameters = section.settings("parameters", SURFACES[shape].settings_class)
-    return SurfaceScene(name, shape, _pose(section.section("pose")), parameters)
+def _registered(
+    section: Section, key: str, registry: Registry[Any], more: tuple[str, ...] = (), default: str = ""
+) -> str:
+    """A name of a registry, or one `more`; packages are searched only for a name that is not ours."""
+    if section.values.get(key, default) in more:
+        return section.choice(key, more, default)
+    names = list(dict.fromkeys((*more, *registry.names())))
+    return section.choice(key, names, default) if default else section.choice(key, names)
 
 
-def _arm(name: str, section: Section, rate: int, surfaces: list[str]) -> ArmScene:
-    section.allow("driver", "base", "start", "sensor_in_tool", "limits", "sensor")
+def _body(name: str, section: Section, arms: Iterable[str]) -> BodyScene:
+    section.allow("shape", "parameters", "pose", "carried_by", "motion", "motion_settings")
+    shape = _registered(section, "shape", SHAPES)
+    parameters = section.settings("parameters", SHAPES.load(shape).settings_class)
+    carried_by = section.choice("carried_by", list(arms), "") if "carried_by" in section.values else ""
+    motion = _registered(section, "motion", MOTIONS, (FIXED, CARRIED), CARRIED if carried_by else FIXED)
+    if (motion == CARRIED and not carried_by) or (motion == FIXED and carried_by):
+        who = "needs" if motion == CARRIED else "cannot have"
+        section.fail(f"{section.name}: a body whose motion is '{motion}' {who} carried_by", "motion")
+    pose = _pose(section.section("pose"))
+    return BodyScene(name, shape, parameters, pose, carried_by, motion, section.section("motion_settings"))
+
+
+def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmScene:
+    section.allow("driver", "driver_settings", "base", "start", "limits", "sensor")
     section.value("start")  # an arm has to start somewhere: there is no default
+    driver = _registered(section, "driver", ARMS, (SIM, EXTERNAL), SIM)
+    _check_no_settings(section, "driver", driver)
     return ArmScene(
         name=name,
-        driver=section.choice("driver", DRIVERS, "sim"),
+        driver=driver,
+        driver_settings=section.section("driver_settings"),
         T_world_base=_pose(section.section("base")),
         T_world_start=_pose(section.section("start")),
-        T_tool_sensor=_pose(section.section("sensor_in_tool")),
-        limits=section.settings("limits", ArmSettings),
-        sensor=_sensor(section.section("sensor"), rate, surfaces) if "sensor" in section.values else None,
+        limits=section.settings("limits", ArmLimits),
+        sensor=_sensor(section.section("sensor"), name, driver, bodies)
+        if "sensor" in section.values
+        else None,
     )
 
 
-def _sensor(section: Section, rate: int, surfaces: list[str]) -> SensorScene:
-    section.allow("fidelity", "camera_rate", "touches", "protective_depth", *FIDELITIES)
-    section.names("touches", surfaces, ())
-    plain = {key: value for key, value in section.values.items() if key not in FIDELITIES}
+def _sensor(section: Section, arm: str, driver: str, bodies: Mapping[str, BodyScene]) -> SensorScene:
+    apart = ("in_tool", "camera", "camera_settings")
+    plain = {key: value for key, value in section.values.items() if key not in apart}
+    touchable = [name for name, body in bodies.items() if body.carried_by != arm]
+    section.names("touches", touchable, ())
     settings = section.checked(SensorSettings, plain)
-    per_frame = rate / settings.camera_rate
-    if per_frame != int(per_frame):
+    camera = _registered(section, "camera", CAMERAS, (SIM, EXTERNAL), SIM if driver == SIM else EXTERNAL)
+    if camera == SIM and driver != SIM:
+        section.fail(f"{section.name}.camera: '{SIM}' needs an arm whose driver is '{SIM}' too", "camera")
+    _check_no_settings(section, "camera", camera)
+    pose = _pose(section.section("in_tool"))
+    return SensorScene(settings, pose, camera, section.section("camera_settings"))
+
+
+def _check_no_settings(section: Section, kind: str, name: str) -> None:
+    key = f"{kind}_settings"
+    if name in (SIM, EXTERNAL) and section.section(key).values:
+        section.fail(f"{section.name}.{key}: {kind} '{name}' has none", key)
+
+
+def _check_rate(arm: ArmScene, rate: int, section: Section) -> None:
+    assert arm.sensor is not None
+    camera_rate = arm.sensor.settings.camera_rate
+    if rate / camera_rate != int(rate / camera_rate):
         section.fail(
-            f"{section.name}.camera_rate = {settings.camera_rate:g} Hz: "
-            f"the scene's rate, {rate} Hz, must be a multiple of it",
+            f"{section.name}.camera_rate = {camera_rate:g} Hz: "
+            f"the simulation's rate, {rate} Hz, must be a multiple of it",
             "camera_rate",
         )
-    model = (
-        _image_model(section)
-        if settings.fidelity == "image"
-        else section.settings("ideal", IdealSensorSettings)
-    )
-    return SensorScene(settings, model)
 
 
-def _image_model(section: Section) -> Any:
-    """`TacTipSettings` from the sensor file and the groups under `image`."""
-    groups = section.section("image")
-    base = _from_sensor_file(groups) if "file" in groups.values else _default_model("image")
-    names = [item.name for item in fields(base)]
-    groups.allow("file", *names)
-    changed = {}
-    for name in names:
-        if name in groups.values:
-            group, settings = groups.section(name), getattr(base, name)
-            changed[name] = group.checked(type(settings), {**asdict(settings), **group.values})
-    return replace(base, **changed)
+def _with_radii(
+    simulation: Simulation, arms: Mapping[str, ArmScene], sections: Mapping[str, Section]
+) -> Simulation:
+    """The simulated sensors with the tips that the scene says."""
+    sensors = dict(simulation.sensors)
+    default = SensorSettings().tip_radius
+    for name, sensor in simulation.sensors.items():
+        section, scene = sections[name].section("sensor"), arms[name].sensor
+        if scene is None or "tip_radius" not in section.values:
+            continue
+        radius = scene.settings.tip_radius
+        if sensor.tip_radius not in (default, radius):
+            section.fail(
+                f"{section.name}.tip_radius = {radius:g} m: the section simulation gives this sensor "
+                f"a tip of {sensor.tip_radius:g} m; leave one of the two out",
+                "tip_radius",
+            )
+        sensors[name] = sensor.with_tip_radius(radius)
+    return replace(simulation, sensors=sensors)
 
 
-def _from_sensor_file(groups: Section) -> Any:
-    from tactile_drivers.sim.sensor_file import load_sensor
-
-    try:
-        return load_sensor(groups.text("file")).sensor
-    except FileNotFoundError as error:
-        groups.fail(str(error), "file")
-
-
-def _default_model(fidelity: str) -> Any:
-    if fidelity == "ideal":
-        return IdealSensorSettings()
-    # here, since it needs the compiled contact solver, which a scene without images does without
-    from tactile_drivers.sim.tactip import TacTipSettings
-
-    return TacTipSettings()
+def _with_tips(scene: Scene) -> Scene:
+    """The scene with the tip's radius of each simulated sensor that of its model."""
+    arms = dict(scene.arms)
+    for name, simulated in scene.simulation.sensors.items():
+        arm = arms[name]
+        if arm.simulated_sensor and arm.sensor is not None:
+            settings = arm.sensor.settings.replaced(tip_radius=simulated.tip_radius)
+            arms[name] = replace(arm, sensor=replace(arm.sensor, settings=settings))
+    return replace(scene, arms=arms)
 
 
 def _pose(section: Section) -> Array:

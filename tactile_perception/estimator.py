@@ -11,10 +11,9 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
-from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 from tactile_perception.estimating.image import Image, ImageError
-from tactile_perception.estimating.labels import NETWORK_SCALE
+from tactile_perception.estimating.labels import EstimateError, gaussian_from_root, pose_gaussian
 from tactile_perception.estimating.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
@@ -33,10 +32,6 @@ _WARM_UP_RUNS = 5
 
 class ModelError(ValueError):
     """A model file that is missing, is no model, or is not one that this estimator can use."""
-
-
-class EstimateError(ValueError):
-    """An answer of the network that is no Gaussian: NaN, infinite, or without a positive (co)variance."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +169,7 @@ class Estimator:
             return pose_gaussian(mean, calibration.covariance(mean, np.diag(sigma**2)))
         if not calibration.is_identity:
             sigma *= calibration.factors(mean, sigma)
-        return _from_root(mean, sigma)
+        return gaussian_from_root(mean, sigma)
 
 
 class _OneImage:
@@ -197,43 +192,6 @@ class _OneImage:
         self._session.run_with_iobinding(self._binding)
         mean, uncertainty = (array[0].astype(np.float64) for array in self._answers)
         return mean, uncertainty
-
-
-def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
-    """Network answer -> X_sf = exp(eps^) exp(mean^), eps ~ N(0, J(mean) Sigma J(mean)^T), in SI.
-
-    Paper, eq. left_perturbation_cov: the network's Gaussian lives around its mean in the global tangent
-    space; the left Jacobian carries it to the perturbation on the left of the mean.
-
-    Parameters
-    ----------
-    mean, covariance : (6,) xi_sf and (6, 6), in mm and rad.
-
-    Raises
-    ------
-    EstimateError
-        If the covariance is not positive definite.
-    """
-    scale = np.sqrt(np.abs(np.diagonal(covariance)))
-    try:
-        # Of the correlations, so that units and sizes do not decide what is still positive.
-        root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
-    except np.linalg.LinAlgError as error:
-        raise EstimateError(
-            f"the network answered with a covariance that is not positive definite: {covariance}"
-        ) from error
-    return _from_root(mean, root)
-
-
-def _from_root(mean: Array, root: Array) -> PoseGaussian:
-    """`pose_gaussian` with a root (6, 6) of the covariance, or the standard deviations (6,) of a diagonal."""
-    xi = mean * NETWORK_SCALE
-    jacobian = se3.left_jacobian(xi)
-    if root.ndim == 1:
-        root = jacobian * (NETWORK_SCALE * root)
-    else:
-        root = jacobian @ (NETWORK_SCALE[:, None] * root)
-    return PoseGaussian(se3.exp(xi), root @ root.T)
 
 
 def _covariances(uncertainty: Array) -> Array:

@@ -5,18 +5,16 @@ From camera to estimator that saves 1 ms of 3.5 for an image of 640x480 (bench/r
 
 from __future__ import annotations
 
-import struct
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import Image as ImageMessage
 
 from tactile_base.stamps import ns_from_parts
-from tactile_ros.cdr import BODY, PLAIN_CDR_LE, aligned, read_text, split_stamp
+from tactile_records.bags.cdr import Layout, MessageReader, blank_layout
+from tactile_ros.cdr import split_stamp
 from tactile_ros.conversions import MONO8, MessageError, checked_image
-from tactile_ros.stamps import ns_from_time
 
 Image = NDArray[np.uint8]
 
@@ -42,41 +40,24 @@ def bytes_from_array(stamp_ns: int, frame_id: str, image: Image) -> bytes:
     if image.ndim != 2 or image.dtype != np.uint8:
         raise MessageError(f"image: must be uint8 (height, width), is {image.dtype} {image.shape}")
     height, width = image.shape
-    body = bytearray(struct.pack("<iI", *split_stamp(stamp_ns)))
-    _put_text(body, frame_id)
-    _align(body)
-    body += struct.pack("<II", height, width)
-    _put_text(body, MONO8)
-    body += b"\x00"  # is_bigendian
-    _align(body)
-    body += struct.pack("<II", width, image.size)
-    return b"".join((PLAIN_CDR_LE, b"\x00\x00", body, np.ascontiguousarray(image).data))
+    head = _head(frame_id, image.size).pack(*split_stamp(stamp_ns), height, width, 0, width)
+    return b"".join((head, np.ascontiguousarray(image).data))
 
 
 def image_from_bytes(data: bytes) -> ReceivedImage:
-    """The fields of a serialized Image."""
-    if data[:2] != PLAIN_CDR_LE:
-        return _from_message(deserialize_message(data, ImageMessage))
-    sec, nanosec = struct.unpack_from("<iI", data, BODY)
-    _, end = read_text(data, BODY + 8)
-    height, width = struct.unpack_from("<II", data, aligned(end, 4))
-    encoding, end = read_text(data, aligned(end, 4) + 8)
-    at = aligned(end + 1, 4)  # behind is_bigendian
-    step, size = struct.unpack_from("<II", data, at)
-    pixels = np.frombuffer(data, np.uint8, size, at + 8)
-    return ReceivedImage(ns_from_parts(sec, nanosec), height, width, encoding, step, pixels)
+    """The fields of a serialized Image; raises `MessageError` for cut bytes."""
+    layout, (sec, nanosec, height, width, _, step) = _read_head(data)
+    pixels = np.frombuffer(data, np.uint8, layout.lengths[PIXELS], len(layout.template))
+    stamp_ns, encoding = ns_from_parts(sec, nanosec), layout.texts["encoding"]
+    return ReceivedImage(stamp_ns, height, width, encoding, step, pixels)
 
 
-def _from_message(message: ImageMessage) -> ReceivedImage:
-    stamp_ns, pixels = ns_from_time(message.header.stamp), np.frombuffer(message.data, np.uint8)
-    return ReceivedImage(stamp_ns, message.height, message.width, message.encoding, message.step, pixels)
+@functools.lru_cache(maxsize=16)
+def _head(frame_id: str, size: int) -> Layout:
+    """What stands before the pixels."""
+    texts = {"header.frame_id": frame_id, "encoding": MONO8}
+    return blank_layout(IMAGE, texts, {PIXELS: size}).before(PIXELS)
 
 
-def _put_text(out: bytearray, text: str) -> None:
-    """Append a string; the bytes behind it are not aligned."""
-    encoded = text.encode() + b"\x00"
-    out += struct.pack("<I", len(encoded)) + encoded
-
-
-def _align(out: bytearray) -> None:
-    out += b"\x00" * (-len(out) % 4)
+IMAGE, PIXELS = "sensor_msgs/msg/Image", "data"
+_read_head = MessageReader(IMAGE, before=PIXELS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tactile_base import topics
 from tactile_msgs.msg import StageLatency
 from tactile_ros.conversions import header
 from tactile_ros.managed_node import ManagedNode
@@ -17,7 +18,9 @@ class LatencyPublisher:
     `note` what has become of a frame after the stage's own output is on its way.
     """
 
-    def __init__(self, node: ManagedNode, stage: str, frame_id: str, topic: str = "latency") -> None:
+    def __init__(
+        self, node: ManagedNode, stage: str, frame_id: str, topic: str = topics.LATENCY.name
+    ) -> None:
         self._publisher = node.publisher(StageLatency, topic, LATENCY)
         self._node = node
         self._stage = stage

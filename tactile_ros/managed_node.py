@@ -7,7 +7,8 @@ A node derives from it, fills in `configure`, `activate`, `deactivate` and `clea
 
 With the parameter `autostart` (the default) it configures and activates itself; if that fails, the process
 ends with exit code 1 and says why. Without, it waits unconfigured for a lifecycle manager and survives a
-failure. SIGINT and SIGTERM deactivate and clean up first; the process then ends with exit code 0.
+failure. SIGINT and SIGTERM deactivate and clean up first; the process then ends with exit code 0. `run` also
+runs several nodes in one process.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
@@ -32,11 +33,12 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
+from tactile_base import topics
 from tactile_base.settings import SettingError, unknown_name
 from tactile_ros.dds_profile import use_dds_profile
 from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.parameters import declare_read_only
-from tactile_ros.qos import DIAGNOSTICS
+from tactile_ros.qos import DIAGNOSTICS, writer_profile
 
 Result = TransitionCallbackReturn
 
@@ -63,8 +65,8 @@ class ManagedNode(LifecycleNode):
             namespace.rsplit("/", 1)[-1] or "arm",
             "name of the arm, first part of its frames' names",
         )
-        self.base_frame = f"{self.arm}/base"
-        self.sensor_frame = f"{self.arm}/tactile_sensor"
+        self.base_frame = topics.base_frame(self.arm)
+        self.sensor_frame = topics.sensor_frame(self.arm)
         self.active = False
         self.stop_reason = ""
         self.exit_code = 0
@@ -73,7 +75,9 @@ class ManagedNode(LifecycleNode):
         self.counters = self.report.counters
         self._last_warning: dict[str, float] = {}
         self._while_configured: list[tuple[Callable[[Any], Any], Any]] = []
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DIAGNOSTICS)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, topics.DIAGNOSTICS.name, writer_profile(DIAGNOSTICS)
+        )
         period = declare_read_only(
             self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
         )
@@ -108,7 +112,7 @@ class ManagedNode(LifecycleNode):
 
     def publisher(self, message_type: type, topic: str, qos: QoSProfile) -> Any:
         """A publisher that exists while the node is configured and publishes while it is active."""
-        publisher: Any = self.create_lifecycle_publisher(message_type, topic, qos)
+        publisher: Any = self.create_lifecycle_publisher(message_type, topic, writer_profile(qos))
         self._while_configured.append((self.destroy_lifecycle_publisher, publisher))
         return publisher
 
@@ -300,8 +304,11 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def run(node_type: Callable[[], ManagedNode], args: list[str] | None = None) -> int:
-    """Run one node until a signal or an error; returns the exit code of the process."""
+def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str] | None = None) -> int:
+    """Run one node, or several in one process, until a signal or an error; returns the process's exit code.
+
+    Several start in their order and end in the opposite one; the first that stops ends them all.
+    """
     use_dds_profile()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     stopped: list[int] = []
@@ -312,20 +319,24 @@ def run(node_type: Callable[[], ManagedNode], args: list[str] | None = None) -> 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
     try:
-        node = node_type()
+        made = make()
     except (SettingError, ConfigurationError) as error:
         print(f"cannot start: {error}", file=sys.stderr, flush=True)
         rclpy.try_shutdown()
         return 1
+    nodes = [made] if isinstance(made, ManagedNode) else list(made)
     executor = make_executor()
-    executor.add_node(node)
+    for node in nodes:
+        executor.add_node(node)
     try:
-        return _spin(node, executor, stopped)
+        return _spin(nodes, executor, stopped)
     finally:
-        node.finish()
+        for node in reversed(nodes):
+            node.finish()
         _flush(executor)
-        executor.remove_node(node)
-        node.destroy_node()
+        for node in nodes:
+            executor.remove_node(node)
+            node.destroy_node()
         rclpy.try_shutdown()
         gc.unfreeze()
 
@@ -336,24 +347,29 @@ def _flush(executor: Any) -> None:
         executor.spin_once(timeout_sec=0.001)
 
 
-def _spin(node: ManagedNode, executor: Any, stopped: list[int]) -> int:
-    node.warn_of_unknown_parameters()
-    if node.autostart and not node.start():
-        node.publish_diagnostics()
-        return 1
+def _spin(nodes: Sequence[ManagedNode], executor: Any, stopped: list[int]) -> int:
+    for node in nodes:
+        node.warn_of_unknown_parameters()
+        if node.autostart and not node.start():
+            node.publish_diagnostics()
+            return 1
+    last = nodes[-1]
     try:
         # spin() of the events executor burns a core and dispatches nothing; spin_once in a loop does neither.
-        while not stopped and not node.stop_reason and rclpy.ok():
-            executor.spin_once(timeout_sec=min(SPIN_TIMEOUT, max(0.0, node.due_in())))
-            if node.due_in() <= 0.0:
-                node.work()
+        while not stopped and not any(node.stop_reason for node in nodes) and rclpy.ok():
+            due = min(node.due_in() for node in nodes)
+            executor.spin_once(timeout_sec=min(SPIN_TIMEOUT, max(0.0, due)))
+            for node in nodes:
+                if node.due_in() <= 0.0:
+                    node.work()
     except ExternalShutdownException:
-        node.stop("the context was shut down")
+        last.stop("the context was shut down")
     except Exception as error:
-        node.report.fault = f"{type(error).__name__}: {error}"
-        node.get_logger().fatal(f"stopping after an error in a callback\n{traceback.format_exc()}")
-        node.publish_diagnostics()
+        last.report.fault = f"{type(error).__name__}: {error}"
+        last.get_logger().fatal(f"stopping after an error in a callback\n{traceback.format_exc()}")
+        last.publish_diagnostics()
         return 1
-    reason = f"signal {signal.Signals(stopped[0]).name}" if stopped else node.stop_reason
-    node.get_logger().info(f"stopping: {reason or 'the context was shut down'}")
-    return node.exit_code
+    ended = next((node for node in nodes if node.stop_reason), last)
+    reason = f"signal {signal.Signals(stopped[0]).name}" if stopped else ended.stop_reason
+    last.get_logger().info(f"stopping: {reason or 'the context was shut down'}")
+    return ended.exit_code

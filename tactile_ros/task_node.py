@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
@@ -17,22 +17,30 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.duration import Duration
 
+from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
 from tactile_ros.managed_node import ManagedNode
+from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import COMMAND, STATE
 from tactile_ros.stamps import duration_from_ns
 from tactile_ros.transforms import TransformListener
 from tactile_ros.wire import twist_bytes
 
 ZERO = np.zeros(6)
+FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist has arrived
 
 
 class Task(Protocol):
     """What runs; its steps are between it and its node."""
+
+    endless: ClassVar[bool]
+
+    def finish(self) -> None:
+        """Come to rest, retreat if in contact, and end well, in the steps that follow."""
 
     def stop(self, reason: str) -> None:
         """Come to rest, retreat if in contact, and end, in the steps that follow."""
@@ -60,6 +68,15 @@ class TaskNode(ManagedNode, ABC):
 
     run: Run | None = None
     last_step_ns = 0
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        frame = declare_read_only(
+            self, "controlled_frame", "tactile_sensor", f"frame of the twists, one of {', '.join(FRAMES)}"
+        )
+        if frame not in FRAMES:
+            raise SettingError(f"parameter controlled_frame: {unknown_name(frame, FRAMES)}")
+        self.controlled_frame = f"{self.arm}/{frame}"
 
     # What a node fills in.
 
@@ -106,15 +123,15 @@ class TaskNode(ManagedNode, ABC):
         self.release_later(ActionServer.destroy, action)
 
     def send_twist(self, twist: ArrayLike) -> int:
-        """Publish [v, omega] (6,) in the sensor frame; returns the stamp of its emission, ns."""
+        """Publish [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns."""
         now_ns = self.now_ns()
-        self.twist_out.publish(twist_bytes(now_ns, self.sensor_frame, twist))
+        self.twist_out.publish(twist_bytes(now_ns, self.controlled_frame, twist))
         return now_ns
 
     def sensor_pose(self) -> tuple[int, NDArray[np.float64]] | None:
-        """The sensor in the base by the newest transform, with its stamp; its age is for a watchdog."""
+        """The controlled frame in the base by the newest transform, with its stamp for a watchdog."""
         try:
-            return self.transforms.newest(self.base_frame, self.sensor_frame)
+            return self.transforms.newest(self.base_frame, self.controlled_frame)
         except TransformUnavailable as error:
             if self.run is not None:
                 self.warn("pose", f"no sensor pose: {error}")
@@ -169,7 +186,10 @@ class TaskNode(ManagedNode, ABC):
     def _cancel(self, handle: Any) -> CancelResponse:
         if self.run is None or handle.goal_id != self.run.handle.goal_id:
             return CancelResponse.REJECT
-        self.run.task.stop("cancelled")
+        if self.run.task.endless:  # there is no other way to end it
+            self.run.task.finish()
+        else:
+            self.run.task.stop("cancelled")
         return CancelResponse.ACCEPT
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
+from tactile_base import topics
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, EventJoin
 from tactile_filter.transform_buffer import TransformBuffer, TransformInPast, TransformUnavailable
@@ -51,8 +52,10 @@ class TransformListener:
         self._on_jump = on_jump
         self._ignore = frozenset(ignore)
         self._buffer = TransformBuffer(jump_ns=JUMP_NS)
-        node.subscribe(TFMessage, "/tf_static", self._receive_static, TF_STATIC, always=True, raw=True)
-        node.subscribe(TFMessage, "/tf", self._receive, TF, always=True, raw=True)
+        node.subscribe(
+            TFMessage, topics.TF_STATIC.name, self._receive_static, TF_STATIC, always=True, raw=True
+        )
+        node.subscribe(TFMessage, topics.TF.name, self._receive, TF, always=True, raw=True)
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
         """T_target_source (4, 4) at the stamp; raises `TransformUnavailable`."""
@@ -109,7 +112,7 @@ class FramePublisher:
     def __init__(self, node: ManagedNode, parent: str, child: str, rate: Callable[[], float]) -> None:
         self._frames = parent, child
         self._rate = rate
-        self._out = node.publisher(TFMessage, "/tf", TF)
+        self._out = node.publisher(TFMessage, topics.TF.name, TF)
         self.clear()
 
     def clear(self) -> None:

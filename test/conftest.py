@@ -6,6 +6,7 @@ Property tests draw the same examples in every run; `--hypothesis-profile=explor
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # tests import `launched`
@@ -13,3 +14,10 @@ sys.path.insert(0, str(Path(__file__).parent))  # tests import `launched`
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("same")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests in test/ros start ROS 2 nodes, or read and write its messages."""
+    for item in items:
+        if Path(__file__).parent / "ros" in item.path.parents:
+            item.add_marker(pytest.mark.ros)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_perception.evaluation.reference import paper_tables
+from tactile_perception.evaluation.report import paper_tables
 
 if TYPE_CHECKING:
     from dial import Row
@@ -23,7 +23,7 @@ def error_ratio(mae: Sequence[float]) -> float:
 
 
 def markdown_table(rows: Sequence[Row]) -> str:
-    """The table as it stands in docs/perception.md; without errors for networks that were not trained."""
+    """The table of docs/results/perception.md; without errors for networks that were not trained."""
     columns = {
         "network": [row.name for row in rows],
         "": [row.arithmetic for row in rows],
@@ -49,7 +49,8 @@ def draw_pareto(rows: Sequence[Row], path: Path, title: str) -> None:
     """Error against time; the line joins what nothing beats in both."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
+
+    from tactile_perception.estimating.plots import log_axis
 
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     FigureCanvasAgg(figure)
@@ -67,11 +68,8 @@ def draw_pareto(rows: Sequence[Row], path: Path, title: str) -> None:
         )  # fmt: skip
     best = [i for i in np.argsort(times) if errors[i] <= errors[times <= times[i]].min()]
     axes.plot(times[best], errors[best], "-", color="0.6", zorder=0)
-    axes.set_xscale("log")
     axes.margins(x=0.2, y=0.08)
-    axes.xaxis.set_major_locator(FixedLocator([0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0]))
-    axes.xaxis.set_major_formatter(ScalarFormatter())
-    axes.xaxis.set_minor_locator(NullLocator())
+    log_axis(axes, "x")
     axes.set(xlabel="median CPU time of an estimate (ms), pre-processing included")
     axes.set(ylabel="mean absolute error / the paper's (geometric mean)", title=title)
     axes.grid(alpha=0.3, which="both")

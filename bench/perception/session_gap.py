@@ -1,6 +1,6 @@
 """What samples of a session would bring: how much of the error on another session training could take away.
 
-    PYTHONPATH=. python bench/perception/session_gap.py DATA --model RUN [RUN ...] --out DIR \
+    python bench/perception/session_gap.py DATA --model RUN [RUN ...] --out DIR \
         [--config FILE] [--start RUN] [--set SECTION.NAME=VALUE ...]
 
 RUN was trained on DATA/train. Every second sample of DATA/val, which is of another session, is joined to
@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tactile_bringup.cli import main as tactile
 from tactile_perception.datasets.dataset import TactileFolder, open_folder
-from tactile_perception.datasets.layout import IMAGE_PARAMS_NAME, IMAGES_NAME, TARGETS_NAME, image_name
+from tactile_perception.datasets.layout import IMAGE_PARAMS_NAMES, IMAGES_NAME, TARGETS_NAME, image_name
 from tactile_perception.training.run_folder import RESULT_NAME
 
 #: The published labels' columns, of which the second half may be zero: their sum is what counts.
@@ -39,7 +39,10 @@ def write_folder(target: Path, parts: list[tuple[TactileFolder, slice]]) -> None
                 count += 1
                 (target / IMAGES_NAME / image_name(count)).symlink_to((source.image_folder / name).resolve())
                 writer.writerow([image_name(count), *euler, *[0.0] * 6])
-    shutil.copy(parts[0][0].folder / IMAGE_PARAMS_NAME, target)
+    source = parts[0][0].folder
+    for name in IMAGE_PARAMS_NAMES:
+        if (source / name).is_file():
+            shutil.copy(source / name, target)
 
 
 def main() -> int:

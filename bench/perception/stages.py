@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_drivers.sim.surfaces import Plane
+from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input

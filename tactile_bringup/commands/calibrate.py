@@ -21,7 +21,8 @@ def register(subparsers: Any) -> None:
         "calibrate",
         help="fit a model's uncertainty to its errors on other data",
         description="Write a copy of a model whose stated uncertainty fits its errors on labelled data: on "
-        "what was held back of its training data, or on samples of a new session (100 at least, better 500).",
+        "samples of today's session (100 at least, better 500), as a session should begin; or on what was "
+        "held back of its training data, with the margin and floor of its training for other sessions.",
     )
     parser.add_argument("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
     parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
@@ -40,21 +41,13 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     model = arguments.model / MODEL_NAME if arguments.model.is_dir() else arguments.model
     try:
         check_file(arguments.out)
-        calibration = recalibrate(model, arguments.data, arguments.out, _settings(model, arguments.changes))
+        changes = dict(name_and_value(change, "sigma_knots=3") for change in arguments.changes)
+        calibration, own_session = recalibrate(model, arguments.data, arguments.out, changes)
     except (ValueError, OSError) as error:
         return refuse(console, "calibrate", error)
+    source = "held back in training, for other sessions" if own_session else "of this session, for it"
     print(
-        f"{arguments.out}: calibrated on {calibration.samples} samples; "
+        f"{arguments.out}: calibrated on {calibration.samples} samples {source}; "
         f"standard error of the joint NEES / 6: {calibration.nees_error:.3f}"
     )
     return 0
-
-
-def _settings(model: Path, changes: list[str]) -> Any:
-    """The calibration settings of the model's training with some of them changed."""
-    from tactile_perception.estimator import Estimator
-    from tactile_perception.evaluation.calibration import CalibrationSettings
-
-    trained = Estimator(model).metadata.training.get("calibration", {})
-    values = dict(name_and_value(change, "sigma_knots=3") for change in changes)
-    return CalibrationSettings.from_mapping(trained).replaced(**values)

@@ -34,7 +34,7 @@ def register(commands: Any) -> None:
     parser.add_argument("--strict", action="store_true", help="end with exit code 1 for warnings too")
     parser.add_argument(
         "--write-conventions", action="store_true",
-        help="where signs or units are others and there is one way to mend them, write conventions.json",
+        help="where signs or units are others and there is one way to correct them, write conventions.json",
     )  # fmt: skip
     parser.set_defaults(run=run)
 
@@ -43,6 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     """`tactile data check`: returns the exit status."""
     from rich.console import Console
 
+    from tactile_base.progress import Progress
     from tactile_base.whole_file import check_folder
     from tactile_perception.datasets.check import check
     from tactile_perception.datasets.dataset import open_folder
@@ -54,8 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
             check_folder(arguments.out)
         folder = open_folder(arguments.folder)
         settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
-        with _Bars() as bars:
-            result = check(folder, settings, bars.update)
+        with Progress() as progress:
+            result = check(folder, settings, progress.update)
         if arguments.out is not None:
             _write(result, arguments.out)
     except (ValueError, OSError) as error:
@@ -92,7 +93,7 @@ def show(result: CheckResult, console: Console) -> None:
 
 
 def write_conventions(result: CheckResult) -> str:
-    """Write `conventions.json` if there is one way to mend the labels; returns what was done, in words."""
+    """Write `conventions.json` if there is one way to correct the labels; returns what was done, in words."""
     from tactile_perception.datasets.table import CONVENTIONS_NAME
 
     found = result.conventions
@@ -102,7 +103,7 @@ def write_conventions(result: CheckResult) -> str:
     ways = [way for way in found.explanations if not way.swapped and not way.mirrored]
     if len(ways) != 1:
         listed = "; ".join(map(str, found.explanations)) or "none"
-        return f"{path}: not written, since there is not one way to mend the signs (found: {listed})"
+        return f"{path}: not written, since there is not one way to correct the signs (found: {listed})"
     flip = [*ways[0].flipped, *(["z"] if found.depth_flipped else [])]
     content = {
         "flip": flip,
@@ -112,7 +113,7 @@ def write_conventions(result: CheckResult) -> str:
     if not flip and content["length_unit"] == "mm" and content["angle_unit"] == "deg":
         return f"{path}: not needed"
     path.write_text(json.dumps(content) + "\n")
-    return f"{path}: written; every reader heeds it from now on: {json.dumps(content)}"
+    return f"{path}: written; every reader applies it from now on: {json.dumps(content)}"
 
 
 def _write(result: CheckResult, folder: Path) -> None:
@@ -131,28 +132,3 @@ def _write(result: CheckResult, folder: Path) -> None:
         "camera_deg": result.conventions.camera_deg if result.conventions else math.nan,
     }
     (folder / "check.json").write_text(json.dumps(content, indent=2) + "\n")
-
-
-class _Bars:
-    """A progress bar for each stage."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._tasks: dict[str, Any] = {}
-
-    def __enter__(self) -> _Bars:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._progress.stop()
-
-    def update(self, what: str, done: int, total: int) -> None:
-        if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=total)
-        self._progress.update(self._tasks[what], completed=done)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from tactile_bringup.graph import Graph
     from tactile_bringup.launching.launcher import Outcome
-    from tactile_drivers.scene import ArmScene, Scene, SurfaceScene
+    from tactile_drivers.scene import ArmScene, BodyScene, Scene
 
 DESCRIPTION = """Press and shear an arm's tactile sensor against a flat surface, as the paper does, and keep
 an image and a label of each contact. The same command goes on after an interruption."""
@@ -97,13 +97,11 @@ def run(arguments: argparse.Namespace) -> int:
 def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
     from tactile_bringup.commands.collect_progress import CollectionDisplay
     from tactile_bringup.launching.launcher import Launcher
-    from tactile_control.task import PathGoal
 
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
-    goal = PathGoal(name=f"{plan.missing} samples")
     with CollectionDisplay(console, live, plan.samples) as display:
-        return Launcher(plan.graph, [goal], folder.absolute(), display).run()
+        return Launcher(plan.graph, folder.absolute(), display).run()
 
 
 def _summarize(folder: Path, console: Console) -> None:
@@ -127,13 +125,13 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     """
     from tactile_base.whole_file import check_folder
     from tactile_bringup.graph import GraphOptions, build_collection_graph
-    from tactile_bringup.task_graph import outline
+    from tactile_control.collection import TASK, CollectionGoal
+    from tactile_control.task_file import NamedGoal
     from tactile_drivers.sampling import VALIDATION_START
     from tactile_drivers.scene import load_scene
     from tactile_filter import se3
     from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
     from tactile_records.collecting.parameters import check_same_run
-    from tactile_ros.nodes.collector_settings import TASK
 
     check_folder(arguments.out)
     if arguments.images not in IMAGE_KINDS:
@@ -146,13 +144,16 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     groups = chosen_settings(arguments.config, arguments.changes, arguments.touch)
     collector: dict[str, Any] = {
         "folder": str(arguments.out.absolute()),
-        "samples": arguments.samples,
-        "seed": arguments.seed,
-        "first": VALIDATION_START if arguments.validation else 0,
         "images": arguments.images,
-        "frame": se3.euler_from_pose(frame_on(surface, arm)).tolist(),
+        "frame": se3.euler_from_pose(frame_on(scene, surface, arm)).tolist(),
     }
-    what = {name: collector[name] for name in ("seed", "first", "images", "frame")}
+    goal = CollectionGoal(
+        samples=arguments.samples,
+        seed=arguments.seed,
+        first=VALIDATION_START if arguments.validation else 0,
+    )
+    what: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
+    what |= {name: collector[name] for name in ("images", "frame")}
     what |= {name: dataclasses.asdict(groups[name]) for name in ("sampling", "preprocessing")}
     check_same_run(arguments.out, {"robot": arm.driver, "scene": scene.name, "arm": arm.name, **what})
     with DatasetWriter(arguments.out, groups["preprocessing"], arguments.images) as writer:  # type: ignore[arg-type]
@@ -165,19 +166,16 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         record=arguments.record.absolute() if arguments.record else None,
         record_images=arguments.record_images,
     )
+    named = NamedGoal(f"{missing} samples", goal)
     graph = build_collection_graph(
-        TASK, outline(scene), arm.name, collector, options, simulate=not arguments.external
+        TASK, scene, arm.name, named, collector, options, simulate=not arguments.external
     )
     return Plan(graph, arguments.samples, missing)
 
 
 def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
     """The arm of that name, or the only one with a camera."""
-    with_camera = {
-        arm.name: arm
-        for arm in scene.arms.values()
-        if arm.sensor is not None and arm.sensor.settings.fidelity == "image"
-    }
+    with_camera = {name: arm for name, arm in scene.arms.items() if scene.gives_images(name)}
     if name is None and len(with_camera) == 1:
         return next(iter(with_camera.values()))
     if name in with_camera:
@@ -186,9 +184,9 @@ def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
     raise ValueError(f"{scene.path}: --arm must name an arm whose sensor gives images; there are: {listed}")
 
 
-def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> SurfaceScene:
+def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> BodyScene:
     """The surface of that name, or the only plane that the arm can touch; it has to be flat."""
-    surfaces = scene.surfaces_of(arm.name)
+    surfaces = scene.bodies_of(arm.name)
     planes = [surface for surface in surfaces.values() if surface.shape == "plane"]
     if name is None:
         if len(planes) != 1:
@@ -205,19 +203,19 @@ def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> SurfaceScen
     return surfaces[name]
 
 
-def frame_on(surface: SurfaceScene, arm: ArmScene) -> Any:
+def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
     """T_base_f (4, 4): the contact frame on the surface, under where the arm starts."""
     from tactile_control.collection_geometry import contact_frame
 
     assert arm.sensor is not None
-    radius = arm.sensor.model.skin.radius
-    return contact_frame(surface.T_base_surface(arm), arm.T_base_start, radius)
+    T_base_surface = scene.T_base_body(arm.name, surface.name)
+    return contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
 
 
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_control.collection_settings import (
+    from tactile_control.collection import (
         CollectionMotionSettings,
         CollectionWatchdogSettings,
         TouchSettings,

@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
+from tactile_base.progress import Progress, duration
 from tactile_base.whole_file import check_folder
 from tactile_base.yaml_file import name_and_value, read_yaml
 from tactile_bringup.commands.changes import (
@@ -19,8 +20,6 @@ from tactile_bringup.commands.changes import (
     positive_int,
     refuse,
 )
-from tactile_bringup.commands.collect_progress import duration
-from tactile_bringup.commands.data_progress import counted
 from tactile_drivers.sampling import VALIDATION_START
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
@@ -114,9 +113,9 @@ def _generate_split(
             settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
             processes=arguments.processes, each=store, variation=sensor.variation,
         )  # fmt: skip
-        text = f"{name}: {len(missing)} of {count} samples"
-        for number, euler in counted(samples, text, len(missing), console):
-            writer.add_row(number, euler)
+        with Progress(console) as progress:
+            for number, euler in progress.counted(samples, name, len(missing), "samples"):
+                writer.add_row(number, euler)
         path, there = writer.finish(), len(writer.done)
     took = duration(time.monotonic() - started)
     console.print(f"{path}: {there} samples, {len(missing)} new in {took}", highlight=False, soft_wrap=True)

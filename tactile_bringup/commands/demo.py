@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tactile_bringup.launching.launcher import Outcome
-    from tactile_records.runs.record import RunRecord
+    from tactile_records.runs.report import Run
 
 TASK = "surface_following"
-BAG, REPORT, MARKER = "bag", "report.json", "metadata.yaml"
+BAG, MARKER = "bag", "metadata.yaml"
 
 
 def register(subparsers: Any) -> None:
@@ -41,15 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from rich.console import Console
 
-    from tactile_bringup.commands.launch import launch
-    from tactile_bringup.graph import GraphOptions
+    from tactile_bringup.commands.launch import graph_options, launch
 
     console, folder = Console(), arguments.out.absolute()
     bag = folder / BAG
     if not _make_room(bag):
         return 2
-    model = arguments.model.absolute() if arguments.model else None
-    options = GraphOptions(arguments.rate, arguments.seed, model, bag, arguments.record_images)
+    options = graph_options(arguments, record=bag, record_images=arguments.record_images)
     outcome = launch(TASK, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2
@@ -70,42 +68,40 @@ def _make_room(bag: Path) -> bool:
 
 def _deliver(bag: Path, folder: Path, outcome: Outcome, console: Console) -> int:
     """Report, pictures and summary of each arm, also of a run that failed as far as it went."""
-    from tactile_records.bags.reader import read_bag
     from tactile_records.bags.writer import BagError
-    from tactile_records.runs.from_bag import arms_of, run_from_bag
+    from tactile_records.runs.from_bag import read_arms
 
     try:
-        recorded = read_bag(bag)
-        records = [run_from_bag(recorded, arm) for arm in arms_of(recorded)] or [run_from_bag(recorded)]
+        run = read_arms(bag)
     except (BagError, ValueError) as error:
         print(f"tactile demo: no report: {error}", file=sys.stderr)
         return outcome.exit_code or 1
-    for record in records:
+    for record in run.values():
         if outcome.exit_code:
             record.result |= {"succeeded": False, "reason": outcome.reason.splitlines()[0]}
-        _write(record, bag, folder / record.arm if len(records) > 1 else folder, console)
-    return outcome.exit_code or (0 if all(record.result["succeeded"] for record in records) else 1)
+    _write(run, bag, folder, console)
+    return outcome.exit_code or (0 if all(record.result["succeeded"] for record in run.values()) else 1)
 
 
-def _write(record: RunRecord, bag: Path, folder: Path, console: Console) -> None:
+def _write(run: Run, bag: Path, folder: Path, console: Console) -> None:
     from rich.table import Table
 
-    from tactile_records.runs.figures import write_figures
-    from tactile_records.runs.metrics import summary_rows, write_report
+    from tactile_records.runs.report import places, summary, write_reports
 
-    folder.mkdir(parents=True, exist_ok=True)
-    values = write_report(record, folder / REPORT)
-    pictures = write_figures(record, folder)
-    table = Table(title=f"{record.task} on {record.scene}, {record.arm}, real ROS nodes, seed {record.seed}")
+    values = write_reports(run, folder)
+    first = next(iter(run.values()))
+    table = Table(title=f"{first.task_file} on {first.scene}, real ROS nodes, seed {first.seed}")
     for name in ("", "measured", "wanted"):
         table.add_column(name, justify="left" if not name else "right")
-    for row in summary_rows(values):
+    for row in summary(run, values):
         table.add_row(*row)
     console.print(table)
-    for problem in ("bag_problem", "surface_problem"):
-        if problem in record.result:
-            console.print(f"note: {record.result[problem]}", style="yellow", highlight=False)
-    for path in (folder / REPORT, *pictures, bag):
+    for record in run.values():
+        for problem in ("bag_problem", "surface_problem"):
+            if problem in record.result:
+                console.print(f"note: {record.result[problem]}", style="yellow", highlight=False)
+    files = [path for place in places(run, folder).values() for path in sorted(place.glob("*.*"))]
+    for path in (*(path for path in files if path.suffix in (".json", ".png")), bag):
         console.print(_short(path), highlight=False, soft_wrap=True)
 
 

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
+from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
 from tactile_bringup.commands.changes import natural_int, positive_int, refuse
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
@@ -78,22 +70,18 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
     from tactile_perception.datasets.dataset import open_folder
     from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import folder_frames, usable_order
-    from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
+    from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
-    folder = open_folder(arguments.source)
+    folder = open_folder(arguments.source, estimator.metadata.preprocessing)
     order = usable_order(folder, arguments.seed, arguments.limit)
     console.print("\n".join(folder.report.lines()), markup=False, highlight=False, soft_wrap=True)
-    if folder.processed and folder.preprocessing != estimator.metadata.preprocessing:
-        console.print(
-            "note: the folder's images were pre-processed with other settings than the model's",
-            style="yellow",
-        )
     frames = folder_frames(folder, order)
     contact_filter = None
     if not arguments.no_filter:
         frames = with_motion_noise(frames, arguments.motion_sigma, arguments.seed)
         contact_filter = motion_filter(arguments.motion_sigma)
-    with _bar(console, "estimating", len(order)) as update:
+    with Progress(console) as progress:
+        update = partial(progress.update, "estimating", total=len(order), unit="images")
         return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
 
 
@@ -110,9 +98,10 @@ def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Cons
         raise SourceError(f"{source}: is neither a data folder, nor a video file, nor the index of a camera")
     poses = read_poses(arguments.poses) if arguments.poses else None
     contact_filter = ContactFilter(load_filter_settings()) if poses and not arguments.no_filter else None
-    frames = video_frames(source, poses, arguments.limit)
-    with _bar(console, "estimating", arguments.limit) as update:
-        return run_estimates(estimator, _until_interrupted(frames), contact_filter, update, arguments.smooth)
+    frames = _until_interrupted(video_frames(source, poses, arguments.limit))
+    with Progress(console) as progress:
+        update = partial(progress.update, "estimating", total=arguments.limit, unit="images")
+        return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
 
 
 def _until_interrupted(frames: Any) -> Any:
@@ -163,18 +152,3 @@ def _print_estimate_summary(console: Console, table: Any) -> None:
     for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
         summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in columns))
     console.print(summary)
-
-
-@contextmanager
-def _bar(console: Console, what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """A progress bar; gives a callable that takes the number of images done."""
-    columns = (
-        TextColumn(what),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda done: progress.update(task, completed=done)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
 from tactile_base.yaml_file import name_and_value
 from tactile_bringup.commands.changes import (
@@ -110,18 +111,17 @@ def _run_network(arguments: argparse.Namespace, console: Console) -> None:
 
 def _run_filter(arguments: argparse.Namespace, console: Console) -> None:
     from tactile_perception.evaluation import filter_experiment
-    from tactile_perception.evaluation.reference import paper_tables
+    from tactile_perception.evaluation.report import paper_tables
 
     experiment = _experiment(arguments)
     data, results, out = _predict(arguments, console)
     tasks = len(list(filter_experiment.states(results)))
     if not tasks:
         raise ValueError("none of the models says how uncertain it is: there is nothing to filter")
-    with _progress(console) as progress:
-        task = progress.add_task("filtering", total=tasks * experiment.runs)
-        found = filter_experiment.run_experiment(
-            data, results, experiment, lambda count: progress.advance(task, count)
-        )
+    with Progress(console) as progress:
+        total = tasks * experiment.runs
+        advance = partial(progress.advance, "filtering", total=total, unit="sequences")
+        found = filter_experiment.run_experiment(data, results, experiment, advance)
     filter_experiment.write_filter_files(out, found)
     if not arguments.no_figures:
         filter_experiment.draw_filter_figure(out, data, results, experiment)
@@ -158,15 +158,13 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
     out = arguments.out or Path("out/evaluate")
     check_folder(out)  # before the images are read
     models = open_models(arguments.model, arguments.threads)
-    with _progress(console) as progress:
-        task = progress.add_task("reading", total=None)
-        data = load_data(arguments.data, models, arguments.limit, _counter(progress, task))
+    with Progress(console) as progress:
+        reading = partial(progress.update, "reading", unit="images")
+        data = load_data(arguments.data, models, arguments.limit, reading)
         held_back = load_data(arguments.calibrate, models) if arguments.calibrate else None
         total = len(models) * (len(data) + (len(held_back) if held_back else 0))
-        task = progress.add_task("predicting", total=total)
-        results = evaluate(
-            data, models, arguments.ensemble, held_back, lambda count: progress.advance(task, count)
-        )
+        advance = partial(progress.advance, "predicting", total=total, unit="images")
+        results = evaluate(data, models, arguments.ensemble, held_back, advance)
     for line in data.report.lines() + [f"note: {note}" for note in data.notes]:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
@@ -175,7 +173,7 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
 
 def _print_tables(console: Console, results: Any, paper: bool) -> None:
     from tactile_perception.evaluation import report
-    from tactile_perception.evaluation.reference import paper_tables
+    from tactile_perception.evaluation.report import paper_tables
 
     console.print(report.accuracy_table(results, paper_tables() if paper else None))
     for name, members in report.groups(results).items():
@@ -190,12 +188,3 @@ def _wide_console() -> Console:
     """Into a file or pipe, tables are not broken to the 80 columns of no terminal."""
     console = Console()
     return console if console.is_terminal else Console(width=160)
-
-
-def _progress(console: Console) -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-
-
-def _counter(progress: Progress, task: Any) -> Any:
-    return lambda done, total: progress.update(task, completed=done, total=total)

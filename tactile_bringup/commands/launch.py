@@ -1,4 +1,4 @@
-"""`tactile launch TASK`: starts the task's graph, runs its paths, and brings all to rest."""
+"""`tactile launch TASK`: starts the task's graph, runs its goals, and brings all to rest."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactile_bringup.commands.changes import add_set_option
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tactile_bringup.graph import GraphOptions
+    from tactile_bringup.graph import Graph, GraphOptions
     from tactile_bringup.launching.launcher import Outcome
-    from tactile_bringup.task_graph import TaskGraph
 
 TASK_HELP = "task: the name of one of config/tasks, or a task file of your own"
-DEFAULT_SCENE = "ramp"
 FOUND = ""  # no file of the object: where it is touched is found by touch
 EXIT_CODES = """exit codes: 0 the task was done; 1 it failed; 2 an option, scene or task file is wrong;
 3 a node ended by itself; 4 nodes were not ready in time; 130 ended by Ctrl-C; 143 ended by SIGTERM"""
@@ -52,12 +52,34 @@ def register(subparsers: Any) -> None:
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """Options that every command which runs the graph has."""
     parser.add_argument(
-        "--scene", default=DEFAULT_SCENE, metavar="NAME", help="scene, or a scene file (default: %(default)s)"
+        "--scene", metavar="NAME", help="scene, or a scene file (default: the first that the task names)"
     )
     parser.add_argument("--rate", type=float, metavar="HZ", help="exposures a second (default: the scene's)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated cell (default: 0)")
     parser.add_argument(
-        "--model", type=Path, metavar="FILE", help="the estimator's model (default: the shipped)"
+        "--model", type=Path, metavar="FILE", help="of all estimators (default: each sensor's in the scene)"
+    )
+    parser.add_argument("--filter", default="", metavar="NAME", help="one of config/filters, or a file")
+    parser.add_argument(
+        "--controller", metavar="NAME", help="one of config/controllers in place of the task's"
+    )
+    add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
+    parser.add_argument("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
+
+
+def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:
+    """What `add_scene_options` has let a user choose."""
+    from tactile_bringup.graph import GraphOptions
+
+    return GraphOptions(
+        rate=arguments.rate,
+        seed=arguments.seed,
+        model=_absolute(arguments.model),
+        filter=arguments.filter,
+        controller=arguments.controller,
+        changes=tuple(arguments.changes),
+        goals=tuple(arguments.goals),
+        **more,
     )
 
 
@@ -65,14 +87,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from rich.console import Console
 
-    from tactile_bringup.graph import GraphOptions
-
     if arguments.record_images and arguments.record is None:
         return _refuse("--record-images needs --record BAG")
-    options = GraphOptions(
-        rate=arguments.rate,
-        seed=arguments.seed,
-        model=_absolute(arguments.model),
+    options = graph_options(
+        arguments,
         record=_absolute(arguments.record),
         record_images=arguments.record_images,
         marker_view=arguments.marker_view,
@@ -90,22 +108,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def launch(
-    task: str, scene: str, options: GraphOptions, folder: Path, console: Console, headless: bool
+    task: str, scene: str | None, options: GraphOptions, folder: Path, console: Console, headless: bool
 ) -> Outcome | None:
     """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong."""
     from tactile_base.settings import SettingError
-    from tactile_bringup.task_graph import load_task_graph
+    from tactile_bringup.graph import load_graph
 
     try:
-        loaded = load_task_graph(task, scene, options)
+        graph = load_graph(task, scene, options)
         _check(options)
     except (SettingError, ValueError, OSError) as error:
         _refuse(str(error))
         return None
-    return launch_graph(loaded, folder, console, headless)
+    return launch_graph(graph, folder, console, headless)
 
 
-def launch_graph(loaded: TaskGraph, folder: Path, console: Console, headless: bool) -> Outcome:
+def launch_graph(graph: Graph, folder: Path, console: Console, headless: bool) -> Outcome:
     """Launch a graph that was loaded before."""
     from rich.markup import escape
 
@@ -113,10 +131,10 @@ def launch_graph(loaded: TaskGraph, folder: Path, console: Console, headless: bo
     from tactile_bringup.launching.progress import Display
     from tactile_bringup.launching.view import write_view
 
-    write_view(loaded.graph, folder)
+    write_view(graph, folder)
     live = console.is_terminal and not headless
     with Display(console, live) as display:
-        outcome = Launcher(loaded.graph, loaded.paths, folder.absolute(), display).run()
+        outcome = Launcher(graph, folder.absolute(), display).run()
     if outcome.exit_code:
         console.print(f"[red]tactile launch: {escape(outcome.reason)}[/]", highlight=False, soft_wrap=True)
     rest = {

@@ -82,7 +82,7 @@ def _markers(arguments: argparse.Namespace) -> list[str]:
 
 
 def _read(path: Path) -> Any:
-    from tactile_perception.datasets.images import read_image
+    from tactile_perception.estimating.image import read_image
 
     if not path.is_file():
         raise OSError(f"{path}: there is no such file")

@@ -255,6 +255,7 @@ def _tell_agreement(
             )
         if found.only_live:
             text = f"what {found.only_live} live beliefs were made from is not in the bag"
+            text += f": {found.after_gap} after them cannot be compared" if found.after_gap else ""
             console.print(f"note: {arm.name}: {text}", style="yellow", highlight=False, soft_wrap=True)
         if result.left_out:
             text = f"{result.left_out} events were not taken, as the live filter did not take them either"

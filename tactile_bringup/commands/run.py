@@ -1,4 +1,4 @@
-"""`tactile run TASK`: runs a task's paths on nodes that are already up, for example by `ros2 launch`."""
+"""`tactile run TASK`: runs a task on nodes that are already up, for example by `ros2 launch`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.commands.launch import DEFAULT_SCENE, EXIT_CODES, TASK_HELP
+from tactile_bringup.commands.launch import EXIT_CODES, TASK_HELP
 
 if TYPE_CHECKING:
+    from tactile_bringup.graph import Graph
     from tactile_bringup.launching.progress import Display
-    from tactile_bringup.task_graph import TaskGraph
 
 
 def register(subparsers: Any) -> None:
@@ -20,7 +20,8 @@ def register(subparsers: Any) -> None:
         "run", help="run a task on nodes that are up already", description=__doc__, epilog=EXIT_CODES
     )
     parser.add_argument("task", help=TASK_HELP)
-    parser.add_argument("--scene", default=DEFAULT_SCENE, metavar="NAME", help="(default: %(default)s)")
+    parser.add_argument("--scene", metavar="NAME", help="(default: the first that the task names)")
+    parser.add_argument("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
     parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
     parser.set_defaults(run=run)
 
@@ -30,45 +31,42 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from tactile_base.settings import SettingError
-    from tactile_bringup.graph import GraphOptions
+    from tactile_bringup.graph import GraphOptions, load_graph
     from tactile_bringup.launching.launcher import EXIT_USAGE
     from tactile_bringup.launching.progress import Display
-    from tactile_bringup.task_graph import load_task_graph
 
     try:
-        loaded = load_task_graph(arguments.task, arguments.scene, GraphOptions())
+        graph = load_graph(arguments.task, arguments.scene, GraphOptions(goals=tuple(arguments.goals)))
     except (SettingError, ValueError, OSError) as error:
         print(f"tactile run: {error}", file=sys.stderr)
         return EXIT_USAGE
     console = Console()
     with Display(console, console.is_terminal and not arguments.headless) as display:
-        return _run(loaded, display)
+        return _run(graph, display)
 
 
-def _run(loaded: TaskGraph, display: Display) -> int:
+def _run(graph: Graph, display: Display) -> int:
     from tactile_bringup.launching import launcher
     from tactile_bringup.launching.task_client import TaskClient
     from tactile_bringup.launching.task_runner import (
+        GoalFailed,
         Interrupted,
         NotReady,
-        PathFailed,
         TaskRunner,
         signals_into,
     )
 
-    graph, signals = loaded.graph, list[int]()
+    signals = list[int]()
     with signals_into(signals):
         client = TaskClient(int(os.environ.get("ROS_DOMAIN_ID") or 0))
-        runner = TaskRunner(
-            client, graph.task, [n.full_name for n in graph.nodes], graph.arms, display, signals
-        )
+        runner = TaskRunner(client, [n.full_name for n in graph.nodes], graph.plans, display, signals)
         try:
             runner.wait_until_active()
-            runner.run(loaded.paths)
+            runner.run()
         except NotReady as late:
             display.say(f"tactile run: {late}; nodes started elsewhere need the same ROS_DOMAIN_ID", "red")
             return launcher.EXIT_NOT_READY
-        except PathFailed as failure:
+        except GoalFailed as failure:
             display.say(f"tactile run: {failure}", "red")
             return launcher.EXIT_TASK_FAILED
         except Interrupted as interrupt:

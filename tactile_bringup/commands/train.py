@@ -15,8 +15,8 @@ from rich.table import Table
 from tactile_base.whole_file import check_file
 from tactile_bringup.commands.changes import add_set_option, needs_extra, positive_int, refuse
 from tactile_bringup.commands.quantize import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
-from tactile_perception.training.profiles import profile
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS, errors_in_words
+from tactile_perception.training.config import profile
 
 
 def register(subparsers: Any) -> None:
@@ -106,7 +106,7 @@ def _config(arguments: argparse.Namespace) -> Any:
 
 
 def _train_one(arguments: argparse.Namespace) -> int:
-    from tactile_perception.training.console import TrainingProgress
+    from tactile_perception.training.progress import TrainingDisplay
     from tactile_perception.training.train import train
 
     if arguments.scheduler or arguments.processes != 1:
@@ -115,7 +115,7 @@ def _train_one(arguments: argparse.Namespace) -> int:
     if arguments.install:
         check_file(arguments.install)
     if not _only_quantization_left(arguments, config):
-        with TrainingProgress() as progress:
+        with TrainingDisplay() as progress:
             train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
     _print_result(Console(), arguments.out)
     model = arguments.out / MODEL_NAME
@@ -172,7 +172,7 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
         console.print(f"{len(runs) - len(waiting)} of {len(runs)} runs are already there", highlight=False)
     errors: list[str] = []
 
-    def tell(job: jobs.Job, error: str) -> None:
+    def report(job: jobs.Job, error: str) -> None:
         errors.extend([error] if error else [])
         console.print(
             f"{job.name}: {error}" if error else _line(job.name, job.folder.result()),
@@ -183,12 +183,12 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
         )
 
     if arguments.scheduler:
-        jobs.run_cluster(waiting, arguments.scheduler, tell)
+        jobs.run_cluster(waiting, arguments.scheduler, report)
     elif arguments.processes > 1:
-        jobs.run_processes(waiting, arguments.processes, tell)
+        jobs.run_processes(waiting, arguments.processes, report)
     else:
         for job in waiting:
-            tell(job, _train_in_sight(job, console))
+            report(job, _train_here(job, console))
     _print_repeat(Console(), arguments.out, runs)
     if _quantized(arguments):
         for job in runs:
@@ -197,14 +197,14 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
     return 1 if errors else 0
 
 
-def _train_in_sight(job: Any, console: Console) -> str:
+def _train_here(job: Any, console: Console) -> str:
     """One of many runs, in this process and with its progress; returns why it came to nothing, or ""."""
-    from tactile_perception.training.console import TrainingProgress
+    from tactile_perception.training.progress import TrainingDisplay
     from tactile_perception.training.train import train
 
     console.print(f"{job.name}", highlight=False)
     try:
-        with TrainingProgress() as progress:
+        with TrainingDisplay() as progress:
             train(job.data, job.out, job.config, job.validation, job.limit, progress)
     except FloatingPointError as error:  # of this seed; another may do
         return str(error)
@@ -212,7 +212,7 @@ def _train_in_sight(job: Any, console: Console) -> str:
 
 
 def _line(name: str, result: dict[str, Any]) -> str:
-    mae = " ".join(f"{result['mae'][component]:.4f}" for component in COMPONENTS)
+    mae = errors_in_words([result["mae"][component] for component in COMPONENTS])
     return f"{name}: {result['loss']} {result['validation_loss']:.3f}  MAE {mae}  {result['minutes']:.1f} min"
 
 

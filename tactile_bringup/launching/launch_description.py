@@ -19,19 +19,22 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 
 from launch import LaunchContext, LaunchDescription
-from tactile_bringup.graph import Graph, GraphOptions, NodeProcess
+from tactile_bringup.graph import Graph, GraphOptions, NodeProcess, load_graph
 from tactile_bringup.launching.processes import describe_exit
 from tactile_bringup.launching.view import write_view
-from tactile_bringup.task_graph import load_task_graph
 
 PACKAGE = "tactile_servoing"
 FLAGS = ("true", "false")
 ARGUMENTS = {
-    "scene": ("ramp", "scene of config/scenes, or the path of a scene file"),
+    "scene": ("", "scene of config/scenes, or the path of a file; empty: the first that the task names"),
     "task_file": ("", "a task file of your own in place of the packaged one"),
     "rate": ("0", "exposures a second; 0: as the scene says"),
     "seed": ("0", "seed of the simulated cell"),
-    "model": ("", "the estimator's model; empty: the one that is shipped"),
+    "model": ("", "model of all estimators; empty: each sensor's in the scene"),
+    "filter": ("", "one of config/filters, or the path of a file; empty: config/filter.yaml"),
+    "controller": ("", "one of config/controllers in place of the task's"),
+    "set": ("", "settings on top of the files, ROLE.GROUP.NAME=VALUE, several divided by blanks"),
+    "goals": ("", "names of the goals to run, divided by blanks; empty: all"),
     "record": ("", "folder of a new bag to record; empty: none"),
     "record_images": ("false", "whether images are recorded as well (true, false)"),
     "marker_view": ("false", "whether to publish a picture of the markers for RViz (true, false)"),
@@ -41,7 +44,7 @@ ARGUMENTS = {
         "or what says where they touch it: one of config/objects, or the path of a file",
     ),
     "headless": ("false", "whether to do without RViz (true, false)"),
-    "run": ("true", "whether to run the task's paths once all nodes are active, then end (true, false)"),
+    "run": ("true", "whether to run the task's goals once all nodes are active, then end (true, false)"),
 }
 
 
@@ -57,12 +60,12 @@ def describe(task: str) -> LaunchDescription:
 def _actions(task: str, context: LaunchContext) -> list[Any]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     task = given["task_file"] or task
-    graph = load_task_graph(task, given["scene"], _options(given)).graph
+    graph = load_graph(task, given["scene"] or None, _options(given))
     actions = [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
     if not _flag(given, "headless"):
         actions += _viewer(graph, Path(launch_config.log_dir))
     if _flag(given, "run"):
-        actions.append(_runner(task, given["scene"]))
+        actions.append(_runner(task, graph.scene_file, given["goals"].split()))
     return actions
 
 
@@ -72,6 +75,10 @@ def _options(given: dict[str, str]) -> GraphOptions:
         rate=float(given["rate"]) or None,
         seed=int(given["seed"]),
         model=Path(given["model"]).absolute() if given["model"] else None,
+        filter=given["filter"],
+        controller=given["controller"] or None,
+        changes=tuple(given["set"].split()),
+        goals=tuple(given["goals"].split()),
         record=Path(given["record"]).absolute() if given["record"] else None,
         record_images=_flag(given, "record_images"),
         marker_view=_flag(given, "marker_view"),
@@ -102,8 +109,9 @@ def _node(node: NodeProcess, folder: Path) -> LifecycleNode:
     )
 
 
-def _runner(task: str, scene: str) -> ExecuteProcess:
-    command = [sys.executable, "-m", "tactile_bringup.cli", "run", task, "--scene", scene, "--headless"]
+def _runner(task: str, scene: Path, goals: list[str]) -> ExecuteProcess:
+    command = [sys.executable, "-m", "tactile_bringup.cli", "run", task, "--scene", str(scene), "--headless"]
+    command += ["--goals", *goals] if goals else []
     return ExecuteProcess(cmd=command, output="screen", name="task", on_exit=_shut_down("the task"))
 
 

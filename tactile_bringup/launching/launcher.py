@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,11 +19,10 @@ from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import RosEnvironment, ros_environment
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup
 from tactile_bringup.launching.progress import Display
-from tactile_bringup.launching.task_runner import Interrupted, NotReady, PathFailed, TaskRunner, signals_into
-from tactile_control.task import PathGoal
+from tactile_bringup.launching.task_runner import GoalFailed, Interrupted, NotReady, TaskRunner, signals_into
 
 if TYPE_CHECKING:
-    from tactile_bringup.launching.task_client import PathResult
+    from tactile_bringup.launching.task_client import GoalResult
 
 EXIT_OK, EXIT_TASK_FAILED, EXIT_USAGE, EXIT_NODE_DIED, EXIT_NOT_READY = 0, 1, 2, 3, 4
 EXIT_SIGNAL = 128  # plus the signal's number
@@ -40,7 +38,7 @@ class Outcome:
         0 done, 1 task failed, 3 a node died, 4 not ready in time, 128 + n ended by signal n.
     reason : str
         In words; empty when all went well.
-    paths : list of PathResult
+    goals : list of GoalResult
         Those that ended.
     logs : Path
         Folder with one log a node.
@@ -53,7 +51,7 @@ class Outcome:
     exit_code: int
     reason: str
     logs: Path
-    paths: list[PathResult] = field(default_factory=list)
+    goals: list[GoalResult] = field(default_factory=list)
     at_rest: bool | None = None
     escalated: list[str] = field(default_factory=list)
 
@@ -64,17 +62,15 @@ class Launcher:
     Parameters
     ----------
     graph : Graph
-        What to start.
-    paths : sequence of PathGoal
-        Run one after the other, on every arm of the graph at the same time.
+        What to start, and what its arms do.
     folder : Path
         For logs and parameter files.
     display : Display
         Shows progress.
     """
 
-    def __init__(self, graph: Graph, paths: Sequence[PathGoal], folder: Path, display: Display) -> None:
-        self.graph, self.paths, self.display = graph, paths, display
+    def __init__(self, graph: Graph, folder: Path, display: Display) -> None:
+        self.graph, self.display = graph, display
         self.logs = folder / "logs"
         self._parameters = folder / "parameters"
         self._environment = ros_environment(self.logs / "ros")
@@ -82,7 +78,7 @@ class Launcher:
         self._runner: TaskRunner | None = None
 
     def run(self) -> Outcome:
-        """Start, run the paths, stop. Never raises for what happens to nodes or task."""
+        """Start, run the goals, stop. Never raises for what happens to nodes or task."""
         outcome = Outcome(EXIT_OK, "", self.logs)
         shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
         started_ns = time.time_ns()
@@ -93,7 +89,7 @@ class Launcher:
                 outcome.exit_code, outcome.reason = EXIT_NODE_DIED, f"node {death}"
             except NotReady as late:
                 outcome.exit_code, outcome.reason = EXIT_NOT_READY, f"{late}; logs: {self.logs}"
-            except PathFailed as failure:
+            except GoalFailed as failure:
                 outcome.exit_code, outcome.reason = EXIT_TASK_FAILED, str(failure)
             except Interrupted as interrupt:
                 outcome.exit_code, outcome.reason = EXIT_SIGNAL + interrupt.number, str(interrupt)
@@ -120,11 +116,9 @@ class Launcher:
 
         names = [node.full_name for node in self.graph.nodes]
         client = TaskClient(environment.domain_id)
-        self._runner = TaskRunner(
-            client, self.graph.task, names, self.graph.arms, self.display, self._signals, group.check
-        )
+        self._runner = TaskRunner(client, names, self.graph.plans, self.display, self._signals, group.check)
         self._runner.wait_until_active()
-        self._runner.run(self.paths)
+        self._runner.run()
 
     def _start_node(self, group: ProcessGroup, node: NodeProcess) -> None:
         self._parameters.mkdir(parents=True, exist_ok=True)
@@ -137,7 +131,7 @@ class Launcher:
         """Task, arm, nodes, recorder: in this order."""
         if self._runner is not None:
             outcome.at_rest = self._runner.bring_to_rest()
-            outcome.paths = self._runner.results
+            outcome.goals = self._runner.results
             self._runner.client.close()
         nodes = [name for name in group.children if name != f"/{RECORDER}"]
         urgent = len(self._signals) > 2

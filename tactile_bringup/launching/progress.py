@@ -51,23 +51,23 @@ class Display:
         """A line that stays."""
         self._console.print(Text(text, style or ""), soft_wrap=True)
 
-    def update(self, path: str, arms: Mapping[str, Progress]) -> None:
-        """Show where each arm is on its path."""
+    def update(self, arms: Mapping[str, tuple[str, Progress]]) -> None:
+        """Show how far each arm is with its goal, which is given by a label."""
         now = time.monotonic()
         if self._live is not None and now - self._drawn_s >= 1.0 / REFRESH_RATE:
             self._drawn_s = now
-            self._live.update(_panel(path, arms))
+            self._live.update(_panel(arms))
         elif self._live is None:
-            for arm, progress in arms.items():
-                self._line(now, path, arm, progress)
+            for arm, (label, progress) in arms.items():
+                self._line(now, label, arm, progress)
 
-    def _line(self, now: float, path: str, arm: str, progress: Progress) -> None:
+    def _line(self, now: float, label: str, arm: str, progress: Progress) -> None:
         phase, shown_s = self._shown.get(arm, ("", -math.inf))
         if not progress.phase or (progress.phase == phase and now - shown_s < LINE_PERIOD):
             return
         self._shown[arm] = (progress.phase, now)
         values = "  ".join(f"{name} {value}" for name, value in figures(progress).items())
-        self.say(f"  {path}  {arm}  {progress.phase:<12}{100 * progress.fraction:4.0f} %  {values}")
+        self.say(f"  {label}  {arm}  {progress.phase:<12}{100 * progress.fraction:4.0f} %  {values}")
 
 
 def figures(progress: Progress) -> dict[str, str]:
@@ -80,11 +80,11 @@ def figures(progress: Progress) -> dict[str, str]:
     }
 
 
-def _panel(path: str, arms: Mapping[str, Progress]) -> Group:
+def _panel(arms: Mapping[str, tuple[str, Progress]]) -> Group:
     rows: list[RenderableType] = []
-    for arm, progress in arms.items():
+    for arm, (label, progress) in arms.items():
         bar = Table.grid(padding=(0, 2))
-        bar.add_row(Text(f"{path}  {arm}", "bold"), Text(progress.phase or "waiting", "cyan"))
+        bar.add_row(Text(f"{label}  {arm}", "bold"), Text(progress.phase or "waiting", "cyan"))
         bar.add_row(
             ProgressBar(total=1.0, completed=progress.fraction, width=40), f"{progress.fraction:4.0%}"
         )

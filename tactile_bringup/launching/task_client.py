@@ -1,4 +1,4 @@
-"""The launcher's part of the ROS graph: waits for nodes, runs paths by RunTask, hears what the arm does."""
+"""The launcher's part of the ROS graph: waits for nodes, sends goals of RunTask, hears what the arms do."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from tactile_control.task import PathGoal
+from tactile_base import topics
+from tactile_control.task_file import NamedGoal
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
-from tactile_ros.conversions import pose_from_matrix
 from tactile_ros.dds_profile import use_dds_profile
 from tactile_ros.managed_node import make_executor
 from tactile_ros.qos import LATENCY, STATE
+from tactile_ros.task_messages import goal_message
 
 CONTROLLER_STAGE = "controller"
 ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
@@ -37,7 +38,7 @@ class Progress:
     Attributes
     ----------
     fraction, travelled
-        Part of the path done, 0 to 1, and its length so far (m).
+        Part of the goal done, 0 to 1, and the way so far (m).
     depth, normal_error
         As believed (m, rad); NaN without a belief.
     latency
@@ -58,8 +59,8 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class PathResult:
-    """How one path ended."""
+class GoalResult:
+    """How one goal ended."""
 
     name: str
     success: bool
@@ -151,17 +152,17 @@ class TaskClient:
 
 
 class ArmTask:
-    """Runs paths on one arm, one at a time, and keeps its `progress`."""
+    """Runs goals on one arm, one at a time, and keeps its `progress`."""
 
     def __init__(self, node: Node, arm: str) -> None:
         self.arm = arm
         self.progress = Progress()
-        self._client: Any = ActionClient(node, RunTask, f"/{arm}/run_task")
+        self._client: Any = ActionClient(node, RunTask, f"/{arm}/{topics.RUN_TASK}")
         self._goal: _Goal | None = None
         self._heard_s = self._moved_s = -math.inf
         self._regular_s = math.inf
-        node.create_subscription(ArmStatus, f"/{arm}/arm/status", self._on_arm, STATE)
-        node.create_subscription(StageLatency, f"/{arm}/latency", self._on_latency, LATENCY)
+        node.create_subscription(ArmStatus, topics.ARM_STATUS.of(arm).name, self._on_arm, STATE)
+        node.create_subscription(StageLatency, topics.LATENCY.of(arm).name, self._on_latency, LATENCY)
 
     def close(self) -> None:
         """Let go of the action, which would otherwise keep the whole node alive."""
@@ -193,19 +194,19 @@ class ArmTask:
         """Whether nothing has been heard of the arm for `SILENCE`."""
         return time.monotonic() - self._heard_s > SILENCE
 
-    def send(self, goal: PathGoal, task: str) -> None:
-        """Send one path."""
+    def send(self, goal: NamedGoal, task: str) -> None:
+        """Send one goal."""
         self.progress = Progress(arm_mode=self.progress.arm_mode, arm_reason=self.progress.arm_reason)
         self._goal = _Goal(goal.name)
-        self._goal.sent = self._client.send_goal_async(_goal_message(goal, task), self._on_feedback)
+        self._goal.sent = self._client.send_goal_async(goal_message(task, goal), self._on_feedback)
 
     def cancel(self) -> None:
-        """Ask the controller to end the path under way: it stops, and leaves the surface."""
+        """Ask the controller to end the goal under way: it stops, and leaves the surface."""
         if self._goal is not None and self._goal.handle is not None:
             self._goal.handle.cancel_goal_async()
 
-    def result(self) -> PathResult | None:
-        """The result of the path under way, once; None until there is one."""
+    def result(self) -> GoalResult | None:
+        """The result of the goal under way, once; None until there is one."""
         goal = self._goal
         if goal is None:
             return None
@@ -213,18 +214,18 @@ class ArmTask:
             goal.handle = goal.sent.result()
             if not goal.handle.accepted:
                 self._goal = None
-                return PathResult(goal.name, False, "the controller refused the goal (see its log)", 0.0, 0.0)
+                return GoalResult(goal.name, False, "the controller refused the goal (see its log)", 0.0, 0.0)
             goal.result = goal.handle.get_result_async()
         if goal.result is None or not goal.result.done():
             return None
         self._goal = None
         answer = goal.result.result().result
         seconds = answer.duration.sec + 1e-9 * answer.duration.nanosec
-        return PathResult(goal.name, answer.success, answer.reason, answer.path_length, seconds)
+        return GoalResult(goal.name, answer.success, answer.reason, answer.path_length, seconds)
 
     def _on_feedback(self, message: Any) -> None:
         feedback, progress = message.feedback, self.progress
-        progress.phase, progress.reason = feedback.phase_name, feedback.reason
+        progress.phase, progress.reason = feedback.phase, feedback.reason
         progress.fraction, progress.travelled = feedback.progress, feedback.path_length
         progress.depth, progress.normal_error = feedback.depth, feedback.normal_error
 
@@ -241,13 +242,3 @@ class ArmTask:
         if message.stage == CONTROLLER_STAGE:
             exposure, emitted = message.exposed[-1], message.emitted[-1]
             self.progress.latency = emitted.sec - exposure.sec + 1e-9 * (emitted.nanosec - exposure.nanosec)
-
-
-def _goal_message(goal: PathGoal, task: str) -> RunTask.Goal:
-    message = RunTask.Goal(task=task, path_name=goal.name, path_length=goal.length)
-    message.direction = [math.cos(goal.direction), math.sin(goal.direction)]
-    if goal.start is not None:
-        message.start = [pose_from_matrix(goal.start)]
-    if goal.target is not None:
-        message.target, message.target_radius = [float(v) for v in goal.target], goal.target_radius
-    return message

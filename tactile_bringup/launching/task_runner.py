@@ -1,4 +1,4 @@
-"""Runs a task's paths on nodes: waits until they are active, sends goals, brings the arms to rest."""
+"""Runs a task on nodes: waits until they are active, sends goals, brings the arms to rest."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from tactile_base.topics import RUN_TASK
 from tactile_bringup.launching.progress import Display
-from tactile_control.task import PathGoal
+from tactile_bringup.run_sequence import ArmPlan, RunSequence
 
 if TYPE_CHECKING:
-    from tactile_bringup.launching.task_client import ArmTask, PathResult, TaskClient
+    from tactile_bringup.launching.task_client import ArmTask, GoalResult, TaskClient
 
 READY_TIMEOUT = 45.0  # s until all nodes are active
 REST_TIMEOUT = 6.0  # s for a cancelled task to bring the arm to rest
-REGULAR = 0.5  # s of regular reports before the first path starts
+REGULAR = 0.5  # s of regular reports before the first goal starts
 SETTLE_TIMEOUT = 5.0  # s after which it starts all the same
 LISTEN = 1.0  # s after which an arm that is not heard of counts as one whose driver has ended
-SETTLED = 0.5  # s of rest that count as the end of a path whose result does not come
+SETTLED = 0.5  # s of rest that count as the end of a goal whose result does not come
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
 
 
@@ -37,8 +38,8 @@ class Interrupted(RuntimeError):
         super().__init__(f"stopped by {signal.Signals(number).name}")
 
 
-class PathFailed(RuntimeError):
-    """A path that did not reach its end."""
+class GoalFailed(RuntimeError):
+    """A goal that was not reached."""
 
 
 @dataclass
@@ -49,24 +50,28 @@ class TaskRunner:
     ----------
     nodes : sequence of str
         Full names of the managed nodes that have to be active.
-    arms : sequence of str
-        Arms that run the paths, all at the same time.
+    plans : sequence of ArmPlan
+        What each arm does.
     signals : list of int
         Signals received so far (see `signals_into`).
     check : callable
         Called often; raises to end the run.
-    results : list of PathResult
-        Of the paths that have ended.
+    results : list of GoalResult
+        Of the goals that have ended.
     """
 
     client: TaskClient
-    task: str
     nodes: Sequence[str]
-    arms: Sequence[str]
+    plans: Sequence[ArmPlan]
     display: Display
     signals: list[int]
     check: Callable[[], None] = lambda: None
-    results: list[PathResult] = field(default_factory=list)
+    results: list[GoalResult] = field(default_factory=list)
+
+    @property
+    def arms(self) -> list[str]:
+        """The arms that do something."""
+        return [plan.arm for plan in self.plans]
 
     def wait_until_active(self, timeout_s: float | None = None) -> None:
         """Until all nodes are active and take goals; raises `NotReady` with the state of the others."""
@@ -91,19 +96,42 @@ class TaskRunner:
             "the arms do not report regularly: is the machine busy with something else?", "yellow"
         )
 
-    def run(self, paths: Sequence[PathGoal]) -> None:
-        """Run the paths one after the other; raises `PathFailed` at the first that does not reach its end."""
-        for number, path in enumerate(paths, 1):
-            label = f"[{number}/{len(paths)}] {path.name}"
-            results = self._run_path(path, label)
-            self.results += results
-            for result in results:
-                verdict = "done" if result.success else f"failed: {result.reason}"
-                length = f"{1e3 * result.length:.0f} mm in {result.duration_s:.1f} s"
-                self.display.say(f"{label}: {verdict} ({length})", "green" if result.success else "red")
-            for result in results:
-                if not result.success:
-                    raise PathFailed(f"path {path.name}: {result.reason}")
+    def run(self) -> None:
+        """Run all goals as `RunSequence` has it; raises `GoalFailed` if one is not reached."""
+        sequence = RunSequence(self.plans)
+        goals: dict[str, int] = {}
+        while not sequence.finished:
+            for plan, number in sequence.start():
+                goals[plan.arm] = number
+                self.client.arm(plan.arm).send(plan.goals[number], plan.role.task)
+            for arm in sequence.finish():
+                self.client.arm(arm).cancel()
+            self._turn()
+            self._follow(sequence, goals)
+        if sequence.failure:
+            raise GoalFailed(sequence.failure)
+
+    def _follow(self, sequence: RunSequence, goals: dict[str, int]) -> None:
+        """Take in what the arms have reported, and show it."""
+        running = {
+            plan.arm: (_label(plan, goals[plan.arm]), self.client.arm(plan.arm))
+            for plan in self.plans
+            if sequence.running(plan.arm)
+        }
+        self.display.update({arm: (label, task.progress) for arm, (label, task) in running.items()})
+        for arm, (label, task) in running.items():
+            sequence.phase(arm, task.progress.phase)
+            result = task.result()
+            if result is not None:
+                well = sequence.result(arm, result.success, result.reason)
+                self._conclude(label, arm, result, well)
+
+    def _conclude(self, label: str, arm: str, result: GoalResult, well: bool) -> None:
+        self.results.append(result)
+        verdict = "done" if well else f"failed: {result.reason}"
+        length = f"{1e3 * result.length:.0f} mm in {result.duration_s:.1f} s"
+        name = f"{arm}: {label}" if len(self.plans) > 1 else label
+        self.display.say(f"{name}: {verdict} ({length})", "green" if well else "red")
 
     def bring_to_rest(self) -> bool | None:
         """Cancel what runs and wait until every arm rests, a further signal comes, or `REST_TIMEOUT`.
@@ -129,22 +157,8 @@ class TaskRunner:
 
     def _waiting(self) -> dict[str, str]:
         inactive = self.client.inactive(list(self.nodes), time.monotonic())
-        deaf = {f"/{a}/run_task": "no action server" for a in self.arms if not self.client.arm(a).ready}
+        deaf = {f"/{a}/{RUN_TASK}": "no action server" for a in self.arms if not self.client.arm(a).ready}
         return inactive | deaf
-
-    def _run_path(self, path: PathGoal, label: str) -> list[PathResult]:
-        tasks = {arm: self.client.arm(arm) for arm in self.arms}
-        for task in tasks.values():
-            task.send(path, self.task)
-        results: dict[str, PathResult] = {}
-        while len(results) < len(tasks):
-            self._turn()
-            self.display.update(label, {arm: task.progress for arm, task in tasks.items()})
-            for arm, task in tasks.items():
-                result = task.result()
-                if result is not None:
-                    results[arm] = result
-        return list(results.values())
 
     def _turn(self) -> None:
         """Handle messages, then look at signals and processes."""
@@ -154,10 +168,14 @@ class TaskRunner:
         self.check()
 
 
-def _settled(task: ArmTask) -> bool:
-    """Whether the arm rests and its path has ended.
+def _label(plan: ArmPlan, number: int) -> str:
+    return f"[{number + 1}/{len(plan.goals)}] {plan.goals[number].name}"
 
-    Where a controller has died its path never ends; the arm then only has to stay at rest for a while.
+
+def _settled(task: ArmTask) -> bool:
+    """Whether the arm rests and its goal has ended.
+
+    Where a controller has died its goal never ends; the arm then only has to stay at rest for a while.
     """
     ended = not task.running or task.result() is not None
     return task.rests_for() > (0.0 if ended else SETTLED)

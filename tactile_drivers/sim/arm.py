@@ -1,94 +1,27 @@
-"""SimArm: a robot arm that moves its sensor by velocity commands, within limits up to the jerk.
+"""SimArm: a robot arm that moves its controlled frame by velocity commands, within limits up to the jerk.
 
 It stands for an arm with a velocity interface such as libfranka's: Ruckig turns each commanded twist into
 the fastest motion that keeps the limits, the pose is the integral of the twist that results, and a watchdog
 brings the arm to rest when commands stop coming::
 
-    arm = SimArm(ArmSettings(), T_base_sensor, stamp_ns=0)
-    arm.command(stamp_ns, twist)             # [v (m/s), omega (rad/s)] of the sensor, in the sensor frame
-    T_base_sensor = arm.advance(0.01)        # seconds; arm.status says what the arm does and why
+    arm = SimArm(ArmLimits(), T_base_start, stamp_ns=0)
+    arm.command(stamp_ns, twist)             # [v (m/s), omega (rad/s)] of the controlled frame, in that frame
+    T_base_controlled = arm.advance(0.01)    # seconds; arm.state says what the arm does and why
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 import ruckig
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
+from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, CommandGate
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-NS = 1_000_000_000
 _SAME_TWIST = 1e-9  # m/s and rad/s: below this, a twist is as commanded
-
-
-class ArmMode(IntEnum):
-    """What the arm does; the values are those of tactile_msgs/ArmStatus."""
-
-    RESTING = 0
-    MOVING = 1
-    STOPPING = 2
-    FAULT = 3
-
-
-@dataclass(frozen=True)
-class ArmSettings(Settings):
-    """Limits of commands by their norms, and of velocity, acceleration and jerk on each axis of {s}.
-
-    While one command gives way to another the speed can pass its limit as a norm, but not on any axis.
-    """
-
-    linear_velocity: float = setting(0.1, unit="m/s", lower=1e-4, upper=5.0, doc="largest speed")
-    angular_velocity: float = setting(1.0, unit="rad/s", lower=1e-3, upper=10.0, doc="largest angular speed")
-    linear_acceleration: float = setting(
-        1.0, unit="m/s^2", lower=1e-3, upper=50.0, doc="largest acceleration along each axis"
-    )
-    angular_acceleration: float = setting(
-        10.0, unit="rad/s^2", lower=1e-2, upper=500.0, doc="largest angular acceleration about each axis"
-    )
-    linear_jerk: float = setting(
-        50.0, unit="m/s^3", lower=1e-2, upper=1e4, doc="largest jerk along each axis"
-    )
-    angular_jerk: float = setting(
-        500.0, unit="rad/s^3", lower=1e-1, upper=1e5, doc="largest angular jerk about each axis"
-    )
-    command_timeout: float = setting(
-        0.1, unit="s", lower=0.001, upper=10.0, doc="age of the last command at which the arm stops by itself"
-    )
-
-
-@dataclass(frozen=True)
-class ArmStatus:
-    """State of the arm at a stamp.
-
-    Attributes
-    ----------
-    command_age : float
-        Seconds since the stamp of the last accepted command; -1 before the first.
-    limited : bool
-        True while limits hold back the command.
-    twist : ndarray (6,)
-        Twist [v (m/s), omega (rad/s)] of the sensor, in the sensor frame.
-    refused, clipped : int
-        Commands that were not followed, and commands shortened to the velocity limit, since the start.
-    last_refusal : str
-        Why the last refused command was refused; empty if none was.
-    """
-
-    stamp_ns: int
-    mode: ArmMode
-    reason: str
-    command_age: float
-    limited: bool
-    twist: Array
-    refused: int
-    clipped: int
-    last_refusal: str
 
 
 class SimArm:
@@ -96,31 +29,28 @@ class SimArm:
 
     Parameters
     ----------
-    settings : ArmSettings
-    T_base_sensor : ndarray (4, 4)
-        Where the sensor starts, at rest.
+    limits : ArmLimits
+    T_base_controlled : ndarray (4, 4)
+        Where the controlled frame starts, at rest.
     stamp_ns : int
         Time at the start, ns.
     """
 
     def __init__(
-        self, settings: ArmSettings | None = None, T_base_sensor: Array | None = None, stamp_ns: int = 0
+        self, limits: ArmLimits | None = None, T_base_controlled: Array | None = None, stamp_ns: int = 0
     ) -> None:
-        self.settings = settings or ArmSettings()
+        self.limits = limits or ArmLimits()
         self._stamp_ns = int(stamp_ns)
-        self._pose = np.eye(4) if T_base_sensor is None else np.array(T_base_sensor, dtype=np.float64)
+        self._pose = np.eye(4) if T_base_controlled is None else np.array(T_base_controlled, dtype=np.float64)
         self._twist = np.zeros(6)
         self._acceleration = np.zeros(6)
         self._target = np.zeros(6)
-        self._clipped_now = False
-        self._command_ns: int | None = None
+        self._gate = CommandGate(self.limits)
         self._mode = ArmMode.RESTING
         self._reason = "no command yet"
-        self._refused = self._clipped = 0
-        self._last_refusal = ""
         self._generator = ruckig.Ruckig(6)
         self._trajectory = ruckig.Trajectory(6)
-        self._input = _ruckig_input(self.settings)
+        self._input = _ruckig_input(self.limits)
 
     @property
     def stamp_ns(self) -> int:
@@ -128,13 +58,13 @@ class SimArm:
         return self._stamp_ns
 
     @property
-    def T_base_sensor(self) -> Array:
-        """Pose (4, 4) of the sensor in the arm's base."""
+    def T_base_controlled(self) -> Array:
+        """Pose (4, 4) of the controlled frame in the arm's base."""
         return self._pose.copy()
 
     @property
     def twist(self) -> Array:
-        """Twist (6,) of the sensor, in the sensor frame."""
+        """Twist (6,) of the controlled frame, in that frame."""
         return self._twist.copy()
 
     @property
@@ -144,41 +74,50 @@ class SimArm:
 
     @property
     def target(self) -> Array:
-        """Twist (6,) that the arm moves towards, in the sensor frame; zero in a stop."""
+        """Twist (6,) that the arm moves towards, in the controlled frame; zero in a stop."""
         return self._target.copy()
 
     @property
-    def status(self) -> ArmStatus:
-        """What the arm does, and why."""
-        return ArmStatus(
+    def state(self) -> ArmState:
+        """Where the arm is, what it does, and why."""
+        gate = self._gate
+        return ArmState(
             stamp_ns=self._stamp_ns,
+            T_base_controlled=self.T_base_controlled,
+            twist=self.twist,
             mode=self._mode,
             reason=self._reason,
-            command_age=self._command_age() if self._command_ns is not None else -1.0,
-            limited=self._clipped_now or bool(np.abs(self._target - self._twist).max() > _SAME_TWIST),
-            twist=self.twist,
-            refused=self._refused,
-            clipped=self._clipped,
-            last_refusal=self._last_refusal,
+            command_age=gate.age(self._stamp_ns),
+            limited=gate.clipped_now or bool(np.abs(self._target - self._twist).max() > _SAME_TWIST),
+            refused=gate.refused,
+            clipped=gate.clipped,
+            last_refusal=gate.last_refusal,
         )
 
     def command(self, stamp_ns: int, twist: ArrayLike) -> bool:
-        """Ask for a twist [v (m/s), omega (rad/s)] of the sensor, in the sensor frame, emitted at `stamp_ns`.
+        """Ask for a twist [v (m/s), omega (rad/s)] of the controlled frame, in that frame.
 
-        Returns False, counts and gives the reason in `status.last_refusal` where the command is refused: not
-        finite, not (6,), older than the one in force, already too old, or from further in the future than the
-        command timeout. A twist above the velocity limits is shortened, keeping its direction, and counted.
+        Returns False and gives the reason in `state.last_refusal` where `CommandGate.admit` refuses it.
         """
-        wanted = np.asarray(twist, dtype=np.float64)
-        refusal = self._refusal(int(stamp_ns), wanted)
-        if refusal:
-            self._refused += 1
-            self._last_refusal = refusal
+        fault = self._reason if self._mode is ArmMode.FAULT else ""
+        target = self._gate.admit(self._stamp_ns, stamp_ns, twist, fault)
+        if target is None:
             return False
-        self._command_ns = int(stamp_ns)
-        self._target, self._clipped_now = _shortened(wanted, self.settings)
-        self._clipped += self._clipped_now
+        self._target = target
         return True
+
+    def stop(self, reason: str) -> None:
+        """Come to rest within the limits; the next command moves the arm again."""
+        gate = self._gate
+        if self._mode is ArmMode.FAULT or gate.in_force_ns is None or gate.silence(self._stamp_ns):
+            return
+        self._mode, self._reason = ArmMode.STOPPING, reason
+        gate.drop()
+        self._halt()
+
+    def close(self) -> None:
+        """Stop; there is nothing to let go of."""
+        self.stop("the driver was closed")
 
     def fault(self, reason: str) -> None:
         """Stop and refuse commands until `clear_fault`."""
@@ -189,14 +128,14 @@ class SimArm:
         """Accept commands again; before a new one arrives the arm stays at rest."""
         if self._mode is ArmMode.FAULT:
             self._mode, self._reason = ArmMode.STOPPING, "fault cleared"
-            self._command_ns = None
+            self._gate.drop()
 
     def advance(self, dt: float) -> Array:
-        """Move on by `dt` seconds and return T_base_sensor."""
-        return self.advance_to(self._stamp_ns + round(dt * NS))
+        """Move on by `dt` seconds and return T_base_controlled."""
+        return self.advance_to(self._stamp_ns + round(dt * SECOND_NS))
 
     def advance_to(self, stamp_ns: int) -> Array:
-        """Move on to a stamp (ns) and return T_base_sensor; the watchdog looks where the step starts.
+        """Move on to a stamp (ns) and return T_base_controlled; the watchdog looks where the step starts.
 
         Raises ValueError if the stamp lies before the arm's own.
         """
@@ -204,45 +143,24 @@ class SimArm:
             raise ValueError(f"stamp {stamp_ns} lies {self._stamp_ns - stamp_ns} ns before the arm's time")
         self._watch()
         if stamp_ns > self._stamp_ns:
-            self._integrate((stamp_ns - self._stamp_ns) / NS)
+            self._integrate((stamp_ns - self._stamp_ns) / SECOND_NS)
         self._stamp_ns = int(stamp_ns)
         self._settle()
-        return self.T_base_sensor
-
-    def _command_age(self) -> float:
-        return (self._stamp_ns - (self._command_ns or 0)) / NS
-
-    def _refusal(self, stamp_ns: int, twist: Array) -> str:
-        """Why the command cannot be followed; empty if it can."""
-        if self._mode is ArmMode.FAULT:
-            return f"the arm is in fault: {self._reason}"
-        if twist.shape != (6,):
-            return f"a twist has 6 elements, this one has shape {twist.shape}"
-        if not np.isfinite(twist).all():
-            return f"the twist is not finite: {twist.tolist()}"
-        age, limit = (self._stamp_ns - stamp_ns) / NS, self.settings.command_timeout
-        if abs(age) > limit:
-            return f"the command is {age:.3f} s old (limit {limit:g} s, same into the future)"
-        if self._command_ns is not None and stamp_ns < self._command_ns:
-            return f"the command is {(self._command_ns - stamp_ns) / NS:.3f} s older than the one in force"
-        return ""
+        return self.T_base_controlled
 
     def _watch(self) -> None:
         """Decide what this step does: follow the command, or stop because it is too old."""
-        if self._mode is ArmMode.FAULT or self._command_ns is None:
+        if self._mode is ArmMode.FAULT or self._gate.in_force_ns is None:
             return
-        age, limit = self._command_age(), self.settings.command_timeout
-        if age <= limit:
+        silence = self._gate.silence(self._stamp_ns)
+        if not silence:
             self._mode, self._reason = ArmMode.MOVING, ""
         elif self._mode is ArmMode.MOVING:
-            self._mode = ArmMode.STOPPING
-            self._reason = f"no command for {age:.3f} s (limit {limit:g} s)"
-            if self._last_refusal:
-                self._reason += f"; last refused: {self._last_refusal}"
+            self._mode, self._reason = ArmMode.STOPPING, silence
             self._halt()
 
     def _halt(self) -> None:
-        self._target, self._clipped_now = np.zeros(6), False
+        self._target, self._gate.clipped_now = np.zeros(6), False
 
     def _integrate(self, dt: float) -> None:
         """One Ruckig trajectory from the present twist and acceleration towards the target twist."""
@@ -268,26 +186,16 @@ class SimArm:
             self._mode = ArmMode.RESTING
 
 
-def _ruckig_input(settings: ArmSettings) -> ruckig.InputParameter:
+def _ruckig_input(limits: ArmLimits) -> ruckig.InputParameter:
     """Velocity control with the displacement counted from zero in each step."""
     inputs = ruckig.InputParameter(6)
     inputs.control_interface = ruckig.ControlInterface.Velocity
     inputs.synchronization = ruckig.Synchronization.No
     inputs.current_position = [0.0] * 6
     inputs.target_acceleration = [0.0] * 6
-    inputs.max_acceleration = [settings.linear_acceleration] * 3 + [settings.angular_acceleration] * 3
-    inputs.max_jerk = [settings.linear_jerk] * 3 + [settings.angular_jerk] * 3
+    inputs.max_acceleration = [limits.linear_acceleration] * 3 + [limits.angular_acceleration] * 3
+    inputs.max_jerk = [limits.linear_jerk] * 3 + [limits.angular_jerk] * 3
     return inputs
-
-
-def _shortened(twist: Array, settings: ArmSettings) -> tuple[Array, bool]:
-    """The twist with both speeds within limits, directions kept, and whether it changed."""
-    out = twist.copy()
-    for part, limit in ((slice(0, 3), settings.linear_velocity), (slice(3, 6), settings.angular_velocity)):
-        norm = float(np.linalg.norm(out[part]))
-        if norm > limit:
-            out[part] *= limit / norm
-    return out, bool((out != twist).any())
 
 
 def _orthonormal(T: Array) -> Array:

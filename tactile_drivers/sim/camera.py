@@ -6,42 +6,14 @@ dark ground that brightens towards its middle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import Settings, setting
 from tactile_drivers.sim import _contact
+from tactile_drivers.sim.settings import CameraSettings
 
 Array = NDArray[np.float64]
 _NOISE_LEVELS = 4096
-
-
-@dataclass(frozen=True)
-class CameraSettings(Settings):
-    """Optics and gray levels; the defaults resemble a published TacTip (docs/simulator.md)."""
-
-    width: int = setting(640, unit="px", lower=16, upper=4096, doc="image width")
-    height: int = setting(480, unit="px", lower=16, upper=4096, doc="image height")
-    center_column: float = setting(330.4, unit="px", doc="column of the optical axis")
-    center_row: float = setting(241.6, unit="px", doc="row of the optical axis")
-    focal_length: float = setting(896.0, unit="px", lower=1.0, doc="focal length")
-    distance: float = setting(0.0653, unit="m", lower=1e-3, doc="from the pinhole to the dome's centre")
-    distortion: tuple[float, ...] = setting(
-        (1.0, 0.0), length=2, doc="k1, k2 of r = f q (1 + k1 q^2 + k2 q^4), q = tan of the angle to the axis"
-    )
-    rotation_deg: float = setting(-52.9, unit="deg", doc="{s}'s x axis in the image, from right to down")
-    marker_radius: float = setting(0.0005, unit="m", lower=0.0, doc="radius of a marker")
-    marker_perspective: float = setting(
-        1.0, lower=0.0, upper=1.0, doc="exponent of a marker's size over its scale: 1 as seen, 0 all alike"
-    )
-    marker_gray: float = setting(190.0, lower=0.0, upper=255.0, doc="gray level of a marker in the middle")
-    ground_gray: float = setting(6.0, lower=0.0, upper=255.0, doc="gray level between the markers there")
-    vignette: float = setting(0.35, lower=0.0, upper=1.0, doc="part of the brightness lost in the corners")
-    edge_width: float = setting(2.5, unit="px", lower=0.1, upper=50.0, doc="over which a marker's edge fades")
-    gain: float = setting(1.0, lower=0.0, upper=10.0, doc="factor on all gray levels")
-    noise_gray: float = setting(2.0, lower=0.0, upper=50.0, doc="standard deviation of the pixel noise")
 
 
 class Camera:

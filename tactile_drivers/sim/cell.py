@@ -1,10 +1,10 @@
-"""Cell: the simulated arms, sensors and surfaces of a scene on one fixed time base, deterministic by seed.
+"""Cell: the simulated arms, sensors and bodies of a scene on one fixed time base, deterministic by seed.
 
 Nothing in it waits: whoever owns the time calls `step`, a loop as fast as it can, a node as the clock says::
 
     cell = Cell(load_scene("ramp"), seed=1)
     while True:
-        cell.step()                                    # 1 / scene.rate seconds
+        cell.step()                                    # 1 / scene.simulation.rate seconds
         if cell.exposure_due("arm"):
             frame = cell.expose("arm")                 # image, true contact, pose, all at one stamp
         cell.command("arm", cell.stamp_ns, twist)      # [v, omega] of the sensor, in the sensor frame
@@ -13,6 +13,7 @@ Nothing in it waits: whoever owns the time calls `step`, a loop as fast as it ca
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,17 +21,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import unknown_name
-from tactile_drivers.scene import ArmScene, Scene, SensorScene
-from tactile_drivers.sim.arm import NS, ArmMode, ArmStatus, SimArm
-from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealSensorSettings
-from tactile_drivers.sim.surfaces import Surface, contact_pose
+from tactile_base.stamps import SECOND_NS
+from tactile_drivers.arm import ArmMode, ArmState
+from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
+from tactile_drivers.shapes.contact import contact_pose
+from tactile_drivers.shapes.surface import Surface
+from tactile_drivers.sim.arm import SimArm
+from tactile_drivers.sim.ideal_sensor import IdealSensor
+from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
+from tactile_drivers.sim.settings import IdealSensorSettings, SkinSettings, TacTipSettings
 from tactile_drivers.sim.truth import Truth, shear_of
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 
 if TYPE_CHECKING:
-    from tactile_drivers.sim.skin import Skin, SkinSettings
-    from tactile_drivers.sim.tactip import TacTipSettings
+    from tactile_drivers.sim.simulation import SimulatedSensor
+    from tactile_drivers.sim.skin import Skin
 
 Array = NDArray[np.float64]
 
@@ -74,20 +80,25 @@ class Cell:
     Raises
     ------
     ValueError
-        If the scene has no simulated arm.
+        If the scene has no simulated arm, or what it says of a body's motion is wrong.
     """
 
     def __init__(self, scene: Scene, seed: int = 0, stamp_ns: int = 0) -> None:
         self.scene = scene
+        self._rate = scene.simulation.rate
         self._start_ns, self._ticks = int(stamp_ns), 0
-        surfaces = {name: surface.make() for name, surface in scene.surfaces.items()}
-        simulated = [arm for arm in scene.arms.values() if arm.driver == "sim"]
+        simulated = [arm for arm in scene.arms.values() if arm.driver == SIM]
         if not simulated:
-            raise ValueError(f"scene {scene.name}: none of its arms has the driver 'sim'")
+            raise ValueError(f"scene {scene.name}: none of its arms has the driver '{SIM}'")
+        self._bodies = {name: _Body(scene, body) for name, body in scene.bodies.items()}
+        self._moving = [body for body in self._bodies.values() if not body.fixed]
         seeds = np.random.SeedSequence(seed).generate_state(len(simulated))
         self._arms = {
-            arm.name: _CellArm(scene, arm, surfaces, int(arm_seed), self._start_ns)
+            arm.name: _CellArm(scene, arm, self._bodies, int(arm_seed), self._start_ns)
             for arm, arm_seed in zip(simulated, seeds, strict=True)
+        }
+        self._tools = {  # of arms that are not simulated: where they start
+            name: arm.T_world_start @ se3.inverse(arm.T_tool_controlled) for name, arm in scene.arms.items()
         }
 
     @property
@@ -98,27 +109,41 @@ class Cell:
     @property
     def stamp_ns(self) -> int:
         """Time of the cell, ns: the start plus a whole number of steps, without drift."""
-        return self._start_ns + (self._ticks * NS) // self.scene.rate
+        return self._start_ns + (self._ticks * SECOND_NS) // self._rate
 
     def step(self, steps: int = 1) -> int:
-        """Move all arms on by that many steps of 1 / scene.rate seconds and return the stamp."""
+        """Move arms and bodies on by that many steps of the simulation and return the stamp."""
         for _ in range(steps):
             self._ticks += 1
             for arm in self._arms.values():
                 arm.step(self.stamp_ns)
+            if self._moving:
+                self._move_bodies()
+            for arm in self._arms.values():
+                arm.protect(self._arms)
         return self.stamp_ns
 
+    def arm(self, arm: str) -> SimArm:
+        """The simulated arm: an `Arm` whose states the cell's steps make."""
+        return self._arm(arm).arm
+
     def command(self, arm: str, stamp_ns: int, twist: ArrayLike) -> bool:
-        """Command a twist (6,), emitted at `stamp_ns`; False where refused (see `SimArm.command`)."""
+        """Command a twist (6,), emitted at `stamp_ns`; False where refused (see `CommandGate.admit`)."""
         return self._arm(arm).arm.command(stamp_ns, twist)
 
-    def status(self, arm: str) -> ArmStatus:
-        """What the arm does, and why."""
-        return self._arm(arm).arm.status
+    def status(self, arm: str) -> ArmState:
+        """Where the arm is, what it does, and why."""
+        return self._arm(arm).arm.state
 
     def T_base_sensor(self, arm: str) -> Array:
-        """Pose (4, 4) of the arm's sensor in its base, now."""
-        return self._arm(arm).arm.T_base_sensor
+        """Pose (4, 4) of the arm's sensor (of the tool, for an arm without one) in its base, now."""
+        return self._arm(arm).arm.T_base_controlled
+
+    def T_world_body(self, body: str) -> Array:
+        """Pose (4, 4) of a body in the world, now."""
+        if body not in self._bodies:
+            raise KeyError(unknown_name(body, list(self._bodies)))
+        return self._bodies[body].T_world_body.copy()
 
     def exposure_due(self, arm: str) -> bool:
         """Whether the camera of the arm's sensor exposes at the present step."""
@@ -132,7 +157,7 @@ class Cell:
         Raises
         ------
         ValueError
-            If the arm has no sensor.
+            If the arm has no simulated sensor.
         """
         return self._arm(arm).expose()
 
@@ -145,90 +170,182 @@ class Cell:
             raise KeyError(unknown_name(name, list(self._arms)))
         return self._arms[name]
 
+    def _move_bodies(self) -> None:
+        """Take each body that moves to where it is now that the arms are where they are."""
+        for name, arm in self._arms.items():
+            self._tools[name] = arm.T_world_tool
+        for body in self._moving:
+            contacts = [arm.contact for arm in self._arms.values() if arm.contact and arm.touched is body]
+            body.move(1.0 / self._rate, self._tools, contacts)
 
-@dataclass(frozen=True)
+
+class _Body:
+    """A body where it is, and where it was a step ago."""
+
+    def __init__(self, scene: Scene, body: BodyScene) -> None:
+        self.name = body.name
+        self.fixed = body.motion == FIXED
+        self.surface: Surface = body.make()
+        self.motion = make_motion(scene, body)
+        self.T_world_body = self._before = scene.T_world_body(body.name)
+        self._dt = 0.0
+
+    def move(self, dt: float, tools: Mapping[str, Array], contacts: list[BodyContact]) -> None:
+        self._before, self._dt = self.T_world_body, dt
+        self.T_world_body = self.motion.step(dt, tools, contacts)
+
+    def velocity_at(self, point: Array) -> Array:
+        """Velocity (3,) in m/s of the body's matter at a point (3,) of its own frame, in the world."""
+        if self.fixed or self._dt == 0.0:
+            return np.zeros(3)
+        moved = self.T_world_body - self._before
+        return np.asarray(moved[:3, :3] @ point + moved[:3, 3]) / self._dt
+
+
 class _Target:
-    """A surface where it stands, seen from one arm."""
+    """A body as one sensor sees it."""
 
-    name: str
-    surface: Surface
-    T_base_surface: Array
+    def __init__(self, body: _Body, T_world_base: Array) -> None:
+        self.body = body
+        self._T_base_world = se3.inverse(T_world_base)
+        self._T_base_fixed = self._T_base_world @ body.T_world_body
+        self._slack = 0.0
+        self._center: Array | None = None
 
-    def sensor_in_surface(self, T_base_sensor: Array) -> Array:
-        return se3.inverse(self.T_base_surface) @ T_base_sensor
+    @property
+    def T_base_body(self) -> Array:
+        """The body (4, 4) in the arm's base, now."""
+        return self._T_base_fixed if self.body.fixed else self._T_base_world @ self.body.T_world_body
+
+    def sensor_in_body(self, T_base_sensor: Array) -> Array:
+        return se3.inverse(self.T_base_body) @ T_base_sensor
 
     def distance(self, T_base_sensor: Array) -> float:
         """Distance of the sensor's centre from the surface, m."""
-        center = self.sensor_in_surface(T_base_sensor)[:3, 3]
-        return float(self.surface.distance(center[None])[0])
+        center = self.sensor_in_body(T_base_sensor)[:3, 3]
+        return float(self.body.surface.distance(center[None])[0])
+
+    def depth_if_near(self, T_base_sensor: Array, moved: float, radius: float, limit: float) -> float | None:
+        """Depth (m) of the tip; None while it cannot have come as deep as the limit since the last look.
+
+        No distance changes by more than the sensor moves in the body's frame: by `moved`, if that is fixed.
+        """
+        if not self.body.fixed:
+            center = self.sensor_in_body(T_base_sensor)[:3, 3]
+            moved = np.inf if self._center is None else float(np.linalg.norm(center - self._center))
+            self._center = center
+        self._slack -= moved
+        if self._slack > 0.0:
+            return None
+        depth = radius - self.distance(T_base_sensor)
+        self._slack = limit - depth
+        return depth
+
+    def approach(self, T_base_sensor: Array, velocity: Array) -> tuple[float, float]:
+        """Speeds (m/s) into contact: of the sensor, moving with `velocity` (3,) in {s}, and of the body."""
+        center = self.sensor_in_body(T_base_sensor)[:3, 3]
+        normal = self.body.surface.normal(center[None])[0]
+        outward = self.T_base_body[:3, :3] @ normal
+        sensor = -float(outward @ T_base_sensor[:3, :3] @ velocity)
+        return sensor, float(self.body.T_world_body[:3, :3] @ normal @ self.body.velocity_at(center))
 
 
 class _CellArm:
     """An arm with what it carries and what it can touch."""
 
     def __init__(
-        self, scene: Scene, arm: ArmScene, surfaces: dict[str, Surface], seed: int, stamp_ns: int
+        self, scene: Scene, arm: ArmScene, bodies: Mapping[str, _Body], seed: int, stamp_ns: int
     ) -> None:
         self.name = arm.name
         self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns)
-        self.sensor = _make_sensor(arm.sensor, seed) if arm.sensor else None
-        self._ticks_per_frame = round(scene.rate / arm.sensor.settings.camera_rate) if arm.sensor else 0
-        self._protective_depth = arm.sensor.settings.protective_depth if arm.sensor else 0.0
-        self._sequence = 0
-        placed = {name: item.T_base_surface(arm) for name, item in scene.surfaces_of(arm.name).items()}
-        self._targets = [_Target(name, surfaces[name], T) for name, T in placed.items()]
+        self.sensor: _ImageSensor | _IdealAnswer | None = None
+        self.contact: BodyContact | None = None
+        self._T_world_base = arm.T_world_base
+        self._T_controlled_tool = se3.inverse(arm.T_tool_controlled)
+        self._targets: list[_Target] = []
         self._touched: _Target | None = None
-        self._slack = 0.0
+        self._sequence = 0
+        self._moved = 0.0
+        if arm.sensor is not None and arm.simulated_sensor:
+            self.sensor = _make_sensor(scene.simulation.sensors[arm.name], seed)
+            self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
+            self._protective_depth = arm.sensor.settings.protective_depth
+            self._targets = [_Target(bodies[name], arm.T_world_base) for name in scene.bodies_of(arm.name)]
+
+    @property
+    def T_world_tool(self) -> Array:
+        """The tool (4, 4) in the world."""
+        return self._T_world_base @ self.arm.T_base_controlled @ self._T_controlled_tool
+
+    @property
+    def touched(self) -> _Body | None:
+        """The body that the sensor touched at its last exposure."""
+        return self._touched.body if self._touched is not None else None
 
     def step(self, stamp_ns: int) -> None:
-        before = self.arm.T_base_sensor
+        before = self.arm.T_base_controlled
         T_base_sensor = self.arm.advance_to(stamp_ns)
-        # no distance changes by more than the sensor moves, so most steps need no look at the surfaces
-        self._slack -= float(np.linalg.norm(T_base_sensor[:3, 3] - before[:3, 3]))
-        if self._slack <= 0.0 and self.sensor is not None and self.arm.mode is not ArmMode.FAULT:
-            self._protect(self.sensor.radius, T_base_sensor)
+        self._moved = float(np.linalg.norm(T_base_sensor[:3, 3] - before[:3, 3]))
 
-    def _protect(self, radius: float, T_base_sensor: Array) -> None:
-        """Fault the arm if it presses too deep; note how far it may move before the next look."""
-        self._slack = np.inf
+    def protect(self, arms: Mapping[str, _CellArm]) -> None:
+        """Fault this arm if it presses too deep into a body, and those that press the body into it."""
+        if self.sensor is None:
+            return
+        T_base_sensor, limit = self.arm.T_base_controlled, self._protective_depth
         for target in self._targets:
-            depth = radius - target.distance(T_base_sensor)
-            self._slack = min(self._slack, self._protective_depth - depth)
-            if depth > self._protective_depth and self._goes_deeper(target, T_base_sensor):
-                limit = 1e3 * self._protective_depth
-                self.arm.fault(
-                    f"protective stop: {1e3 * depth:.1f} mm deep in '{target.name}' (limit {limit:g} mm)"
+            depth = target.depth_if_near(T_base_sensor, self._moved, self.sensor.radius, limit)
+            if depth is None or depth <= limit:
+                continue
+            by_sensor, by_body = target.approach(T_base_sensor, self.arm.target[:3])
+            if by_sensor + by_body <= 0.0:
+                continue  # the way out is never barred
+            culprits = [self] if by_sensor > 0.0 else []
+            if by_body > 0.0:
+                culprits += [arms[name] for name in target.body.motion.carriers if name in arms]
+            for culprit in culprits:
+                culprit.fault(
+                    f"protective stop: {1e3 * depth:.1f} mm deep in '{target.body.name}' "
+                    f"(limit {1e3 * limit:g} mm)"
                 )
+
+    def fault(self, reason: str) -> None:
+        """Stop the arm, unless it is in fault already."""
+        if self.arm.mode is not ArmMode.FAULT:
+            self.arm.fault(reason)
 
     def exposure_due(self, ticks: int) -> bool:
         return self.sensor is not None and ticks % self._ticks_per_frame == 0
 
     def expose(self) -> Frame:
         if self.sensor is None:
-            raise ValueError(f"arm '{self.name}' has no sensor in this scene")
-        T_base_sensor = self.arm.T_base_sensor
+            raise ValueError(f"arm '{self.name}' has no sensor that is simulated in this scene")
+        T_base_sensor = self.arm.T_base_controlled
         target = self._nearest(T_base_sensor)
+        self.contact = None
         if target is None:
             truth = Truth.nothing()
         else:
-            self.sensor.model.advance(target.surface, target.sensor_in_surface(T_base_sensor))
+            T_body_sensor = target.sensor_in_body(T_base_sensor)
+            self.sensor.model.advance(target.body.surface, T_body_sensor)
             truth = _truth(target, T_base_sensor, self.sensor)
+            if truth.in_contact:
+                self.contact = self._contact(T_body_sensor, truth, self.sensor)
         self._touched = target if truth.in_contact else None
         image, estimate = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
         return Frame(self.name, self.arm.stamp_ns, sequence, image, estimate, truth, T_base_sensor)
 
+    def _contact(
+        self, T_body_sensor: Array, truth: Truth, sensor: _ImageSensor | _IdealAnswer
+    ) -> BodyContact:
+        force = -T_body_sensor[:3, :3] @ sensor.force()
+        return BodyContact(self.name, self.arm.stamp_ns, T_body_sensor, truth, force)
+
     def _nearest(self, T_base_sensor: Array) -> _Target | None:
-        """The surface that the sensor touches, as long as it does, else the nearest to its centre."""
+        """The body that the sensor touches, as long as it does, else the nearest to its centre."""
         if self._touched is not None or len(self._targets) == 1:
             return self._touched or self._targets[0]
         return min(self._targets, key=lambda target: target.distance(T_base_sensor), default=None)
-
-    def _goes_deeper(self, target: _Target, T_base_sensor: Array) -> bool:
-        """Whether the commanded motion goes on into the surface; the way out is never barred."""
-        center = target.sensor_in_surface(T_base_sensor)[:3, 3]
-        normal = target.T_base_surface[:3, :3] @ target.surface.normal(center[None])[0]
-        return float(normal @ T_base_sensor[:3, :3] @ self.arm.target[:3]) < 0
 
 
 class _ImageSensor:
@@ -243,6 +360,10 @@ class _ImageSensor:
     def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
         return self.model.image(), None
 
+    def force(self) -> Array:
+        """Force (3,) of the body on the sensor, N, in {s}."""
+        return self.model.truth().force
+
 
 class _IdealAnswer:
     """An ideal sensor, whose answer is an estimate."""
@@ -254,10 +375,15 @@ class _IdealAnswer:
     def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
         return None, self.model.estimate() if in_contact else None
 
+    def force(self) -> Array:
+        """Not modelled: NaN."""
+        return np.full(3, np.nan)
 
-def _make_sensor(scene: SensorScene, seed: int) -> _ImageSensor | _IdealAnswer:
-    kinds: dict[str, type[_ImageSensor] | type[_IdealAnswer]] = {"image": _ImageSensor, "ideal": _IdealAnswer}
-    return kinds[scene.settings.fidelity](scene.model, seed)
+
+def _make_sensor(sensor: SimulatedSensor, seed: int) -> _ImageSensor | _IdealAnswer:
+    if isinstance(sensor.model, TacTipSettings):
+        return _ImageSensor(sensor.model, seed)
+    return _IdealAnswer(sensor.model, seed)
 
 
 @functools.cache
@@ -271,10 +397,11 @@ def _skin(settings: SkinSettings) -> Skin:
 def _truth(target: _Target, T_base_sensor: Array, sensor: _ImageSensor | _IdealAnswer) -> Truth:
     """What the sensor's model knows, with the geometry of the surface in the arm's base."""
     known = sensor.model.truth()
-    geometry = contact_pose(target.surface, target.sensor_in_surface(T_base_sensor), sensor.radius)
-    rotation, origin = target.T_base_surface[:3, :3], target.T_base_surface[:3, 3]
+    T_base_body = target.T_base_body
+    geometry = contact_pose(target.body.surface, target.sensor_in_body(T_base_sensor), sensor.radius)
+    rotation, origin = T_base_body[:3, :3], T_base_body[:3, 3]
     return Truth(
-        surface=target.name,
+        surface=target.body.name,
         in_contact=known.contact_nodes > 0,
         depth=geometry.depth,
         normal_angle=geometry.normal_angle,

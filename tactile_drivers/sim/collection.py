@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import setting
 from tactile_drivers.sampling import SamplingSettings, check_ordered, sample_pose, sample_rng
-from tactile_drivers.sim.tactip import ContactTruth, TacTip, TacTipSettings
+from tactile_drivers.sim.settings import TacTipSettings
+from tactile_drivers.sim.tactip import ContactTruth, TacTip
 from tactile_drivers.sim.variation import VariationSettings, varied
 from tactile_filter import se3
 

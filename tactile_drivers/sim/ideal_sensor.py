@@ -11,64 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, Settings, setting
-from tactile_drivers.sim.surfaces import ContactGeometry, Surface, contact_pose
+from tactile_drivers.shapes.contact import ContactGeometry, contact_pose
+from tactile_drivers.shapes.surface import Surface
+from tactile_drivers.sim.settings import IdealSensorSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class IdealSensorSettings(Settings):
-    """Noise and shear of the ideal sensor.
-
-    The noise has the mean absolute errors of the paper's GDN on its test data (for a Gaussian, the standard
-    deviation over 1.2533). Shear slips where that of the simulated TacTip does at friction
-    0.9.
-    """
-
-    radius: float = setting(0.020, unit="m", lower=1e-3, upper=0.1, doc="radius of the hemispherical tip")
-    sigma_position: tuple[float, ...] = setting(
-        (0.534e-3, 0.529e-3, 0.154e-3),
-        unit="m",
-        lower=0.0,
-        upper=0.1,
-        length=3,
-        doc="standard deviation of rho",
-    )
-    sigma_rotation: tuple[float, ...] = setting(
-        (0.0109, 0.0139, 0.0254), unit="rad", lower=0.0, upper=1.0, length=3, doc="standard deviation of phi"
-    )
-    shear_depths: tuple[float, ...] = setting(
-        (0.0, 0.5e-3, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3),
-        unit="m",
-        lower=0.0,
-        upper=0.1,
-        doc="depths of the two tables of limits",
-    )
-    shear_limits: tuple[float, ...] = setting(
-        (0.0, 0.39e-3, 0.88e-3, 2.18e-3, 3.77e-3, 5.68e-3, 7.88e-3),
-        unit="m",
-        lower=0.0,
-        upper=0.1,
-        doc="shear at which the contact slips",
-    )
-    turn_limits: tuple[float, ...] = setting(
-        (0.0, 0.034, 0.070, 0.136, 0.197, 0.253, 0.317),
-        unit="rad",
-        lower=0.0,
-        upper=1.0,
-        doc="turn at which the contact slips",
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        rows = len(self.shear_depths)
-        if not rows or any(len(table) != rows for table in (self.shear_limits, self.turn_limits)):
-            raise SettingError("shear_depths, shear_limits and turn_limits must be of one length, at least 1")
-        if any(np.diff(self.shear_depths) <= 0):
-            raise SettingError(f"shear_depths = {self.shear_depths}: must increase")
 
 
 @dataclass(frozen=True)

@@ -7,26 +7,14 @@ quadratic terms (weights fixed at the start), which is smooth where a linear mes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import Settings, setting
+from tactile_drivers.sim.settings import MarkerSettings
 from tactile_drivers.sim.skin import Skin, ring_directions
 
 Array = NDArray[np.float64]
 _NEIGHBORS = 16
-
-
-@dataclass(frozen=True)
-class MarkerSettings(Settings):
-    """Layout of the markers: rings of 1, 6, 12, ... about the tip's axis."""
-
-    rings: int = setting(10, lower=1, upper=13, doc="rings about the central marker; 10 make 331 markers")
-    pitch_deg: float = setting(6.32, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings")
-    azimuth_deg: float = setting(51.8, unit="deg", doc="of each ring's first marker about z of {s}")
-    pin_length: float = setting(0.002, unit="m", lower=0.0, upper=0.01, doc="from the skin to the marker")
 
 
 class Markers:

@@ -9,16 +9,15 @@ sets `collection` (the rig: errors of its arm, friction) and `variation` (how im
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tactile_base.config_paths import named_file
 from tactile_base.yaml_file import read_yaml
 from tactile_drivers.sim.collection import CollectionSettings
-from tactile_drivers.sim.tactip import TacTipSettings
+from tactile_drivers.sim.settings import TacTipSettings
+from tactile_drivers.sim.simulation import read_sensor_groups
 from tactile_drivers.sim.variation import VariationSettings
-
-_DATA_GROUPS = ("collection", "variation")
 
 
 @dataclass(frozen=True)
@@ -41,14 +40,8 @@ def load_sensor(name_or_path: str | Path) -> SensorFile:
         With file and line of what is wrong.
     """
     root = read_yaml(named_file("sensor", name_or_path))
-    default = TacTipSettings()
-    groups = [item.name for item in fields(default)]
-    root.allow("description", *groups, *_DATA_GROUPS)
-    changed = {
-        name: root.settings(name, type(getattr(default, name))) for name in groups if name in root.values
-    }
     return SensorFile(
-        replace(default, **changed),
+        read_sensor_groups(root),
         root.settings("collection", CollectionSettings),
         root.settings("variation", VariationSettings) if "variation" in root.values else None,
     )

@@ -19,30 +19,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import Settings, setting
+from tactile_drivers.sim.settings import SkinSettings
 
 Array = NDArray[np.float64]
 DATA_FILE = Path(__file__).parent / "data" / "skin_compliance.npz"
-
-
-@dataclass(frozen=True)
-class SkinSettings(Settings):
-    """Geometry and materials of the tip; the defaults are those of the file that is shipped."""
-
-    radius: float = setting(0.020, unit="m", lower=1e-3, upper=0.1, doc="outer radius of the tip")
-    skin_thickness: float = setting(0.001, unit="m", lower=1e-4, upper=5e-3, doc="of the stiff skin")
-    gel_modulus: float = setting(8.0e3, unit="Pa", lower=1.0, upper=1e9, doc="Young's modulus of the gel")
-    stiffness_ratio: float = setting(8.0, lower=0.1, upper=1e3, doc="modulus of the skin over the gel's")
-    poisson_ratio: float = setting(0.3, lower=0.0, upper=0.49, doc="Poisson's ratio of gel and skin")
-    volume_retention: float = setting(
-        0.0, lower=0.0, upper=0.999,
-        doc="part of the volume change that pressure inside takes back: 1 for a gel that keeps its volume",
-    )  # fmt: skip
-    rings: int = setting(14, lower=4, upper=24, doc="rings of skin nodes; the last is clamped")
-    shells: tuple[float, ...] = setting(
-        (0.875, 0.75, 0.6, 0.425, 0.225), lower=0.05, upper=0.95,
-        doc="radii of the gel's shells below the skin, relative to the outer radius, falling",
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,14 +98,16 @@ def build_skin(settings: SkinSettings) -> Skin:
 
 
 def load_skin(settings: SkinSettings | None = None) -> Skin:
-    """The skin for these settings: from the shipped file if they are the defaults, else built (seconds)."""
-    settings = settings or SkinSettings()
-    if settings.replaced(volume_retention=0.0) != SkinSettings():
+    """The skin for these settings: built (seconds), or the shipped one if only modulus or volume differ."""
+    settings, shipped = settings or SkinSettings(), SkinSettings()
+    same = {"volume_retention": shipped.volume_retention, "gel_modulus": shipped.gel_modulus}
+    if settings.replaced(**same) != shipped:
         return build_skin(settings)
     if not DATA_FILE.exists():
         raise FileNotFoundError(f"{DATA_FILE} is missing: run python -m tactile_drivers.sim.skin --write")
     with np.load(DATA_FILE) as data:
-        return _hold_volume(_assemble_skin(settings, data["columns"]), settings.volume_retention)
+        columns = data["columns"] * np.float32(shipped.gel_modulus / settings.gel_modulus)
+    return _hold_volume(_assemble_skin(settings, columns), settings.volume_retention)
 
 
 def _assemble_skin(settings: SkinSettings, columns: NDArray[np.float32]) -> Skin:

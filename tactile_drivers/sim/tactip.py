@@ -11,17 +11,17 @@ normal force; then it slips and drags the anchor along::
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import Settings, setting
 from tactile_drivers.sim import _contact
-from tactile_drivers.sim.camera import Camera, CameraSettings
-from tactile_drivers.sim.markers import Markers, MarkerSettings
-from tactile_drivers.sim.skin import Skin, SkinSettings, load_skin
+from tactile_drivers.sim.camera import Camera
+from tactile_drivers.sim.markers import Markers
+from tactile_drivers.sim.settings import TacTipSettings
+from tactile_drivers.sim.skin import Skin, load_skin
 from tactile_filter import se3
 from tactile_filter.se3 import PoseError
 
@@ -34,31 +34,6 @@ class SurfaceShape(Protocol):
 
     def query(self, points: Array) -> tuple[Array, Array]:
         """Signed distance (n,) m, positive outside, and outward unit normal (n, 3) at points (n, 3) m."""
-
-
-@dataclass(frozen=True)
-class ContactSettings(Settings):
-    """Friction, and accuracy against time."""
-
-    friction: float = setting(0.9, lower=0.0, upper=5.0, doc="Coulomb friction between skin and surface")
-    friction_load: float = setting(
-        0.0, unit="N", lower=0.0, upper=100.0,
-        doc="normal force at which friction has half its value, which it approaches with load; 0: always",
-    )  # fmt: skip
-    max_step: float = setting(2e-4, unit="m", lower=1e-6, upper=2e-3, doc="longest motion solved in one step")
-    max_sweeps: int = setting(30, lower=1, upper=10000, doc="Gauss-Seidel sweeps a step, at most")
-    tolerance: float = setting(1e-6, unit="m", lower=1e-12, upper=1e-3, doc="motion that ends the sweeps")
-    margin: float = setting(5e-4, unit="m", lower=0.0, upper=5e-3, doc="gap at which a node enters")
-
-
-@dataclass(frozen=True)
-class TacTipSettings:
-    """All of the sensor: tip, contact, markers and camera."""
-
-    skin: SkinSettings = field(default_factory=SkinSettings)
-    contact: ContactSettings = field(default_factory=ContactSettings)
-    markers: MarkerSettings = field(default_factory=MarkerSettings)
-    camera: CameraSettings = field(default_factory=CameraSettings)
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ import numpy as np
 
 from tactile_perception.datasets.conventions import Conventions, find_conventions
 from tactile_perception.datasets.dataset import TactileFolder
-from tactile_perception.datasets.images import read_image
 from tactile_perception.datasets.statistics import LabelStatistics, label_statistics
-from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.image import ImageError, read_image
 from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, measure
 
 LEVELS = ("ok", "note", "warning", "error")
@@ -80,7 +79,7 @@ def _report_reading(result: CheckResult) -> None:
 
 
 def _report_images(result: CheckResult, progress: Callable[[str, int, int], None] | None) -> None:
-    """Every file is read whole; equal contents are told."""
+    """Every file is read whole; equal contents are reported."""
     folder = result.folder
     seen: dict[bytes, str] = {}
     twice, broken, blank = [], [], []

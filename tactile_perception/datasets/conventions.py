@@ -70,7 +70,7 @@ class Conventions:
     length_unit, angle_unit : str
         "mm", "m", "deg", "rad", or "" where images do not tell.
     gains : dict
-        Numbers the units were told by.
+        Numbers from which the units were inferred.
     order : str
         "extrinsic", "intrinsic", or "".
     order_t : float

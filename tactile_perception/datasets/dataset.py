@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError
 from tactile_perception.datasets import lenient_json
-from tactile_perception.datasets.images import common_shape, list_images, read_image, resolve
 from tactile_perception.datasets.layout import (
     CAMERA_PARAMS_NAMES,
     IMAGE_FOLDERS,
@@ -38,7 +37,14 @@ from tactile_perception.datasets.layout import (
 )
 from tactile_perception.datasets.table import Row, read_conventions, read_table
 from tactile_perception.datasets.writer import DatasetWriter
-from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.image import (
+    Image,
+    ImageError,
+    common_shape,
+    list_images,
+    read_image,
+    resolve,
+)
 from tactile_perception.estimating.labels import labels_from_euler
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 
@@ -125,7 +131,8 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
     folder : path
         Holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw).
     preprocessing : PreprocessingSettings, optional
-        Overrides what `processed_image_params.json` says.
+        Overrides what `processed_image_params.json` says, as with those of a model; where they differ, the
+        report says in what. Processed images may have any one size.
 
     Raises
     ------
@@ -144,9 +151,10 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
     if not rows:
         raise DatasetError("\n".join([f"{folder}: no usable sample", *report.lines()]))
     names = [name for name, _ in rows]
-    settings = preprocessing
-    if settings is None:
-        settings = _preprocessing(parameters, processed, report)
+    settings = preprocessing or _preprocessing(parameters, processed, report)
+    if preprocessing and processed:
+        _note_differences(preprocessing, parameters, report)
+    if processed or preprocessing is None:  # a model's settings say what camera images must be
         settings = _suited(settings, common_shape(image_folder, names), processed, report)
     report.samples = len(rows)
     return TactileFolder(
@@ -300,6 +308,17 @@ def _preprocessing(
         raise DatasetError(f"{report.folder}: {error}") from error
 
 
+def _note_differences(
+    wanted: PreprocessingSettings, parameters: dict[str, Any], report: DatasetReport
+) -> None:
+    """Say in which settings the images of a folder are not those that a model was trained on."""
+    if any(name in parameters for name in IMAGE_PARAMS_NAMES):
+        stated = _preprocessing(parameters, True, report)
+        stated = stated.replaced(size=wanted.size, redraw_radius=wanted.redraw_radius)
+        if stated != wanted:
+            report.notes.append(f"images pre-processed otherwise than wanted: {stated.differences(wanted)}")
+
+
 def _suited(
     settings: PreprocessingSettings, shape: tuple[int, int] | None, processed: bool, report: DatasetReport
 ) -> PreprocessingSettings:
@@ -311,7 +330,7 @@ def _suited(
     found, right = f"{columns}x{rows}", f"{expected[1]}x{expected[0]}"
     if processed:
         report.notes.append(
-            f"processed images are {found}, not {right} as their settings say: taken as they are; the crop "
+            f"processed images are {found}, not {right} as the settings say: taken as they are; the crop "
             "of the camera image is unknown"
         )
     else:

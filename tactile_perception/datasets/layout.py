@@ -14,7 +14,12 @@ RAW_IMAGES_NAME = "images"
 IMAGE_FOLDERS = (IMAGES_NAME, RAW_IMAGES_NAME, "sensor_images")
 IMAGE_PARAMS_NAME = "processed_image_params.json"
 #: Where the settings of processed images and of the camera's may stand.
-IMAGE_PARAMS_NAMES = (IMAGE_PARAMS_NAME, "sensor_process_params.json", "image_params.json")
+IMAGE_PARAMS_NAMES = (
+    IMAGE_PARAMS_NAME,
+    "process_image_params.json",
+    "sensor_process_params.json",
+    "image_params.json",
+)
 CAMERA_PARAMS_NAMES = ("sensor_image_params.json", "sensor_params.json")
 #: The image without contact, which has no row.
 REFERENCE_NAME = "image_0.png"

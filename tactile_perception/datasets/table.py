@@ -1,7 +1,7 @@
 """The label table of a data folder: its columns in the names that public tools use, and its rows.
 
 A row's label is the sum of its contact pose and its shear, in mm and degrees. Where a lab's signs or units
-are others, a file `conventions.json` in the folder says so, and every reader heeds it::
+are others, a file `conventions.json` in the folder says so, and every reader applies it::
 
     {"flip": ["x", "y", "gamma"], "length_unit": "mm", "angle_unit": "deg"}
 """

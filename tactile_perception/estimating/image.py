@@ -1,31 +1,95 @@
-"""What a tactile image is in memory, and the error for what is none."""
+"""Tactile images in memory and in files: what is one, the error for what is none, and reading them whole."""
 
 from __future__ import annotations
 
+from collections import Counter
+from pathlib import Path
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+#: What the file of a whole image ends with; a decoder fills what is cut off with gray and says nothing.
+_ENDS = {b"\x89PNG": b"IEND\xaeB\x60\x82", b"\xff\xd8\xff": b"\xff\xd9"}
+_PROBES = 9
 
 
 class ImageError(ValueError):
     """An image of the wrong size, type or number of channels."""
 
 
-def check_image(image: object, shape: tuple[int, int], what: str) -> Image:
-    """`image` if it is uint8 of this (rows, columns); `ImageError` saying what it is instead otherwise."""
+def check_image(image: object, shape: tuple[int, int] | None, what: str) -> Image:
+    """`image` if it is uint8 of this (rows, columns), None: of any; else `ImageError` says what it is."""
     if not isinstance(image, np.ndarray):
         raise ImageError(f"{what}: must be a NumPy array, is {type(image).__name__}")
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[:, :, 0]
-    if image.ndim != 2:
-        raise ImageError(
-            f"{what}: must be a gray image (mono8) of {shape[1]}x{shape[0]}, has the shape {image.shape}"
-        )
+    if image.ndim != 2 or image.size == 0:
+        size = "" if shape is None else f" of {shape[1]}x{shape[0]}"
+        raise ImageError(f"{what}: must be a gray image (mono8){size}, has the shape {image.shape}")
     if image.dtype != np.uint8:
         raise ImageError(f"{what}: must be 8-bit (mono8, uint8), is {image.dtype}")
-    if image.shape != shape:
+    if shape is not None and image.shape != shape:
         raise ImageError(
             f"{what}: must be {shape[1]}x{shape[0]} pixels, is {image.shape[1]}x{image.shape[0]}"
         )
     return image
+
+
+def read_image(path: Path) -> Image:
+    """The image, gray.
+
+    Raises
+    ------
+    ImageError
+        If the file cannot be read, is cut short, or is no image.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ImageError(f"{path}: cannot be read: {error}") from error
+    for start, end in _ENDS.items():
+        if data.startswith(start) and end not in data[-64:]:
+            raise ImageError(f"{path}: is not a readable image (truncated, {len(data)} bytes)")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    except cv2.error as error:  # as of a size that no image has
+        raise ImageError(f"{path}: is not a readable image: {error.err}") from error
+    if image is None:
+        raise ImageError(f"{path}: is not a readable image (truncated or of another format)")
+    return np.asarray(image, np.uint8)
+
+
+def list_images(folder: Path) -> set[str]:
+    """Names of the image files in a folder."""
+    return {path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
+
+
+def resolve(image_folder: Path, name: str, present: set[str]) -> str | None:
+    """The file that a row means, relative to the image folder; None if it is not there.
+
+    Tables name a file of the folder, with or without a path before it, or one elsewhere by a path from there.
+    """
+    plain = Path(name.replace("\\", "/")).name
+    if plain == name:
+        return name if name in present else None
+    if (image_folder / name).is_file():
+        return name
+    return plain if plain in present else None
+
+
+def common_shape(image_folder: Path, names: list[str]) -> tuple[int, int] | None:
+    """(rows, columns) of more than half of some images spread over the names; None where there is no such."""
+    chosen = np.unique(np.linspace(0, len(names) - 1, min(_PROBES, len(names))).round().astype(int))
+    shapes: Counter[tuple[int, ...]] = Counter()
+    for index in chosen:
+        try:
+            shapes[read_image(image_folder / names[index]).shape] += 1
+        except ImageError:
+            continue  # named when it is read as a sample
+    if not shapes:
+        return None
+    (shape, count), *_ = shapes.most_common(1)
+    return (shape[0], shape[1]) if count > len(chosen) / 2 else None

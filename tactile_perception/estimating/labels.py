@@ -1,8 +1,9 @@
-"""Labels: Euler surface contact pose -> X_fs -> X_sf -> xi_sf, the network's target, and back.
+"""What the network's numbers mean: Euler surface contact pose -> X_fs -> X_sf -> xi_sf, its target, and back.
 
 Public data gives the Euler surface contact pose (x, y, z, alpha, beta, gamma) of X_fs in millimeters and
 degrees, extrinsic xyz. The network learns xi_sf = ln(X_sf) in millimeters and radians, so that its six
-components have comparable sizes and read like the paper's tables. Everything else is SI.
+components have comparable sizes and read like the paper's tables. Everything else is SI. Its Gaussian over
+xi_sf becomes the left-perturbation Gaussian over X_sf of the filter, and is read back from it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_filter import se3
+from tactile_filter.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 
@@ -21,6 +23,18 @@ COMPONENTS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
 NETWORK_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 EULER_COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
 EULER_UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
+
+
+def errors_in_words(errors: ArrayLike) -> str:
+    """Errors (6,) of xi_sf in mm and rad on a line, with names and units."""
+    values = np.asarray(errors, np.float64)
+    rho = "/".join(f"{value:.3f}" for value in values[:3])
+    phi = "/".join(f"{value:.4f}" for value in values[3:])
+    return f"rho x/y/z {rho} mm, phi x/y/z {phi} rad"
+
+
+class EstimateError(ValueError):
+    """An answer of the network that is no Gaussian: NaN, infinite, or without a positive (co)variance."""
 
 
 def surface_contact_pose(euler_mm_deg: ArrayLike) -> Array:
@@ -61,3 +75,56 @@ def network_from_pose(T_sf: ArrayLike) -> Array:
 def pose_from_network(xi_network: ArrayLike) -> Array:
     """T_sf (4, 4) in SI of a network vector xi_sf (6,) in mm and rad."""
     return se3.exp(np.asarray(xi_network, dtype=np.float64) * NETWORK_SCALE)
+
+
+def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
+    """Network answer -> X_sf = exp(eps^) exp(mean^), eps ~ N(0, J(mean) Sigma J(mean)^T), in SI.
+
+    Paper, eq. left_perturbation_cov: the network's Gaussian lives around its mean in the global tangent
+    space; the left Jacobian carries it to the perturbation on the left of the mean.
+
+    Parameters
+    ----------
+    mean, covariance : (6,) xi_sf and (6, 6), in mm and rad.
+
+    Raises
+    ------
+    EstimateError
+        If the covariance is not positive definite.
+    """
+    scale = np.sqrt(np.abs(np.diagonal(covariance)))
+    try:
+        # Of the correlations, so that units and sizes do not decide what is still positive.
+        root = scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale))
+    except np.linalg.LinAlgError as error:
+        raise EstimateError(
+            f"the network answered with a covariance that is not positive definite: {covariance}"
+        ) from error
+    return gaussian_from_root(mean, root)
+
+
+def gaussian_from_root(mean: Array, root: Array) -> PoseGaussian:
+    """`pose_gaussian` with a root (6, 6) of the covariance, or the standard deviations (6,) of a diagonal."""
+    xi = mean * NETWORK_SCALE
+    jacobian = se3.left_jacobian(xi)
+    if root.ndim == 1:
+        root = jacobian * (NETWORK_SCALE * root)
+    else:
+        root = jacobian @ (NETWORK_SCALE[:, None] * root)
+    return PoseGaussian(se3.exp(xi), root @ root.T)
+
+
+def network_row(gaussian: PoseGaussian) -> tuple[Array, Array]:
+    """Mean and standard deviations (6,) of xi_sf in mm and rad of a left-perturbation Gaussian (SI)."""
+    mean, cov = tangent_gaussian(gaussian)
+    return mean, np.sqrt(np.diag(cov))
+
+
+def tangent_gaussian(gaussian: PoseGaussian) -> tuple[Array, Array]:
+    """Mean (6,) and covariance (6, 6) of xi_sf in mm and rad of a left-perturbation Gaussian (SI).
+
+    The reverse of the estimator's conversion: xi ~ N(mu, J^-1 Sigma J^-T), eq. glob_tangent_space_pdf.
+    """
+    xi = se3.log(gaussian.mean)
+    inverse_jacobian = se3.inverse_left_jacobian(xi) / NETWORK_SCALE[:, None]
+    return xi / NETWORK_SCALE, inverse_jacobian @ gaussian.cov @ inverse_jacobian.T

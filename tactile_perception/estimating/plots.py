@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
@@ -17,6 +18,9 @@ from tactile_perception.estimating.run import EstimateTable
 Array = NDArray[np.float64]
 Row = tuple[str, Array, Array, Array | None]
 DPI = 80
+#: Leading digits of the ticks of a logarithmic axis, and how many ticks fit on one.
+_DIGITS = ((1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))
+_MOST_TICKS = 5
 
 
 def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
@@ -36,10 +40,9 @@ def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -
     figure, grid = plot_grid(len(rows), 6, 3.4)
     for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):
         for component, axes in enumerate(axes_row):
-            deviation = None if sigma is None else sigma[:, component]
-            _scatter(figure, axes, actual[:, component], predicted[:, component], deviation)
+            deviation, unit = None if sigma is None else sigma[:, component], NETWORK_UNITS[component]
+            _scatter(figure, axes, actual[:, component], predicted[:, component], deviation, unit)
             mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
-            unit = NETWORK_UNITS[component]
             axes.set_title(f"{COMPONENTS[component]}: MAE {mae:.3g} {unit}")
             axes.set(xlabel=f"actual ({unit})", ylabel="predicted" if component else f"{name}\npredicted")
     figure.suptitle(title)
@@ -53,13 +56,41 @@ def plot_grid(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
+def log_axis(axes: Any, which: str) -> None:
+    """Make the axis "x" or "y" logarithmic, with a few ticks in plain numbers; call it after plotting."""
+    getattr(axes, f"set_{which}scale")("log")
+    axis = getattr(axes, f"{which}axis")
+    low, high = sorted(axis.get_view_interval())
+    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+    for digits in _DIGITS:
+        ticks = np.outer(10.0**decades, digits).ravel()
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        if len(ticks) <= _MOST_TICKS:
+            break
+    if len(ticks) < 2:  # less than a step of the finest
+        ticks = np.array(MaxNLocator(_MOST_TICKS - 1).tick_values(low, high))
+    axis.set_major_locator(FixedLocator(ticks.tolist()))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _short(value: float, _: object = None) -> str:
+    """120k for 120000."""
+    for factor, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if abs(value) >= factor:
+            return f"{value / factor:g}{letter}"
+    return f"{value:g}"
+
+
 def shared_legend(figure: Figure, axes: Any) -> None:
     """One legend below all plots, of the lines that these axes have."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8)
 
 
-def _scatter(figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: Array | None) -> None:
+def _scatter(
+    figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: Array | None, unit: str
+) -> None:
     """One plot of the figure; without sigma in one color."""
     usable = np.flatnonzero(np.isfinite(predicted) & np.isfinite(actual))
     if sigma is None:
@@ -71,7 +102,8 @@ def _scatter(figure: Figure, axes: Any, actual: Array, predicted: Array, sigma: 
         low, high = np.percentile(precision, [2.0, 98.0])
         range_shown = {"vmin": low, "vmax": max(high, low * 1.001)}
         points = axes.scatter(actual[order], predicted[order], c=precision, cmap="jet", s=3, **range_shown)
-        figure.colorbar(points, ax=axes, label="precision", pad=0.01)
+        bar = figure.colorbar(points, ax=axes, label=f"precision (1/{unit}²)", pad=0.01)
+        bar.formatter = FuncFormatter(_short)  # a power of ten over the bar would run into the title
     ends = [actual[usable].min(), actual[usable].max()]
     axes.plot(ends, ends, color="black", linewidth=0.8)
 

@@ -70,6 +70,11 @@ class PreprocessingSettings(Settings):
         if self.threshold_block % 2 == 0:
             raise SettingError(f"threshold_block = {self.threshold_block}: must be odd")
 
+    def differences(self, other: PreprocessingSettings) -> str:
+        """The settings that another one has otherwise, as "median = 5, not 3"; empty where they agree."""
+        pairs = ((name, getattr(self, name), getattr(other, name)) for name in self.__dataclass_fields__)
+        return "; ".join(f"{name} = {ours}, not {theirs}" for name, ours, theirs in pairs if ours != theirs)
+
     @property
     def raw_shape(self) -> tuple[int, int]:
         """(rows, columns) of a camera image."""
@@ -105,7 +110,7 @@ class Preprocessor:
         return as_input(self._resized)
 
     def from_processed(self, crop: Image) -> NDArray[np.float32]:
-        """Already cropped and thresholded image, uint8 of `crop_shape` -> network input."""
+        """Already cropped and thresholded image, uint8 of any size -> network input."""
         return as_input(self.resized(crop))
 
     def binary(self, image: Image) -> Image:
@@ -121,15 +126,17 @@ class Preprocessor:
         return result
 
     def resized(self, crop: Image) -> Image:
-        """Processed crop -> uint8 (size, size); what training keeps in memory.
+        """Processed crop, uint8 of any size -> uint8 (size, size); what training keeps in memory.
+
+        Other crops than `crop_shape` are what other tools have written: the whole of one is taken.
 
         Raises
         ------
         ImageError
-            If the crop is not uint8 of `crop_shape`.
+            If the crop is not gray and uint8.
         """
         result = np.empty_like(self._resized)
-        self._resize(check_image(crop, self.settings.crop_shape, "processed image"), result)
+        self._resize(check_image(crop, None, "processed image"), result)
         return result
 
     def _binarize(self, image: Image, result: Image) -> None:

@@ -98,7 +98,7 @@ class ContactPresence:
         Raises
         ------
         ValueError
-            With fewer than two images: the noise could not be told.
+            With fewer than two images: the noise could not be estimated.
         """
         stack = np.asarray(images, dtype=np.float32)
         if stack.ndim < 3 or len(stack) < 2:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
@@ -18,13 +17,14 @@ from tactile_perception.estimating.labels import (
     COMPONENTS,
     EULER_COMPONENTS,
     EULER_UNITS,
-    NETWORK_SCALE,
     NETWORK_UNITS,
     euler_from_label,
     label_from_euler,
+    network_row,
 )
+from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.sources import Frame
-from tactile_perception.estimator import EstimateError, Estimator
+from tactile_perception.estimator import Estimator
 
 Array = NDArray[np.float64]
 
@@ -117,22 +117,22 @@ def run_estimates(
     raises `ImageError`, for then all of them are wrong.
     """
     table = EstimateTable()
+    perceive = Perceiver(estimator)
     steps: list[tuple[int, Belief, Array]] = []  # row, belief, pose of the sensor
     for frame in frames:
         table.names.append(frame.name)
         table.stamps_ns.append(frame.stamp_ns)
         table.label_rows.append(_NOTHING[0] if frame.label is None else label_from_euler(frame.label))
         network = filtered = _NOTHING
-        try:
-            gaussian = (estimator.estimate_processed if frame.processed else estimator.estimate)(frame.image)
-        except EstimateError as error:
-            table.failures.append(f"{frame.name}: {error}")
+        percept = perceive(frame.image, frame.processed)
+        if percept.estimate is None:
+            table.failures.append(f"{frame.name}: {percept.fault}")
         else:
-            network = network_row(gaussian)
+            network = network_row(percept.estimate)
             times = estimator.times
             table.stage_seconds.append((times.preprocess, times.infer, times.convert))
             if contact_filter is not None and frame.T_base_sensor is not None:
-                belief = contact_filter.step(frame.stamp_ns, gaussian, frame.T_base_sensor)
+                belief = contact_filter.step(frame.stamp_ns, percept.estimate, frame.T_base_sensor)
                 steps.append((len(table) - 1, belief, frame.T_base_sensor))
                 filtered = network_row(PoseGaussian(belief.mean, belief.cov))
         table.network_rows.append(network)
@@ -149,22 +149,6 @@ def _smooth(table: EstimateTable, steps: list[tuple[int, Belief, Array]], settin
     for (row, _, _), belief in zip(steps, beliefs, strict=True):
         if belief.valid:
             table.filtered_rows[row] = network_row(PoseGaussian(belief.mean, belief.cov))
-
-
-def network_row(gaussian: PoseGaussian) -> tuple[Array, Array]:
-    """Mean and standard deviations (6,) of xi_sf in mm and rad of a left-perturbation Gaussian (SI)."""
-    mean, cov = tangent_gaussian(gaussian)
-    return mean, np.sqrt(np.diag(cov))
-
-
-def tangent_gaussian(gaussian: PoseGaussian) -> tuple[Array, Array]:
-    """Mean (6,) and covariance (6, 6) of xi_sf in mm and rad of a left-perturbation Gaussian (SI).
-
-    The reverse of the estimator's conversion: xi ~ N(mu, J^-1 Sigma J^-T), eq. glob_tangent_space_pdf.
-    """
-    xi = se3.log(gaussian.mean)
-    inverse_jacobian = se3.inverse_left_jacobian(xi) / NETWORK_SCALE[:, None]
-    return xi / NETWORK_SCALE, inverse_jacobian @ gaussian.cov @ inverse_jacobian.T
 
 
 _NOTHING = (np.full(6, np.nan), np.full(6, np.nan))

@@ -1,6 +1,6 @@
 """Post-hoc calibration: a network's standard deviations scaled to the errors it makes on data held back.
 
-A network that has learned its training data by heart takes itself to be more exact than it is. Calibration
+A network that overfits its training data takes itself to be more exact than it is. Calibration
 leaves the means alone and multiplies the standard deviation of component j by
 
     exp(h_j(ln sigma_j) + g_j(mu_z)),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.datasets.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
-from tactile_perception.datasets.holdback import unseen_rows
+from tactile_perception.estimating.model_metadata import unseen_rows
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import fit_calibration
 from tactile_perception.evaluation.metrics import (

@@ -31,9 +31,9 @@ _BATCH = 50
 #: What makes two models different kinds; the rest of a model's facts is a result of its training.
 _SECTIONS = ("network", "training", "augmentation")
 #: Settings in which models of one group may differ: chance, and what concerns speed only.
-_NOT_TOLD = ("training.seed", "training.threads", "training.max_minutes", "training.precision")
+_WITHOUT_EFFECT = ("training.seed", "training.threads", "training.max_minutes", "training.precision")
 #: More differences than these do not fit over a column.
-_MOST_TOLD = 2
+_MOST_NAMED = 2
 
 
 @dataclass(frozen=True)
@@ -115,24 +115,24 @@ def _with_kinds(models: list[Model]) -> list[Model]:
     """Models of one head but other settings are different kinds, named after what differs, or A, B, C."""
     found = []
     for model in models:
-        settings = [_told_settings(other) for other in models if other.kind == model.kind]
-        mine = _told_settings(model)
+        settings = [_compared_settings(other) for other in models if other.kind == model.kind]
+        mine = _compared_settings(model)
         differing = [key for key in mine if any(other.get(key, mine[key]) != mine[key] for other in settings)]
         distinct = list(dict.fromkeys(tuple(other.get(key) for key in differing) for other in settings))
         label = ", ".join(f"{key.split('.')[-1]} {mine[key]}" for key in differing)
-        if len(differing) > _MOST_TOLD:
+        if len(differing) > _MOST_NAMED:
             label = string.ascii_uppercase[distinct.index(tuple(mine[key] for key in differing)) % 26]
         found.append(dataclasses.replace(model, kind=f"{model.kind} ({label})" if label else model.kind))
     return found
 
 
-def _told_settings(model: Model) -> dict[str, str]:
-    """Every setting of network and training in which models of one kind agree, as text."""
+def _compared_settings(model: Model) -> dict[str, str]:
+    """Every setting of network and training that is the same for models of one kind, as text."""
     return {
         f"{section}.{name}": str(value)
         for section in _SECTIONS
         for name, value in model.metadata.training.get(section, {}).items()
-        if f"{section}.{name}" not in _NOT_TOLD
+        if f"{section}.{name}" not in _WITHOUT_EFFECT
     }
 
 

@@ -13,6 +13,7 @@ from tactile_perception.estimating.plots import (
     DPI,
     Row,
     draw_predicted_against_actual,
+    log_axis,
     plot_grid,
     shared_legend,
 )
@@ -85,14 +86,15 @@ def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
                 bins = assessment.by_sigma[component]
                 state = "calibrated" if assessment is result.calibrated else "as the network says"
                 sigma, rmse = bins.sigma[:, component], bins.rmse[:, component]
-                axes.loglog(
-                    sigma, rmse, style, color=f"C{color}", markersize=3, label=f"{result.name}, {state}"
-                )
+                label = f"{result.name}, {state}"
+                axes.plot(sigma, rmse, style, color=f"C{color}", markersize=3, label=label)
                 reach += [*sigma[np.isfinite(sigma)], *rmse[np.isfinite(rmse)]]
         limits = [min(reach), max(reach)]
         axes.plot(limits, limits, color="black", linewidth=0.8)
         axes.set(xlabel=f"predicted sigma ({NETWORK_UNITS[component]})", title=COMPONENTS[component])
-        axes.grid(alpha=0.3, which="both")
+        log_axis(axes, "x")
+        log_axis(axes, "y")
+        axes.grid(alpha=0.3)
     grid[0][0].set_ylabel("root mean square error")
     shared_legend(figure, grid[0][0])
     figure.savefig(path, dpi=DPI)

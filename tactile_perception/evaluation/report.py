@@ -1,4 +1,4 @@
-"""Tables and files of an evaluation: the paper's table, calibration, and everything as CSV and JSON."""
+"""Tables and files of an evaluation, with the paper's numbers to compare with; everything as CSV and JSON."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import dataclasses
 import json
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from tactile_base.config_paths import config_path
+from tactile_base.yaml_file import read_yaml
 from tactile_perception.estimating.labels import COMPONENTS, EULER_COMPONENTS, EULER_UNITS, NETWORK_UNITS
 from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import LEVELS, Bins
-from tactile_perception.evaluation.reference import ReferenceTables
 
 Array = NDArray[np.float64]
+_PAPER_TABLES = "perception/tables_lloyd_lepora.yaml"
 
 
 def groups(results: Sequence[ModelResult]) -> dict[str, list[ModelResult]]:
@@ -251,3 +254,31 @@ def _write_predictions(path: Path, data: EvaluationData, result: ModelResult) ->
         file.write(",".join(["image", *header]) + "\n")
         for name, row in zip(data.names, values.tolist(), strict=True):
             file.write(name + "," + ",".join(f"{value:.6g}" for value in row) + "\n")
+
+
+@dataclass(frozen=True)
+class ReferenceTables:
+    """Mean absolute errors (6,) in mm and rad.
+
+    Attributes
+    ----------
+    networks : loss and errors by kind of network
+    filter : errors by sigma_psi in mm and degrees
+    """
+
+    networks: dict[str, tuple[float, Array]] = field(default_factory=dict)
+    filter: dict[float, Array] = field(default_factory=dict)
+
+
+def paper_tables() -> ReferenceTables:
+    """The paper's tables; `SettingError` or `OSError` if the file is not as it was shipped."""
+    root = read_yaml(config_path(_PAPER_TABLES))
+    root.allow("networks", "filter")
+    filtered = root.section("filter")
+    return ReferenceTables(
+        networks={
+            kind: (section.number("loss"), np.array(section.numbers("mae", 6)))
+            for kind, section in root.sections("networks").items()
+        },
+        filter={float(key): np.array(filtered.numbers(key, 6)) for key in filtered.values},
+    )

@@ -68,7 +68,7 @@ def _regressed(basis: Array, positions: Array, chosen: NDArray[np.int64], before
 def _followed(predicted: Array, blobs: Array, reach: float, around: NDArray[np.int64]) -> Array:
     """Blobs (markers, 2) near the predictions, after these have been moved as their neighbors were.
 
-    Slip moves all markers of a neighborhood by what no label tells; one that moves otherwise is another.
+    Slip moves all markers of a neighborhood by what no label describes; one that moves otherwise is another.
     """
     moved = predicted
     for part in (1.0, 1.0, 0.6):
@@ -90,7 +90,7 @@ def _mutual_nearest(markers: Array, blobs: Array, reach: float) -> Array:
 
 
 def _scaled(labels: Array) -> Array:
-    """Labels in [-1, 1], so that the regression heeds all alike; the depth in [0, 1] from shallow on."""
+    """Labels in [-1, 1], so that all weigh alike in the regression; the depth in [0, 1] from shallow on."""
     middle = (labels.max(axis=0) + labels.min(axis=0)) / 2
     half = np.maximum((labels.max(axis=0) - labels.min(axis=0)) / 2, 1e-12)
     return (labels - middle) / half

@@ -1,8 +1,10 @@
-"""Data of a training run in memory: training, held-back and validation samples."""
+"""What a training run begins with, in memory: training, held-back and validation samples, and its start."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,18 +13,31 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor, nn
 
+from tactile_base.settings import SettingError
 from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset
-from tactile_perception.datasets.holdback import split_holdback
 from tactile_perception.estimating.image import Image
+from tactile_perception.estimating.model_metadata import split_holdback
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import CalibrationError
 from tactile_perception.training.augmentation import SCALE
 from tactile_perception.training.config import TrainConfig
-from tactile_perception.training.start import Start, load_start
+from tactile_perception.training.run_folder import BEST_NAME, CONFIG_NAME, FACTS_NAME, RunFolder
+from tactile_perception.training.settings import NetworkSettings
 
 #: One sample has no deviation to start from.
 _FEWEST_SAMPLES = 2
+#: Settings in which networks of a run and its start may differ; all others decide which weights there are.
+_FREE = {
+    "head",
+    "batch_norm_momentum",
+    "dropout_mean",
+    "dropout_inverse_sigma",
+    "dropout_correlation",
+    "mse_weights",
+    "redraw_radius",
+}
 
 
 @dataclass(frozen=True)
@@ -82,8 +97,8 @@ def load_data(
     preprocessing = training.preprocessing.replaced(**changes)
     if preprocessing != validation.preprocessing:
         raise DatasetError(
-            f"{train_dir} and {validation_dir} were pre-processed differently: "
-            f"{preprocessing} and {validation.preprocessing}"
+            f"{train_dir} and {validation_dir} were pre-processed differently: the first has "
+            f"{preprocessing.differences(validation.preprocessing)}"
         )
     data = arrange(training, validation, config, preprocessing)
     if start is None:
@@ -154,3 +169,42 @@ def _reduced(images: Image, size: int) -> Image:
         return images
     shape = (size, size)
     return np.stack([cv2.resize(image, shape, interpolation=cv2.INTER_AREA) for image in images])
+
+
+@dataclass(frozen=True)
+class Start:
+    """Weights of a finished run, without its head's if that is of another kind; and what they come from."""
+
+    weights: dict[str, Tensor]
+    facts: dict[str, Any]
+
+    def give(self, network: nn.Module) -> None:
+        """Put the weights into a network; what they lack stays as it is."""
+        network.load_state_dict({**network.state_dict(), **self.weights})
+
+
+def load_start(run: Path | str, network: NetworkSettings) -> Start:
+    """The best network of a finished run of `tactile train`, for a run whose network has these settings.
+
+    Raises
+    ------
+    SettingError
+        If the folder holds no finished run, or one of another network; the message says what differs.
+    """
+    folder = RunFolder(run)
+    if not folder.finished:
+        raise SettingError(f"training.start = {run}: is not the folder of a finished run of `tactile train`")
+    config = TrainConfig.from_file(folder.file(CONFIG_NAME))
+    for name in NetworkSettings.__dataclass_fields__:
+        theirs, ours = getattr(config.network, name), getattr(network, name)
+        if name not in _FREE and theirs != ours:
+            raise SettingError(
+                f"training.start = {run}: its network has {name} = {theirs}, this one {ours}; they must agree"
+            )
+    facts = json.loads(folder.file(FACTS_NAME).read_text())
+    facts["holdback"] = config.training.holdback
+    facts["weights_sha256"] = hashlib.sha256(folder.file(BEST_NAME).read_bytes()).hexdigest()
+    weights = folder.load_best()
+    if config.network.head != network.head:
+        weights = {name: value for name, value in weights.items() if not name.startswith("head.")}
+    return Start(weights, facts)

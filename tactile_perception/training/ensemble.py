@@ -11,17 +11,17 @@ from onnx import helper
 
 from tactile_base.whole_file import whole_file
 from tactile_perception.datasets.dataset import read_dataset
-from tactile_perception.datasets.holdback import split_holdback
 from tactile_perception.estimating.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
     INVERSE_SIGMA,
     MEAN,
     ModelMetadata,
+    split_holdback,
 )
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import CalibrationSettings
-from tactile_perception.training.graph_writer import GraphWriter
+from tactile_perception.training.export import GraphWriter
 from tactile_perception.training.recalibration import fit_on
 from tactile_perception.training.run_folder import MODEL_NAME
 
@@ -67,10 +67,8 @@ def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
     first = members[0]
     for file, member in zip(files, members, strict=True):
         if member.preprocessing != first.preprocessing:
-            raise EnsembleError(
-                f"{file}: prepares images otherwise than {files[0]}: "
-                f"{member.preprocessing}, not {first.preprocessing}"
-            )
+            difference = member.preprocessing.differences(first.preprocessing)
+            raise EnsembleError(f"{file}: prepares images otherwise than {files[0]}: {difference}")
     facts = [{"validation": member.validation, **member.training} for member in members]
     return ModelMetadata(
         preprocessing=first.preprocessing,

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnx import helper
+from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from tactile_base.whole_file import whole_file
-from tactile_perception.estimating.model_metadata import INPUT_NAME, MEAN, ModelMetadata
-from tactile_perception.training.graph_writer import GraphWriter, write_head
+from tactile_perception.estimating.model_metadata import (
+    COVARIANCE,
+    INPUT_NAME,
+    INVERSE_SIGMA,
+    MEAN,
+    OUTPUT_SHAPES,
+    ModelMetadata,
+)
+from tactile_perception.training.heads import COMPONENTS_OF_MIXTURE, LOWER, OUTPUTS
 from tactile_perception.training.network import ConvBlock, PoseNetwork
+from tactile_perception.training.settings import NetworkSettings
+
+OPSET = 17
+IR_VERSION = 8
 
 
 def export_onnx(
@@ -63,3 +75,163 @@ def _folded(block: ConvBlock, stride: int) -> tuple[NDArray[np.float32], NDArray
         # Channel (dy, dx) of tap (i, j) is pixel (i stride + dy, j stride + dx) of the larger kernel.
         weight = nn.functional.pixel_shuffle(weight, stride)
     return weight.contiguous().numpy(), bias.numpy()
+
+
+class GraphWriter:
+    """Collects the nodes and constants of an ONNX graph; a node is named after what it gives."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+
+    def constant(self, name: str, value: NDArray | float) -> str:
+        """A float32 or int64 constant; the same name twice has to mean the same value."""
+        array = np.ascontiguousarray(value)
+        array = array if array.dtype == np.int64 else array.astype(np.float32)
+        if all(known.name != name for known in self.constants):
+            # ascontiguousarray makes a scalar one-dimensional.
+            self.constants.append(numpy_helper.from_array(array.reshape(np.shape(value)), name))
+        return name
+
+    def node(self, operation: str, inputs: list[str], output: str, **attributes: Any) -> str:
+        self.nodes.append(helper.make_node(operation, inputs, [output], name=output, **attributes))
+        return output
+
+    def split(self, source: str, sizes: list[int], outputs: list[str], axis: int = 1) -> None:
+        """Cut `source` along an axis."""
+        lengths = self.constant(f"{source}.split", np.array(sizes, dtype=np.int64))
+        self.nodes.append(helper.make_node("Split", [source, lengths], outputs, axis=axis))
+
+    def reshape(self, source: str, shape: tuple[int, ...], output: str) -> str:
+        name = "shape." + "x".join(map(str, shape))
+        return self.node("Reshape", [source, self.constant(name, np.array(shape, dtype=np.int64))], output)
+
+    def block(self, name: str, source: str, weight: NDArray, bias: NDArray, stride: int, pooled: bool) -> str:
+        """Convolution, ReLU and, if `pooled`, max-pooling (in the order that runtimes fuse)."""
+        parameters = [self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
+        last = self.node(
+            "Conv",
+            [source, *parameters],
+            f"{name}.conv",
+            kernel_shape=[3 * stride, 3 * stride],
+            pads=[stride] * 4,
+            strides=[stride, stride],
+        )
+        last = self.node("Relu", [last], f"{name}.relu")
+        if not pooled:
+            return last
+        return self.node("MaxPool", [last], f"{name}.pool", kernel_shape=[2, 2], strides=[2, 2])
+
+    def softbound(self, source: str, output: str, bounds: tuple[float, ...]) -> str:
+        """clamp(x) + (log1p(exp(-|x - lower|)) - log1p(exp(-|x - upper|))), held to its bounds."""
+        low, high = (
+            self.constant(f"softbound.{name}", value)
+            for name, value in zip(("lower", "upper"), bounds, strict=True)
+        )
+        one = self.constant("one", 1.0)
+        terms = []
+        for name, bound in (("lower", low), ("upper", high)):
+            prefix = f"{output}.{name}"
+            last = self.node("Sub", [source, bound], f"{prefix}.difference")
+            last = self.node("Abs", [last], f"{prefix}.distance")
+            last = self.node("Neg", [last], f"{prefix}.exponent")
+            last = self.node("Exp", [last], f"{prefix}.exp")
+            last = self.node("Add", [last, one], f"{prefix}.sum")
+            terms.append(self.node("Log", [last], f"{prefix}.log"))
+        smooth = self.node("Sub", terms, f"{output}.correction")
+        clamped = self.node("Clip", [source, low, high], f"{output}.clamp")
+        total = self.node("Add", [clamped, smooth], f"{output}.total")
+        return self.node("Clip", [total, low, high], output)
+
+    def outer(self, left: str, right: str, output: str) -> str:
+        """(N, 6) and (N, 6) -> (N, 6, 6)."""
+        column = self.reshape(left, (-1, OUTPUTS, 1), f"{output}.column")
+        row = self.reshape(right, (-1, 1, OUTPUTS), f"{output}.row")
+        return self.node("Mul", [column, row], output)
+
+    def diagonal(self, source: str, output: str) -> str:
+        """(N, 6) -> (N, 6, 6) with these on the diagonal."""
+        row = self.reshape(source, (-1, 1, OUTPUTS), f"{output}.row")
+        return self.node("Mul", [row, self.constant("identity", np.eye(OUTPUTS))], output)
+
+    def model(self, image_size: int, outputs: tuple[str, ...]) -> onnx.ModelProto:
+        """The whole model, with a free batch size."""
+        image = helper.make_tensor_value_info(INPUT_NAME, TensorProto.FLOAT, ["N", 1, image_size, image_size])
+        values = [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["N", *OUTPUT_SHAPES[name]])
+            for name in outputs
+        ]
+        graph = helper.make_graph(self.nodes, "pose", [image], values, self.constants)
+        return helper.make_model(
+            graph,
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="tactile_servoing",
+        )
+
+
+def write_head(
+    graph: GraphWriter, raw: str, settings: NetworkSettings, sigma: NDArray[np.float64] | None
+) -> str:
+    """From a head's raw outputs to `mu` and its uncertainty; returns the name of the latter's output."""
+    if settings.head == "mse":
+        if sigma is None:
+            raise ValueError("a network with the head mse needs the standard deviations of its errors")
+        return _write_mse(graph, raw, sigma)
+    writers = {"gaussian": _write_gaussian, "full_gaussian": _write_full, "mixture": _write_mixture}
+    return writers[settings.head](graph, raw, settings.inverse_sigma_bounds)
+
+
+def _write_mse(graph: GraphWriter, raw: str, sigma: NDArray[np.float64]) -> str:
+    graph.node("Identity", [raw], MEAN)
+    nothing = graph.node("Mul", [raw, graph.constant("zero", 0.0)], "nothing")
+    constant = graph.constant("inverse_sigma.value", 1.0 / sigma)
+    return graph.node("Add", [nothing, constant], INVERSE_SIGMA)
+
+
+def _write_gaussian(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:
+    graph.split(raw, [OUTPUTS, OUTPUTS], [MEAN, "unbounded"])
+    return graph.softbound("unbounded", INVERSE_SIGMA, bounds)
+
+
+def _write_full(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:
+    """Covariance D (I + L)^-1 (I + L)^-T D; the inverse is (I - L) (I + L^2) (I + L^4) since L^6 = 0."""
+    graph.split(raw, [OUTPUTS, OUTPUTS, len(LOWER)], [MEAN, "unbounded", "lower.values"])
+    inverse_sigma = graph.softbound("unbounded", "conditional", bounds)
+    places = np.zeros((len(LOWER), OUTPUTS * OUTPUTS))
+    for index, (row, column) in enumerate(LOWER):
+        places[index, row * OUTPUTS + column] = 1.0
+    flat = graph.node("MatMul", ["lower.values", graph.constant("lower.places", places)], "lower.flat")
+    lower = graph.reshape(flat, (-1, OUTPUTS, OUTPUTS), "lower")
+    identity = graph.constant("identity", np.eye(OUTPUTS))
+    second = graph.node("MatMul", [lower, lower], "lower.2")
+    fourth = graph.node("MatMul", [second, second], "lower.4")
+    first = graph.node("Sub", [identity, lower], "inverse.1")
+    for even, name in ((second, "inverse.2"), (fourth, "inverse.4")):
+        factor = graph.node("Add", [identity, even], f"{name}.factor")
+        first = graph.node("MatMul", [first, factor], name)
+    scale = graph.reshape(inverse_sigma, (-1, OUTPUTS, 1), "conditional.column")
+    root = graph.node("Div", [first, scale], "root")
+    transposed = graph.node("Transpose", [root], "root.transposed", perm=[0, 2, 1])
+    return graph.node("MatMul", [root, transposed], COVARIANCE)
+
+
+def _write_mixture(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:
+    """Mean and covariance of the two Gaussians' mixture."""
+    names = [f"{part}{k}" for k in range(COMPONENTS_OF_MIXTURE) for part in ("mean", "unbounded")]
+    graph.split(raw, [OUTPUTS] * len(names) + [1], [*names, "logit"])
+    negative = graph.node("Neg", ["logit"], "logit.negative")
+    weights = [graph.node("Sigmoid", [logit], f"weight{k}") for k, logit in enumerate(("logit", negative))]
+    means, variances = [], []
+    for k, weight in enumerate(weights):
+        inverse_sigma = graph.softbound(f"unbounded{k}", f"inverse_sigma{k}", bounds)
+        squared = graph.node("Mul", [inverse_sigma, inverse_sigma], f"precision{k}")
+        variances.append(graph.node("Div", [weight, squared], f"variance{k}"))
+        means.append(graph.node("Mul", [weight, f"mean{k}"], f"weighted_mean{k}"))
+    graph.node("Add", means, MEAN)
+    within = graph.diagonal(graph.node("Add", variances, "variance"), "within")
+    difference = graph.node("Sub", ["mean0", "mean1"], "difference")
+    product = graph.node("Mul", weights, "weights")
+    scaled = graph.node("Mul", [difference, product], "scaled_difference")
+    between = graph.outer(scaled, difference, "between")
+    return graph.node("Add", [within, between], COVARIANCE)

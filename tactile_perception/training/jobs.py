@@ -70,8 +70,8 @@ def unfinished(jobs: Iterable[Job]) -> list[Job]:
     return left
 
 
-def run_processes(jobs: list[Job], processes: int, tell: Callable[[Job, str], None]) -> None:
-    """Run jobs in so many processes at a time; `tell` gets each that ended, with its error or "".
+def run_processes(jobs: list[Job], processes: int, report: Callable[[Job, str], None]) -> None:
+    """Run jobs in so many processes at a time; `report` gets each that ended, with its error or "".
 
     Ctrl-C ends the processes; the same jobs run again go on where they were.
     """
@@ -85,7 +85,7 @@ def run_processes(jobs: list[Job], processes: int, tell: Callable[[Job, str], No
             for key, (job, process) in list(running.items()):
                 if process.poll() is not None:
                     del running[key]
-                    tell(job, "" if process.returncode == 0 else _last_line(job))
+                    report(job, "" if process.returncode == 0 else _last_line(job))
     finally:
         for _, process in running.values():
             process.terminate()
@@ -93,7 +93,7 @@ def run_processes(jobs: list[Job], processes: int, tell: Callable[[Job, str], No
             process.wait()
 
 
-def run_cluster(jobs: list[Job], scheduler: str, tell: Callable[[Job, str], None]) -> None:
+def run_cluster(jobs: list[Job], scheduler: str, report: Callable[[Job, str], None]) -> None:
     """Run jobs on the workers of a Dask scheduler; their folders' files come back where they are not shared.
 
     Data and project have to be at the same paths on every machine.
@@ -120,7 +120,7 @@ def run_cluster(jobs: list[Job], scheduler: str, tell: Callable[[Job, str], None
             failure = future.exception()
             if failure is None:
                 store_files(job, future.result())
-            tell(job, "" if failure is None else str(failure))
+            report(job, "" if failure is None else str(failure))
 
 
 def run_on_worker(job: Job) -> dict[str, bytes]:

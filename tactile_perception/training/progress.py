@@ -1,12 +1,19 @@
-"""What a training run tells while it goes on."""
+"""What a training run reports while it goes on, how it is shown, and how long the run will still take."""
 
 from __future__ import annotations
 
+import math
+from collections import deque
+
+import numpy as np
+
+from tactile_base.progress import Progress, duration
+from tactile_perception.estimating.labels import errors_in_words
 from tactile_perception.training.run_folder import Epoch
 
 
-class Progress:
-    """Told of everything and says nothing; `console.TrainingProgress` shows it."""
+class TrainingProgress:
+    """Gets every report of a run and shows none; `TrainingDisplay` shows them."""
 
     def loading(self, done: int, total: int) -> None:
         """Images read so far."""
@@ -19,3 +26,97 @@ class Progress:
 
     def epoch(self, epoch: Epoch) -> None:
         """An epoch and its validation are done."""
+
+
+class TrainingDisplay(TrainingProgress):
+    """A bar with epoch, loss and time left on a terminal, and a line for each epoch; use as a context."""
+
+    def __init__(self) -> None:
+        self._display = Progress(line_period=math.inf)  # there is a line for each epoch
+        self._steps = self._epochs = 0
+        self._loss_name = ""
+        self._announced = False
+
+    def __enter__(self) -> TrainingDisplay:
+        self._display.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._display.__exit__(*exception)
+
+    def loading(self, done: int, total: int) -> None:
+        self._display.update("loading", done, total, "images")
+
+    def start(self, epochs: int, steps: int, loss_name: str, epochs_done: int) -> None:
+        self._display.finish("loading")
+        self._steps, self._epochs, self._loss_name = steps, epochs, loss_name
+        if epochs_done:
+            self._display.say(f"resumed after epoch {epochs_done} of {epochs}")
+
+    def step(self, epoch: int, step: int, loss: float, seconds_left: float | None) -> None:
+        if seconds_left is not None and not self._announced:
+            self._announced = True
+            self._display.say(f"{self._epochs - epoch} epochs will take about {duration(seconds_left)}")
+        done, total = epoch * self._steps + step + 1, self._epochs * self._steps
+        text = f"epoch {epoch + 1}, {self._loss_name} {loss:.3f}"
+        left = math.nan if seconds_left is None else seconds_left
+        self._display.update("training", done, total, text=text, seconds_left=left)
+
+    def epoch(self, epoch: Epoch) -> None:
+        self._announced = True  # by this line
+        self._display.say(
+            f"epoch {epoch.number + 1:3d}  lr {epoch.learning_rate:.1e}  {self._loss_name} "
+            f"train {epoch.train_loss:7.3f} val {epoch.validation_loss:7.3f}  "
+            f"val MAE {errors_in_words(epoch.mae)}  "
+            f"{epoch.seconds:.0f} s, {duration(epoch.seconds_left)} left{'  best' if epoch.best else ''}"
+        )
+
+
+class TimeLeft:
+    """Estimates from the steps and validations so far; early stopping may end a run sooner.
+
+    What counts is the last epoch's steps, so that the estimate follows a machine that others use as well: the
+    median over a few stretches of them of each stretch's mean, which a pause of some seconds does not move
+    and one that comes again and again does. In the first epoch only the later half of the steps counts, since
+    the first ones warm up caches and memory, and nothing is said before there is enough of them.
+    """
+
+    #: Cost of a validation image as part of a training image, until one validation has been measured.
+    _VALIDATION_COST = 0.3
+    #: What has to be measured before the first estimate, unless the first epoch ends sooner.
+    _FIRST_STEPS, _FIRST_SECONDS = 20, 20.0
+    _STRETCHES = 5
+
+    def __init__(self, epochs: int, steps: int, batch_size: int, validation_samples: int) -> None:
+        self._epochs, self._steps = epochs, steps
+        self._recent: deque[float] = deque(maxlen=steps)
+        self._measured = 0.0
+        self._validation: float | None = None
+        self._validation_batches = validation_samples / batch_size
+
+    def step(self, seconds: float) -> None:
+        """One training step took so long."""
+        self._recent.append(seconds)
+        self._measured += seconds
+
+    def validation(self, seconds: float) -> None:
+        """One validation took so long."""
+        self._validation = seconds
+
+    def seconds(self, epochs_done: int, steps_done: int = 0) -> float | None:
+        """Seconds left after so many whole epochs and steps of the next; None while too little is known."""
+        if self._validation is None:
+            if len(self._recent) < self._FIRST_STEPS or self._measured < self._FIRST_SECONDS:
+                return None
+            step = self._typical(len(self._recent) // 2)
+            validation = self._VALIDATION_COST * step * self._validation_batches
+        else:
+            step, validation = self._typical(), self._validation
+        epochs = self._epochs - epochs_done
+        return (epochs * self._steps - steps_done) * step + epochs * validation
+
+    def _typical(self, skipped: int = 0) -> float:
+        """Seconds a step takes, without the first `skipped` of the recent ones."""
+        steps = np.array(self._recent)[skipped:]
+        stretches = np.array_split(steps, min(self._STRETCHES, len(steps)))
+        return float(np.median([stretch.mean() for stretch in stretches]))

@@ -201,9 +201,9 @@ def _head(model: onnx.ModelProto) -> onnx.NodeProto:
 def _head_outputs(model: onnx.ModelProto, images: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Raw outputs (N, outputs) of the last layer."""
     name = _head(model).output[0]
-    told = onnx.ModelProto.FromString(model.SerializeToString())
-    told.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, None))
-    session = onnxruntime.InferenceSession(told.SerializeToString(), providers=["CPUExecutionProvider"])
+    probe = onnx.ModelProto.FromString(model.SerializeToString())
+    probe.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, None))
+    session = onnxruntime.InferenceSession(probe.SerializeToString(), providers=["CPUExecutionProvider"])
     parts = [
         session.run([name], {INPUT_NAME: as_input(images[start : start + _BATCH])})[0]
         for start in range(0, len(images), _BATCH)

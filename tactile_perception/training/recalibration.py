@@ -1,9 +1,11 @@
-"""Calibrate a model that is there: on what it held back in training, or on samples of today's session."""
+"""Calibrate a trained model: on what it held back in training, or on samples of today's session."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -11,8 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_base.whole_file import whole_file
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset
-from tactile_perception.datasets.holdback import unseen_rows
-from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.model_metadata import ModelMetadata, is_training_data, unseen_rows
 from tactile_perception.estimating.preprocessing import as_input
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import (
@@ -26,16 +27,25 @@ _BATCH = 50
 
 
 def recalibrate(
-    model: Path | str, data: Path | str, out: Path | str, settings: CalibrationSettings | None = None
-) -> Calibration:
+    model: Path | str, data: Path | str, out: Path | str, changes: Mapping[str, Any] | None = None
+) -> tuple[Calibration, bool]:
     """Write a copy of a model file with a calibration fitted to labelled data.
+
+    The settings are those of the model's training. Margin and floor stand for what the training session
+    cannot show of another one: data of another session show it, and get neither.
 
     Parameters
     ----------
     data : path
         A labelled folder. Of the folder that the model was trained on, only what it held back is used.
-    settings : CalibrationSettings, optional
-        Default: those of the model's training.
+    changes : mapping, optional
+        Settings of the calibration that are to be others.
+
+    Returns
+    -------
+    calibration : Calibration
+    own_session : bool
+        Whether it was fitted to what the training held back, with margin and floor.
 
     Raises
     ------
@@ -46,7 +56,6 @@ def recalibrate(
     metadata = estimator.metadata
     if metadata.head == "mse":
         raise CalibrationError(f"{model}: the network has no uncertainty of its own to calibrate")
-    settings = settings or CalibrationSettings.from_mapping(metadata.training.get("calibration", {}))
     samples = read_dataset(data, metadata.preprocessing)
     rows = unseen_rows(metadata, samples.sha256, len(samples))
     if not len(rows):
@@ -54,9 +63,14 @@ def recalibrate(
             f"{data}: the model was trained on all of these data: nothing is left to calibrate on; train "
             "with training.holdback, or calibrate on other data"
         )
-    calibration = fit_on(estimator, samples, rows, settings)
+    own_session = is_training_data(metadata, samples.sha256)
+    settings = CalibrationSettings.from_mapping(metadata.training.get("calibration", {}))
+    if not own_session:
+        plain = CalibrationSettings()
+        settings = settings.replaced(margin=plain.margin, floor=plain.floor)
+    calibration = fit_on(estimator, samples, rows, settings.replaced(**(changes or {})))
     _write(Path(model), Path(out), dataclasses.replace(metadata, calibration=calibration))
-    return calibration
+    return calibration, own_session
 
 
 def fit_on(

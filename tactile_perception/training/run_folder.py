@@ -205,12 +205,9 @@ def _write(path: Path, text: str) -> None:
 
 def draw_curves(path: Path, epochs: list[Epoch], loss_name: str) -> None:
     """Loss and MAE over the epochs."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from tactile_perception.estimating.plots import log_axis, plot_grid
 
-    figure = Figure(figsize=(12.0, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    loss, translation, rotation = figure.subplots(1, 3)
+    figure, [[loss, translation, rotation]] = plot_grid(1, 3, 3.3)
     number = [epoch.number + 1 for epoch in epochs]
     loss.plot(number, [epoch.train_loss for epoch in epochs], label="training (with dropout)")
     loss.plot(number, [epoch.validation_loss for epoch in epochs], label="validation")
@@ -219,8 +216,9 @@ def draw_curves(path: Path, epochs: list[Epoch], loss_name: str) -> None:
     for component, name in enumerate(COMPONENTS):
         axes = translation if component < 3 else rotation
         axes.plot(number, mae[:, component], label=name)
-    translation.set(xlabel="epoch", ylabel="validation MAE (mm)", yscale="log")
-    rotation.set(xlabel="epoch", ylabel="validation MAE (rad)", yscale="log")
+    for axes, unit in ((translation, "mm"), (rotation, "rad")):
+        axes.set(xlabel="epoch", ylabel=f"validation MAE ({unit})")
+        log_axis(axes, "y")
     for axes in (loss, translation, rotation):
         axes.legend()
         axes.grid(alpha=0.3)

@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+import ctypes
+import dataclasses
+import time
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tactile_perception.estimating.labels import COMPONENTS
+from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.evaluation.calibration import Calibration, fit_calibration
+from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.config import TrainConfig
-from tactile_perception.training.data import load_data
-from tactile_perception.training.loop import train_network
-from tactile_perception.training.progress import Progress
-from tactile_perception.training.run_folder import Epoch, RunFolder, TrainResult
+from tactile_perception.training.data import RunData, Samples, check_samples, load_data
+from tactile_perception.training.export import export_onnx
+from tactile_perception.training.network import PoseNetwork, WeightAverage
+from tactile_perception.training.progress import TimeLeft, TrainingProgress
+from tactile_perception.training.run_folder import MODEL_NAME, Epoch, RunFolder, TrainResult
+from tactile_perception.training.settings import learning_rate
+from tactile_perception.training.symmetry import SymmetryAxis
 
-__all__ = ["Epoch", "Progress", "TrainConfig", "TrainResult", "train"]
+__all__ = ["Epoch", "TrainConfig", "TrainResult", "TrainingProgress", "train"]
+_EVALUATION_BATCH = 100
 
 
 def train(
@@ -19,7 +36,7 @@ def train(
     config: TrainConfig | None = None,
     validation_dir: Path | str | None = None,
     limit: int | None = None,
-    progress: Progress | None = None,
+    progress: TrainingProgress | None = None,
 ) -> TrainResult:
     """Train on a folder of the public layout and leave everything about the run in `out_dir`.
 
@@ -50,8 +67,301 @@ def train(
         If `out_dir` holds a finished run, or one with another configuration or other data.
     """
     config = config or TrainConfig()
-    progress = progress or Progress()
+    progress = progress or TrainingProgress()
     folder = RunFolder(out_dir)
     folder.check_free()  # before the images are read
     data = load_data(Path(data_dir), validation_dir, config, limit, progress.loading)
     return train_network(data, folder, config, progress)
+
+
+def train_network(
+    data: RunData, folder: RunFolder, config: TrainConfig, progress: TrainingProgress
+) -> TrainResult:
+    """Train on data in memory, from the start or from the state in the run folder."""
+    # What cannot be trained is refused here, before anything is written that would be in the way of another.
+    check_samples(data, config)
+    run = _Run(data, config)
+    resume = folder.open(config, data.facts, data.report)
+    settings = config.training
+    history = _History(run.loss_name)
+    if resume:
+        history = run.restore(folder.load_state())
+    remaining = TimeLeft(settings.epochs, run.steps_per_epoch, settings.batch_size, len(data.validation))
+    progress.start(settings.epochs, run.steps_per_epoch, run.loss_name, len(history.epochs))
+    while history.stopped is None:
+        number = len(history.epochs)
+        epoch, weights = run.epoch(number, history.best, progress, remaining)
+        history.add(epoch, settings.epochs, settings.patience, settings.max_minutes)
+        if not run.usable:
+            history.stopped = "the network's weights were not finite any more"
+        if epoch.best:
+            folder.save_best(weights)
+        folder.write_epochs(history.epochs, run.loss_name)
+        folder.save_state(run.state(history))
+        progress.epoch(epoch)
+    if history.best is None:
+        raise FloatingPointError(
+            f"the validation loss was never finite: lower the learning rate (stopped: {history.stopped})"
+        )
+    validation = run.finish(folder, history.best)
+    model_path = folder.file(MODEL_NAME)
+    result = TrainResult(model_path, history.best, history.epochs, history.stopped, history.minutes)
+    folder.finish(result, run.loss_name, validation)
+    return result
+
+
+class _History:
+    """What became of each epoch, and why there are no more."""
+
+    def __init__(self, loss_name: str) -> None:
+        self.loss_name = loss_name
+        self.epochs: list[Epoch] = []
+        self.best: Epoch | None = None
+        self.stopped: str | None = None
+
+    @property
+    def minutes(self) -> float:
+        return sum(epoch.seconds for epoch in self.epochs) / 60.0
+
+    def add(self, epoch: Epoch, epochs: int, patience: int, max_minutes: float) -> None:
+        """Append an epoch and decide whether it was the last."""
+        self.epochs.append(epoch)
+        if epoch.best:
+            self.best = epoch
+        since_best = epoch.number - self.best.number if self.best else epoch.number + 1
+        if epoch.number + 1 >= epochs:
+            self.stopped = "end of the schedule"
+        elif since_best >= patience:
+            self.stopped = f"no better validation loss in {patience} epochs"
+        elif max_minutes and self.minutes + epoch.seconds / 60.0 > max_minutes:
+            self.stopped = f"time limit of {max_minutes:g} min"
+
+
+class _Run:
+    """Network, optimizer and data of one run."""
+
+    def __init__(self, data: RunData, config: TrainConfig) -> None:
+        settings = config.training
+        torch.manual_seed(settings.seed)
+        if settings.threads:
+            torch.set_num_threads(settings.threads)
+        keep_freed_memory()
+        self.config, self.data = config, data
+        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.layout = torch.channels_last if settings.channels_last else torch.contiguous_format
+        self.network = PoseNetwork(config.network)
+        self.loss_name = self.network.distribution.name
+        self.images, self.labels = self._tensors(data.training)
+        self.network.start_from(self.labels.cpu())
+        if data.start is not None:
+            data.start.give(self.network)
+        self.network.to(self.device).to(memory_format=self.layout)  # type: ignore[call-overload]
+        self.axis: SymmetryAxis | None = None
+        self.augmenter = self._augmenter()
+        self.optimizer = self._optimizer()
+        self.average = WeightAverage(self.network, settings.average_decay)
+        # A last batch of one sample would leave batch normalization without a variance.
+        self.steps_per_epoch = max(1, len(data.training) // settings.batch_size)
+
+    def epoch(
+        self, number: int, best: Epoch | None, progress: TrainingProgress, remaining: TimeLeft
+    ) -> tuple[Epoch, dict[str, Tensor]]:
+        """One pass over the training data and a validation; the epoch and the validated weights."""
+        started = time.monotonic()
+        train_loss = self._train_epoch(number, progress, remaining)
+        trained = time.monotonic()
+        with self.average.in_place():
+            low = self.config.training.precision
+            validation_loss, mae = self.evaluate(self.data.validation, low)
+            weights = {name: value.cpu().clone() for name, value in self.network.state_dict().items()}
+        better = np.isfinite(validation_loss) and (best is None or validation_loss < best.validation_loss)
+        rate = learning_rate(number + 1.0, self.config.training)
+        ended = time.monotonic()
+        remaining.validation(ended - trained)
+        left = remaining.seconds(number + 1) or 0.0
+        epoch = Epoch(number, rate, train_loss, validation_loss, mae, ended - started, bool(better), left)
+        return epoch, weights
+
+    def _train_epoch(self, number: int, progress: TrainingProgress, remaining: TimeLeft) -> float:
+        settings = self.config.training
+        # Every epoch has random numbers of its own, so that a resumed run draws those of a whole one.
+        torch.manual_seed(_epoch_seed(settings.seed, number))
+        rng = np.random.default_rng([settings.seed, number])
+        self.network.train()
+        order = rng.permutation(len(self.images))
+        total = 0.0
+        before = time.monotonic()
+        for step in range(self.steps_per_epoch):
+            moment = number + step / self.steps_per_epoch
+            self._set_rates(moment)
+            chosen = order[step * settings.batch_size : (step + 1) * settings.batch_size]
+            loss = self._loss(*self._batch(chosen, moment, rng))
+            self.optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            self.optimizer.step()
+            self.average.update()
+            total += loss.item()
+            now = time.monotonic()
+            remaining.step(now - before)
+            before = now
+            progress.step(number, step, total / (step + 1), remaining.seconds(number, step + 1))
+        return total / self.steps_per_epoch
+
+    @property
+    def usable(self) -> bool:
+        """Whether all weights are finite; once one is not, no step brings it back."""
+        return all(bool(torch.isfinite(weight).all()) for weight in self.network.parameters())
+
+    def _set_rates(self, moment: float) -> None:
+        rate = learning_rate(moment, self.config.training)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate * group["factor"]
+
+    def _batch(
+        self, chosen: NDArray[np.int64], moment: float, rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Images, uint8, and labels of some samples, augmented where that is asked for."""
+        index = torch.from_numpy(chosen).to(self.device)
+        labels = self.labels[index]
+        plain_from = self.config.training.epochs - self.config.augmentation.plain_epochs
+        if self.augmenter is None or moment >= plain_from:
+            return self.images[index], labels
+        images, turns = self.augmenter(chosen, rng)
+        if self.axis is not None:
+            labels = self.axis(labels, torch.from_numpy(turns).to(self.device))
+        return torch.from_numpy(images).to(self.device), labels
+
+    def _loss(self, images: Tensor, labels: Tensor) -> Tensor:
+        enabled = self.config.training.precision == "bf16"
+        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=enabled):
+            raw = self.network(self._input(images))
+        return self.network.distribution.loss(labels, raw)
+
+    def evaluate(self, samples: Samples, precision: str = "fp32") -> tuple[float, NDArray[np.float64]]:
+        """Loss and MAE (6,) of the network as it is."""
+        raw = self.answers(samples, precision)
+        labels = torch.from_numpy(samples.labels.astype(np.float32))
+        loss = self.network.distribution.loss(labels, raw).item()
+        mae = (self.network.distribution.mean(raw) - labels).abs().double().mean(dim=0).numpy()
+        return loss, mae
+
+    @torch.inference_mode()
+    def answers(self, samples: Samples, precision: str = "fp32") -> Tensor:
+        """Raw outputs (N, outputs) for all samples, on the CPU."""
+        self.network.eval()
+        parts = []
+        for start in range(0, len(samples), _EVALUATION_BATCH):
+            images = torch.from_numpy(samples.images[start : start + _EVALUATION_BATCH]).to(self.device)
+            with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=precision == "bf16"):
+                parts.append(self.network(self._input(images)).cpu())
+        return torch.cat(parts)
+
+    def finish(self, folder: RunFolder, best: Epoch) -> dict[str, Any]:
+        """Export the best epoch's network, calibrated on what was held back; its facts on validation data."""
+        self.network.load_state_dict(folder.load_best())
+        loss, mae = self.evaluate(self.data.validation)
+        validation = {
+            "validation_loss": loss,
+            "mae": dict(zip(COMPONENTS, mae.tolist(), strict=True)),
+        }
+        training: dict[str, Any] = self.config.plain()
+        if self.axis is not None:
+            training["symmetry_axis_found"] = self.axis.parameters_of_axis()
+        calibration = self._calibration()
+        metadata = ModelMetadata(
+            preprocessing=self.data.preprocessing,
+            training_data=self.data.facts,
+            validation={"loss": self.loss_name, **validation, "epoch": best.number + 1},
+            training=training,
+            calibration=calibration,
+        )
+        sigma = self._constant_sigma()
+        self.network.to("cpu")
+        export_onnx(self.network, folder.file(MODEL_NAME), metadata, sigma)
+        return validation
+
+    def _calibration(self) -> Calibration:
+        """Fitted on the held-back samples; the identity where there are none or no uncertainty."""
+        held_back = self.data.held_back
+        if not len(held_back) or self.config.network.head == "mse":
+            return Calibration()
+        raw = self.answers(held_back)
+        head = self.network.distribution
+        mean, covariance = head.mean(raw).double().numpy(), head.covariance(raw).double().numpy()
+        return fit_calibration(held_back.labels, mean, covariance, self.config.calibration)
+
+    def _constant_sigma(self) -> NDArray[np.float64] | None:
+        """RMS errors (6,) of a network without uncertainty, on held-back or else on validation data."""
+        if self.config.network.head != "mse":
+            return None
+        samples = self.data.held_back if len(self.data.held_back) else self.data.validation
+        errors = self.network.distribution.mean(self.answers(samples)).double().numpy() - samples.labels
+        return np.asarray(np.sqrt((errors**2).mean(axis=0)))
+
+    def state(self, history: _History) -> dict[str, Any]:
+        """All that decides how the run goes on."""
+        return {
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "average": self.average.state(),
+            "axis": self.axis.state_dict() if self.axis is not None else None,
+            "epochs": [dataclasses.asdict(epoch) for epoch in history.epochs],
+            "stopped": history.stopped,
+        }
+
+    def restore(self, state: dict[str, Any]) -> _History:
+        """The reverse; returns the epochs so far."""
+        self.network.load_state_dict(state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.average.restore(state["average"])
+        if self.axis is not None:
+            self.axis.load_state_dict(state["axis"])
+        history = _History(self.loss_name)
+        history.epochs = [Epoch(**epoch) for epoch in state["epochs"]]
+        history.best = next((epoch for epoch in reversed(history.epochs) if epoch.best), None)
+        history.stopped = state["stopped"]
+        return history
+
+    def _optimizer(self) -> torch.optim.Adam:
+        groups = [{"params": list(self.network.parameters()), "factor": 1.0}]
+        axis_rate = self.config.augmentation.symmetry_axis_rate
+        if self.axis is not None and axis_rate > 0.0:
+            groups.append({"params": [self.axis.values], "factor": axis_rate})
+        return torch.optim.Adam(groups, lr=self.config.training.learning_rate_start, fused=True)
+
+    def _augmenter(self) -> Augmenter | None:
+        settings, data = self.config.augmentation, self.data
+        if data.large is None:
+            return None
+        if settings.symmetry > 1:
+            self.axis = SymmetryAxis(settings.symmetry_axis, settings.symmetry, settings.symmetry_sense)
+            self.axis.to(self.device)
+        depth = -data.training.labels[:, 2]
+        return Augmenter(data.large, depth, data.preprocessing.crop_shape, settings)
+
+    def _tensors(self, samples: Samples) -> tuple[Tensor, Tensor]:
+        images = torch.from_numpy(samples.images).to(self.device)
+        return images, torch.from_numpy(samples.labels.astype(np.float32)).to(self.device)
+
+    def _input(self, images: Tensor) -> Tensor:
+        """uint8 (N, size, size) -> float (N, 1, size, size) in [0, 1]."""
+        return images.unsqueeze(1).to(torch.float32).mul_(1.0 / 255.0).contiguous(memory_format=self.layout)
+
+
+def _epoch_seed(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep freed blocks instead of giving their pages back after every step.
+
+    The activations of a step come to tens of megabytes; mapping them afresh each time cost 15 % of an epoch.
+    Where the C library is another one, nothing happens.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError):
+        return
+    trim_threshold, mmap_threshold = -1, -3
+    mallopt(trim_threshold, 2**31 - 1)
+    mallopt(mmap_threshold, 32 * 2**20)

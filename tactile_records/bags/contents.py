@@ -51,7 +51,7 @@ class Contents:
     problems: list[str] = field(default_factory=list)
 
     def add_topic(self, topic: str, type_name: str) -> None:
-        """A topic of the bag, which may be told more than once."""
+        """A topic of the bag, which may be announced more than once."""
         self.types[topic] = type_name
         self.counts.setdefault(topic, 0)
 

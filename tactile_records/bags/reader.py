@@ -42,7 +42,7 @@ class Bag:
     messages : list of Recorded
         In the order of the files.
     note : dict
-        What the writer was told to keep with the bag.
+        What the writer was given to keep with the bag.
     definitions : dict
         Type -> text of its definition, of the types that the bag defines.
     types : dict

@@ -1,15 +1,16 @@
-"""Reads the sqlite3 files of `ros2 bag`; of damaged and truncated ones all rows that are whole."""
+"""Reads the sqlite3 files of `ros2 bag`; of damaged and truncated ones the rows that sqlite still finds."""
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterator
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 from tactile_records.bags.contents import Contents, Recorded
-from tactile_records.bags.sqlite_pages import rows_of_pages
 
 Row = tuple[int, int, int, bytes]  # id, topic, stamp (ns), data
 
@@ -22,19 +23,76 @@ def read_sqlite(file: Path, contents: Contents, unpack: Callable[[bytes], bytes]
     unpack : callable
         Decompresses one message.
     """
+    missing, size = _missing(file)
+    if not missing:
+        return _read(file, contents, unpack, [])
+    # Of a page that the end of the file cuts sqlite would make messages that end in zeros: leave it out.
+    with TemporaryDirectory(prefix="tactile_bag_") as folder:
+        whole = Path(folder) / file.name
+        shutil.copyfile(file, whole)
+        with whole.open("r+b") as stream:
+            stream.truncate(size)
+        return _read(whole, contents, unpack, [f"the file ends early, {missing} bytes of it are missing"])
+
+
+def _missing(file: Path) -> tuple[int, int]:
+    """How many bytes the file is shorter than its header says, and the size of its whole pages."""
+    with file.open("rb") as stream:
+        head = stream.read(32)
+    page, pages, size = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big"), _size(file)
+    page = 65536 if page == 1 else max(page, 1)
+    return max(0, page * pages - size), size // page * page
+
+
+def _size(file: Path) -> int:
+    return file.stat().st_size
+
+
+def _read(file: Path, contents: Contents, unpack: Callable[[bytes], bytes], faults: list[str]) -> bool:
     # A bag whose recorder was killed may have its last rows in a write-ahead log, which only a reader that
     # takes part in the locking sees.
     mode = "mode=ro" if file.with_name(f"{file.name}-wal").exists() else "immutable=1"
+    before = contents.read
     try:
         with closing(sqlite3.connect(f"file:{quote(str(file))}?{mode}", uri=True)) as database:
             database.execute("PRAGMA writable_schema = ON")  # else a truncated file is refused as a whole
             topics = _read_topics(database, contents)
             _read_definitions(database, contents)
-            _Messages(file, topics, contents, unpack).read(database)
+            kept = {number: contents.wanted(*topic) for number, topic in topics.items()}
+            for _, number, stamp_ns, data in _rows(database, _size(file), topics.keys(), faults):
+                topic, type_name = topics[number]
+                contents.counts[topic] += 1
+                if kept[number]:
+                    message = Recorded(topic, type_name, unpack(data), stamp_ns, stamp_ns)
+                    contents.messages.append(message)
     except sqlite3.DatabaseError as error:
-        contents.problems.append(f"{file.name}: {error}")
+        contents.problems.append(f"{file.name}: {'; '.join([*faults, str(error)])}")
         return False
+    if faults:
+        read = contents.read - before
+        found = f"{read} messages of it were read, `sqlite3 {file.name} .recover` may find more"
+        contents.problems.append(f"{file.name}: damaged: {'; '.join(dict.fromkeys(faults))}; {found}")
+        return read > 0
     return True
+
+
+def _rows(
+    database: sqlite3.Connection, size: int, topics: Collection[int], faults: list[str]
+) -> Iterator[Row]:
+    """The messages by their ids; behind a damaged page those that sqlite finds when asked for later ids."""
+    query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
+    last, step = 0, 1
+    while last < size:  # there are fewer rows than bytes
+        try:
+            for row in database.execute(query, (last,)):
+                if row[0] <= last or row[1] not in topics:
+                    raise sqlite3.DatabaseError(f"row {row[0]} makes no sense")
+                last, step = row[0], 1
+                yield row
+            return
+        except sqlite3.DatabaseError as error:
+            faults.append(str(error))
+            last, step = last + step, step + step // 4 + 1
 
 
 def _read_topics(database: sqlite3.Connection, contents: Contents) -> dict[int, tuple[str, str]]:
@@ -53,51 +111,3 @@ def _read_definitions(database: sqlite3.Connection, contents: Contents) -> None:
     columns = "topic_type, encoded_message_definition"
     rows = database.execute(f"SELECT {columns} FROM message_definitions WHERE encoding = 'ros2msg'")
     contents.definitions.update({name: text for name, text in rows if text})
-
-
-class _Messages:
-    """The messages of one file, in the order of their ids."""
-
-    def __init__(
-        self,
-        file: Path,
-        topics: dict[int, tuple[str, str]],
-        contents: Contents,
-        unpack: Callable[[bytes], bytes],
-    ) -> None:
-        self._file, self._topics, self._contents, self._unpack = file, topics, contents, unpack
-        self._kept = {number: contents.wanted(*topic) for number, topic in topics.items()}
-        self._last = 0
-
-    def read(self, database: sqlite3.Connection) -> None:
-        """Ask sqlite as long as it answers, then take what is on whole pages."""
-        page_size, missing = _pages(self._file)
-        try:
-            if missing:  # of a page that the file's end cuts, sqlite would make rows of zeros
-                raise sqlite3.DatabaseError(f"the file ends early, {missing} bytes of it are missing")
-            self._take(database.execute("SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"))
-        except sqlite3.DatabaseError as error:
-            whole = [row for row in rows_of_pages(self._file, page_size) if row.id > self._last]
-            self._take(row for row in whole if row.topic in self._topics)
-            read = f"{self._contents.read} messages of it were read"
-            self._contents.problems.append(f"{self._file.name}: damaged: {error}; {read}")
-
-    def _take(self, rows: Iterable[Row]) -> None:
-        contents, topics, kept = self._contents, self._topics, self._kept
-        for row, number, stamp_ns, data in rows:
-            if row <= self._last or number not in topics:
-                raise sqlite3.DatabaseError(f"row {row} makes no sense")
-            self._last = row
-            topic, type_name = topics[number]
-            contents.counts[topic] += 1
-            if kept[number]:
-                contents.messages.append(Recorded(topic, type_name, self._unpack(data), stamp_ns, stamp_ns))
-
-
-def _pages(file: Path) -> tuple[int, int]:
-    """Size of a page, and how many bytes the file is shorter than its header says."""
-    with file.open("rb") as stream:
-        head = stream.read(32)
-    size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
-    size = 65536 if size == 1 else size
-    return size, max(0, size * pages - file.stat().st_size)

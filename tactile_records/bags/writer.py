@@ -18,24 +18,16 @@ from typing import Any
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from tactile_base.topics import LATCHED, SENSOR, Topic
 from tactile_records.bags.contents import BagError
 from tactile_records.bags.message_definitions import message_definition, type_hash
 
-__all__ = ["METADATA", "BagError", "BagWriter", "Topic"]
+__all__ = ["METADATA", "BagError", "BagWriter"]
 
 METADATA = "metadata.yaml"
 METADATA_PERIOD = 10.0  # s; writing it takes 10 ms of a core that others are waiting for
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the one in C takes a quarter of the time
 _METADATA_VERSION = 9
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A recorded topic: absolute name, type (`package/msg/Name`), QoS ("reliable", "latched" or "sensor")."""
-
-    name: str
-    type: str
-    qos: str = "reliable"
 
 
 @dataclass
@@ -203,8 +195,8 @@ def _qos(name: str) -> dict[str, Any]:
     return {
         "history": "keep_last",
         "depth": 1,
-        "reliability": "best_effort" if name == "sensor" else "reliable",
-        "durability": "transient_local" if name == "latched" else "volatile",
+        "reliability": "best_effort" if name == SENSOR else "reliable",
+        "durability": "transient_local" if name == LATCHED else "volatile",
         "deadline": dict(unlimited),
         "lifespan": dict(unlimited),
         "liveliness": "automatic",

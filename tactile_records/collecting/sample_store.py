@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.collection_types import Capture
+from tactile_control.collection import Capture
 from tactile_filter import se3
 from tactile_perception.datasets.layout import AXES, DatasetError
 from tactile_perception.datasets.writer import DatasetWriter

@@ -19,21 +19,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import ESTIMATE, IMAGE, PRESENCE, Topic, compressed, sensor_frame
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import EstimateError, Estimator, ModelError
+from tactile_perception.estimator import Estimator, ModelError
+from tactile_records.bags.cdr import MessageError as Unreadable
+from tactile_records.bags.cdr import blank_layout, layout_of
 from tactile_records.bags.contents import Recorded
-from tactile_records.bags.message_columns import MessageError as Unreadable
-from tactile_records.bags.message_columns import blank_layout, layout_of, rows_of
+from tactile_records.bags.message_columns import rows_of
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
-from tactile_records.replay.run import BELIEF_TYPE, pose_rows
-from tactile_records.replay.topics import ESTIMATE, PRESENCE, ReplayError, wanted_topics
+from tactile_records.replay.run import pose_rows
+from tactile_records.replay.topics import ReplayError, wanted_topics
 
 Array = NDArray[Any]
 
-RAW, COMPRESSED = "tactile/image", "tactile/image/compressed"
-PRESENCE_TYPE = "tactile_msgs/msg/ContactPresence"
+COMPRESSED = compressed(IMAGE)
 AHEAD = 64  # images that are decoded before they are needed
 
 
@@ -59,7 +61,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
     Parameters
     ----------
     model : Path or None
-        None for the one that was live where the bag tells and it is there, else the shipped one.
+        None for the one that was live where the bag names it and it is there, else the shipped one.
 
     Raises
     ------
@@ -70,11 +72,11 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
     if not arms:
         topics = ", ".join(sorted(bag.topics)) or "none"
         raise ReplayError(
-            f"{bag.folder}: no images on <arm>/{RAW} or <arm>/{COMPRESSED} (--record-images records them); "
-            f"topics with messages: {topics}"
+            f"{bag.folder}: no images on <arm>/{IMAGE.name} or <arm>/{COMPRESSED.name} "
+            f"(--record-images records them); topics with messages: {topics}"
         )
     remarks: list[str] = []
-    replaced = {f"/{arm}/{name}" for arm in arms for name in (ESTIMATE, PRESENCE)}
+    replaced = {kind.of(arm).name for arm in arms for kind in (ESTIMATE, PRESENCE)}
     made = {arm: _Estimates(bag, arm, model, remarks) for arm in arms}
     messages: list[Recorded] = []
     for item in _decoded(bag):
@@ -83,7 +85,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
         elif item.topic not in replaced:
             messages.append(item)
     for each in made.values():
-        each.tell(remarks)
+        each.report(remarks)
     counts = Counter(message.topic for message in messages)
     types = bag.types | {message.topic: message.type for message in messages}
     return dataclasses.replace(bag, messages=messages, counts=dict(counts), types=types), remarks
@@ -91,10 +93,7 @@ def estimated(bag: Bag, model: Path | None) -> tuple[Bag, list[str]]:
 
 def _arm_of(topic: str) -> str | None:
     """The arm whose images a topic has."""
-    for name in (RAW, COMPRESSED):
-        if topic.endswith(f"/{name}"):
-            return topic[1 : -len(name) - 1]
-    return None
+    return IMAGE.arm_of(topic) or COMPRESSED.arm_of(topic)
 
 
 def _decoded(bag: Bag) -> Iterator[Recorded | Image]:
@@ -153,13 +152,14 @@ class _Estimates:
             remarks.append(f"{arm}: the model {recorded} is not there: the shipped one is taken")
         chosen = model or (recorded if recorded and Path(recorded).exists() else "")
         try:
-            self.estimator = Estimator(chosen)
+            estimator = Estimator(chosen)
         except ModelError as error:
             raise ReplayError(str(error)) from error
         presence = {
             n.removeprefix("presence."): v for n, v in parameters.items() if n.startswith("presence.")
         }
         self.presence = ContactPresence(PresenceSettings.from_mapping(presence))
+        self.perceive = Perceiver(estimator, self.presence)
         self.last_ns = -1
         self.faults: Counter[str] = Counter()
         self.first_fault: dict[str, str] = {}
@@ -172,26 +172,22 @@ class _Estimates:
             return self._refuse("images are not later than the one before them", f"stamp {image.stamp_ns} ns")
         self.last_ns = image.stamp_ns
         try:
-            prepared = self.estimator.preprocessor(image.pixels)
+            percept = self.perceive(image.pixels)
         except ImageError as error:
             return self._refuse("images cannot be used", str(error))
-        seen = self.presence.update(prepared)
-        if seen.in_contact is None:
+        if percept.in_contact is None:
             return []
-        frame = image.frame_id or f"{self.arm}/tactile_sensor"
-        messages = [
-            _presence_message(self.arm, image, frame, seen.score, self.presence.settings.on, seen.in_contact)
-        ]
-        if seen.in_contact:
-            try:
-                gaussian = self.estimator.estimate_prepared(prepared)
-            except EstimateError as error:
-                return messages + self._refuse("estimates are no Gaussians", str(error))
-            rows = pose_rows([(image.stamp_ns, gaussian.mean, gaussian.cov)], frame)
-            messages.insert(0, _recorded(self.arm, ESTIMATE, BELIEF_TYPE, next(rows_of(rows)), image))
+        frame = image.frame_id or sensor_frame(self.arm)
+        numbers = percept.score, self.presence.settings.on, percept.in_contact
+        messages = [_presence_message(self.arm, image, frame, *numbers)]
+        if percept.fault:
+            messages += self._refuse("estimates are no Gaussians", percept.fault)
+        if percept.estimate is not None:
+            rows = pose_rows([(image.stamp_ns, percept.estimate.mean, percept.estimate.cov)], frame)
+            messages.insert(0, _recorded(self.arm, ESTIMATE, next(rows_of(rows)), image))
         return messages
 
-    def tell(self, remarks: list[str]) -> None:
+    def report(self, remarks: list[str]) -> None:
         """Add what was odd."""
         for what, count in self.faults.items():
             remarks.append(f"{self.arm}: {count} {what}, the first: {self.first_fault[what]}")
@@ -207,13 +203,13 @@ class _Estimates:
 def _presence_message(
     arm: str, image: Image, frame: str, score: float, threshold: float, in_contact: bool
 ) -> Recorded:
-    layout = blank_layout(type_fields({}, PRESENCE_TYPE), PRESENCE_TYPE, {"header.frame_id": frame})
+    layout = blank_layout(PRESENCE.type, {"header.frame_id": frame})
     row = np.frombuffer(bytearray(layout.template), layout.dtype)
     row["header.stamp.sec"], row["header.stamp.nanosec"] = divmod(image.stamp_ns, SECOND_NS)
     row["score"], row["threshold"], row["in_contact"] = score, threshold, in_contact
-    return _recorded(arm, PRESENCE, PRESENCE_TYPE, row.tobytes(), image)
+    return _recorded(arm, PRESENCE, row.tobytes(), image)
 
 
-def _recorded(arm: str, name: str, type_name: str, data: bytes, image: Image) -> Recorded:
+def _recorded(arm: str, topic: Topic, data: bytes, image: Image) -> Recorded:
     received_ns = image.message.received_ns
-    return Recorded(f"/{arm}/{name}", type_name, data, received_ns, received_ns)
+    return Recorded(topic.of(arm).name, topic.type, data, received_ns, received_ns)

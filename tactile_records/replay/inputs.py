@@ -7,23 +7,18 @@ serves all runs of a sweep.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
+from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag, read_bag
-from tactile_records.replay.clock import Jump, epochs
-from tactile_records.replay.topics import (
-    ESTIMATE,
-    PRESENCE,
-    TRANSFORMS,
-    ReplayError,
-    TopicReader,
-    wanted_topics,
-)
+from tactile_records.replay.topics import Jump, ReplayError, TopicReader, epochs, wanted_topics
 from tactile_records.replay.track import ArmInputs, Track
-from tactile_records.replay.transforms import Recording
+from tactile_records.replay.transforms import Recording, read_transforms
 
 
 @dataclass
@@ -69,12 +64,16 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     """The same of a bag that was read before."""
     reader = TopicReader(bag)
     remarks = [] if bag.complete else [f"bag not complete: {bag.problem}"]
-    names = sorted(name for name in reader.arm_names() if bag.counts.get(f"/{name}/{ESTIMATE}"))
+    names = sorted(name for name in reader.arm_names() if bag.counts.get(ESTIMATE.of(name).name))
     if not names:
         topics = ", ".join(sorted(bag.topics)) or "none"
-        raise ReplayError(f"{bag.folder}: no messages on <arm>/{ESTIMATE}; topics with messages: {topics}")
+        raise ReplayError(
+            f"{bag.folder}: no messages on <arm>/{ESTIMATE.name}; topics with messages: {topics}"
+        )
     tracks = {name: Track(reader, name, base_frame) for name in names}
-    recording = reader.transforms(ignore=[f"{track.arm.name}/contact" for track in tracks.values()])
+    messages = reader.with_places(TF.name, TF_STATIC.name)
+    fields = type_fields(bag.definitions, messages[0][1].type) if messages else {}
+    recording = read_transforms(fields, messages, ignore=[contact_frame(name) for name in names])
     for track in tracks.values():
         track.find_the_sensor(recording)
     jumps = _assign_epochs(recording, tracks.values())
@@ -90,6 +89,11 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     return Inputs(bag, arms, remarks, _span_s(bag))
 
 
+def lost_messages(bag: Bag) -> dict[str, int]:
+    """Topic -> messages that the recorder says it has lost."""
+    return {str(name): int(count) for name, count in json.loads(bag.note.get("messages_lost", "{}")).items()}
+
+
 def _span_s(bag: Bag) -> float:
     times = [message.received_ns for message in bag.messages]
     return (max(times) - min(times)) * 1e-9 if times else 0.0
@@ -99,9 +103,9 @@ def _assign_epochs(recording: Recording, tracks: Iterable[Track]) -> list[Jump]:
     """Give each message and each transform its epoch."""
     holders: dict[str, Any] = {f"/tf of {child}": link for child, link in recording.moving.items()}
     for track in tracks:
-        for topic, name in ((track.estimate, ESTIMATE), (track.presence, PRESENCE)):
+        for topic, kind in ((track.estimate, ESTIMATE), (track.presence, PRESENCE)):
             if len(topic):
-                holders[f"/{track.arm.name}/{name}"] = topic
+                holders[kind.of(track.arm.name).name] = topic
     found, jumps = epochs({name: holder.timeline for name, holder in holders.items()})
     for name, holder in holders.items():
         holder.epochs = found[name]
@@ -109,7 +113,11 @@ def _assign_epochs(recording: Recording, tracks: Iterable[Track]) -> list[Jump]:
 
 
 def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[str]:
-    remarks = [f"no messages on {name}" for name in TRANSFORMS if not bag.counts.get(name)]
+    remarks = [f"no messages on {name}" for name in (TF.name, TF_STATIC.name) if not bag.counts.get(name)]
+    lost = {name: count for name, count in lost_messages(bag).items() if wanted_topics(name, "")}
+    if lost:
+        topics = ", ".join(f"{name} {count}" for name, count in lost.items())
+        remarks.append(f"messages were lost on their way to the recorder: {topics}")
     if recording.unreadable:
         count, reason = len(recording.unreadable), recording.unreadable[0]
         remarks.append(f"/tf: {count} messages cannot be decoded, the first: {reason}")

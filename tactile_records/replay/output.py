@@ -10,18 +10,17 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from tactile_base.topics import BELIEF, RELIABLE, SMOOTHED, STATE, TF_STATIC, Topic
 from tactile_filter.belief import Belief
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import rows_of
 from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.reader import Bag
-from tactile_records.bags.writer import BagWriter, Topic
-from tactile_records.replay.run import BELIEF_TYPE, STATE_TYPE, ArmRun, pose_rows
-from tactile_records.replay.topics import STATE
+from tactile_records.bags.writer import BagWriter
+from tactile_records.replay.run import ArmRun, pose_rows
 
 Array = NDArray[Any]
 
-BELIEF, SMOOTHED = "contact/belief", "contact/smoothed"
 OUTPUTS = (BELIEF, STATE, SMOOTHED)
 
 
@@ -44,8 +43,8 @@ def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[R
     entries: list[tuple[int, int, int, Recorded]] = []
     topics: dict[str, Topic] = {}
     for message in copies:
-        if not message.topic.endswith(tuple(f"/{name}" for name in OUTPUTS)):
-            qos = "latched" if message.topic == "/tf_static" else "reliable"
+        if not any(output.arm_of(message.topic) for output in OUTPUTS):
+            qos = TF_STATIC.qos if message.topic == TF_STATIC.name else RELIABLE
             topics.setdefault(message.topic, Topic(message.topic, message.type, qos))
             entries.append((message.received_ns, 0, len(entries), message))
     for number, run in enumerate(runs, 1):
@@ -53,8 +52,8 @@ def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[R
             topics.setdefault(message.topic, Topic(message.topic, message.type))
             entries.append((message.received_ns, number, len(entries), message))
     entries.sort(key=lambda entry: entry[:3])
-    definitions = {type_name: text for type_name, text in bag.definitions.items() if type_name != STATE_TYPE}
-    definitions |= {name: message_definition(name) for name in (STATE_TYPE, BELIEF_TYPE)}
+    definitions = {type_name: text for type_name, text in bag.definitions.items() if type_name != STATE.type}
+    definitions |= {name: message_definition(name) for name in (STATE.type, BELIEF.type)}
     ordered = [topics[name] for name in sorted(topics)]
     with BagWriter(folder, ordered, definitions, _note(bag, runs)) as writer:
         for _, _, _, message in entries:
@@ -64,23 +63,23 @@ def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[R
 def _messages(run: ArmRun) -> list[Recorded]:
     """What a run publishes."""
     received = [measurement.received_ns for measurement in run.measurements]
-    states = _recorded(run, STATE, STATE_TYPE, run.states, received)
+    states = _recorded(run, STATE, run.states, received)
     return states + _poses(run, BELIEF, run.beliefs) + _poses(run, SMOOTHED, run.smoothed)
 
 
-def _poses(run: ArmRun, name: str, beliefs: Sequence[Belief]) -> list[Recorded]:
+def _poses(run: ArmRun, topic: Topic, beliefs: Sequence[Belief]) -> list[Recorded]:
     """Beliefs, one for each measurement, as poses; those that are not valid are none."""
     valid = [
         (belief, m.received_ns) for belief, m in zip(beliefs, run.measurements, strict=False) if belief.valid
     ]
     rows = pose_rows([(b.stamp_ns, b.mean, b.cov) for b, _ in valid], run.inputs.sensor_frame)
-    return _recorded(run, name, BELIEF_TYPE, rows, [received_ns for _, received_ns in valid])
+    return _recorded(run, topic, rows, [received_ns for _, received_ns in valid])
 
 
-def _recorded(run: ArmRun, name: str, type_name: str, rows: Array, received: list[int]) -> list[Recorded]:
-    topic = f"/{run.inputs.name}/{name}"
+def _recorded(run: ArmRun, topic: Topic, rows: Array, received: list[int]) -> list[Recorded]:
+    name = topic.of(run.inputs.name).name
     return [
-        Recorded(topic, type_name, data, received_ns, received_ns)
+        Recorded(name, topic.type, data, received_ns, received_ns)
         for data, received_ns in zip(rows_of(rows), received, strict=True)
     ]
 

@@ -5,6 +5,7 @@ The same bag, settings and program give the same bytes, however often and on how
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,19 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import BELIEF, STATE
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.gaussian import UNUSABLE, ros_from_left
 from tactile_filter.pose_numbers import numbers_from_pose
 from tactile_filter.smoother import smooth
-from tactile_records.bags.message_columns import Layout, blank_layout, stamps_ns
-from tactile_records.bags.message_definitions import type_fields
+from tactile_records.bags.cdr import Layout, blank_layout
+from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.replay.settings import Change
 from tactile_records.replay.track import POSE, ArmInputs, LiveStates, Measurement
 from tactile_records.runs.record import BeliefSeries
 
 Array = NDArray[Any]
 
-STATE_TYPE, BELIEF_TYPE = "tactile_msgs/msg/ContactState", "geometry_msgs/msg/PoseWithCovarianceStamped"
 NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
 
 
@@ -83,7 +84,7 @@ def run_filter(
     changes : sequence of Change
         Settings that change on the way.
     as_recorded : bool
-        Take the events that the live filter took, where the bag tells which these were; else all that there
+        Take the events that the live filter took, where the bag shows which these were; else all that there
         are. The live filter drops an event whose parts come too late, and takes none before it is active.
     """
     run = ArmRun(inputs, settings)
@@ -119,7 +120,7 @@ def smooth_run(run: ArmRun) -> None:
 def _taken_live(inputs: ArmInputs) -> Any:
     """Whether the live filter took the event of a stamp; all count as taken after its last message.
 
-    None where the bag does not tell.
+    None where the bag does not show it.
     """
     if inputs.live is None or not len(inputs.live.stamps_ns):
         return None
@@ -140,7 +141,7 @@ def _times_taken(inputs: ArmInputs) -> dict[int, int]:
 
 def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
     """The ContactState messages of beliefs, as structured array; their latency is 0."""
-    rows = _blank(_layout(STATE_TYPE, sensor_frame), len(beliefs))
+    rows = _blank(_layout(STATE.type, sensor_frame), len(beliefs))
     if not len(rows):
         return rows
     _set_stamps(rows, [belief.stamp_ns for belief in beliefs])
@@ -157,7 +158,7 @@ def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
 
 def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> Array:
     """PoseWithCovarianceStamped messages of Gaussians (stamp, mean, left covariance), as structured array."""
-    rows = _blank(_layout(BELIEF_TYPE, frame_id), len(gaussians))
+    rows = _blank(_layout(BELIEF.type, frame_id), len(gaussians))
     if not len(rows):
         return rows
     _set_stamps(rows, [stamp_ns for stamp_ns, _, _ in gaussians])
@@ -169,14 +170,9 @@ def pose_rows(gaussians: Sequence[tuple[int, Array, Array]], frame_id: str) -> A
     return rows
 
 
-_LAYOUTS: dict[tuple[str, str], Layout] = {}
-
-
+@functools.lru_cache(maxsize=64)
 def _layout(type_name: str, frame_id: str) -> Layout:
-    if (type_name, frame_id) not in _LAYOUTS:
-        texts = {"header.frame_id": frame_id}
-        _LAYOUTS[type_name, frame_id] = blank_layout(type_fields({}, type_name), type_name, texts)
-    return _LAYOUTS[type_name, frame_id]
+    return blank_layout(type_name, {"header.frame_id": frame_id})
 
 
 def _blank(layout: Layout, count: int) -> Array:
@@ -198,13 +194,16 @@ class Agreement:
     Attributes
     ----------
     common : int
-        Stamps that both have.
+        Stamps that both have, with the same history.
     identical : int
         Of these, messages that are the same to the bit (latency aside).
     only_live, only_replayed : int
-        Stamps that only one of them has.
+        Stamps that only one of them has; of those that only the live filter has, the bag lacks the inputs.
     first_difference : str
         Where they first differ, and in what; empty where they do not.
+    after_gap : int
+        Stamps that both have, after one that only the live filter has and in the same contact: what that
+        one did to the belief is not known.
     """
 
     common: int
@@ -212,13 +211,24 @@ class Agreement:
     only_live: int
     only_replayed: int
     first_difference: str = ""
+    after_gap: int = 0
 
 
 def agreement(rows: Array, live: LiveStates) -> Agreement:
     """Compare `state_rows` with what the live filter published."""
     stamps = stamps_ns(rows, "header.stamp")
-    places = {int(stamp): place for place, stamp in enumerate(live.stamps_ns)}
-    pairs = [(row, places[int(stamp)]) for row, stamp in enumerate(stamps) if int(stamp) in places]
+    replayed = {int(stamp): row for row, stamp in enumerate(stamps)}
+    pairs, only_live, after_gap = [], 0, 0
+    gap = False
+    for place, (stamp, flags) in enumerate(zip(live.stamps_ns.tolist(), live.values["flags"], strict=True)):
+        if stamp not in replayed:
+            only_live, gap = only_live + 1, True
+            continue
+        gap = gap and not flags & BeliefFlag.NO_CONTACT
+        if gap:
+            after_gap += 1
+        else:
+            pairs.append((replayed[stamp], place))
     mine, theirs = (np.array([pair[k] for pair in pairs], np.int64) for k in (0, 1))
     names = [
         n for n in rows.dtype.names or () if n in (live.values.dtype.names or ()) and n not in NOT_COMPARED
@@ -235,6 +245,5 @@ def agreement(rows: Array, live: LiveStates) -> Agreement:
     if not same.all():
         at = int(np.argmin(same))
         first = f"{differing[at]} at {int(stamps[mine[at]])} ns"
-    return Agreement(
-        len(pairs), int(same.sum()), len(live.stamps_ns) - len(pairs), len(rows) - len(pairs), first
-    )
+    only_replayed = len(rows) - len(pairs) - after_gap
+    return Agreement(len(pairs), int(same.sum()), only_live, only_replayed, first, after_gap)

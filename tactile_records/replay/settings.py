@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import struct
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -13,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
+from tactile_records.bags.cdr import MessageError, layout_of
 from tactile_records.bags.contents import Recorded
-from tactile_records.bags.message_columns import MessageError, layout_of, stamps_ns
+from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
 
@@ -23,7 +24,6 @@ Array = NDArray[Any]
 
 REINITIALIZED, INVALID = int(BeliefFlag.REINITIALIZED), int(BeliefFlag.INVALID)
 MEASUREMENT_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
-PARAMETER_EVENTS = "/parameter_events"
 NAMES = tuple(item.name for item in dataclasses.fields(FilterSettings))
 _VALUES = {1: "bool_value", 2: "integer_value", 3: "double_value", 4: "string_value"}  # of ParameterType
 
@@ -43,7 +43,7 @@ class Change:
 def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any], list[str]]:
     """Settings with which the filter of a recording started, and names among them that are none now.
 
-    Empty where the recording does not tell.
+    Empty where the recording does not say.
     """
     parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
     own = {name: value for name, value in parameters.items() if "." not in name}
@@ -53,12 +53,13 @@ def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any]
 def recorded_changes(bag: Bag, arm: str) -> list[Change]:
     """Changes of the filter's settings while it ran, by time; empty where the bag does not hold them."""
     node = f"/{arm}/filter"
-    messages = [m for m in bag.messages if m.topic == PARAMETER_EVENTS and _is_change(m.data, node)]
-    return sorted(_changes(bag, messages), key=lambda change: change.stamp_ns)
+    # nearly all of a bag's events are of other nodes
+    messages = [m for m in bag.messages if m.topic == PARAMETER_EVENTS.name and node.encode() in m.data]
+    return sorted(_changes(bag, messages, node), key=lambda change: change.stamp_ns)
 
 
 def commanded_resets(stamps_ns: Array, flags: Array, nis: Array, max_prediction_age: float) -> frozenset[int]:
-    """Stamps (ns) of beliefs that live filters started anew because they were told to.
+    """Stamps (ns) of beliefs that live filters started anew because they were asked to.
 
     A belief that starts anew says so. Where one stood before it that was neither too old nor refuted by
     measurements in a row, only `~/reset` can have been the reason.
@@ -75,22 +76,14 @@ def commanded_resets(stamps_ns: Array, flags: Array, nis: Array, max_prediction_
     return frozenset(found)
 
 
-def _is_change(data: bytes, node: str) -> bool:
-    """Whether an event is of this node and declares nothing; nearly all of a bag's events only declare."""
-    try:
-        (length,) = struct.unpack_from("<I", data, 12)
-        (declared,) = struct.unpack_from("<I", data, 16 + length + -length % 4)
-    except struct.error:
-        return False
-    return data[16 : 15 + length] == node.encode() and declared == 0
-
-
-def _changes(bag: Bag, messages: Sequence[Recorded]) -> list[Change]:
+def _changes(bag: Bag, messages: Sequence[Recorded], node: str) -> list[Change]:
     found = []
     for message in messages:
         try:
             layout = layout_of(type_fields(bag.definitions, message.type), message.type, message.data)
         except MessageError:
+            continue
+        if layout.texts["node"] != node:
             continue
         numbers = np.frombuffer(message.data, layout.dtype, 1)
         values = {}

@@ -87,7 +87,7 @@ def base_settings(inputs: Inputs, profile: Path | None) -> dict[str, FilterSetti
                 )
         else:
             arm.remarks.append(
-                "the recording does not tell the filter's settings: those of config/filter.yaml"
+                "the recording does not hold the filter's settings: those of config/filter.yaml"
             )
             result[arm.name] = load_filter_settings()
     return result

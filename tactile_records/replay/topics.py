@@ -1,28 +1,38 @@
-"""The topics of a bag that a replay reads, decoded."""
+"""The topics of a bag that a replay reads, decoded; and where their clock goes back.
+
+A clock that is set back, a bag that was recorded from a looped one, a simulation that starts anew: from there
+on stamps repeat. Every run of stamps between two jumps is an epoch; events are in the order of (epoch, stamp,
+source, sequence). A message of one source may be recorded before the jump shows in another, so that each
+source's own stamps decide to which epoch its messages belong, not their place in the file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.topics import (
+    ARM_POSE,
+    ESTIMATE,
+    PARAMETER_EVENTS,
+    PRESENCE,
+    STATE,
+    TF,
+    TF_STATIC,
+    TRUTH,
+)
+from tactile_filter.events import JUMP_NS
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import ColumnReader, Columns
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
-from tactile_records.replay.clock import Timeline
-from tactile_records.replay.settings import PARAMETER_EVENTS
-from tactile_records.replay.transforms import Recording, read_transforms
 
 Array = NDArray[Any]
-
-TRANSFORMS = ("/tf", "/tf_static")
-ESTIMATE, PRESENCE, STATE, TRUTH = "contact/estimate", "contact/presence", "contact/state", "sim/truth"
-ARM_POSE = "arm/pose"
-ARM_TOPICS = (ESTIMATE, PRESENCE, STATE, TRUTH, ARM_POSE)
+Stamps = NDArray[np.int64]
 
 
 class ReplayError(ValueError):
@@ -31,13 +41,14 @@ class ReplayError(ValueError):
 
 def wanted_topics(topic: str, type_name: str) -> bool:
     """Whether a replay from estimates needs a topic."""
-    return topic in (*TRANSFORMS, PARAMETER_EVENTS) or topic.endswith(
-        tuple(f"/{name}" for name in ARM_TOPICS)
+    of_an_arm = (ESTIMATE, PRESENCE, STATE, TRUTH, ARM_POSE)
+    return topic in (TF.name, TF_STATIC.name, PARAMETER_EVENTS.name) or any(
+        kind.arm_of(topic) for kind in of_an_arm
     )
 
 
 @dataclass
-class Topic:
+class Messages:
     """The messages of one topic that could be decoded, in the order of the recording."""
 
     stamps_ns: Array = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -64,14 +75,18 @@ class TopicReader:
             self._by_topic.setdefault(message.topic, []).append((order, message))
 
     def arm_names(self) -> set[str]:
-        suffix = f"/{ESTIMATE}"
-        return {topic[1 : -len(suffix)] for topic in self.bag.types if topic.endswith(suffix)}
+        """Arms that estimates are published of."""
+        return {arm for topic in self.bag.types if (arm := ESTIMATE.arm_of(topic))}
 
-    def topic(self, name: str, remarks: list[str]) -> Topic:
-        """All messages of a topic; what cannot be decoded is told in `remarks`."""
+    def with_places(self, *topics: str) -> list[tuple[int, Recorded]]:
+        """The messages of some topics, with their places in the recording."""
+        return [entry for name in topics for entry in self._by_topic.get(name, [])]
+
+    def topic(self, name: str, remarks: list[str]) -> Messages:
+        """All messages of a topic; what cannot be decoded goes into `remarks`."""
         messages = self._by_topic.get(name, [])
         if not messages:
-            return Topic()
+            return Messages()
         reader = ColumnReader(type_fields(self.bag.definitions, messages[0][1].type), messages[0][1].type)
         columns = reader.read([message.data for _, message in messages])
         if reader.unreadable:
@@ -84,10 +99,78 @@ class TopicReader:
             stamps[group.indices] = group.stamps_ns()
         order = np.array([order for order, _ in messages])
         received = np.array([message.received_ns for _, message in messages])
-        return Topic(stamps, order, received, columns)
+        return Messages(stamps, order, received, columns)
 
-    def transforms(self, ignore: Sequence[str]) -> Recording:
-        messages = [entry for name in TRANSFORMS for entry in self._by_topic.get(name, [])]
-        if not messages:
-            return Recording()
-        return read_transforms(type_fields(self.bag.definitions, messages[0][1].type), messages, ignore)
+
+# ---- the clock ----
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Stamps (N,) of one source's messages, ns, and their places (N,) in the recording."""
+
+    stamps_ns: Stamps
+    order: Stamps
+
+
+@dataclass(frozen=True)
+class Jump:
+    """The clock went back: by how much, and the newest stamp before it."""
+
+    source: str
+    seconds: float
+    before_ns: int
+
+
+def epochs(sources: Mapping[str, Timeline]) -> tuple[dict[str, Stamps], list[Jump]]:
+    """The epoch (N,) of each message of each source, and the jumps between epochs."""
+    if not any(_jumps(timeline.stamps_ns) for timeline in sources.values()):
+        return {name: np.zeros(len(t.stamps_ns), np.int64) for name, t in sources.items()}, []
+    return _Epochs(sources).assigned()
+
+
+def _jumps(stamps_ns: Stamps) -> bool:
+    return bool((stamps_ns < np.maximum.accumulate(stamps_ns) - JUMP_NS).any())
+
+
+class _Epochs:
+    """Goes through all messages in the order of the recording."""
+
+    def __init__(self, sources: Mapping[str, Timeline]) -> None:
+        self.sources = sources
+        self.newest: dict[str, int] = {}  # stamp by source, within its epoch
+        self.epoch: dict[str, int] = {}
+        self.newest_of_epoch = [0]
+        self.found: list[Jump] = []
+
+    def assigned(self) -> tuple[dict[str, Stamps], list[Jump]]:
+        result = {name: np.zeros(len(t.stamps_ns), np.int64) for name, t in self.sources.items()}
+        rows = [
+            (int(order), name, row, int(stamp_ns))
+            for name, timeline in self.sources.items()
+            for row, (order, stamp_ns) in enumerate(zip(timeline.order, timeline.stamps_ns, strict=True))
+        ]
+        for _, name, row, stamp_ns in sorted(rows):
+            result[name][row] = self._take(name, stamp_ns)
+        return result, self.found
+
+    def _take(self, name: str, stamp_ns: int) -> int:
+        current = len(self.newest_of_epoch) - 1
+        epoch = self.epoch.get(name, current)
+        newest_ns = self.newest.get(name, stamp_ns)
+        if stamp_ns < newest_ns - JUMP_NS:
+            if epoch == current:
+                self.found.append(Jump(name, (newest_ns - stamp_ns) * 1e-9, newest_ns))
+                self.newest_of_epoch.append(stamp_ns)
+            epoch = len(self.newest_of_epoch) - 1
+            newest_ns = stamp_ns
+        elif epoch < current and self._is_nearer(stamp_ns, current, epoch):
+            epoch, newest_ns = current, stamp_ns
+        self.epoch[name], self.newest[name] = epoch, max(newest_ns, stamp_ns)
+        self.newest_of_epoch[epoch] = max(self.newest_of_epoch[epoch], stamp_ns)
+        return epoch
+
+    def _is_nearer(self, stamp_ns: int, one: int, other: int) -> bool:
+        """A source that was silent over the jump shows no jump of its own."""
+        newest = self.newest_of_epoch
+        return abs(stamp_ns - newest[one]) < abs(stamp_ns - newest[other])

@@ -9,23 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.topics import ARM_POSE, ESTIMATE, PRESENCE, STATE, TF, TF_STATIC, TRUTH
 from tactile_filter import se3
 from tactile_filter.filter_settings import FilterSettings
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.pose_numbers import gaussians_from_numbers
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_records.replay.settings import Change, commanded_resets, recorded_changes, recorded_settings
-from tactile_records.replay.topics import (
-    ARM_POSE,
-    ESTIMATE,
-    PRESENCE,
-    STATE,
-    TRANSFORMS,
-    TRUTH,
-    ReplayError,
-    Topic,
-    TopicReader,
-)
+from tactile_records.replay.topics import Messages, ReplayError, TopicReader
 from tactile_records.replay.transforms import Recording, connected, follow_pose, poses_at
 from tactile_records.runs.record import TruthSeries
 
@@ -89,7 +80,7 @@ class ArmInputs:
     changes : list of Change
         Of the live filter's settings while it ran.
     resets : frozenset of int
-        Stamps at which the live filter had been told to start anew.
+        Stamps at which the live filter had been asked to start anew.
     remarks : list of str
         What is missing, was refused, or is odd.
     """
@@ -112,20 +103,20 @@ class Track:
         self.arm = ArmInputs(name, base_frame, "")
         self.reader = reader
         remarks = self.arm.remarks
-        self.estimate = reader.topic(f"/{name}/{ESTIMATE}", remarks)
-        self.presence = reader.topic(f"/{name}/{PRESENCE}", remarks)
-        self.state = reader.topic(f"/{name}/{STATE}", remarks)
-        self.truth = reader.topic(f"/{name}/{TRUTH}", remarks)
+        self.estimate = reader.topic(ESTIMATE.of(name).name, remarks)
+        self.presence = reader.topic(PRESENCE.of(name).name, remarks)
+        self.state = reader.topic(STATE.of(name).name, remarks)
+        self.truth = reader.topic(TRUTH.of(name).name, remarks)
         self.rows, self.gaussians = self._take_estimates()
         if not len(self.presence):
-            remarks.append(f"no {PRESENCE}: every estimate counts as one in contact")
+            remarks.append(f"no {PRESENCE.name}: every estimate counts as one in contact")
 
     def find_the_sensor(self, recording: Recording) -> None:
         """Where transforms do not connect the sensor with its base, take the arm's report of its pose."""
         arm = self.arm
         if connected(recording, arm.base_frame, arm.sensor_frame):
             return
-        topic = self.reader.topic(f"/{arm.name}/{ARM_POSE}", arm.remarks)
+        topic = self.reader.topic(ARM_POSE.of(arm.name).name, arm.remarks)
         frames = {group.layout.texts["header.frame_id"] for group in topic.columns}
         if frames != {arm.base_frame}:
             return
@@ -135,7 +126,7 @@ class Track:
         sensor, base = arm.sensor_frame, arm.base_frame
         follow_pose(recording, topic.stamps_ns, topic.order, base, sensor, numbers)
         arm.remarks.append(
-            f"no transforms between '{base}' and '{sensor}': the sensor's poses are those of {ARM_POSE}"
+            f"no transforms between '{base}' and '{sensor}': the sensor's poses are those of {ARM_POSE.name}"
         )
 
     def finished(self, recording: Recording) -> ArmInputs:
@@ -233,13 +224,13 @@ def _hint(recording: Recording) -> str:
     """What the bag lacks, where no pose at all could be looked up."""
     lacking = [
         name
-        for name, links in zip(TRANSFORMS, (recording.moving, recording.static), strict=True)
+        for name, links in zip((TF.name, TF_STATIC.name), (recording.moving, recording.static), strict=True)
         if not links
     ]
     return f"; the bag has no messages on {' and '.join(lacking)}" if lacking else ""
 
 
-def _first_of_each_stamp(topic: Topic, rows: Array) -> dict[tuple[int, int], int]:
+def _first_of_each_stamp(topic: Messages, rows: Array) -> dict[tuple[int, int], int]:
     """(epoch, stamp) -> row, of these rows; of equal stamps the first one holds, as in the live nodes."""
     found: dict[tuple[int, int], int] = {}
     rows = rows[np.argsort(topic.order[rows], kind="stable")]
@@ -253,14 +244,14 @@ def _first_of_each_stamp(topic: Topic, rows: Array) -> dict[tuple[int, int], int
     return found
 
 
-def _in_contact(topic: Topic) -> list[bool]:
+def _in_contact(topic: Messages) -> list[bool]:
     values = np.zeros(len(topic), bool)
     for group in topic.columns:
         values[group.indices] = group.values["in_contact"]
     return [bool(value) for value in values]
 
 
-def _truth(topic: Topic) -> TruthSeries:
+def _truth(topic: Messages) -> TruthSeries:
     """The simulator's truth by stamp, its depth from geometry."""
     if not len(topic):
         return TruthSeries()
@@ -277,7 +268,7 @@ def _truth(topic: Topic) -> TruthSeries:
     return TruthSeries(stamp_ns[order], T_fs[order], slip[order], touching[order])
 
 
-def _live(topic: Topic) -> LiveStates | None:
+def _live(topic: Messages) -> LiveStates | None:
     """What the live filter published; None where the bag does not hold it."""
     if len(topic.columns) != 1:  # none, or frames that change within it: nothing to compare with
         return None

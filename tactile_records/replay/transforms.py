@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.topics import TF, TF_STATIC
 from tactile_filter.pose_numbers import are_poses, pose_from_numbers
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import ColumnReader, Columns, stamps_ns
-from tactile_records.replay.clock import Timeline
+from tactile_records.replay.topics import Timeline
 
 Array = NDArray[Any]
 
@@ -83,7 +84,7 @@ def read_transforms(
     """
     recording = Recording()
     for static in (False, True):
-        topic = "/tf_static" if static else "/tf"
+        topic = (TF_STATIC if static else TF).name
         chosen = [(order, message) for order, message in messages if message.topic == topic]
         if chosen:
             links = _links(fields, chosen, ignore, recording)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import ns_from_parts
+from tactile_control.tasks import TASKS
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_filter import se3
 from tactile_filter.gaussian import left_from_ros
@@ -63,17 +64,30 @@ def read_run(folder: Path, arm: str | None = None) -> RunRecord:
     return run_from_bag(read_bag(folder), arm)
 
 
+def read_arms(folder: Path) -> dict[str, RunRecord]:
+    """The runs of all arms in a bag, by name. Raises as `read_run` does."""
+    bag = read_bag(folder)
+    return {arm: run_from_bag(bag, arm) for arm in arms_of(bag)}
+
+
 def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
     """The same from a bag that was read before."""
     arm = _arm_of(bag, arm)
     rows = _Rows(bag, arm)
+    role = json.loads(bag.note.get("roles", "{}")).get(arm, {})
+    task = role.get("task", "surface_following")
     record = RunRecord(
         scene=bag.note.get("scene", ""),
-        task=bag.note.get("task", ""),
+        task=task,
+        task_file=bag.note.get("task", ""),
         arm=arm,
+        role=role.get("role", ""),
+        work=TASKS.load(task).work if task in TASKS.names() else "",
         source="ros",
         seed=int(bag.note.get("seed", 0)),
-        paths=json.loads(bag.note.get("paths", "[]")),
+        goals=role.get("goals", []),
+        tip_radius=role.get("tip_radius", RunRecord.tip_radius),
+        T_world_base=np.array(role.get("T_world_base", np.eye(4).tolist())),
     )
     record.pose = rows.series(PoseSeries, "arm/pose", _pose_row)
     record.truth = rows.series(TruthSeries, "sim/truth", truth_row)
@@ -83,7 +97,6 @@ def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
     record.command = rows.series(CommandSeries, "controller/status", _command_row)
     record.arm_twist = rows.series(ArmSeries, "arm/status", _arm_row)
     record.latency, record.lost = _latency(rows)
-    record.reference = _reference(bag, arm)
     record.surface, problem = _surface(bag, arm)
     record.result = _result(bag, record) | ({"surface_problem": problem} if problem else {})
     return record
@@ -179,8 +192,9 @@ def _command_row(message: Any) -> dict[str, Any]:
         "unlimited": np.asarray(message.unlimited),
         "error": np.asarray(message.error),
         "feedforward": np.asarray(message.feedforward),
-        "phase": message.phase_name,
-        "path": message.path,
+        "reference": np.asarray(message.reference),
+        "phase": message.phase,
+        "goal": message.goal,
         "exposure_ns": _ns(message.belief_stamp),
     }
 
@@ -208,11 +222,6 @@ def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
     return series, lost
 
 
-def _reference(bag: Bag, arm: str) -> Array:
-    parameters = json.loads(bag.note.get("parameters", "{}")).get(f"/{arm}/controller", {})
-    return np.array(parameters.get("servoing.reference", np.zeros(6)), dtype=float)
-
-
 def _surface(bag: Bag, arm: str) -> tuple[SurfaceMesh, str]:
     """The surfaces that the arm can touch; or none, and why: the scene file may have gone or changed."""
     try:
@@ -222,21 +231,24 @@ def _surface(bag: Bag, arm: str) -> tuple[SurfaceMesh, str]:
 
 
 def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:
-    """Whether every path reached its end, as far as the bag knows."""
+    """Whether every goal was reached, as far as the bag knows."""
     result: dict[str, Any] = {"bag_complete": bag.complete}
     if not bag.complete:
         result["bag_problem"] = bag.problem
     if bag.messages:
         result["wall_s"] = (bag.messages[-1].received_ns - bag.messages[0].received_ns) * 1e-9
-    phases = {index: record.command.phase[record.command.path == index] for index in range(len(record.paths))}
-    unfinished = [record.paths[index] for index, phase in phases.items() if DONE not in phase]
-    result["succeeded"] = bool(record.paths) and not unfinished
-    result["reason"] = f"path {unfinished[0]} did not reach its end" if unfinished else ""
+    phases = {index: record.command.phase[record.command.goal == index] for index in range(len(record.goals))}
+    unfinished = [record.goals[index] for index, phase in phases.items() if DONE not in phase]
+    result["succeeded"] = bool(record.goals) and not unfinished
+    result["reason"] = f"goal {unfinished[0]} was not reached" if unfinished else ""
     return result
 
 
 def arms_of(bag: Bag) -> list[str]:
-    """The arms with a controller, by name."""
+    """The arms that had something to do, by name."""
+    roles = json.loads(bag.note.get("roles", "{}"))
+    if roles:
+        return sorted(roles)
     suffix = "/controller/status"
     return sorted({topic[1 : -len(suffix)] for topic in bag.topics if topic.endswith(suffix)})
 

@@ -1,24 +1,22 @@
 """Numbers of a run: what report.json holds, from a `RunRecord`.
 
-Everything about quality is taken over the follow phase and against the truth at the same exposure stamps. The
-meaning and unit of each number are in `REPORT_FIELDS`, which also is the schema: a report has these names, no
-others; a number that cannot be computed from the record (no truth in a run on a real arm) is null.
+Everything about quality is taken over the task's own phase (follow, track), against the truth at the same
+exposure stamps. The meaning and unit of each number are in `REPORT_FIELDS`, which is the schema: a report
+has these names, no others; a number that cannot be computed from the record (no truth on a real arm) is null.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import math
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_filter import se3
-from tactile_records.runs.record import FOLLOW, GaussianSeries, RunRecord, TruthSeries
+from tactile_records.runs.record import GaussianSeries, RunRecord, TruthSeries
 
 Array = NDArray[Any]
 
@@ -29,16 +27,18 @@ COMMAND_STAGE = "controller"  # the stage whose latency is that of the loop: exp
 REPORT_FIELDS: dict[str, str] = {
     "scene": "name of the scene",
     "task": "name of the task",
+    "task_file": "name of the task file",
+    "role": "what the arm does in it",
     "arm": "name of the arm",
     "source": "offline (loop in one process) or ros (nodes)",
     "seed": "seed of the simulated cell",
     "succeeded": "the task did all that it was asked to",
     "reason": "why it failed, in words; empty where it did not",
     "duration_s": "from the first command to the last",
-    "follow_s": "time spent following",
-    "path_length_mm": "arc length of the sensor's centre while following, all paths",
+    "work_s": "time spent at work: following, tracking",
+    "path_length_mm": "arc length of the sensor's centre at work, all goals",
     "speed_mm_s": "path length over time, after the feedforward has come in",
-    "contact_fraction": "part of the follow phase with true contact (0..1)",
+    "contact_fraction": "part of the work with true contact (0..1)",
     "depth_rms_mm": "RMS of true depth less reference depth",
     "depth_bias_mm": "mean of true depth less reference depth",
     "depth_max_mm": "largest absolute value of the same",
@@ -71,68 +71,45 @@ REPORT_FIELDS: dict[str, str] = {
     "frames.commands": "commands emitted",
     "frames.lost.*": "frames lost by this stage (dropped and counted)",
     "frames.silent": "frames that a stage neither answered nor counted as dropped",
-    "paths.*.succeeded": "this path was followed to its end",
-    "paths.*.length_mm": "its length while following",
-    "paths.*.contact_fraction": "as above, of this path",
-    "paths.*.depth_rms_mm": "as above, of this path",
-    "paths.*.normal_rms_deg": "as above, of this path",
-    "paths.*.normal_max_deg": "as above, of this path",
+    "goals.*.succeeded": "this goal was reached",
+    "goals.*.length_mm": "its way while at work",
+    "goals.*.contact_fraction": "as above, of this goal",
+    "goals.*.depth_rms_mm": "as above, of this goal",
+    "goals.*.normal_rms_deg": "as above, of this goal",
+    "goals.*.normal_max_deg": "as above, of this goal",
     "wall_s": "wall-clock time of the run",
 }
 
 
 def report(record: RunRecord) -> dict[str, Any]:
     """All numbers of the run, nested as the names of `REPORT_FIELDS` are dotted."""
-    following = record.phase_at(record.truth.stamp_ns) == FOLLOW
+    following = record.working(record.truth.stamp_ns)
     truth = record.truth.rows(following)
     command = record.command
     result: dict[str, Any] = {
         "scene": record.scene,
         "task": record.task,
+        "task_file": record.task_file,
+        "role": record.role,
         "arm": record.arm,
         "source": record.source,
         "seed": record.seed,
         "succeeded": bool(record.result.get("succeeded", False)),
         "reason": str(record.result.get("reason", "")),
-        "duration_s": _duration(command.stamp_ns),
+        "duration_s": duration(command.stamp_ns),
         **_motion(record),
-        **_quality(truth, record.reference),
-        "slip_fraction": _mean(truth.slip_fraction),
+        **_quality(truth, record.reference_at(truth.stamp_ns)),
+        "slip_fraction": mean(truth.slip_fraction),
         "depth_overshoot_mm": _overshoot_mm(record),
         "oscillation": oscillation(record),
         "estimate": _errors(record, record.estimate),
         "belief": _errors(record, record.belief) | _consistency(record),
         "latency_ms": _latency(record),
         "frames": _frames(record),
-        "paths": {name: _path(record, index, truth) for index, name in enumerate(record.paths)},
+        "goals": {name: _goal(record, index, truth) for index, name in enumerate(record.goals)},
         "wall_s": record.result.get("wall_s"),
     }
     return result
-
-
-def write_report(record: RunRecord, path: str | Path) -> dict[str, Any]:
-    """Write report.json and return what is in it. NaN becomes null."""
-    values = _without_nan(report(record))
-    Path(path).write_text(json.dumps(values, indent=2) + "\n")
-    return dict(values)
-
-
-def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """What a person wants to see first: (name, value with unit, requirement where there is one)."""
-    latency = values["latency_ms"]
-    return [
-        ("task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""),
-        ("path followed", _text(values["path_length_mm"], "mm", 1), ""),
-        ("contact kept", _percent(values["contact_fraction"]), "100 %"),
-        ("depth RMS about reference", _text(values["depth_rms_mm"], "mm", 3), "<= 0.3 mm"),
-        ("normal alignment RMS", _text(values["normal_rms_deg"], "deg", 2), "<= 2 deg"),
-        ("oscillation in depth", _text(values["oscillation"]["depth_mm"], "mm", 3), ""),
-        ("depth error of belief RMS", _text(values["belief"]["depth_rms_mm"], "mm", 3), ""),
-        ("latency p50", _text(latency["p50"], "ms", 1), "<= 8 ms"),
-        ("latency p99", _text(latency["p99"], "ms", 1), "<= 25 ms"),
-        ("frames dropped and counted", str(sum(values["frames"]["lost"].values())), ""),
-        ("frames lost in silence", str(values["frames"]["silent"]), "0"),
-    ]
 
 
 # ---- parts of the report ----
@@ -144,9 +121,10 @@ def depth_of(X_fs: Array) -> Array:
 
 
 def normal_angle(X_fs: Array, reference: Array) -> Array:
-    """Angle (N,) rad between each surface normal in {s} and that of the Euler reference contact pose."""
-    wanted = se3.pose_from_euler(reference)[2, :3]
-    return _angle_between(X_fs[:, 2, :3], wanted[None])
+    """Angle (N,) rad between surface normals in {s} and those of Euler reference contact poses (N, 6)."""
+    kinds, which = np.unique(reference, axis=0, return_inverse=True)
+    wanted = np.array([se3.pose_from_euler(kind)[2, :3] for kind in kinds]).reshape(-1, 3)
+    return _angle_between(X_fs[:, 2, :3], wanted[which.ravel()])
 
 
 def inverses(T: Array) -> Array:
@@ -209,8 +187,8 @@ def strongest_sinusoid(
 def _settled_stretches(record: RunRecord) -> Iterator[tuple[Array, Array]]:
     """Stamps and true contact poses of each path's following, without its first second."""
     truth = record.truth
-    following = record.phase_at(truth.stamp_ns) == FOLLOW
-    path = record.path_at(truth.stamp_ns)
+    following = record.working(truth.stamp_ns)
+    path = record.goal_at(truth.stamp_ns)
     for index in np.unique(path[following]):
         rows = truth.rows(following & (path == index))
         late = rows.stamp_ns >= rows.stamp_ns[0] + SETTLED_AFTER * 1e9
@@ -220,18 +198,18 @@ def _settled_stretches(record: RunRecord) -> Iterator[tuple[Array, Array]]:
 
 def _motion(record: RunRecord) -> dict[str, float]:
     pose = record.pose
-    following = record.phase_at(pose.stamp_ns) == FOLLOW
-    path = record.path_at(pose.stamp_ns)
+    following = record.working(pose.stamp_ns)
+    path = record.goal_at(pose.stamp_ns)
     length, seconds, late_length, late_seconds = 0.0, 0.0, 0.0, 0.0
     for index in np.unique(path[following]):
         rows = pose.rows(following & (path == index))
         length += arc_length(rows.T_base_sensor)
-        seconds += _duration(rows.stamp_ns)
+        seconds += duration(rows.stamp_ns)
         late = rows.rows(rows.stamp_ns >= rows.stamp_ns[0] + SETTLED_AFTER * 1e9)
         late_length += arc_length(late.T_base_sensor)
-        late_seconds += _duration(late.stamp_ns)
+        late_seconds += duration(late.stamp_ns)
     speed = late_length / late_seconds if late_seconds > 0.0 else np.nan
-    return {"follow_s": seconds, "path_length_mm": length * 1e3, "speed_mm_s": speed * 1e3}
+    return {"work_s": seconds, "path_length_mm": length * 1e3, "speed_mm_s": speed * 1e3}
 
 
 def arc_length(T_base_sensor: Array) -> float:
@@ -240,24 +218,25 @@ def arc_length(T_base_sensor: Array) -> float:
 
 
 def _quality(truth: TruthSeries, reference: Array) -> dict[str, float]:
-    error_mm = (depth_of(truth.T_fs) - reference[2]) * 1e3
+    """Of the truth at some stamps against the reference contact poses (N, 6) in force there."""
+    error_mm = (depth_of(truth.T_fs) - reference[:, 2]) * 1e3
     angle_deg = np.degrees(normal_angle(truth.T_fs, reference))
     return {
-        "contact_fraction": _mean(truth.in_contact),
-        "depth_rms_mm": _rms(error_mm),
-        "depth_bias_mm": _mean(error_mm),
-        "depth_max_mm": _largest(np.abs(error_mm)),
-        "normal_rms_deg": _rms(angle_deg),
-        "normal_max_deg": _largest(angle_deg),
+        "contact_fraction": mean(truth.in_contact),
+        "depth_rms_mm": rms(error_mm),
+        "depth_bias_mm": mean(error_mm),
+        "depth_max_mm": largest(np.abs(error_mm)),
+        "normal_rms_deg": rms(angle_deg),
+        "normal_max_deg": largest(angle_deg),
     }
 
 
-def _path(record: RunRecord, index: int, following_truth: TruthSeries) -> dict[str, Any]:
-    truth = following_truth.rows(record.path_at(following_truth.stamp_ns) == index)
+def _goal(record: RunRecord, index: int, following_truth: TruthSeries) -> dict[str, Any]:
+    truth = following_truth.rows(record.goal_at(following_truth.stamp_ns) == index)
     pose = record.pose
-    chosen = (record.phase_at(pose.stamp_ns) == FOLLOW) & (record.path_at(pose.stamp_ns) == index)
-    phases = record.command.phase[record.command.path == index]
-    quality = _quality(truth, record.reference)
+    chosen = (record.working(pose.stamp_ns)) & (record.goal_at(pose.stamp_ns) == index)
+    phases = record.command.phase[record.command.goal == index]
+    quality = _quality(truth, record.reference_at(truth.stamp_ns))
     wanted = ("contact_fraction", "depth_rms_mm", "normal_rms_deg", "normal_max_deg")
     return {
         "succeeded": bool(len(phases) and phases[-1] == "done"),
@@ -267,9 +246,9 @@ def _path(record: RunRecord, index: int, following_truth: TruthSeries) -> dict[s
 
 
 def _overshoot_mm(record: RunRecord) -> float:
-    phase = record.phase_at(record.truth.stamp_ns)
-    depth = depth_of(record.truth.T_fs[np.isin(phase, ("settle", FOLLOW))])
-    return float(max(0.0, (depth.max() - record.reference[2]) * 1e3)) if len(depth) else np.nan
+    rows = record.truth.rows(np.isin(record.phase_at(record.truth.stamp_ns), ("settle", record.work)))
+    over = depth_of(rows.T_fs) - record.reference_at(rows.stamp_ns)[:, 2]
+    return float(max(0.0, over.max() * 1e3)) if len(over) else np.nan
 
 
 def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:
@@ -279,9 +258,9 @@ def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:
     depth_mm = (depth_of(X_fs) - depth_of(T_fs)) * 1e3
     angle_deg = np.degrees(_angle_between(X_fs[:, 2, :3], T_fs[:, 2, :3]))
     return {
-        "depth_rms_mm": _rms(depth_mm),
-        "depth_bias_mm": _mean(depth_mm),
-        "normal_rms_deg": _rms(angle_deg),
+        "depth_rms_mm": rms(depth_mm),
+        "depth_bias_mm": mean(depth_mm),
+        "normal_rms_deg": rms(angle_deg),
     }
 
 
@@ -293,8 +272,8 @@ def _consistency(record: RunRecord) -> dict[str, float | int]:
     with_nis = np.isfinite(belief.nis[mine]) & (belief.nis_dof[mine] > 0)
     per_dof = belief.nis[mine][with_nis] / belief.nis_dof[mine][with_nis]
     return {
-        "depth_in_2_sigma": _mean(within),
-        "nis_per_dof": _mean(per_dof),
+        "depth_in_2_sigma": mean(within),
+        "nis_per_dof": mean(per_dof),
         "refused": int(np.count_nonzero(~belief.accepted[mine])),
     }
 
@@ -302,14 +281,14 @@ def _consistency(record: RunRecord) -> dict[str, float | int]:
 def _matched(record: RunRecord, series: GaussianSeries) -> tuple[Array, Array]:
     """Rows of the series and of the truth that have the same exposure stamp and lie in the follow phase."""
     common, mine, true = np.intersect1d(series.stamp_ns, record.truth.stamp_ns, return_indices=True)
-    following = record.phase_at(common) == FOLLOW
+    following = record.working(common)
     return mine[following], true[following]
 
 
 def _latency(record: RunRecord) -> dict[str, Any]:
     stages = {}
     for stage, series in record.latency.items():
-        following = record.phase_at(series.stamp_ns) == FOLLOW
+        following = record.working(series.stamp_ns)
         stages[stage] = _percentiles_ms(series.seconds[following])
     return _percentiles_ms(_loop_latency(record)) | {"stages": stages}
 
@@ -318,9 +297,9 @@ def _loop_latency(record: RunRecord) -> Array:
     """Seconds from exposure to the first command based on it, of those acted upon while following."""
     stage = record.latency.get(COMMAND_STAGE)
     if stage is not None and len(stage):
-        return stage.seconds[record.phase_at(stage.stamp_ns) == FOLLOW]
+        return stage.seconds[record.working(stage.stamp_ns)]
     command = record.command
-    used = (command.exposure_ns > 0) & (command.phase == FOLLOW)
+    used = (command.exposure_ns > 0) & (command.phase == record.work)
     exposure, first = np.unique(command.exposure_ns[used], return_index=True)
     return (command.stamp_ns[used][first] - exposure) * 1e-9
 
@@ -364,31 +343,31 @@ def _angle_between(a: Array, b: Array) -> Array:
     return np.arctan2(cross, np.sum(a * b, axis=1))
 
 
-def _duration(stamp_ns: Array) -> float:
+def duration(stamp_ns: Array) -> float:
     return float(stamp_ns[-1] - stamp_ns[0]) * 1e-9 if len(stamp_ns) else 0.0
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
 
 
-def _mean(values: Array) -> float:
+def mean(values: Array) -> float:
     return float(np.mean(values)) if len(values) else np.nan
 
 
-def _largest(values: Array) -> float:
+def largest(values: Array) -> float:
     return float(np.max(values)) if len(values) else np.nan
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     if isinstance(value, dict):
-        return {name: _without_nan(item) for name, item in value.items()}
+        return {name: without_nan(item) for name, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _text(value: float | None, unit: str, digits: int) -> str:
+def text(value: float | None, unit: str, digits: int) -> str:
     return "unknown" if value is None or not math.isfinite(value) else f"{value:.{digits}f} {unit}"
 
 
-def _percent(value: float | None) -> str:
+def percent(value: float | None) -> str:
     return "unknown" if value is None or not math.isfinite(value) else f"{100.0 * value:.1f} %"

@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 T = TypeVar("T", bound="Series")
 
-FOLLOW = "follow"  # the phase that metrics are about
-
 
 def _array(*shape: int, dtype: Any = np.float64) -> Any:
     """A field that starts as an empty array of the given row shape."""
@@ -114,8 +112,9 @@ class CommandSeries(Series):
     unlimited: Array = _array(6)  # before watchdog and limiter
     error: Array = _array(6)  # log(X_ss') (m, rad); NaN where the phase does not servo
     feedforward: Array = _array(6)  # in {s}
+    reference: Array = _array(6)  # Euler contact pose that is servoed to (m, rad); NaN where none is
     phase: Array = _array(dtype=np.dtype("U16"))
-    path: Array = _array(dtype=np.int64)  # index of the path in the task, from 0
+    goal: Array = _array(dtype=np.int64)  # index of the goal among the arm's, from 0
     exposure_ns: Array = _array(dtype=np.int64)  # stamp of the belief used; 0 for none
 
 
@@ -147,14 +146,22 @@ class RunRecord:
 
     Attributes
     ----------
+    task : str
+        The arm's task, by its name among the tasks.
+    task_file : str
+        The task file that gave it to the arm.
+    role : str
+        What the arm does in it.
+    work : str
+        The phase of the task that numbers about quality are of.
     source : str
         "offline" or "ros".
-    reference : ndarray (6,)
-        Feedback reference contact pose, Euler (x, y, z, alpha, beta, gamma) of X_fs', m and rad.
     tip_radius : float
         Radius of the sensor's tip, m.
-    paths : list of str
-        Names of the task's paths; `command.path` indexes it.
+    goals : list of str
+        Names of the arm's goals; `command.goal` indexes it.
+    T_world_base : ndarray (4, 4)
+        Where the arm stands.
     latency : dict
         Stage name -> StageSeries, cumulative from the exposure, in the order of the stages.
     lost : dict
@@ -165,12 +172,15 @@ class RunRecord:
 
     scene: str = ""
     task: str = ""
+    task_file: str = ""
     arm: str = "arm"
+    role: str = ""
+    work: str = "follow"
     source: str = "offline"
     seed: int = 0
-    reference: Array = field(default_factory=lambda: np.zeros(6))
     tip_radius: float = 0.020
-    paths: list[str] = field(default_factory=list)
+    goals: list[str] = field(default_factory=list)
+    T_world_base: Array = field(default_factory=lambda: np.eye(4))
     pose: PoseSeries = field(default_factory=PoseSeries)
     truth: TruthSeries = field(default_factory=TruthSeries)
     estimate: GaussianSeries = field(default_factory=GaussianSeries)
@@ -187,9 +197,29 @@ class RunRecord:
         """The phase in force at each stamp: that of the latest command emitted at or before it, else ''."""
         return self._held(self.command.phase, stamp_ns, "")
 
-    def path_at(self, stamp_ns: Array) -> Array:
-        """The index of the path at each stamp, -1 before the first command."""
-        return self._held(self.command.path, stamp_ns, -1)
+    def working(self, stamp_ns: Array) -> Array:
+        """Whether the task was at its own work at each stamp."""
+        return np.asarray(self.phase_at(stamp_ns) == self.work)
+
+    def goal_at(self, stamp_ns: Array) -> Array:
+        """The index of the goal at each stamp, -1 before the first command."""
+        return self._held(self.command.goal, stamp_ns, -1)
+
+    def reference_at(self, stamp_ns: Array) -> Array:
+        """The reference contact pose (N, 6) in force at each stamp: the first one that followed, before it.
+
+        Raises
+        ------
+        ValueError
+            If no command of the record has a reference: there is nothing to hold a contact against.
+        """
+        known = np.flatnonzero(np.isfinite(self.command.reference).all(axis=1))
+        if not len(known):
+            if len(np.atleast_1d(stamp_ns)) == 0:
+                return np.zeros((0, 6))
+            raise ValueError("no command of this record has a reference contact pose")
+        index = np.searchsorted(self.command.stamp_ns[known], np.asarray(stamp_ns), side="right") - 1
+        return np.asarray(self.command.reference[known[np.maximum(index, 0)]])
 
     def save(self, path: str | Path) -> None:
         """Write all of it into one compressed .npz file."""

@@ -17,30 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
-from tactile_base.settings import Settings
-from tactile_control.collection import DataCollection
-from tactile_control.collection_settings import (
-    CollectionMotionSettings,
-    CollectionWatchdogSettings,
-    DataCollectionSettings,
-    TouchSettings,
-)
-from tactile_control.collection_types import (
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_control.collection import (
     REFERENCE,
     ROTATE,
+    TASK,
     TOUCH,
     CollectionCommand,
+    CollectionGoal,
     CollectionInputs,
+    DataCollectionSettings,
     Exposure,
     Target,
 )
-from tactile_control.limiter import LimiterSettings
 from tactile_control.phases import StampedPose
+from tactile_control.tasks.data_collection import DataCollection
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_perception.datasets.layout import DatasetError
+from tactile_perception.datasets.writer import IMAGE_KINDS
 from tactile_perception.estimating.image import ImageError, check_image
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
@@ -49,11 +46,30 @@ from tactile_ros.conversions import MessageError
 from tactile_ros.image_bytes import image_from_bytes
 from tactile_ros.managed_node import ConfigurationError
 from tactile_ros.managed_node import run as run_node
-from tactile_ros.nodes.collector_messages import feedback_message, status_message
-from tactile_ros.nodes.collector_settings import TASK, CollectorSettings
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
+from tactile_ros.task_messages import feedback_message, named_goal, status_bytes
 from tactile_ros.task_node import ZERO, Run, TaskNode, conclude
+
+
+@dataclass(frozen=True)
+class CollectorSettings(Settings):
+    """Where samples go, and over which surface they are taken."""
+
+    folder: str = setting("", doc="data folder, made if it is not there; one with samples is gone on with")
+    images: str = setting(
+        "both", choices=IMAGE_KINDS, doc="processed (cropped, thresholded), raw (camera images), or both"
+    )
+    frame: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), length=6, lower=-10.0, upper=10.0, unit="m, rad",
+        doc="contact frame {f} in the arm's base, Euler (x, y, z, alpha, beta, gamma): z into the surface, "
+        "origin where the sensor's centre is at first touch",
+    )  # fmt: skip
+    step_period: float = setting(
+        0.008, lower=0.001, upper=0.05, unit="s", doc="time between two twists of a running collection"
+    )
+    idle_period: float = setting(0.1, lower=0.01, upper=1.0, unit="s", doc="and without one")
+    feedback_period: float = setting(0.1, lower=0.01, upper=10.0, unit="s", doc="of the action's feedback")
 
 
 @dataclass(kw_only=True)
@@ -79,15 +95,10 @@ class CollectorNode(TaskNode):
         self.sampling = SettingsParameters(self, SamplingSettings(), prefix="sampling")
         self.preprocessing = SettingsParameters(self, PreprocessingSettings(), prefix="preprocessing")
         self.presence_settings = SettingsParameters(self, PresenceSettings(), prefix="presence")
-        defaults: dict[str, Settings] = {
-            "motion": CollectionMotionSettings(),
-            "touch": TouchSettings(),
-            "limiter": LimiterSettings(),
-            "watchdog": CollectionWatchdogSettings(),
-        }
+        defaults = DataCollectionSettings()
         self.groups = {
-            name: SettingsParameters(self, default, prefix=name, on_change=self._configure_task)
-            for name, default in defaults.items()
+            name: SettingsParameters(self, defaults.group(name), prefix=name, on_change=self._configure_task)
+            for name in defaults.group_names()
         }
         self.forget()
 
@@ -231,10 +242,17 @@ class CollectorNode(TaskNode):
     def _feedback(self, run: CollectionRun, command: CollectionCommand) -> RunTask.Feedback:
         pose = self.sensor_pose()
         X_fs = None if pose is None else se3.inverse(run.task.T_base_f) @ pose[1]
-        return feedback_message(command, run.before, X_fs)
+        progress = (run.before + command.collected) / (run.before + command.total)
+        return feedback_message(command, X_fs, progress)
 
     def _publish_status(self, now_ns: int, command: CollectionCommand | None) -> None:
-        self.status_out.publish(status_message(now_ns, self.sensor_frame, command))
+        number = command.number if command is not None else 0
+        goal = number, f"sample {number}" if number else ""
+        twist = command.twist if command is not None else ZERO
+        running = command is not None
+        self.status_out.publish(
+            status_bytes(now_ns, self.controlled_frame, TASK, goal, command, twist, running)
+        )
 
     # ---- parameters ----
 
@@ -253,7 +271,13 @@ class CollectorNode(TaskNode):
         """See `TaskNode`."""
         if self.run is not None:
             return "a collection is running; cancel it first"
-        return "" if goal.task == TASK else f"task is '{goal.task}', must be '{TASK}'"
+        if goal.task != TASK:
+            return f"task is '{goal.task}', must be '{TASK}'"
+        try:
+            named_goal(goal, DataCollection)
+        except SettingError as error:
+            return str(error)
+        return ""
 
     def accept(self, handle: Any) -> CollectionRun | None:
         """See `TaskNode`; a folder that cannot be used, or needs nothing, ends the goal at once."""
@@ -266,12 +290,14 @@ class CollectorNode(TaskNode):
 
     def _start(self, handle: Any) -> CollectionRun | None:
         settings = self.settings.value
+        goal = named_goal(handle.request, DataCollection).goal
+        assert isinstance(goal, CollectionGoal)
         store = SampleStore(settings.folder, self.preprocessing.value, settings.images)
         targets = [
-            Target(number, pose_of(self.sampling.value, settings.seed, settings.first + number - 1))
-            for number in store.missing(settings.samples)
+            Target(number, pose_of(self.sampling.value, goal.seed, goal.first + number - 1))
+            for number in store.missing(goal.samples)
         ]
-        self.get_logger().info(f"{len(targets)} of {settings.samples} samples to collect")
+        self.get_logger().info(f"{len(targets)} of {goal.samples} samples to collect")
         if not targets:
             store.finish()
             conclude(handle, RunTask.Result(success=True, reason="every sample is there"))
@@ -280,10 +306,10 @@ class CollectorNode(TaskNode):
         found = store.surface()
         task_settings = self.task_settings()
         if found is not None:
-            task_settings = task_settings.replaced(touch=task_settings.touch.replaced(points=0))
+            task_settings = task_settings.replaced(touch__points=0)
         frame = self._assumed_frame() if found is None else found
         task = DataCollection(task_settings, targets, frame)
-        before = settings.samples - len(targets)
+        before = goal.samples - len(targets)
         return CollectionRun(handle=handle, task=task, started_ns=self.now_ns(), store=store, before=before)
 
     def _assumed_frame(self) -> NDArray[np.float64]:

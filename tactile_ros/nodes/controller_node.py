@@ -1,15 +1,14 @@
-"""Controller node: beliefs -> twists, as long as a goal of the action `run_task` asks for it.
+"""Controller node: what an arm is to do -> twists, as long as a goal of the action `run_task` asks for it.
 
-A step of the task runs at each `contact/state`, so that a command leaves as soon as its belief is there, and
-on a timer in between, so that the watchdog works when nothing arrives any more. Every twist comes out of the
-task's limiter; without a goal it is zero, and so is the last one when the node is deactivated or shut down.
-One goal runs at a time: a second one is refused, a cancelled one decelerates and retreats.
+It runs one kind of task, its parameter `task`; the task's settings are its parameters. A step of the task is
+made at each `contact/state`, so that a command leaves as soon as its belief is there, and on a timer in
+between, so that the watchdog works when nothing arrives any more. Every twist comes out of the task's
+limiter; without a goal it is zero, and so is the last one when the node is deactivated or shut down. One goal
+runs at a time: a second one is refused, a cancelled one decelerates and retreats.
 """
 
 from __future__ import annotations
 
-import functools
-import math
 import sys
 from dataclasses import dataclass
 from typing import Any
@@ -17,26 +16,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, Settings, setting, unknown_name
-from tactile_base.stamps import SECOND_NS
-from tactile_control.files import TASKS
-from tactile_control.phases import StampedPose
-from tactile_control.task import Command, PathGoal, StampedPresence, SurfaceFollowing, TaskInputs
-from tactile_control.task_settings import SurfaceFollowingSettings
+from tactile_base.settings import SettingError, SettingGroups, Settings, setting, unknown_name
+from tactile_base.topics import STATE as STATE_TOPIC
+from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
+from tactile_control.tasks import TASKS
 from tactile_filter import se3
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ContactState, ControllerStatus
-from tactile_ros.cdr import HeadedReader, Layout, split_stamp
-from tactile_ros.conversions import MessageError, matrix_from_pose
+from tactile_msgs.msg import ContactState
+from tactile_ros.cdr import HeadedReader
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
-from tactile_ros.parameters import SettingsParameters
+from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import STATE
+from tactile_ros.task_messages import feedback_message, named_goal, status_bytes, with_settings
 from tactile_ros.task_node import ZERO, Run, TaskNode
 
-IDLE = "idle"
-STATE_TOPIC = "contact/state"
-NOT_A_NUMBER = np.full(6, np.nan)
 read_state = HeadedReader(ContactState)
 XI, FLAGS = slice(0, 6), 50  # among its numbers: behind xi are covariance, euler, nis and nis_dof
 
@@ -61,48 +55,54 @@ class ControllerTimingSettings(Settings):
 
 
 @dataclass(kw_only=True)
-class PathRun(Run):
-    """One accepted goal, and what it asks of the parameters."""
+class GoalRun(Run):
+    """One accepted goal, and the message that asked for it."""
 
-    task: SurfaceFollowing
-    overrides: dict[str, dict[str, Any]]
+    task: PhaseMachine[TaskInputs, Command]
+    message: RunTask.Goal
 
 
 class ControllerNode(TaskNode):
-    """See the module's text; the arithmetic is `SurfaceFollowing`."""
+    """See the module's text; the arithmetic is in the tasks of `tactile_control`."""
 
-    run: PathRun | None
+    run: GoalRun | None
 
     def __init__(self) -> None:
         super().__init__("controller")
+        self.task = declare_read_only(self, "task", "surface_following", "the kind of task that it runs")
+        self.task_type = TASKS.load(self.task)
+        if self.task_type.node != "controller":
+            raise SettingError(f"parameter task = {self.task}: is run by the {self.task_type.node}")
         self.timing = SettingsParameters(
             self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period",)
         )
-        defaults = SurfaceFollowingSettings()
+        self.defaults = self.task_type.settings_class()
         self.groups = {
             name: SettingsParameters(
-                self, getattr(defaults, name), prefix=name, on_change=self._configure_task
+                self, self.defaults.group(name), prefix=name, on_change=self._configure_task
             )
-            for name in ("task", "servoing", "pid", "limiter", "watchdog", "prediction")
+            for name in self.defaults.group_names()
         }
         self.last: Command | None = None
         self.goals = 0
+        self.goal_name = ""
         self.forget()
 
     # ---- lifecycle ----
 
     def configure(self) -> None:
         """Create publishers, subscriptions and the action."""
-        limits = self.groups["watchdog"].value
-        self.latency = LatencyPublisher(self, "controller", self.sensor_frame)
-        self.subscribe(ContactState, STATE_TOPIC, self._take_state, STATE, limits.belief_age, raw=True)
+        if self.task_type.needs_sensor:
+            age = getattr(self.groups["watchdog"].value, "belief_age", 0.0)
+            self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
+            self.subscribe(ContactState, STATE_TOPIC.name, self._take_state, STATE, age, raw=True)
         self.open_task(self.timing.value.watchdog_period)
 
     def activate(self) -> None:
         """Forget old inputs and be idle."""
         self.forget()
         self.last = None
-        self.path_name = ""
+        self.goal_name = ""
 
     def end(self, reason: str) -> None:
         """Abort what runs, and say so."""
@@ -124,7 +124,8 @@ class ControllerNode(TaskNode):
         if not flags & ContactState.INVALID:
             self._take_belief(stamp_ns, np.array(xi))
         self.step()
-        self.latency.note(stamp_ns, received_ns, self.last_step_ns, self.counters[lost_counter(STATE_TOPIC)])
+        lost = self.counters[lost_counter(STATE_TOPIC.name)]
+        self.latency.note(stamp_ns, received_ns, self.last_step_ns, lost)
 
     def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
         """Keep the belief; one that is not finite is as if it had not come, and the watchdog acts on that."""
@@ -145,7 +146,7 @@ class ControllerNode(TaskNode):
         return self.timing.value.watchdog_period, self.timing.value.idle_period
 
     def step(self) -> None:
-        """One step of the path under way, or a zero twist."""
+        """One step of the goal under way, or a zero twist."""
         now_ns = self.now_ns()
         if self.run is None:
             now_ns = self.send_twist(ZERO)
@@ -166,150 +167,67 @@ class ControllerNode(TaskNode):
     def _after(self, now_ns: int, command: Command) -> None:
         """Feedback, complaints, and the end of the run."""
         assert self.run is not None
-        if self.last is None or command.phase != self.last.phase:
-            self.get_logger().info(f"{self.path_name or 'path'}: {command.phase} {command.reason}".rstrip())
+        phase_changed = self.last is None or command.phase != self.last.phase
+        if phase_changed:
+            self.get_logger().info(f"{self.goal_name or 'goal'}: {command.phase} {command.reason}".rstrip())
         self.last = command
         if command.reason and not command.done:
             self.report.complain("task", command.reason)
         if command.done:
             self._finish(command.reason, command.succeeded)
-        elif self.run.feedback_due(now_ns, self.timing.value.feedback_period):
-            self.run.handle.publish_feedback(self._feedback(command))
-
-    def _feedback(self, command: Command) -> RunTask.Feedback:
-        depth, normal_error = math.nan, math.nan
-        if self.belief is not None:
-            T_fs = se3.inverse(self.belief.T)
-            depth, normal_error = float(T_fs[2, 3]), math.acos(max(-1.0, min(1.0, T_fs[2, 2])))
-        return RunTask.Feedback(
-            phase=phase_code(command.phase),
-            phase_name=command.phase,
-            reason=command.reason,
-            progress=command.progress,
-            path_length=command.travelled,
-            depth=depth,
-            normal_error=normal_error,
-        )
+        elif phase_changed or self.run.feedback_due(now_ns, self.timing.value.feedback_period):
+            X_fs = se3.inverse(self.belief.T) if self.belief is not None else None
+            self.run.handle.publish_feedback(feedback_message(command, X_fs))
 
     def _publish_status(self, now_ns: int, command: Command | None, twist: NDArray[np.float64]) -> None:
-        age = (now_ns - self.belief.stamp_ns) / SECOND_NS if self.belief else -1.0
-        path = max(self.goals - 1, 0), self.path_name
+        goal = max(self.goals - 1, 0), self.goal_name
+        belief_ns = self.belief.stamp_ns if self.belief else 0
+        frame, running = self.controlled_frame, self.run is not None
         self.status_out.publish(
-            status_bytes(now_ns, self.sensor_frame, command, self.run is not None, path, twist, age)
+            status_bytes(now_ns, frame, self.task, goal, command, twist, running, belief_ns)
         )
 
     # ---- parameters ----
 
     def _configure_task(self, changed: Settings) -> None:
         if self.run is not None:
-            self.run.task.configure(self._settings(self.run.overrides))
+            self.run.task.configure(with_settings(self.run.message, self._settings()))
 
-    def _settings(self, overrides: dict[str, dict[str, Any]]) -> SurfaceFollowingSettings:
-        """The parameters in force, with what a goal asks for on top."""
-        values = {name: group.value for name, group in self.groups.items()}
-        return SurfaceFollowingSettings(**values).merged(overrides)
+    def _settings(self) -> SettingGroups:
+        """The parameters in force."""
+        values: dict[str, Any] = {name: group.value for name, group in self.groups.items()}
+        return type(self.defaults)(**values)
 
     # ---- the action ----
 
     def objection(self, goal: RunTask.Goal) -> str:
         """See `TaskNode`."""
         if self.run is not None:
-            return f"'{self.path_name}' is running; cancel it first"
-        if goal.task not in TASKS:
-            return f"task: {unknown_name(goal.task, TASKS)}"
+            return f"'{self.goal_name}' is running; cancel it first"
+        if goal.task != self.task:
+            return f"task: {unknown_name(goal.task, [self.task])}; this controller was started for it"
         try:
-            path_goal(goal)
-            self._settings(goal_overrides(goal))
+            named_goal(goal, self.task_type)
+            with_settings(goal, self._settings())
         except (SettingError, ValueError) as error:
             return str(error)
         return ""
 
-    def accept(self, handle: Any) -> PathRun:
+    def accept(self, handle: Any) -> GoalRun:
         """See `TaskNode`."""
-        goal = handle.request
-        overrides = goal_overrides(goal)
-        task = SurfaceFollowing(self._settings(overrides), path_goal(goal))
-        self.path_name = goal.path_name
+        message = handle.request
+        named = named_goal(message, self.task_type)
+        make: Any = self.task_type
+        task = make(with_settings(message, self._settings()), named.goal, named.start)
+        self.goal_name = named.name
         self.goals += 1
         self.last = None
-        return PathRun(handle=handle, task=task, started_ns=self.now_ns(), overrides=overrides)
+        return GoalRun(handle=handle, task=task, started_ns=self.now_ns(), message=message)
 
     def _finish(self, reason: str, succeeded: bool) -> None:
         self.finish_run(reason, succeeded)
         if not succeeded:
-            self.warn("task", f"'{self.path_name}' failed: {reason}", period=0.0)
-
-
-def status_bytes(
-    now_ns: int,
-    frame_id: str,
-    command: Command | None,
-    running: bool,
-    path: tuple[int, str],
-    twist: NDArray[np.float64],
-    belief_age: float,
-) -> bytes:
-    """ControllerStatus of the last command, if there is one, and the twist that went out."""
-    phase, reason = (command.phase, command.reason) if command else (IDLE, "")
-    number, name = path
-    unlimited = command.unlimited if command and running else ZERO
-    return _status_layout(frame_id, phase, name, reason).pack(
-        *split_stamp(now_ns),
-        *split_stamp(command.exposure_ns if command and running else 0),
-        phase_code(phase),
-        number,
-        *(command.error if command else NOT_A_NUMBER).tolist(),
-        *(command.feedforward if command else ZERO).tolist(),
-        *unlimited.tolist(),
-        *twist.tolist(),
-        *(np.abs(unlimited - twist) > 1e-12).tolist(),
-        command.progress if command else 0.0,
-        command.travelled if command else 0.0,
-        belief_age,
-    )
-
-
-@functools.lru_cache(maxsize=32)
-def _status_layout(frame_id: str, phase: str, path: str, reason: str) -> Layout:
-    example = ControllerStatus(phase_name=phase, path_name=path, reason=reason)
-    example.header.frame_id = frame_id
-    return Layout(example)
-
-
-def phase_code(phase: str) -> int:
-    """The constant of ControllerStatus for a phase's name."""
-    return int(getattr(ControllerStatus, phase.upper()))
-
-
-def path_goal(goal: RunTask.Goal) -> PathGoal:
-    """The path that a goal message asks for; raises ValueError saying what is wrong with it."""
-    x, y = map(float, goal.direction)
-    if not math.isfinite(x + y) or math.hypot(x, y) == 0.0:
-        raise ValueError(f"direction = ({x}, {y}): must be a finite vector other than zero")
-    if len(goal.target) not in (0, 3):
-        raise ValueError(f"target: must have 0 or 3 elements, has {len(goal.target)}")
-    try:
-        start = matrix_from_pose(goal.start[0]) if goal.start else None
-    except MessageError as error:
-        raise ValueError(f"start: {error}") from error
-    return PathGoal(
-        direction=math.atan2(y, x),
-        length=float(goal.path_length),
-        start=start,
-        target=np.array(goal.target) if len(goal.target) else None,
-        target_radius=float(goal.target_radius) or PathGoal.target_radius,
-        name=goal.path_name,
-    )
-
-
-def goal_overrides(goal: RunTask.Goal) -> dict[str, dict[str, Any]]:
-    """Settings that a goal message sets in place of the parameters, as {group: {name: value}}."""
-    overrides: dict[str, dict[str, Any]] = {}
-    if goal.speed != 0.0:
-        overrides["task"] = {"speed": float(goal.speed)}
-    if len(goal.reference):
-        overrides["servoing"] = {"reference": tuple(map(float, goal.reference))}
-    return overrides
+            self.warn("task", f"'{self.goal_name}' failed: {reason}", period=0.0)
 
 
 def main() -> int:

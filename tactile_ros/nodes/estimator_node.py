@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
+from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import EstimateError, Estimator, EstimatorSettings, ModelError
+from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
 from tactile_ros.conversions import MessageError
 from tactile_ros.image_bytes import image_from_bytes
 from tactile_ros.latency import LatencyPublisher
@@ -52,7 +54,7 @@ class ImageInputSettings(Settings):
 
 
 class EstimatorNode(ManagedNode):
-    """See the module's text; the arithmetic is `Estimator` and `ContactPresence`."""
+    """See the module's text; the arithmetic is `Perceiver`."""
 
     def __init__(self) -> None:
         super().__init__("estimator")
@@ -70,16 +72,17 @@ class EstimatorNode(ManagedNode):
         """Load the model, run it warm, and create publishers and subscription."""
         settings = self.model.value
         try:
-            self.estimator = Estimator(settings.model, settings.threads)
+            estimator = Estimator(settings.model, settings.threads)
         except ModelError as error:
             raise ConfigurationError(str(error)) from error
-        self.report.values["model"] = str(self.estimator.path)
+        self.report.values["model"] = str(estimator.path)
         self.presence = ContactPresence(self.presence_settings.value)
-        self.presence_out = self.publisher(PresenceMessage, "contact/presence", STATE)
-        self.estimate_out = self.publisher(PoseWithCovarianceStamped, "contact/estimate", STATE)
+        self.perceive = Perceiver(estimator, self.presence)
+        self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
+        self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
         self.serve(Trigger, "~/capture_reference", self._capture_reference)
-        self.subscribe(Image, "tactile/image", self._receive, IMAGE, self.images.value.age_limit, raw=True)
+        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.images.value.age_limit, raw=True)
 
     def activate(self) -> None:
         """Start with a new reference image."""
@@ -98,25 +101,22 @@ class EstimatorNode(ManagedNode):
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
         assert self.presence is not None
-        prepared = self.estimator.preprocessor(image)
-        presence = self.presence.update(prepared)
-        if presence.in_contact is None:
+        percept = self.perceive(image)
+        if percept.in_contact is None:
             self._tell_reference()
             return
-        if presence.in_contact:
-            self._publish_estimate(prepared, stamp_ns)
+        self._publish_estimate(percept, stamp_ns)
         emitted_ns = self.now_ns()
-        numbers = presence.score, self.presence.settings.on, presence.in_contact
+        numbers = percept.score, self.presence.settings.on, percept.in_contact
         self.presence_out.publish(headed_bytes(PresenceMessage, stamp_ns, self.sensor_frame, *numbers))
         self.latency.note(stamp_ns, received_ns, emitted_ns, self._dropped())
 
-    def _publish_estimate(self, prepared: NDArray, stamp_ns: int) -> None:
-        try:
-            estimate = self.estimator.estimate_prepared(prepared)
-        except EstimateError as error:
-            self._refuse("estimates refused", f"estimate refused: {error}")
-            return
-        self.estimate_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, estimate.mean, estimate.cov))
+    def _publish_estimate(self, percept: Percept, stamp_ns: int) -> None:
+        if percept.fault:
+            self._refuse("estimates refused", f"estimate refused: {percept.fault}")
+        if percept.estimate is not None:
+            mean, cov = percept.estimate.mean, percept.estimate.cov
+            self.estimate_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, mean, cov))
 
     def _in_order(self, stamp_ns: int) -> bool:
         """Count what is missing since the last image; False for an image that is not later than it."""

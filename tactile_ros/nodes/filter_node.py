@@ -18,6 +18,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
+from tactile_base import topics
 from tactile_base.stamps import parts_from_ns
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
@@ -35,7 +36,7 @@ from tactile_ros.qos import STATE
 from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
 from tactile_ros.wire import gaussian_bytes, headed_bytes, read_gaussian
 
-PRESENCE = "contact/presence"
+PRESENCE = topics.PRESENCE.name
 read_presence = HeadedReader(ContactPresence)
 
 
@@ -56,10 +57,10 @@ class FilterNode(ManagedNode):
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""
-        self.belief_out = self.publisher(PoseWithCovarianceStamped, "contact/belief", STATE)
-        self.state_out = self.publisher(ContactState, "contact/state", STATE)
+        self.belief_out = self.publisher(PoseWithCovarianceStamped, topics.BELIEF.name, STATE)
+        self.state_out = self.publisher(ContactState, topics.STATE.name, STATE)
         self.latency = LatencyPublisher(self, "filter", self.sensor_frame)
-        contact_frame = f"{self.arm}/contact"
+        contact_frame = topics.contact_frame(self.arm)
         self.frame_out = FramePublisher(
             self, self.sensor_frame, contact_frame, rate=lambda: self.inputs.value.tf_rate
         )
@@ -78,7 +79,7 @@ class FilterNode(ManagedNode):
         limit = self.inputs.value.age_limit
         self.subscribe(ContactPresence, PRESENCE, self._take_presence, STATE, limit, raw=True)
         self.estimates = self.subscribe(
-            PoseWithCovarianceStamped, "contact/estimate", self._take_estimate, STATE, limit, raw=True
+            PoseWithCovarianceStamped, topics.ESTIMATE.name, self._take_estimate, STATE, limit, raw=True
         )
         serve_reset(self, lambda: self.filter.reset("service"), "the next measurement starts a new belief")
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
+from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_perception.estimating.image import ImageError
@@ -50,9 +51,9 @@ class MarkerViewNode(ManagedNode):
 
     def configure(self) -> None:
         """Create publisher, service and subscription."""
-        self.pictures = self.publisher(Image, "tactile/marker_view", IMAGE)
+        self.pictures = self.publisher(Image, topics.MARKER_VIEW.name, IMAGE)
         self.serve(Trigger, "~/capture_reference", self._capture_reference)
-        self.subscribe(Image, "tactile/image", self._receive, IMAGE, self.view.value.age_limit, raw=True)
+        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.view.value.age_limit, raw=True)
 
     def activate(self) -> None:
         """Start with a new reference."""

@@ -22,6 +22,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
+from tactile_base import topics
 from tactile_base.settings import SettingError, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
@@ -42,7 +43,7 @@ from tactile_ros.wire import gaussian_bytes, read_gaussian
 
 MERGE_PERIOD = 0.005  # s; how late a deadline may be kept
 read_state = HeadedReader(ContactState)
-FLAGS = 50  # among a state's numbers: behind xi, covariance, euler, nis and nis_dof
+FLAGS = read_state.index("flags")
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,9 @@ class ArmInput:
 
     def __init__(self, node: ObjectNode, arm: str) -> None:
         self.arm = arm
-        self.frame = f"{arm}/tactile_sensor"
+        self.frame = topics.sensor_frame(arm)
         self.join = measurement_join()
-        self.topics = f"/{arm}/contact/belief", f"/{arm}/contact/state"
+        self.topics = topics.BELIEF.of(arm).name, topics.STATE.of(arm).name
         self._node = node
         self._newest_ns = -1
         self._gate = TransformGate(
@@ -145,10 +146,10 @@ class ObjectNode(ManagedNode):
             declare_read_only(self, "arms", [""], "names of the arms whose contacts are on the object")
         )
         self.world_frame = declare_read_only(
-            self, "world_frame", "world", "frame that all arms have in common"
+            self, "world_frame", topics.WORLD, "frame that all arms have in common"
         )
         self.object_frame = declare_read_only(
-            self, "object_frame", "object", "name of the object's frame on /tf"
+            self, "object_frame", topics.OBJECT, "name of the object's frame on /tf"
         )
         self.settings = SettingsParameters(self, TrackerSettings(), on_change=self._change_settings)
         self.inputs = declare_inputs(self, ObjectInputSettings())
@@ -169,11 +170,11 @@ class ObjectNode(ManagedNode):
 
     def configure(self) -> None:
         """Create publishers and subscriptions."""
-        self.belief_out = self.publisher(PoseWithCovarianceStamped, "object/belief", STATE)
+        self.belief_out = self.publisher(PoseWithCovarianceStamped, topics.OBJECT_BELIEF.name, STATE)
         self.frame_out = FramePublisher(
             self, self.world_frame, self.object_frame, rate=lambda: self.inputs.value.tf_rate
         )
-        self.latency = LatencyPublisher(self, "object", self.world_frame, "object/latency")
+        self.latency = LatencyPublisher(self, "object", self.world_frame, topics.OBJECT_LATENCY.name)
         self.transforms = TransformListener(
             self, on_update=self._pump, on_jump=self._transforms_jumped, ignore=(self.object_frame,)
         )

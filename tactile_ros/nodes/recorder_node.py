@@ -2,28 +2,35 @@
 
 Images are recorded only where `images` names their topics: compressed without loss (PNG), as
 sensor_msgs/CompressedImage on `<topic>/compressed`, since raw ones at 60 Hz are 18 MB a second.
+
+Being held up for 30 s costs no message of the reliable topics that our nodes publish. Messages that are lost
+all the same are counted, by topic, in /diagnostics and, as `messages_lost`, in the bag's note.
 """
 
 from __future__ import annotations
 
 import importlib
+import json
 import sys
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
+from tactile_base.topics import IMAGE, QOS_KINDS, Topic, compressed
 from tactile_records.bags.message_definitions import DefinitionMissing
-from tactile_records.bags.writer import BagError, BagWriter, Topic
+from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MessageError, array_from_image
-from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, run
 from tactile_ros.parameters import declare_read_only
-from tactile_ros.qos import IMAGE, LATENCY, TF, TF_STATIC
+from tactile_ros.qos import recorder_profile
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
-QOS = {"reliable": TF, "latched": TF_STATIC, "sensor": LATENCY}
 PNG_FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
@@ -40,16 +47,16 @@ class RecorderNode(ManagedNode):
         self.images = [name for name in images if name]
         self.note = dict(text.split("=", 1) for text in note if text)
         self.bag: BagWriter | None = None
+        self.lost: Counter[str] = Counter()
+        self.open: list[tuple[Any, Callable[[Any], None]]] = []
 
     def configure(self) -> None:
         """Create the bag and subscribe."""
         if self.folder == Path():
             raise ConfigurationError("parameter bag: must name the folder of the new bag")
-        compressed = [
-            Topic(f"{n}/compressed", "sensor_msgs/msg/CompressedImage", "sensor") for n in self.images
-        ]
+        packed = [compressed(Topic(name, IMAGE.type, IMAGE.qos)) for name in self.images]
         try:
-            self.bag = BagWriter(self.folder, [*self.topics, *compressed], note=self.note)
+            self.bag = BagWriter(self.folder, [*self.topics, *packed], note=self.note)
         except (BagError, DefinitionMissing, OSError) as error:
             raise ConfigurationError(str(error)) from error
         for topic in self.topics:
@@ -61,10 +68,16 @@ class RecorderNode(ManagedNode):
         self.report.values["bag"] = str(self.folder)
 
     def cleanup(self) -> None:
-        """Finish the bag."""
+        """Write what has arrived by now, and finish the bag."""
+        for subscription, write in self.open:
+            with subscription.handle:
+                while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
+                    write(taken[0])
+        self.open.clear()
         if self.bag is not None:
             self.bag.close()
-            self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}")
+            lost = f", {self.lost.total()} lost" if self.lost else ""
+            self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}{lost}")
             self.bag = None
 
     def _record(self, topic: Topic) -> None:
@@ -72,11 +85,7 @@ class RecorderNode(ManagedNode):
         def write(data: Any) -> None:
             self._write(topic.name, data)
 
-        message_type = _message_type(topic.type)
-        subscription: Any = self.create_subscription(
-            message_type, topic.name, write, QOS[topic.qos], raw=True
-        )
-        self.release_later(self.destroy_subscription, subscription)
+        self._listen(topic, _message_type(topic.type), write, raw=True)
 
     def _record_images(self, name: str) -> None:
         def write(message: Image) -> None:
@@ -86,10 +95,24 @@ class RecorderNode(ManagedNode):
                 self.count("images refused")
                 self.warn("image", f"{name} refused: {error}")
                 return
-            compressed = CompressedImage(header=message.header, format=f"{message.encoding}; png", data=data)
-            self._write(f"{name}/compressed", serialize_message(compressed))
+            packed = CompressedImage(header=message.header, format=f"{message.encoding}; png", data=data)
+            self._write(f"{name}/compressed", serialize_message(packed))
 
-        subscription = self.create_subscription(Image, name, write, IMAGE)
+        self._listen(Topic(name, IMAGE.type, IMAGE.qos), Image, write, raw=False)
+
+    def _listen(self, topic: Topic, message_type: Any, write: Callable[[Any], None], raw: bool) -> None:
+        def lose(info: Any) -> None:
+            self.lost[topic.name] += info.total_count_change
+            self.count(lost_counter(topic.name), info.total_count_change)
+            self.warn(f"{topic.name} lost", f"{topic.name}: {self.lost[topic.name]} messages lost so far")
+            if self.bag is not None:
+                self.bag.note["messages_lost"] = json.dumps(self.lost)
+
+        events = SubscriptionEventCallbacks(message_lost=lose)
+        subscription: Any = self.create_subscription(
+            message_type, topic.name, write, recorder_profile(topic), event_callbacks=events, raw=raw
+        )
+        self.open.append((subscription, write))
         self.release_later(self.destroy_subscription, subscription)
 
     def _write(self, topic: str, data: bytes) -> None:
@@ -104,8 +127,9 @@ class RecorderNode(ManagedNode):
 
 def _topic(text: str) -> Topic:
     parts = text.split()
-    if len(parts) != 3 or parts[2] not in QOS:
-        raise ConfigurationError(f"topics: '{text}': must be 'NAME TYPE QOS' with a QOS of {', '.join(QOS)}")
+    if len(parts) != 3 or parts[2] not in QOS_KINDS:
+        kinds = ", ".join(QOS_KINDS)
+        raise ConfigurationError(f"topics: '{text}': must be 'NAME TYPE QOS' with a QOS of {kinds}")
     return Topic(*parts)
 
 

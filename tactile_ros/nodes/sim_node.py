@@ -1,9 +1,10 @@
-"""Sim node: the simulated cell of a scene in real time, with all its arms, sensors and surfaces.
+"""Sim node: the simulated cell of a scene in real time, beside the nodes of its arms and cameras.
 
-For each arm it publishes what a real arm and camera would: /tf at the arm's rate and thereby at every
-exposure, `arm/pose`, `arm/status`, `command/twist_limited`, `tactile/image`; and `sim/truth`, which no real
-one knows. It listens to `command/twist`. A sensor of fidelity "ideal" takes no images: its estimate and
-contact presence are published in place of the estimator's.
+Its process runs an arm node for each simulated arm and a camera node for each simulated camera, the same
+that serve real ones (`arm_node`, `camera_node`), and this node, which paces the cell, hands them states and
+frames, and publishes what no real cell knows: `sim/truth` of each sensor and the surfaces of all bodies. A
+sensor of fidelity "ideal" takes no images: its estimate and contact presence are published in place of the
+estimator's.
 
 Stamps are ROS time at the scene's rate. When the machine cannot hold the rate, time is caught up: up to
 `longest_lag` behind every step is made, beyond that exposures are left out, counted and told in /diagnostics.
@@ -12,8 +13,6 @@ Stamps are ROS time at the scene's rate. When the machine cannot hold the rate, 
 from __future__ import annotations
 
 import dataclasses
-import functools
-import itertools
 import math
 import sys
 import time
@@ -21,29 +20,43 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
-from numpy.typing import NDArray
-from sensor_msgs.msg import Image
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.parameter import Parameter
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.scene import ArmScene, Scene, load_scene
+from tactile_base.topics import (
+    ESTIMATE,
+    LATENCY,
+    PRESENCE,
+    SIM_MARKERS,
+    TRUTH,
+    WORLD,
+    base_frame,
+    sensor_frame,
+    tool_frame,
+)
+from tactile_base.topics import TF as TF_TOPIC
+from tactile_drivers.arm import ArmState
+from tactile_drivers.camera import CameraFrame
+from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
+from tactile_drivers.sim.motions import FIXED
 from tactile_filter import se3
-from tactile_msgs.msg import ArmStatus, ContactPresence, ContactTruth
+from tactile_msgs.msg import ContactPresence, ContactTruth
 from tactile_ros.cdr import Layout, split_stamp
 from tactile_ros.conversions import numbers_from_pose, transform_stamped
-from tactile_ros.image_bytes import bytes_from_array
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.markers import mesh_marker
+from tactile_ros.nodes.arm_node import ArmNode
+from tactile_ros.nodes.camera_node import CameraNode
 from tactile_ros.parameters import SettingsParameters
-from tactile_ros.qos import COMMAND, IMAGE, LATCHED, STATE, TF, TF_STATIC
-from tactile_ros.wire import gaussian_bytes, headed_bytes, read_twist, twist_bytes
+from tactile_ros.qos import LATCHED, STATE, TF
+from tactile_ros.wire import gaussian_bytes, headed_bytes
 
-WORLD = "world"
 START_DELAY = 0.1  # s
 JUMP = 1.0  # s; a step that lies further ahead means that the clock was set back
 
@@ -55,7 +68,7 @@ class SimSettings(Settings):
     scene: str = setting("ramp", doc="scene: the name of a packaged one, or the path of a .yaml file")
     seed: int = setting(0, lower=0, doc="seed of all noise in the cell")
     camera_rate: float = setting(
-        0.0, lower=0.0, upper=240.0, unit="Hz", doc="rate of all cameras; 0: as the scene says"
+        0.0, lower=0.0, upper=240.0, unit="Hz", doc="rate of all simulated cameras; 0: as the scene says"
     )
     status_rate: float = setting(
         30.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/pose, arm/status and command/twist_limited"
@@ -73,88 +86,38 @@ class SimSettings(Settings):
     )
 
 
-class ArmTopics:
-    """The publishers and the subscription of one arm, and the conversions that they need."""
+class SensorOutlet:
+    """What the cell knows of one simulated sensor: the truth, and the estimate of one without a camera."""
 
-    def __init__(self, node: SimNode, scene: ArmScene) -> None:
-        self.name = scene.name
-        self.frames = tuple(f"{scene.name}/{part}" for part in ("base", "tool", "tactile_sensor"))
-        self.base, self.tool, self.sensor = self.frames
-        self.T_world_base = scene.T_world_base
-        self.T_tool_sensor = scene.T_tool_sensor
-        self.T_sensor_tool = se3.inverse(scene.T_tool_sensor)
-        self.lost = 0
+    def __init__(self, node: SimNode, arm: str, camera: CameraNode | None) -> None:
+        self.base, self.frame = base_frame(arm), sensor_frame(arm)
+        self.arm, self.camera, self.lost = arm, camera, 0
         self._node = node
-        self._pose = node.publisher(PoseStamped, f"/{self.name}/arm/pose", STATE)
-        self._status = node.publisher(ArmStatus, f"/{self.name}/arm/status", STATE)
-        self._limited = node.publisher(TwistStamped, f"/{self.name}/command/twist_limited", STATE)
-        node.subscribe(TwistStamped, f"/{self.name}/command/twist", self._receive, COMMAND, 0.0, raw=True)
-        if scene.sensor is not None:
-            self._open_sensor(images=scene.sensor.settings.fidelity == "image")
+        self._truth = node.publisher(ContactTruth, TRUTH.of(arm).name, STATE)
+        if camera is None:
+            self._presence = node.publisher(ContactPresence, PRESENCE.of(arm).name, STATE)
+            self._estimate = node.publisher(PoseWithCovarianceStamped, ESTIMATE.of(arm).name, STATE)
+            self._latency = LatencyPublisher(node, "camera", self.frame, LATENCY.of(arm).name)
 
-    def _open_sensor(self, images: bool) -> None:
-        node = self._node
-        self._truth = node.publisher(ContactTruth, f"/{self.name}/sim/truth", STATE)
-        self._latency = LatencyPublisher(node, "camera", self.sensor, f"/{self.name}/latency")
-        if images:
-            self._image = node.publisher(Image, f"/{self.name}/tactile/image", IMAGE)
-            return
-        self._presence = node.publisher(ContactPresence, f"/{self.name}/contact/presence", STATE)
-        self._estimate = node.publisher(PoseWithCovarianceStamped, f"/{self.name}/contact/estimate", STATE)
-
-    def _receive(self, data: bytes) -> None:
-        """Hand a command to the arm; one in another frame than the sensor's would move it wrongly."""
-        cell, (stamp_ns, frame_id, twist) = self._node.cell, read_twist(data)
-        if frame_id != self.sensor:
-            reason = f"frame is '{frame_id}', must be '{self.sensor}'"
-        elif cell.command(self.name, stamp_ns, np.array(twist)):
-            return
-        else:
-            reason = cell.status(self.name).last_refusal
-        self._node.count(f"{self.name} commands refused")
-        self._node.warn(f"{self.name} command", f"{self.name}: command/twist refused: {reason}")
-
-    def static_transforms(self) -> list[Any]:
-        """What never moves: the base in the world, the sensor on the tool."""
-        return [
-            transform_stamped(0, WORLD, self.base, self.T_world_base),
-            transform_stamped(0, self.tool, self.sensor, self.T_tool_sensor),
-        ]
-
-    def transform(self, stamp_ns: int, T_base_sensor: NDArray[np.float64]) -> tuple[float, ...]:
-        """Where the tool is: the numbers of a TransformStamped."""
-        return *split_stamp(stamp_ns), *numbers_from_pose(T_base_sensor @ self.T_sensor_tool).tolist()
-
-    def publish_status(self, T_base_sensor: NDArray[np.float64]) -> None:
-        """Where the sensor is in the base, what the arm does, and the twist that it makes of its commands."""
-        status = self._node.cell.status(self.name)
-        stamp_ns, numbers = status.stamp_ns, numbers_from_pose(T_base_sensor).tolist()
-        self._pose.publish(headed_bytes(PoseStamped, stamp_ns, self.base, *numbers))
-        self._limited.publish(twist_bytes(stamp_ns, self.sensor, status.twist))
-        numbers = int(status.mode), status.command_age, status.limited, *status.twist.tolist()
-        layout = _status_layout(self.base, status.reason)
-        self._status.publish(layout.pack(*split_stamp(stamp_ns), *numbers))
-
-    def publish_frame(self, frame: Frame) -> int:
-        """What the sensor gives; returns when it went out, ns."""
-        if frame.image is not None:
-            self._image.publish(bytes_from_array(frame.stamp_ns, self.sensor, frame.image))
-        else:
+    def publish(self, frame: Frame) -> None:
+        """What the sensor gives."""
+        if self.camera is None:
             self._publish_ideal(frame)
-        return self._node.now_ns()
+        elif frame.image is not None:
+            self.camera.take_frame(CameraFrame(frame.stamp_ns, frame.image, self.lost))
 
-    def publish_truth(self, frame: Frame, emitted_ns: int) -> None:
-        """What no real cell knows: the true contact, and how long the exposure took to be published."""
+    def publish_truth(self, frame: Frame) -> None:
+        """What no real cell knows."""
         self._truth.publish(truth_bytes(frame, self.base))
-        self._latency.note(frame.stamp_ns, frame.stamp_ns, emitted_ns, self.lost)
 
     def _publish_ideal(self, frame: Frame) -> None:
         in_contact = frame.estimate is not None
         numbers = float(in_contact), 0.5, in_contact
-        self._presence.publish(headed_bytes(ContactPresence, frame.stamp_ns, self.sensor, *numbers))
+        self._presence.publish(headed_bytes(ContactPresence, frame.stamp_ns, self.frame, *numbers))
         if frame.estimate is not None:
             mean, cov = frame.estimate.mean, frame.estimate.cov
-            self._estimate.publish(gaussian_bytes(frame.stamp_ns, self.sensor, mean, cov))
+            self._estimate.publish(gaussian_bytes(frame.stamp_ns, self.frame, mean, cov))
+        self._latency.note(frame.stamp_ns, frame.stamp_ns, self._node.now_ns(), self.lost)
 
 
 class SimNode(ManagedNode):
@@ -167,34 +130,64 @@ class SimNode(ManagedNode):
         self.settings = SettingsParameters(
             self, SimSettings(), read_only=("scene", "seed", "camera_rate", "status_rate")
         )
+        try:
+            scene = load_scene(self.settings.value.scene)
+            self.scene = with_camera_rate(scene, self.settings.value.camera_rate)
+        except (ValueError, OSError) as error:
+            raise ConfigurationError(str(error)) from error
+        self.arms = {
+            name: self._hosted(ArmNode, arm, name)
+            for name, arm in self.scene.arms.items()
+            if arm.driver == SIM
+        }
+        self.cameras = {
+            name: self._hosted(CameraNode, True, name)
+            for name, arm in self.scene.arms.items()
+            if arm.simulated_sensor and self.scene.gives_images(name)
+        }
+
+    def _hosted(self, kind: Any, hosted: Any, arm: str) -> Any:
+        """A node of this process; names given on the command line are this node's alone."""
+        passed = {
+            name: self.get_parameter(name).value
+            for name in ("use_sim_time", "autostart", "diagnostics_period")
+        }
+        if kind is ArmNode:
+            passed["status_rate"] = self.settings.value.status_rate
+        overrides = [Parameter(name, value=value) for name, value in passed.items()]
+        return kind(hosted, namespace=f"/{arm}", use_global_arguments=False, parameter_overrides=overrides)
+
+    def nodes(self) -> list[ManagedNode]:
+        """All nodes of the process; this one starts last, so that the others are there when time begins."""
+        return [*self.arms.values(), *self.cameras.values(), self]
 
     def configure(self) -> None:
-        """Read the scene, build the cell once (the skin is cached) and open the topics."""
-        settings = self.settings.value
+        """Build the cell once (the skin is cached) and open the topics."""
         try:
-            self.scene = with_camera_rate(load_scene(settings.scene), settings.camera_rate)
-            self.cell = Cell(self.scene, settings.seed)
+            self.cell = Cell(self.scene, self.settings.value.seed)
         except (ValueError, OSError) as error:
             raise ConfigurationError(str(error)) from error
         self.report.values["scene"] = str(self.scene.path)
-        self.arms = [ArmTopics(self, self.scene.arms[name]) for name in self.cell.arms]
-        self.tf_out = self.publisher(TFMessage, "/tf", TF)
-        moving = [transform_stamped(0, arm.base, arm.tool, np.eye(4)) for arm in self.arms]
+        self.outlets = [
+            SensorOutlet(self, name, self.cameras.get(name))
+            for name in self.arms
+            if self.scene.arms[name].simulated_sensor
+        ]
+        self.loose = [name for name in self.scene.bodies if not _frame_of(self.scene, name)]
+        self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+        moving = [node.moving_transform() for node in self.arms.values()]
+        moving += [transform_stamped(0, WORLD, f"body/{name}", np.eye(4)) for name in self.loose]
         self.tf_layout = Layout(TFMessage(transforms=moving))
-        self.tf_static_out = self.publisher(TFMessage, "/tf_static", TF_STATIC)
-        self.markers_out = self.publisher(MarkerArray, "/sim/markers", LATCHED)
-        self.status_every = max(1, round(self.scene.rate / settings.status_rate))
+        self.markers_out = self.publisher(MarkerArray, SIM_MARKERS.name, LATCHED)
 
     def activate(self) -> None:
         """The cell starts anew, as soon as everything else has been made ready."""
         self.cell = Cell(self.scene, self.settings.value.seed, self.now_ns() + round(START_DELAY * SECOND_NS))
-        self.steps = 0
-        for arm in self.arms:
-            arm.lost = 0
-        self.tf_static_out.publish(
-            TFMessage(transforms=[t for arm in self.arms for t in arm.static_transforms()])
-        )
-        self.markers_out.publish(MarkerArray(markers=surface_markers(self.scene)))
+        for name, node in self.arms.items():
+            node.attach(self.cell.arm(name))
+        for outlet in self.outlets:
+            outlet.lost = 0
+        self.markers_out.publish(MarkerArray(markers=body_markers(self.scene)))
 
     def due_in(self) -> float:
         """Seconds until the next step is to be computed."""
@@ -214,7 +207,7 @@ class SimNode(ManagedNode):
 
     def _lead_of_next_step(self) -> float:
         """Seconds from now to the stamp of the next step."""
-        next_ns = self.cell.stamp_ns + SECOND_NS // self.scene.rate
+        next_ns = self.cell.stamp_ns + SECOND_NS // self.scene.simulation.rate
         return (next_ns - self.now_ns()) / SECOND_NS
 
     def _wait_until(self, stamp_ns: int) -> None:
@@ -230,51 +223,64 @@ class SimNode(ManagedNode):
     def _step(self, in_time: bool) -> None:
         """One step of all arms, published at its time: images first, since all else waits for them."""
         stamp_ns = self.cell.step()
-        self.steps += 1
-        poses = [self.cell.T_base_sensor(arm.name) for arm in self.arms]
-        frames = [
-            self._expose(arm, in_time) if self.cell.exposure_due(arm.name) else None for arm in self.arms
-        ]
+        states = [(node, self.cell.status(name)) for name, node in self.arms.items()]
+        frames = []
+        for outlet in self.outlets:
+            if self.cell.exposure_due(outlet.arm) and self._in_time(outlet, in_time):
+                frames.append((outlet, self.cell.expose(outlet.arm)))
         self._wait_until(stamp_ns)
-        sent_ns = [
-            0 if frame is None else arm.publish_frame(frame)
-            for arm, frame in zip(self.arms, frames, strict=True)
-        ]
-        transforms = (arm.transform(stamp_ns, T) for arm, T in zip(self.arms, poses, strict=True))
-        self.tf_out.publish(self.tf_layout.pack(*itertools.chain.from_iterable(transforms)))
-        for arm, frame, emitted_ns in zip(self.arms, frames, sent_ns, strict=True):
-            if frame is not None:
-                arm.publish_truth(frame, emitted_ns)
-        if self.steps % self.status_every == 0:
-            for arm, T in zip(self.arms, poses, strict=True):
-                arm.publish_status(T)
+        for outlet, frame in frames:
+            outlet.publish(frame)
+        self._publish_transforms(stamp_ns, states)
+        for outlet, frame in frames:
+            outlet.publish_truth(frame)
+        for node, state in states:
+            node.publish_status(state)
 
-    def _expose(self, arm: ArmTopics, in_time: bool) -> Frame | None:
-        """The frame of an exposure; None if there was no time for it."""
+    def _publish_transforms(self, stamp_ns: int, states: list[tuple[ArmNode, ArmState]]) -> None:
+        """Where all tools are, and the bodies that a motion model moves."""
+        numbers = [number for node, state in states for number in node.transform_numbers(state)]
+        for name in self.loose:
+            numbers += [*split_stamp(stamp_ns), *numbers_from_pose(self.cell.T_world_body(name)).tolist()]
+        self.tf_out.publish(self.tf_layout.pack(*numbers))
+
+    def _in_time(self, outlet: SensorOutlet, in_time: bool) -> bool:
+        """Whether there is time for an exposure; else it is left out, counted and told."""
         if in_time:
-            self.count(f"{arm.name} exposures")
-            return self.cell.expose(arm.name)
-        arm.lost += 1
-        self.count(f"{arm.name} exposures left out")
+            self.count(f"{outlet.arm} exposures")
+            return True
+        outlet.lost += 1
+        self.count(f"{outlet.arm} exposures left out")
         limit = self.settings.value.longest_lag
         self.warn(
             "rate",
-            f"cannot hold {self.scene.rate} steps a second: more than {limit * 1e3:.0f} ms behind real time, "
-            f"{arm.lost} exposures of {arm.name} left out so far",
+            f"cannot hold {self.scene.simulation.rate} steps a second: more than {limit * 1e3:.0f} ms behind "
+            f"real time, {outlet.lost} exposures of {outlet.arm} left out so far",
         )
-        return None
+        return False
 
 
-def surface_markers(scene: Scene) -> list[Any]:
-    """The true surfaces, for RViz."""
-    return [
-        mesh_marker(WORLD, name, number, surface.T_world_surface, *surface.make().mesh())
-        for number, (name, surface) in enumerate(scene.surfaces.items())
-    ]
+def _frame_of(scene: Scene, body: str) -> str:
+    """The frame that a body stands still in; empty if a motion model moves it."""
+    described = scene.bodies[body]
+    if described.carried_by:
+        return tool_frame(described.carried_by)
+    return WORLD if described.motion == FIXED else ""
+
+
+def body_markers(scene: Scene) -> list[Any]:
+    """The true surfaces of all bodies, for RViz, each in the frame that it moves with."""
+    markers = []
+    for number, (name, body) in enumerate(scene.bodies.items()):
+        frame = _frame_of(scene, name)
+        frame, T = (frame, body.T_parent_body) if frame else (f"body/{name}", np.eye(4))
+        markers.append(mesh_marker(frame, name, number, T, *body.make().mesh()))
+        markers[-1].frame_locked = frame != WORLD
+    return markers
 
 
 def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:
-    """The scene with this rate (Hz) for all cameras, and steps that it divides; 0 leaves it as it is.
+    """The scene with this rate (Hz) for all simulated cameras, and steps that it divides; 0: as it is.
 
     Raises
     ------
@@ -283,25 +289,21 @@ def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:
     """
     if camera_rate == 0.0:
         return scene
+    rate = scene.simulation.rate
     steps = next(
-        (n for n in range(scene.rate, 1001) if math.isclose(n / camera_rate, round(n / camera_rate))), None
+        (n for n in range(rate, 1001) if math.isclose(n / camera_rate, round(n / camera_rate))), None
     )
     if steps is None or camera_rate > steps:
         raise ValueError(
             f"camera_rate = {camera_rate:g} Hz: no whole number of steps a second is a multiple of it"
         )
-    arms = {
-        name: arm
-        if arm.sensor is None
-        else dataclasses.replace(
-            arm,
-            sensor=dataclasses.replace(
-                arm.sensor, settings=arm.sensor.settings.replaced(camera_rate=camera_rate)
-            ),
-        )
-        for name, arm in scene.arms.items()
-    }
-    return dataclasses.replace(scene, rate=steps, arms=arms)
+    arms = dict(scene.arms)
+    for name, arm in scene.arms.items():
+        if arm.sensor is not None and arm.simulated_sensor:
+            settings = arm.sensor.settings.replaced(camera_rate=camera_rate)
+            arms[name] = dataclasses.replace(arm, sensor=dataclasses.replace(arm.sensor, settings=settings))
+    simulation = dataclasses.replace(scene.simulation, rate=steps)
+    return dataclasses.replace(scene, arms=arms, simulation=simulation)
 
 
 def truth_bytes(frame: Frame, base_frame: str) -> bytes:
@@ -325,16 +327,9 @@ def truth_bytes(frame: Frame, base_frame: str) -> bytes:
     )
 
 
-@functools.lru_cache(maxsize=32)
-def _status_layout(frame_id: str, reason: str) -> Layout:
-    example = ArmStatus(reason=reason)
-    example.header.frame_id = frame_id
-    return Layout(example)
-
-
 def main() -> int:
-    """Run the node until a signal; returns the exit code."""
-    return run(SimNode)
+    """Run the nodes until a signal; returns the exit code."""
+    return run(lambda: SimNode().nodes())
 
 
 if __name__ == "__main__":

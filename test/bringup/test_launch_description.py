@@ -8,9 +8,8 @@ import pytest
 import yaml
 
 from tactile_base.config_paths import config_path
-from tactile_bringup.graph import GraphOptions
+from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.view import write_view
-from tactile_bringup.task_graph import load_task_graph
 
 needs_launch = pytest.mark.skipif(
     importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed (it has no wheels)"
@@ -22,18 +21,18 @@ def topics_of(display) -> list[str]:
 
 
 def test_rviz_shows_image_frames_belief_and_twist_of_topics_that_exist():
-    config = yaml.safe_load(config_path("rviz/surface_following.rviz").read_text())
+    config = yaml.safe_load(config_path("rviz/default.rviz").read_text())
     displays = config["Visualization Manager"]["Displays"]
     kinds = {display["Class"].split("/")[1] for display in displays}
     assert {"Image", "TF", "PoseWithCovariance", "TwistStamped"} <= kinds
-    graph = load_task_graph("surface_following", "ramp", GraphOptions(object_belief=True)).graph
+    graph = load_graph("surface_following", "ramp", GraphOptions(object_belief=True))
     published = {topic.name for topic in graph.topics} | {"/arm/tactile/image", "/arm/tactile/marker_view"}
     assert {topic for display in displays for topic in topics_of(display)} <= published
 
 
 @pytest.mark.parametrize("asked", [True, False])
 def test_the_view_of_a_launch_shows_each_arm_and_the_object_where_there_is_one(tmp_path, asked):
-    graph = load_task_graph("surface_following", "two_arms", GraphOptions(object_belief=asked)).graph
+    graph = load_graph("surface_following", "two_arms", GraphOptions(object_belief=asked))
     config = yaml.safe_load(write_view(graph, tmp_path / "run").read_text())
     displays = config["Visualization Manager"]["Displays"]
     shown = {topic: display for display in displays for topic in topics_of(display)}
@@ -47,8 +46,8 @@ def test_the_view_of_a_launch_shows_each_arm_and_the_object_where_there_is_one(t
 
 
 def test_the_view_of_one_arm_is_the_packaged_one(tmp_path):
-    graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
-    packaged = yaml.safe_load(config_path("rviz/surface_following.rviz").read_text())
+    graph = load_graph("surface_following", "ramp")
+    packaged = yaml.safe_load(config_path("rviz/default.rviz").read_text())
     assert yaml.safe_load(write_view(graph, tmp_path).read_text()) == packaged
 
 
@@ -69,9 +68,9 @@ def test_the_launch_description_starts_the_nodes_of_the_graph(tmp_path, monkeypa
         entity.execute(context)
     actions = description.entities[-1].execute(context)
     nodes = [action for action in actions if isinstance(action, LifecycleNode)]
-    graph = load_task_graph("surface_following", "ramp", GraphOptions()).graph
+    graph = load_graph("surface_following", "ramp")
     assert [node.node_executable for node in nodes] == [node.executable for node in graph.nodes]
-    assert sum(type(action) is ExecuteProcess for action in actions) == 1  # what runs the paths
+    assert sum(type(action) is ExecuteProcess for action in actions) == 1  # what runs the goals
     written = {file.stem for file in Path(tmp_path).glob("*.yaml")}
     assert written == {node.file_stem for node in graph.nodes}
 

@@ -18,14 +18,14 @@ FAKES = Path(__file__).parent / "fakes"
 class Launch(Launched):
     """`launch_fake.py` with its fake cell."""
 
-    def __init__(self, folder: Path, fault: str = "", seconds: float = 0.3, paths: int = 1) -> None:
+    def __init__(self, folder: Path, fault: str = "", seconds: float = 0.3, goals: int = 1) -> None:
         command = [
             sys.executable,
             str(FAKES / "launch_fake.py"),
             str(folder),
             fault,
             str(seconds),
-            str(paths),
+            str(goals),
         ]
         given = os.pathsep.join(filter(None, [str(FAKES), os.environ.get("PYTHONPATH")]))
         super().__init__(folder, command, PYTHONPATH=given)
@@ -45,19 +45,19 @@ def start(tmp_path):
 
 
 def test_a_task_that_is_done_ends_with_0_and_leaves_nothing(start):
-    launch = start(paths=2)
+    launch = start(goals=2)
     assert launch.end() == 0, launch.output
-    assert "[2/2] path_1: done (50 mm" in launch.output
+    assert "[2/2] goal_1: done (50 mm" in launch.output
     assert re.search(r"ROS domain \d+ \((chosen|as set)\), discovery LOCALHOST", launch.output)
     assert "OUTCOME 0 True []" in launch.output
     assert launch.leaves_nothing(), launch.left()
 
 
 def test_a_task_that_fails_ends_with_1_and_its_reason(start):
-    launch = start(fault="fail", paths=2)
+    launch = start(fault="fail", goals=2)
     assert launch.end() == 1
-    assert "path path_0: lost the contact at 12 mm" in launch.output
-    assert "path_1" not in launch.output  # what comes after a failed path is not run
+    assert "goal_0: lost the contact at 12 mm" in launch.output
+    assert "goal_1" not in launch.output  # what comes after a failed goal is not run
 
 
 def test_a_node_that_cannot_start_is_named_with_its_log(start):

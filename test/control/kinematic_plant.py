@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_control.task import StampedPose, StampedPresence, TaskInputs
+from tactile_control.phases import StampedPose, StampedPresence, TaskInputs
 from tactile_filter import se3
 
 MS = 1_000_000

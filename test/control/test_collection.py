@@ -7,15 +7,18 @@ import pytest
 from kinematic_plant import MS, TIP_RADIUS, Plane, Plant, pointing_down
 
 from tactile_base.settings import SettingError
-from tactile_control.collection import DataCollection
-from tactile_control.collection_geometry import contact_frame
-from tactile_control.collection_settings import (
+from tactile_control.collection import (
+    PHASES,
+    CollectionInputs,
     CollectionMotionSettings,
     DataCollectionSettings,
+    Exposure,
+    Target,
     TouchSettings,
 )
-from tactile_control.collection_types import PHASES, CollectionInputs, Exposure, Target
-from tactile_control.task import StampedPose
+from tactile_control.collection_geometry import contact_frame
+from tactile_control.phases import StampedPose
+from tactile_control.tasks.data_collection import DataCollection
 from tactile_filter import se3
 
 START = pointing_down((0.3, 0.1, TIP_RADIUS + 0.012))

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from kinematic_plant import Plant, Sphere, pointing_down, run
 
-from tactile_control.task import FAILED, FOLLOW, PathGoal, SurfaceFollowing, TaskInputs
-from tactile_control.task_settings import SurfaceFollowingSettings
+from tactile_control.phases import FAILED, TaskInputs
+from tactile_control.tasks.surface_following import (
+    FOLLOW,
+    FollowingGoal,
+    SurfaceFollowing,
+    SurfaceFollowingSettings,
+)
 
 SURFACE = Sphere(0.3)
 
@@ -27,7 +32,7 @@ def above():
 def followed(delay_steps, **changes):
     """Tilts (rad) and depths (m) in the second half of following, and the last command."""
     plant = Plant(SURFACE, above(), delay_steps=delay_steps)
-    commands = run(SurfaceFollowing(settings(**changes), PathGoal(length=0.05)), plant)
+    commands = run(SurfaceFollowing(settings(**changes), FollowingGoal(length=0.05)), plant)
     rows = [(tilt, depth) for _, command, depth, tilt in commands if command.phase == FOLLOW]
     tilts, depths = np.array(rows[len(rows) // 2 :]).T
     return tilts, depths, commands[-1][1]
@@ -36,7 +41,7 @@ def followed(delay_steps, **changes):
 def test_with_latency_high_gains_never_settle_unless_the_belief_is_carried_on():
     high = {"pid__kp": (0.0, 0.0, 16.0, 16.0, 16.0, 0.0)}  # 1/s, at 83 ms of latency
     plant = Plant(SURFACE, above(), delay_steps=5)
-    plain = run(SurfaceFollowing(settings(**high), PathGoal(length=0.05)), plant)
+    plain = run(SurfaceFollowing(settings(**high), FollowingGoal(length=0.05)), plant)
     assert "not settled" in plain[-1][1].reason
     tilts, depths, last = followed(5, prediction__enabled=True, **high)
     assert last.succeeded
@@ -59,7 +64,7 @@ def test_without_latency_and_at_low_gains_it_changes_little():
 
 def test_the_command_still_names_the_exposure_it_rests_on():
     plant = Plant(SURFACE, above(), delay_steps=4)
-    commands = run(SurfaceFollowing(settings(prediction__enabled=True), PathGoal(length=0.02)), plant)
+    commands = run(SurfaceFollowing(settings(prediction__enabled=True), FollowingGoal(length=0.02)), plant)
     ages = [now - command.exposure_ns for now, command, _, _ in commands if command.phase == FOLLOW]
     assert min(ages) >= 4 * plant.period_ns
 
@@ -72,7 +77,10 @@ def test_a_belief_that_stops_coming_stops_the_arm_all_the_same():
         return TaskInputs(None, inputs.presence, inputs.sensor_pose) if lost else inputs
 
     commands = run(
-        SurfaceFollowing(settings(prediction__enabled=True), PathGoal(length=0.2)), plant, 12.0, change=silent
+        SurfaceFollowing(settings(prediction__enabled=True), FollowingGoal(length=0.2)),
+        plant,
+        12.0,
+        change=silent,
     )
     assert commands[-1][1].phase == FAILED
     assert "belief" in commands[-1][1].reason
@@ -80,7 +88,7 @@ def test_a_belief_that_stops_coming_stops_the_arm_all_the_same():
 
 def test_it_can_be_switched_on_and_off_while_it_runs():
     plant = Plant(SURFACE, above(), delay_steps=2)
-    task = SurfaceFollowing(settings(), PathGoal(length=0.05))
+    task = SurfaceFollowing(settings(), FollowingGoal(length=0.05))
 
     def switch(k, command):
         task.configure(settings(prediction__enabled=k % 100 < 50))

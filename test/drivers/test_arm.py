@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
-from tactile_drivers.sim.arm import ArmMode, ArmSettings, SimArm
+from tactile_drivers.arm import ArmLimits, ArmMode
+from tactile_drivers.sim.arm import SimArm
 from tactile_filter import se3
 
 MS = 1_000_000
@@ -36,7 +37,7 @@ def random_commands(settings, seed, n=40):
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("settings", [ArmSettings(), ArmSettings(linear_jerk=5.0, angular_acceleration=2.0)])
+@pytest.mark.parametrize("settings", [ArmLimits(), ArmLimits(linear_jerk=5.0, angular_acceleration=2.0)])
 def test_no_limit_is_exceeded_whatever_is_commanded(settings, seed):
     arm, twists = SimArm(settings), [np.zeros(6)]
     for twist, steps in random_commands(settings, seed):
@@ -60,10 +61,10 @@ def test_no_limit_is_exceeded_whatever_is_commanded(settings, seed):
 def test_steady_speed_never_exceeds_the_limit_as_a_norm():
     arm = SimArm()
     drive(arm, [1.0, 1.0, 1.0, 9.0, 9.0, 9.0], 500)
-    assert np.linalg.norm(arm.twist[:3]) == pytest.approx(arm.settings.linear_velocity)
-    assert np.linalg.norm(arm.twist[3:]) == pytest.approx(arm.settings.angular_velocity)
-    assert arm.status.limited
-    assert arm.status.clipped == 500
+    assert np.linalg.norm(arm.twist[:3]) == pytest.approx(arm.limits.linear_velocity)
+    assert np.linalg.norm(arm.twist[3:]) == pytest.approx(arm.limits.angular_velocity)
+    assert arm.state.limited
+    assert arm.state.clipped == 500
 
 
 @pytest.mark.parametrize("rate", [60, 120, 1000])
@@ -74,18 +75,18 @@ def test_the_arm_is_at_rest_within_200_ms_of_the_last_command(rate):
     coast(arm, round(0.2 * rate) - 1, step)
     assert arm.stamp_ns - last_command <= 200 * MS
     assert not arm.twist.any()
-    assert arm.status.mode is ArmMode.RESTING
-    assert "no command for 0.1" in arm.status.reason
-    assert "limit 0.1 s" in arm.status.reason
+    assert arm.state.mode is ArmMode.RESTING
+    assert "no command for 0.1" in arm.state.reason
+    assert "limit 0.1 s" in arm.state.reason
 
 
 def test_the_arm_says_that_it_is_stopping_while_it_does():
     arm = SimArm()
     drive(arm, TASK_TWIST, 200)
     coast(arm, 105)
-    assert arm.status.mode is ArmMode.STOPPING
+    assert arm.state.mode is ArmMode.STOPPING
     assert 0 < np.linalg.norm(arm.twist[:3]) < 0.010
-    assert arm.status.command_age == pytest.approx(0.106, abs=1e-9)
+    assert arm.state.command_age == pytest.approx(0.106, abs=1e-9)
 
 
 def test_a_new_command_ends_a_stop():
@@ -93,38 +94,38 @@ def test_a_new_command_ends_a_stop():
     drive(arm, TASK_TWIST, 200)
     coast(arm, 150)
     drive(arm, TASK_TWIST, 100)
-    assert arm.status.mode is ArmMode.MOVING
-    assert arm.status.reason == ""
+    assert arm.state.mode is ArmMode.MOVING
+    assert arm.state.reason == ""
     np.testing.assert_allclose(arm.twist, TASK_TWIST, atol=1e-12)
-    assert not arm.status.limited
+    assert not arm.state.limited
 
 
 def test_at_rest_the_pose_does_not_change_by_a_bit():
-    arm = SimArm(T_base_sensor=se3.exp(np.array([0.3, -0.1, 0.2, 1.0, 2.0, -0.5])))
+    arm = SimArm(T_base_controlled=se3.exp(np.array([0.3, -0.1, 0.2, 1.0, 2.0, -0.5])))
     drive(arm, TASK_TWIST, 200)
     coast(arm, 300)
-    pose = arm.T_base_sensor
+    pose = arm.T_base_controlled
     coast(arm, 1000)
     drive(arm, np.zeros(6), 1000)
-    assert (arm.T_base_sensor == pose).all()
+    assert (arm.T_base_controlled == pose).all()
 
 
 def test_a_command_of_zero_is_rest_without_a_complaint():
     arm = SimArm()
     drive(arm, TASK_TWIST, 200)
     drive(arm, np.zeros(6), 200)
-    assert arm.status.mode is ArmMode.RESTING
-    assert arm.status.reason == ""
+    assert arm.state.mode is ArmMode.RESTING
+    assert arm.state.reason == ""
 
 
 def test_a_steady_twist_is_followed_exactly_on_the_group():
     start = se3.exp(np.array([0.1, 0.2, 0.3, -1.0, 0.5, 0.2]))
-    arm = SimArm(T_base_sensor=start)
+    arm = SimArm(T_base_controlled=start)
     twist = np.array([0.02, 0.01, -0.03, 0.3, -0.2, 0.4])
     drive(arm, twist, 500)
-    before = arm.T_base_sensor
+    before = arm.T_base_controlled
     drive(arm, twist, 2000)
-    np.testing.assert_allclose(arm.T_base_sensor, before @ se3.exp(2.0 * twist), atol=1e-12)
+    np.testing.assert_allclose(arm.T_base_controlled, before @ se3.exp(2.0 * twist), atol=1e-12)
 
 
 def test_poses_do_not_depend_on_how_time_is_cut_in_steps():
@@ -135,7 +136,7 @@ def test_poses_do_not_depend_on_how_time_is_cut_in_steps():
         fine.advance(0.001)
     coarse.advance(0.05)
     assert fine.stamp_ns == coarse.stamp_ns == 50 * MS
-    np.testing.assert_allclose(fine.T_base_sensor, coarse.T_base_sensor, atol=1e-12)
+    np.testing.assert_allclose(fine.T_base_controlled, coarse.T_base_controlled, atol=1e-12)
     np.testing.assert_allclose(fine.twist, coarse.twist, atol=1e-12)
 
 
@@ -144,17 +145,17 @@ def test_the_rotation_stays_orthonormal_over_an_hour_of_motion():
     for _ in range(3600 * 10):
         arm.command(arm.stamp_ns, [0.01, 0.0, 0.0, 0.3, 0.9, -0.2])
         arm.advance(0.1)
-    R = arm.T_base_sensor[:3, :3]
-    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
+    R = arm.T_base_controlled[:3, :3]
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-13)
 
 
 def test_the_same_commands_give_the_same_bits():
     poses = []
     for _ in range(2):
         arm = SimArm()
-        for twist, steps in random_commands(arm.settings, seed=7):
+        for twist, steps in random_commands(arm.limits, seed=7):
             drive(arm, twist, steps)
-        poses.append(arm.T_base_sensor)
+        poses.append(arm.T_base_controlled)
     assert (poses[0] == poses[1]).all()
 
 
@@ -174,8 +175,8 @@ def test_a_command_that_cannot_be_meant_is_refused_and_counted(age_ns, twist, me
     drive(arm, TASK_TWIST, 300)
     assert not arm.command(arm.stamp_ns - age_ns, twist)
     arm.advance(0.001)
-    assert arm.status.refused == 1
-    assert message in arm.status.last_refusal
+    assert arm.state.refused == 1
+    assert message in arm.state.last_refusal
     np.testing.assert_allclose(
         arm.twist, TASK_TWIST, atol=1e-12
     )  # the one before stays in force, until too old
@@ -186,17 +187,17 @@ def test_an_arm_that_only_gets_nan_stops_and_says_why():
     drive(arm, TASK_TWIST, 300)
     drive(arm, np.full(6, np.nan), 200)
     assert not arm.twist.any()
-    assert arm.status.refused == 200
-    assert "no command for" in arm.status.reason
-    assert "not finite" in arm.status.reason
+    assert arm.state.refused == 200
+    assert "no command for" in arm.state.reason
+    assert "not finite" in arm.state.reason
 
 
 def test_an_arm_without_any_command_stays_where_it_is():
     start = se3.exp(np.array([0.3, -0.1, 0.2, 1.0, 2.0, -0.5]))
-    arm = SimArm(T_base_sensor=start)
+    arm = SimArm(T_base_controlled=start)
     coast(arm, 500)
-    assert (arm.T_base_sensor == start).all()
-    assert arm.status.command_age == -1.0
+    assert (arm.T_base_controlled == start).all()
+    assert arm.state.command_age == -1.0
 
 
 def test_an_arm_in_fault_stops_within_its_limits_and_refuses_until_cleared():
@@ -204,15 +205,15 @@ def test_an_arm_in_fault_stops_within_its_limits_and_refuses_until_cleared():
     drive(arm, TASK_TWIST, 200)
     arm.fault("pressed too hard")
     drive(arm, TASK_TWIST, 200, record=twists)
-    assert arm.status.mode is ArmMode.FAULT
-    assert arm.status.reason == "pressed too hard"
-    assert arm.status.refused == 200
+    assert arm.state.mode is ArmMode.FAULT
+    assert arm.state.reason == "pressed too hard"
+    assert arm.state.refused == 200
     jerk = np.abs(np.diff(twists, n=2, axis=0)).max(axis=0) / 1e-6
-    assert (jerk <= np.repeat([arm.settings.linear_jerk, arm.settings.angular_jerk], 3) * (1 + 1e-6)).all()
+    assert (jerk <= np.repeat([arm.limits.linear_jerk, arm.limits.angular_jerk], 3) * (1 + 1e-6)).all()
     assert not twists[-1].any()
     arm.clear_fault()
     coast(arm, 5)
-    assert arm.status.mode is ArmMode.RESTING
+    assert arm.state.mode is ArmMode.RESTING
     drive(arm, TASK_TWIST, 100)
     np.testing.assert_allclose(arm.twist, TASK_TWIST, atol=1e-12)
 
@@ -225,4 +226,4 @@ def test_time_cannot_go_back():
 
 def test_a_limit_of_zero_is_refused():
     with pytest.raises(SettingError, match="linear_jerk"):
-        ArmSettings(linear_jerk=0.0)
+        ArmLimits(linear_jerk=0.0)

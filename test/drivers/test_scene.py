@@ -10,27 +10,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from other_package import installed
 
-import tactile_filter
+import tactile_base
 from tactile_base.config_paths import config_names, config_path
+from tactile_drivers.arm import ArmLimits
 from tactile_drivers.scene import SceneError, SensorSettings, load_scene
-from tactile_drivers.sim.arm import ArmSettings
-from tactile_drivers.sim.surfaces import SURFACES
+from tactile_drivers.shapes import SHAPES
 
 GOOD = """\
 description: a test
-rate: 120
 arms:
   left:
     base: {position: [1.0, 0.0, 0.0], rotation_deg: [0, 0, 90]}
     start: {position: [0.0, 0.0, 0.05], rotation_deg: [0, 180, 0]}
     limits: {linear_velocity: 0.2}
     sensor:
-      fidelity: ideal
       camera_rate: 60
       touches: [hill]
+simulation:
+  rate: 120
+  sensors:
+    left:
+      fidelity: ideal
       ideal: {radius: 0.02}
-surfaces:
+bodies:
   hill:
     shape: dome
     pose: {position: [0.0, 0.0, -0.05]}
@@ -57,12 +61,12 @@ def line_of(text, part):
 def test_a_scene_file_is_read_into_arms_sensors_and_surfaces(scene_file):
     scene = load_scene(scene_file(GOOD))
     assert scene.name == "test"
-    assert scene.rate == 120
+    assert scene.simulation.rate == 120
     arm = scene.arms["left"]
     assert arm.limits.linear_velocity == 0.2
     assert arm.sensor.settings.touches == ("hill",)
-    assert list(scene.surfaces_of("left")) == ["hill"]
-    assert scene.surfaces["hill"].make().distance(np.array([[0.0, 0.0, 0.06]])) == pytest.approx(0.01)
+    assert list(scene.bodies_of("left")) == ["hill"]
+    assert scene.bodies["hill"].make().distance(np.array([[0.0, 0.0, 0.06]])) == pytest.approx(0.01)
 
 
 def test_poses_are_positions_in_m_and_extrinsic_xyz_angles_in_degrees(scene_file):
@@ -72,16 +76,16 @@ def test_poses_are_positions_in_m_and_extrinsic_xyz_angles_in_degrees(scene_file
     start = scene.arms[
         "left"
     ].T_base_start  # (-1, 0) in the world's axes, seen from a base turned by 90 degrees
-    np.testing.assert_allclose(start[:3, 3], [0.0, 1.0, 0.05], atol=1e-15)
-    np.testing.assert_allclose(start[:3, 2], [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(start[:3, 3], [0.0, 1.0, 0.05], atol=1e-13)
+    np.testing.assert_allclose(start[:3, 2], [0, 0, -1], atol=1e-13)
 
 
 @pytest.mark.parametrize("name", ["ramp", "dome", "plane"])
 def test_in_the_packaged_scenes_the_sensor_starts_over_the_top_with_y_along_the_path(name):
     scene = load_scene(name)
-    arm, (surface,) = scene.arms["arm"], scene.surfaces.values()
-    T = np.linalg.inv(surface.T_world_surface) @ arm.T_world_start
-    gap = surface.make().distance(T[None, :3, 3])[0] - arm.sensor.model.skin.radius
+    arm, (surface,) = scene.arms["arm"], scene.bodies.values()
+    T = np.linalg.inv(surface.T_parent_body) @ arm.T_world_start
+    gap = surface.make().distance(T[None, :3, 3])[0] - arm.sensor.settings.tip_radius
     assert 0.010 <= gap <= 0.015
     np.testing.assert_array_equal(T[:3, 2], [0, 0, -1])  # into the surface
     np.testing.assert_array_equal(T[:3, 1], [0, 1, 0])  # along the ramp
@@ -94,11 +98,11 @@ def test_in_the_scene_of_two_arms_both_start_alike_and_point_at_one_object_from_
     scene = load_scene("two_arms")
     left, right = scene.arms.values()
     assert [arm.name for arm in (left, right)] == ["left", "right"]
-    np.testing.assert_allclose(left.T_base_start, right.T_base_start, atol=1e-15)
-    (surface,) = scene.surfaces.values()
+    np.testing.assert_allclose(left.T_base_start, right.T_base_start, atol=1e-13)
+    (surface,) = scene.bodies.values()
     for arm in (left, right):
-        T = np.linalg.inv(surface.T_world_surface) @ arm.T_world_start
-        gap = surface.make().distance(T[None, :3, 3])[0] - arm.sensor.model.skin.radius
+        T = np.linalg.inv(surface.T_parent_body) @ arm.T_world_start
+        gap = surface.make().distance(T[None, :3, 3])[0] - arm.sensor.settings.tip_radius
         assert 0.010 <= gap <= 0.015
         np.testing.assert_allclose(T[:3, 2], -surface.make().normal(T[None, :3, 3])[0], atol=1e-6)
     assert np.linalg.norm(left.T_world_start[:3, 3] - right.T_world_start[:3, 3]) > 0.1
@@ -116,9 +120,9 @@ def test_all_packaged_scenes_load():
         (
             "shape: dome",
             "shape: dom",
-            "surfaces.hill.shape: unknown name 'dom' (did you mean 'dome'?); valid: dome",
+            "bodies.hill.shape: unknown name 'dom' (did you mean 'dome'?); valid: box, cylinder, dome",
         ),
-        ("    shape: dome", "    shap: dome", "surfaces.hill: unknown name 'shap' (did you mean 'shape'?)"),
+        ("    shape: dome", "    shap: dome", "bodies.hill: unknown name 'shap' (did you mean 'shape'?)"),
         ("parameters: {radius", "parameters: {radios", "unknown name 'radios' (did you mean 'radius'?)"),
         (
             "parameters: {radius: 0.05}",
@@ -131,13 +135,21 @@ def test_all_packaged_scenes_load():
             "unknown name 'hil' (did you mean 'hill'?); valid: hill, table",
         ),
         ("touches: [hill]", "touches: hill", "must be a list of names"),
-        ("fidelity: ideal", "fidelity: real", "fidelity = 'real': must be one of image, ideal"),
-        ("camera_rate: 60", "camera_rate: 50", "50 Hz: the scene's rate, 120 Hz, must be a multiple of it"),
+        (
+            "fidelity: ideal",
+            "fidelity: real",
+            "fidelity: unknown name 'real' (did you mean 'ideal'?); valid: ideal, image",
+        ),
+        (
+            "camera_rate: 60",
+            "camera_rate: 50",
+            "50 Hz: the simulation's rate, 120 Hz, must be a multiple",
+        ),
         ("camera_rate: 60", "camera_rate: fast", "camera_rate = 'fast': must be of type float, is str"),
         (
             "ideal: {radius: 0.02}",
             "ideal: {radius: big}",
-            "sensor.ideal: radius = 'big': must be of type float",
+            "sensors.left.ideal: radius = 'big': must be of type float",
         ),
         (
             "limits: {linear_velocity",
@@ -149,7 +161,7 @@ def test_all_packaged_scenes_load():
         ("rotation_deg: [0, 180, 0]", "rotation: [0, 180, 0]", "did you mean 'rotation_deg'?"),
         ("rate: 120", "rate: 120.5", "must be a whole number of Hz"),
         ("  left:", "  Left Arm:", "'Left Arm' must be lower-case letters"),
-        ("arms:", "robots:", "unknown name 'robots'; valid: arms, description, rate, surfaces"),
+        ("arms:", "robots:", "unknown name 'robots'; valid: arms, bodies, description, simulation"),
         ("    shape: plane", "    shape: plane\n    shape: ramp", "'shape' is given twice, first in line"),
         ("rate: 120", "rate: [120", "not valid YAML"),
     ],
@@ -170,12 +182,12 @@ def test_a_mistake_is_named_with_file_line_and_valid_choices(scene_file, right, 
     "text, message",
     [
         ("", "1: must hold names and values"),
-        ("surfaces: {}", "1: arms: a scene must have at least one"),
+        ("bodies: {}", "1: arms: a scene must have at least one"),
         ("arms: {a: {driver: ur}}", "1: arms.a.start is missing"),
-        ("arms: {a: {start: {}, driver: ur5}}", "driver: unknown name 'ur5'; valid: sim"),
+        ("arms: {a: {start: {}, driver: ur5}}", "driver: unknown name 'ur5'; valid: external, sim"),
         ("arms: [a]", "must hold names and values"),
         ("arms:\n  a:\n    start: 3", ":3: arms.a.start = 3: must hold names and values"),
-        ("arms:\n  a:\n    start: {}\nsurfaces:\n  s: {}", ":5: surfaces.s.shape is missing"),
+        ("arms:\n  a:\n    start: {}\nbodies:\n  s: {}", ":5: bodies.s.shape is missing"),
     ],
 )
 def test_a_scene_that_lacks_what_it_needs_is_refused(scene_file, text, message):
@@ -187,7 +199,7 @@ def test_a_scene_that_lacks_what_it_needs_is_refused(scene_file, text, message):
 def test_a_number_with_an_exponent_is_a_number(scene_file):
     for text in ("5e-2", "5E-2", "+.5e-1", "5.e-2"):
         scene = load_scene(scene_file(GOOD.replace("{radius: 0.05}", f"{{radius: {text}}}")))
-        assert scene.surfaces["hill"].parameters.radius == 0.05
+        assert scene.bodies["hill"].parameters.radius == 0.05
 
 
 def test_a_scene_name_with_a_typo_gives_the_packaged_names():
@@ -206,7 +218,7 @@ def test_an_image_sensor_starts_from_a_sensor_file(scene_file):
     text = GOOD.replace("fidelity: ideal", "fidelity: image").replace(
         "ideal: {radius: 0.02}", "image: {file: tactip_franka, camera: {gain: 0.9}}"
     )
-    model = load_scene(scene_file(text)).arms["left"].sensor.model
+    model = load_scene(scene_file(text)).simulation.sensors["left"].model
     from tactile_drivers.sim.sensor_file import load_sensor
 
     fitted = load_sensor("tactip_franka").sensor
@@ -220,21 +232,21 @@ def test_settings_of_the_image_sensor_are_groups(scene_file):
     text = GOOD.replace("fidelity: ideal", "fidelity: image").replace(
         "ideal: {radius: 0.02}", "image: {contact: {friction: 0.5}}"
     )
-    model = load_scene(scene_file(text)).arms["left"].sensor.model
+    model = load_scene(scene_file(text)).simulation.sensors["left"].model
     assert model.contact.friction == 0.5
     wrong = text.replace("friction: 0.5", "friktion: 0.5")
     with pytest.raises(
-        SceneError, match=r"sensor.image.contact: unknown name 'friktion' \(did you mean 'friction'"
+        SceneError, match=r"sensors.left.image.contact: unknown name 'friktion' \(did you mean 'friction'"
     ):
         load_scene(scene_file(wrong))
 
 
 def test_a_scene_can_be_taken_with_ideal_sensors():
     ideal = load_scene("ramp").with_fidelity("ideal", sigma_position=(0.0, 0.0, 0.0))
-    sensor = ideal.arms["arm"].sensor
-    assert sensor.settings.fidelity == "ideal"
+    sensor = ideal.simulation.sensors["arm"]
+    assert sensor.fidelity == "ideal" and not ideal.gives_images("arm")
     assert sensor.model.sigma_position == (0.0, 0.0, 0.0)
-    assert load_scene("ramp").arms["arm"].sensor.settings.fidelity == "image"
+    assert load_scene("ramp").gives_images("arm")
 
 
 def test_configuration_is_found_where_the_environment_says(tmp_path, monkeypatch):
@@ -260,7 +272,7 @@ def documented(language):
 
 def test_the_documented_scene_is_the_packaged_one(scene_file):
     shown, packaged = load_scene(scene_file(documented("yaml"))), load_scene("ramp")
-    assert shown.surfaces["ramp"].parameters == packaged.surfaces["ramp"].parameters
+    assert shown.bodies["ramp"].parameters == packaged.bodies["ramp"].parameters
     assert shown.arms["arm"].limits == packaged.arms["arm"].limits
     assert shown.arms["arm"].sensor.settings == packaged.arms["arm"].sensor.settings
     np.testing.assert_array_equal(shown.arms["arm"].T_base_start, packaged.arms["arm"].T_base_start)
@@ -274,7 +286,7 @@ def test_the_documented_python_runs():
 
 def test_the_documented_names_are_those_that_are_read():
     text = (Path(__file__).parents[2] / "docs" / "scenes.md").read_text()
-    for cls in (SensorSettings, ArmSettings, *(shape.settings_class for shape in SURFACES.values())):
+    for cls in (SensorSettings, ArmLimits, *(SHAPES.load(name).settings_class for name in SHAPES.names())):
         for item in dataclasses.fields(cls):
             assert f"`{item.name}`" in text, f"{cls.__name__}.{item.name}"
 
@@ -282,7 +294,7 @@ def test_the_documented_names_are_those_that_are_read():
 def test_installed_configuration_is_found_through_the_prefixes_of_ros(tmp_path, monkeypatch):
     """A copy of the package without a source tree around it, as colcon installs it."""
     site = tmp_path / "lib" / "site-packages"
-    shutil.copytree(Path(tactile_filter.__file__).parent, site / "tactile_filter")
+    shutil.copytree(Path(tactile_base.__file__).parent, site / "tactile_base")
     (site / "config").mkdir()  # somebody else's
     scenes = tmp_path / "prefix" / "share" / "tactile_servoing" / "config" / "scenes"
     scenes.mkdir(parents=True)
@@ -302,3 +314,116 @@ def test_installed_configuration_is_found_through_the_prefixes_of_ros(tmp_path, 
         check=True,
     )
     assert Path(done.stdout.strip()) == scenes / "ramp.yaml"
+
+
+# What a scene says of arms, cameras and bodies.
+
+CELL = """\
+arms:
+  leader:
+    driver: external
+    start: {}
+  follower:
+    driver: bench_arm
+    driver_settings: {host: here}
+    start: {position: [0.1, 0.0, 0.0]}
+    sensor:
+      in_tool: {position: [0.0, 0.0, 0.065]}
+      camera: bench_camera
+      camera_rate: 50
+      tip_radius: 0.025
+      model: models/mine.onnx
+bodies:
+  plate: {shape: plane, carried_by: leader, pose: {position: [0.0, 0.0, 0.2]}}
+"""
+
+
+@pytest.fixture
+def other_package(tmp_path, monkeypatch):
+    """A package that brings an arm driver and a camera driver."""
+    (tmp_path / "site").mkdir()
+    for folder in installed(tmp_path / "site"):
+        monkeypatch.syspath_prepend(folder)
+    yield
+    sys.modules.pop("bench_cell", None)
+
+
+def test_a_scene_of_a_real_cell_needs_no_word_about_simulation(scene_file, other_package):
+    scene = load_scene(scene_file(CELL))
+    leader, follower = scene.arms.values()
+    assert not scene.is_simulated
+    assert (leader.driver, follower.driver, follower.sensor.camera) == (
+        "external",
+        "bench_arm",
+        "bench_camera",
+    )
+    assert follower.driver_settings.values == {"host": "here"}
+    assert follower.sensor.settings.tip_radius == 0.025
+    assert scene.gives_images("follower") and not scene.gives_images("leader")
+    assert scene.model_file("follower") == scene.path.parent / "models/mine.onnx"
+    assert load_scene("ramp").model_file("arm") is None
+    assert scene.with_fidelity("ideal").gives_images("follower")  # a real camera stays what it is
+
+
+def test_an_arm_is_controlled_in_its_sensors_frame_and_without_one_in_its_tool(scene_file, other_package):
+    leader, follower = load_scene(scene_file(CELL)).arms.values()
+    assert (leader.controlled_frame, follower.controlled_frame) == ("tool", "tactile_sensor")
+    np.testing.assert_array_equal(leader.T_tool_controlled, np.eye(4))
+    np.testing.assert_array_equal(follower.T_tool_controlled[:3, 3], [0, 0, 0.065])
+
+
+def test_a_carried_body_starts_where_the_tool_is(scene_file, other_package):
+    text = CELL.replace("start: {}", "base: {position: [1, 0, 0]}\n    start: {rotation_deg: [0, 90, 0]}")
+    scene = load_scene(scene_file(text))
+    np.testing.assert_allclose(scene.T_world_body("plate")[:3, 3], [0.2, 0, 0], atol=1e-13)
+    np.testing.assert_allclose(scene.T_base_body("leader", "plate")[:3, 3], [-0.8, 0, 0], atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "right, wrong, message",
+    [
+        (
+            "driver: bench_arm",
+            "driver: bench",
+            "driver: unknown name 'bench' (did you mean 'bench_arm'?); valid: bench_arm, external, sim",
+        ),
+        ("camera: bench_camera", "camera: webcam", "valid: bench_camera, external, sim"),
+        ("camera: bench_camera", "camera: sim", "'sim' needs an arm whose driver is 'sim' too"),
+        ("driver: external", "driver_settings: {host: x}", "driver_settings: driver 'sim' has none"),
+        ("carried_by: leader", "carried_by: leeder", "unknown name 'leeder' (did you mean 'leader'?)"),
+        ("carried_by: leader", "motion: carried", "a body whose motion is 'carried' needs carried_by"),
+        ("carried_by: leader", "motion: fixed, carried_by: leader", "'fixed' cannot have carried_by"),
+        ("carried_by: leader", "motion: flying", "unknown name 'flying'; valid: carried, drift, fixed"),
+        ("bodies:", "simulation: {sensors: {leader: {}}}\nbodies:", "'leader'; valid: follower"),
+    ],
+)
+def test_what_does_not_fit_together_in_a_cell_is_named(scene_file, other_package, right, wrong, message):
+    assert right in CELL
+    path = scene_file(CELL.replace(right, wrong))
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert message in str(caught.value) and str(caught.value).startswith(f"{path}:")
+
+
+def test_the_radius_of_a_simulated_tip_is_the_scenes_and_said_once(scene_file):
+    sensor = load_scene(scene_file(GOOD)).arms["left"].sensor
+    assert sensor.settings.tip_radius == 0.02
+    small = load_scene(scene_file(GOOD.replace("{radius: 0.02}", "{radius: 0.015}")))
+    assert small.arms["left"].sensor.settings.tip_radius == 0.015
+    given = GOOD.replace("camera_rate: 60", "camera_rate: 60\n      tip_radius: 0.03")
+    assert load_scene(scene_file(given)).simulation.sensors["left"].model.radius == 0.03
+    with pytest.raises(SceneError, match=r"tip_radius = 0.03 m: .*a tip of 0.015 m; leave"):
+        load_scene(scene_file(given.replace("{radius: 0.02}", "{radius: 0.015}")))
+    assert (
+        load_scene("ramp").with_fidelity("ideal", radius=0.01).arms["arm"].sensor.settings.tip_radius == 0.01
+    )
+
+
+def test_reading_a_scene_loads_neither_the_simulated_arm_nor_the_skin():
+    code = (
+        "import sys; from tactile_drivers.scene import load_scene; load_scene('two_arms')\n"
+        "heavy = ('ruckig', 'tactile_drivers.sim.skin', 'tactile_drivers.sim._contact', 'cv2', 'scipy')\n"
+        "print([name for name in heavy if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

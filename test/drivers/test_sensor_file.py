@@ -7,7 +7,8 @@ from tactile_base.config_paths import config_names
 from tactile_base.settings import SettingError
 from tactile_drivers.sim.collection import CollectionSettings, Mounting, collect, press_then_shear
 from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
-from tactile_drivers.sim.tactip import TacTip, TacTipSettings
+from tactile_drivers.sim.settings import TacTipSettings
+from tactile_drivers.sim.tactip import TacTip
 from tactile_drivers.sim.variation import VariationSettings
 from tactile_filter import se3
 from tactile_perception.markers.detection import detect

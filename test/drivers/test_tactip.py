@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
+from tactile_drivers.shapes import make_surface
 from tactile_drivers.sim.collection import press_then_shear
-from tactile_drivers.sim.skin import Skin, SkinSettings, build_skin, load_skin
-from tactile_drivers.sim.surfaces import make_surface
-from tactile_drivers.sim.tactip import CameraSettings, ContactSettings, TacTip, TacTipSettings
+from tactile_drivers.sim.settings import CameraSettings, ContactSettings, SkinSettings, TacTipSettings
+from tactile_drivers.sim.skin import Skin, build_skin, load_skin
+from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 
 RADIUS = SkinSettings().radius
@@ -285,6 +286,12 @@ def test_the_shipped_skin_is_what_its_command_builds():
     shipped, built = load_skin(), build_skin(SkinSettings())
     scale = np.abs(built.compliance).max()
     assert np.abs(shipped.compliance - built.compliance).max() < 1e-5 * scale
+
+
+def test_a_skin_of_another_modulus_only_is_the_shipped_one_made_stiffer():
+    settings = SkinSettings(gel_modulus=4.0e4)
+    scaled, built = load_skin(settings), build_skin(settings)
+    assert np.abs(scaled.compliance - built.compliance).max() < 1e-5 * np.abs(built.compliance).max()
 
 
 def test_compliance_is_symmetric_and_positive(skin):

@@ -51,7 +51,7 @@ def is_positive_definite(cov):
 
 def test_first_measurement_is_the_belief():
     belief = ContactFilter().step(5, estimate(), np.eye(4))
-    np.testing.assert_allclose(belief.mean, CONTACT, atol=1e-16)
+    np.testing.assert_allclose(belief.mean, CONTACT, atol=1e-13)
     np.testing.assert_array_equal(belief.cov, COV)
     assert belief.flags == BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
     assert belief.stamp_ns == 5
@@ -81,7 +81,7 @@ def test_a_prediction_follows_the_sensors_motion_over_a_still_surface():
     surface = CONTACT  # in the base, the sensor being at its origin
     sensor = se3.exp([0.01, 0.0, 0.002, 0.0, 0.1, 0.0])
     belief = contact_filter.predict_to(2 * PERIOD + 5 * MS, sensor)
-    np.testing.assert_allclose(belief.mean, np.linalg.inv(sensor) @ surface, atol=1e-14)
+    np.testing.assert_allclose(belief.mean, np.linalg.inv(sensor) @ surface, atol=1e-13)
     assert belief.flags == BeliefFlag.PREDICTED_ONLY
     assert belief.valid
 
@@ -151,7 +151,7 @@ def test_outliers_in_a_row_start_a_new_belief():
     belief = contact_filter.step(6 * PERIOD, estimate(elsewhere), np.eye(4))
     assert belief.flags == BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
     assert "after 3 refused in a row" in belief.reason
-    np.testing.assert_allclose(belief.mean, elsewhere, atol=1e-15)
+    np.testing.assert_allclose(belief.mean, elsewhere, atol=1e-13)
     assert contact_filter.resets["outliers in a row"] == 1
 
 
@@ -211,7 +211,7 @@ def test_time_that_jumps_back_restarts_the_filter():
     belief = contact_filter.step(0, estimate(elsewhere), np.eye(4))
     assert belief.reason == "time jumped back"
     assert belief.flags == BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
-    np.testing.assert_allclose(belief.mean, elsewhere, atol=1e-15)
+    np.testing.assert_allclose(belief.mean, elsewhere, atol=1e-13)
     assert contact_filter.resets["time jumped back"] == 1
 
 
@@ -373,7 +373,7 @@ def test_hundreds_of_thousands_of_fusions_stay_on_the_group_and_positive_definit
     for k in range(300_000):
         mean, fused, _, _, status, _ = _fusion.fuse(observed[k & 63], COV, mean, cov, mode)
         cov = fused + noise
-    assert np.abs(mean[:3, :3].T @ mean[:3, :3] - np.eye(3)).max() < 1e-15
+    assert np.abs(mean[:3, :3].T @ mean[:3, :3] - np.eye(3)).max() < 1e-13
     assert is_positive_definite(fused)
     assert np.linalg.norm(se3.log(mean @ se3.inverse(CONTACT)) / SIGMA) < 10
     assert status == 0

@@ -73,7 +73,7 @@ def test_what_is_not_known_or_too_old_is_not_predicted():
     assert predictor.ahead(0, START) is None
     predictor.update(PERIOD, CONTACT, START)
     assert predictor.ahead(0, START) is None
-    np.testing.assert_allclose(predictor.ahead(PERIOD, START), CONTACT, atol=1e-15)
+    np.testing.assert_allclose(predictor.ahead(PERIOD, START), CONTACT, atol=1e-13)
     assert predictor.ahead(PERIOD + 100_000_001, START) is None
     predictor.reset()
     assert predictor.ahead(PERIOD, START) is None

@@ -37,7 +37,7 @@ def tool_at(stamp_ns):
 
 def test_lookup_interpolates_exactly_along_a_constant_twist():
     T = arm_buffer().lookup("base", "sensor", 33 * MS)
-    np.testing.assert_allclose(T, tool_at(33 * MS) @ MOUNT, atol=1e-15)
+    np.testing.assert_allclose(T, tool_at(33 * MS) @ MOUNT, atol=1e-13)
 
 
 @pytest.mark.parametrize("s", [0.1, 0.5, 0.8])
@@ -66,7 +66,7 @@ def test_the_newest_has_the_stamp_of_the_link_that_lags():
     buffer.set_transform("sensor", "tip", 20 * MS, np.eye(4))
     stamp_ns, T = buffer.newest("base", "tip")
     assert stamp_ns == 20 * MS
-    np.testing.assert_allclose(T, tool_at(20 * MS) @ MOUNT, atol=1e-15)
+    np.testing.assert_allclose(T, tool_at(20 * MS) @ MOUNT, atol=1e-13)
 
 
 def test_what_does_not_move_has_no_newest():
@@ -76,13 +76,13 @@ def test_what_does_not_move_has_no_newest():
 
 def test_lookup_at_a_stamp_that_is_there_gives_that_transform():
     T = arm_buffer().lookup("base", "tool", 40 * MS)
-    np.testing.assert_allclose(T, tool_at(40 * MS), atol=1e-16)
+    np.testing.assert_allclose(T, tool_at(40 * MS), atol=1e-13)
 
 
 def test_lookup_the_other_way_is_the_inverse():
     buffer = arm_buffer()
     T = buffer.lookup("sensor", "world", 12 * MS)
-    np.testing.assert_allclose(T @ buffer.lookup("world", "sensor", 12 * MS), np.eye(4), atol=1e-15)
+    np.testing.assert_allclose(T @ buffer.lookup("world", "sensor", 12 * MS), np.eye(4), atol=1e-13)
 
 
 def test_lookup_between_siblings_goes_through_their_common_ancestor_only():
@@ -90,7 +90,7 @@ def test_lookup_between_siblings_goes_through_their_common_ancestor_only():
     buffer.set_transform("base", "surface", 0, se3.exp([0.5, 0, 0, 0, 0, 0]), static=True)
     buffer.set_transform("map", "world", 0, np.eye(4))  # moving, of stamp 0 alone: not on the way
     T = buffer.lookup("surface", "tool", 50 * MS)
-    np.testing.assert_allclose(T, se3.exp([-0.5, 0, 0, 0, 0, 0]) @ tool_at(50 * MS), atol=1e-15)
+    np.testing.assert_allclose(T, se3.exp([-0.5, 0, 0, 0, 0, 0]) @ tool_at(50 * MS), atol=1e-13)
     np.testing.assert_allclose(buffer.lookup("tool", "tool", 7), np.eye(4))
 
 
@@ -108,7 +108,7 @@ def test_a_stamp_earlier_than_the_oldest_is_in_the_past():
 
 def test_static_transforms_hold_at_any_stamp():
     buffer = arm_buffer()
-    np.testing.assert_allclose(buffer.lookup("tool", "sensor", 10**18), MOUNT, atol=1e-16)
+    np.testing.assert_allclose(buffer.lookup("tool", "sensor", 10**18), MOUNT, atol=1e-13)
     assert buffer.latest_stamp("tool", "sensor") is None
     assert buffer.latest_stamp("world", "sensor") == 100 * MS
 
@@ -136,7 +136,7 @@ def test_a_transform_overtaken_on_the_way_is_put_in_its_place():
     buffer = TransformBuffer()
     for stamp in (0, 20, 10):
         assert not buffer.set_transform("a", "b", stamp * MS, tool_at(stamp * stamp * MS))
-    np.testing.assert_allclose(buffer.lookup("a", "b", 10 * MS), tool_at(100 * MS), atol=1e-15)
+    np.testing.assert_allclose(buffer.lookup("a", "b", 10 * MS), tool_at(100 * MS), atol=1e-13)
 
 
 def test_of_two_transforms_of_one_stamp_the_later_holds():
@@ -151,7 +151,7 @@ def test_a_jump_back_in_time_clears_all_but_static_transforms_and_is_answered_wi
     buffer.set_transform("base", "other", 100 * SECOND, np.eye(4))
     assert not buffer.set_transform("base", "tool", 100 * SECOND, np.eye(4))
     assert buffer.set_transform("base", "tool", 0, tool_at(50 * MS)) == 100 * SECOND
-    np.testing.assert_allclose(buffer.lookup("base", "sensor", 0), tool_at(50 * MS) @ MOUNT, atol=1e-15)
+    np.testing.assert_allclose(buffer.lookup("base", "sensor", 0), tool_at(50 * MS) @ MOUNT, atol=1e-13)
     with pytest.raises(TransformDisconnected, match="'other' is unknown"):
         buffer.lookup("base", "other", 0)
 

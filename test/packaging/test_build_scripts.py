@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -92,6 +93,47 @@ def test_unknown_extra_is_refused_with_the_valid_ones(scripts: Path):
     assert result.returncode != 0
     assert "'tests'" in result.stderr
     assert "there are: train, " in result.stderr
+
+
+def locked(path: Path) -> dict[str, list[str]]:
+    """The versions of each package in a file of exact versions; several where they differ between Pythons."""
+    versions: dict[str, list[str]] = {}
+    for line in path.read_text().splitlines():
+        if line and not line.startswith("#"):
+            requirement = Requirement(line)
+            versions.setdefault(requirement.name, []).append(str(requirement.specifier).removeprefix("=="))
+    return versions
+
+
+def required(root: Path, *extras: str) -> list[Requirement]:
+    """What setup.cfg requires with these extras, PyTorch aside."""
+    lines = run(sys.executable, "scripts/requirements.py", *extras, cwd=root).stdout.splitlines()
+    assert len(lines) > 10
+    return [requirement for requirement in map(Requirement, lines) if requirement.name != "torch"]
+
+
+def test_the_locked_versions_lie_in_the_ranges_of_the_package(root: Path):
+    versions = locked(root / "scripts" / "constraints.txt")
+    for requirement in required(root, "train", "cluster", "test", "lint", "lock"):
+        allowed = versions[requirement.name.lower()]
+        assert all(requirement.specifier.contains(version) for version in allowed), (
+            f"{requirement}: `make lock`"
+        )
+
+
+def test_the_lowest_versions_are_those_that_the_package_allows(root: Path):
+    """Patch releases aside: the first one of a version may have been withdrawn or may lack wheels."""
+    versions = locked(root / "scripts" / "lowest.txt")
+    for requirement in required(root, "train", "test"):
+        (lowest,) = versions[requirement.name.lower()]
+        (bound,) = [item.version for item in requirement.specifier if item.operator == ">="]
+        assert f"{lowest}.".startswith(f"{bound}."), f"{requirement}, tested with {lowest}: `make lock`"
+
+
+def test_torch_of_the_command_line_stands_in_for_that_of_the_package(scripts: Path):
+    command = (sys.executable, "scripts/requirements.py", "train")
+    lines = run(*command, cwd=scripts.parent, TORCH="torch==2.13.0+cpu").stdout.splitlines()
+    assert [line for line in lines if line.startswith("torch")] == ["torch==2.13.0+cpu"]
 
 
 def test_repair_rewrites_stale_paths_once(scripts: Path):

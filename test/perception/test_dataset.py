@@ -164,6 +164,15 @@ def test_without_image_settings_the_defaults_are_assumed_and_said(folder):
     assert any("assumed the default" in note for note in open_folder(folder).report.notes)
 
 
+@pytest.mark.parametrize("name", ["processed_image_params.json", "process_image_params.json"])
+def test_image_settings_are_read_under_both_public_names(folder, name):
+    (folder / "processed_image_params.json").unlink()
+    (folder / name).write_text(json.dumps({"circle_mask_radius": 200}))
+    source = open_folder(folder)
+    assert source.preprocessing.circle_mask_radius == 200
+    assert not any("assumed" in note for note in source.report.notes)
+
+
 def test_impossible_image_settings_are_an_error(folder):
     (folder / "processed_image_params.json").write_text(json.dumps({"bbox": [0, 0, 900, 100]}))
     with pytest.raises(DatasetError, match=r"processed_image_params\.json: bbox"):

@@ -13,8 +13,13 @@ from tactile_bringup.commands import estimate as commands
 from tactile_filter.gaussian import PoseGaussian
 from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.estimating.image import ImageError
-from tactile_perception.estimating.labels import label_from_euler, surface_contact_pose
-from tactile_perception.estimating.run import EstimateTable, network_row, run_estimates
+from tactile_perception.estimating.labels import (
+    label_from_euler,
+    network_row,
+    pose_gaussian,
+    surface_contact_pose,
+)
+from tactile_perception.estimating.run import EstimateTable, run_estimates
 from tactile_perception.estimating.sources import (
     Frame,
     SourceError,
@@ -23,8 +28,8 @@ from tactile_perception.estimating.sources import (
     usable_order,
     video_frames,
 )
-from tactile_perception.estimator import Estimator, pose_gaussian
-from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
+from tactile_perception.estimator import Estimator
+from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
 INVERSE_SIGMA = np.array([2.0, 2.0, 8.0, 100.0, 100.0, 40.0])
@@ -134,10 +139,25 @@ def test_a_folder_becomes_a_table_and_a_picture(folder, constant_model, tmp_path
     assert commands.run_estimate(arguments(folder, constant_model((0, 0, -3.0, 0, 0, 0)), out)) == 0
     table = rows(out / "estimates.csv")
     assert sorted(row["name"] for row in table) == sorted(f"image_{k}.png" for k in range(1, 13))
-    assert float(table[0]["network_rho_z_mm"]) == pytest.approx(-3.0)
-    assert float(table[0]["network_z_mm"]) == pytest.approx(3.0)
+    assert float(table[0]["network_rho_z_mm"]) == pytest.approx(-3.0, abs=1e-4)
+    assert float(table[0]["network_z_mm"]) == pytest.approx(3.0, abs=1e-4)
     assert all(row["filtered_rho_x_mm"] and row["label_rho_x_mm"] for row in table)
     assert (out / "predicted_against_actual.png").stat().st_size > 10_000
+
+
+def test_processed_images_of_another_size_are_taken_as_they_are_and_told(
+    folder, constant_model, tmp_path, capsys
+):
+    for path in (folder / "processed_images").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[:420, :420])
+    (folder / "process_image_params.json").write_text('{"bbox": [110, 30, 530, 450]}')
+    (folder / "processed_image_params.json").unlink()
+    out = tmp_path / "out"
+    assert commands.run_estimate(arguments(folder, constant_model(), out)) == 0
+    assert len(rows(out / "estimates.csv")) == 12
+    told = capsys.readouterr().err
+    assert "bbox = (110, 30, 530, 450), not (105, 20, 550, 460)" in told
+    assert "processed images are 420x420, not 445x440" in told
 
 
 def test_errors_are_those_of_the_labels(folder, constant_model):
@@ -146,7 +166,7 @@ def test_errors_are_those_of_the_labels(folder, constant_model):
     table = run_estimates(estimator, folder_frames(source, usable_order(source, 0, None)), None)
     labels = np.array([label_from_euler(euler) for euler in source.euler_mm_deg])
     expected = np.abs(labels - [0.5, 0, -3.0, 0, 0, 0]).mean(axis=0)
-    np.testing.assert_allclose(table.mean_absolute_error(table.network), expected, atol=1e-6)
+    np.testing.assert_allclose(table.mean_absolute_error(table.network), expected, atol=1e-4)
 
 
 def test_a_video_without_poses_becomes_a_table_and_a_time_series(video, constant_model, tmp_path):
@@ -166,7 +186,7 @@ def test_a_video_with_poses_is_filtered(video, constant_model, tmp_path):
     model = constant_model((0, 0, -3.0, 0, 0, 0), INVERSE_SIGMA)
     assert commands.run_estimate(arguments(video, model, out, poses=poses)) == 0
     last = rows(out / "estimates.csv")[-1]
-    assert float(last["filtered_rho_z_mm"]) == pytest.approx(-3.0, abs=1e-6)
+    assert float(last["filtered_rho_z_mm"]) == pytest.approx(-3.0, abs=1e-4)
     assert float(last["filtered_sigma_rho_x_mm"]) < float(last["network_sigma_rho_x_mm"])
 
 

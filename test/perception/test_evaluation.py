@@ -7,6 +7,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from folders import write_folder
@@ -14,8 +15,8 @@ from scipy.stats import multivariate_normal
 
 from tactile_bringup.commands import evaluate as evaluate_command
 from tactile_perception.datasets.dataset import DatasetReport, open_folder
-from tactile_perception.datasets.holdback import split_holdback, unseen_rows
 from tactile_perception.estimating.labels import euler_from_label, network_from_pose
+from tactile_perception.estimating.model_metadata import split_holdback, unseen_rows
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
 from tactile_perception.evaluation.metrics import (
@@ -180,9 +181,18 @@ def test_results_are_those_of_the_estimator_image_by_image(folder, constant_mode
     means = np.array(
         [network_from_pose(estimator.estimate_processed(source.image(k)).mean) for k in range(SAMPLES)]
     )
-    np.testing.assert_allclose(result.raw.predictions.mean, means, atol=1e-6)
-    np.testing.assert_allclose(result.accuracy.mae, np.abs(means - data.labels).mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(result.raw.predictions.mean, means, atol=1e-5)
+    np.testing.assert_allclose(result.accuracy.mae, np.abs(means - data.labels).mean(axis=0), atol=1e-5)
     assert result.raw.consistency.joint == pytest.approx(1.0, abs=0.2)
+
+
+def test_processed_images_of_another_size_are_evaluated(folder, constant_model, tmp_path, capsys):
+    shutil.copytree(folder, tmp_path / "other")
+    for path in (tmp_path / "other" / "processed_images").iterdir():
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[:420, :420])
+    model = constant_model(MU, 1.0 / SIGMA)
+    assert run(tmp_path / "other", model, out=tmp_path / "out", more=("--no-figures",)) == 0
+    assert "processed images are 420x420, not 445x440" in capsys.readouterr().err
 
 
 def test_command_writes_tables_and_figures(folder, constant_model, tmp_path, capsys):
@@ -248,8 +258,8 @@ def test_means_and_deviations_over_models_are_the_samples_own(constant_model, fo
     np.testing.assert_allclose(plain["GDN"]["mae"]["mean"], maes.mean(axis=0))
     np.testing.assert_allclose(plain["GDN"]["mae"]["deviation"], np.abs(maes[0] - maes[1]) / np.sqrt(2))
     ensemble = results[2].raw.predictions
-    np.testing.assert_allclose(ensemble.mean[0], MU + 0.15 * SIGMA, rtol=1e-5)
-    np.testing.assert_allclose(ensemble.sigma[0], SIGMA * np.sqrt(1.0 + 0.15**2), rtol=1e-5)
+    np.testing.assert_allclose(ensemble.mean[0], MU + 0.15 * SIGMA, rtol=1e-4)
+    np.testing.assert_allclose(ensemble.sigma[0], SIGMA * np.sqrt(1.0 + 0.15**2), rtol=1e-4)
 
 
 def test_models_trained_in_another_way_are_another_column(constant_model, model_metadata, tmp_path):

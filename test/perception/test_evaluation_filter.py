@@ -22,13 +22,14 @@ from tactile_perception.evaluation.filter_experiment import Experiment, run_expe
 from tactile_perception.evaluation.filtering import (
     contact_sequence,
     estimate_process_noise,
+    motion_filter,
     pose_gaussians,
     run_filter,
+    with_motion_noise,
 )
 from tactile_perception.evaluation.models import open_models
-from tactile_perception.evaluation.motion_noise import motion_filter, with_motion_noise
 from tactile_perception.evaluation.predictions import Predictions
-from tactile_perception.evaluation.reference import paper_tables
+from tactile_perception.evaluation.report import paper_tables
 
 SIGMA = np.array([0.5, 0.5, 0.1, 0.01, 0.01, 0.02])
 

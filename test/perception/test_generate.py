@@ -10,10 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from tactile_bringup.commands import data as data_command
-from tactile_bringup.commands import data_progress
 from tactile_perception.datasets.dataset import read_dataset
 
 
@@ -115,14 +113,6 @@ def test_a_killed_run_leaves_no_process_behind_and_goes_on_to_the_same_data(data
     for k, name in enumerate(whole.names):
         np.testing.assert_array_equal(resumed.images[number[name]], whole.images[k])
         np.testing.assert_array_equal(resumed.euler_mm_deg[number[name]], whole.euler_mm_deg[k])
-
-
-def test_progress_tells_pace_and_time_left(monkeypatch, capsys):
-    monkeypatch.setattr(data_progress, "LINE_PERIOD", 0.0)
-    console = Console(force_terminal=False)
-    assert list(data_progress.counted(range(3), "train", 3, console)) == [0, 1, 2]
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 3 and "2 done" in lines[1] and "/s" in lines[1] and "s left" in lines[1]
 
 
 def test_another_seed_does_not_mix_into_a_folder(data, capsys):

@@ -7,7 +7,7 @@ from tactile_base.settings import SettingError
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.cli import main as tactile
 from tactile_perception.estimator import Estimator
-from tactile_perception.training.profiles import Profile, profile, profiles, read_profiles
+from tactile_perception.training.config import Profile, profile, profiles, read_profiles
 
 
 @pytest.mark.parametrize("name", ["rate_120hz", "rate_60hz", "accuracy"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactile_perception.training.time_left import TimeLeft
+from tactile_perception.training.progress import TimeLeft
 
 EPOCHS, STEPS, VALIDATION = 50, 300, 5.0
 

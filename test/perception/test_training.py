@@ -1,6 +1,8 @@
 """Training runs: schedule, folder, resuming, command line. Needs PyTorch."""
 
 import argparse
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from tactile_perception.evaluation.calibration import CalibrationError  # noqa: 
 from tactile_perception.training.augmentation import AugmentationError, Augmenter  # noqa: E402
 from tactile_perception.training.data import Samples, load_data, split_holdback  # noqa: E402
 from tactile_perception.training.network import PoseNetwork  # noqa: E402
-from tactile_perception.training.progress import Progress  # noqa: E402
+from tactile_perception.training.progress import TrainingProgress  # noqa: E402
 from tactile_perception.training.run_folder import RunFolder  # noqa: E402
 from tactile_perception.training.settings import (  # noqa: E402
     AugmentationSettings,
@@ -113,7 +115,7 @@ class Killed(Exception):
     pass
 
 
-class KilledIn(Progress):
+class KilledIn(TrainingProgress):
     """Ends the run in the middle of an epoch, as a kill would."""
 
     def __init__(self, epoch: int) -> None:
@@ -124,7 +126,7 @@ class KilledIn(Progress):
             raise Killed
 
 
-class KilledAfter(Progress):
+class KilledAfter(TrainingProgress):
     """Ends the run between two epochs."""
 
     def __init__(self, epoch: int) -> None:
@@ -176,7 +178,7 @@ def test_an_unfinished_run_is_not_resumed_as_another(training_data, tmp_path, ch
 def test_training_stops_when_validation_stops_improving(training_data, tmp_path, monkeypatch):
     losses = iter([5.0, 3.0, 4.0, float("nan"), 2.0, 2.5])
     monkeypatch.setattr(
-        "tactile_perception.training.loop._Run.evaluate", lambda *_: (next(losses), np.ones(6))
+        "tactile_perception.training.train._Run.evaluate", lambda *_: (next(losses), np.ones(6))
     )
     config = TrainConfig(QUICK.network, QUICK.training.replaced(patience=2))
     result = train(training_data, tmp_path / "run", config, limit=16)
@@ -262,7 +264,7 @@ def test_fewer_samples_than_a_batch_are_one_batch(training_data, tmp_path):
 
 
 def test_a_network_that_runs_away_is_given_up_and_its_best_epoch_kept(training_data, tmp_path, monkeypatch):
-    from tactile_perception.training.loop import _Run
+    from tactile_perception.training.train import _Run
 
     original = _Run._train_epoch
 
@@ -323,6 +325,16 @@ def test_a_folder_that_holds_a_run_is_not_overwritten(run, training_data):
         train(training_data, run[1], QUICK)
 
 
+def test_folders_processed_differently_are_refused_with_the_settings_that_differ(training_data, tmp_path):
+    val = tmp_path / "val"
+    shutil.copytree(training_data / "val", val)
+    params = json.loads((val / "processed_image_params.json").read_text())
+    (val / "processed_image_params.json").unlink()
+    (val / "process_image_params.json").write_text(json.dumps({**params, "circle_mask_radius": 200}))
+    with pytest.raises(DatasetError, match=r"the first has circle_mask_radius = 230, not 200$"):
+        train(training_data, tmp_path / "run", QUICK, val)
+
+
 def test_validation_data_has_to_be_named(training_data, tmp_path):
     with pytest.raises(DatasetError, match="name the validation data with --val"):
         train(training_data / "train", tmp_path / "run", QUICK)
@@ -374,6 +386,27 @@ def test_a_mistake_in_a_configuration_file_is_told_with_its_line(training_data, 
     path.write_text("network:\n  image_size: 64\ntraining:\n  patience: 2\n  seeed: 3\n")
     assert command(training_data, "--out", tmp_path / "run", "--config", path) == 1
     assert "config.yaml:5: " in (error := capsys.readouterr().err) and "did you mean 'seed'" in error
+
+
+def test_a_configuration_extends_another_and_says_only_what_differs(tmp_path):
+    (tmp_path / "base.yaml").write_text("extends: gdn_lloyd_lepora.yaml\ntraining: {patience: 3, seed: 4}\n")
+    (tmp_path / "mine.yaml").write_text("extends: base.yaml\ntraining: {patience: 9}\n")
+    config = TrainConfig.from_file(tmp_path / "mine.yaml")
+    assert config == TrainConfig().replaced("training", patience=9, seed=4)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("extends: gdn_symetry.yaml", r"mine\.yaml:1: extends: .*did you mean 'gdn_symmetry\.yaml'"),
+        ("extends: mine.yaml", r"mine\.yaml:1: extends: mine\.yaml extends this file"),
+        ("training:\n  patience: 0\nextends: gdn_symmetry.yaml", r"mine\.yaml:2: training: patience = 0"),
+    ],
+)
+def test_a_mistake_in_what_extends_another_is_told_with_its_line(tmp_path, text, message):
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(SettingError, match=message):
+        TrainConfig.from_file(tmp_path / "mine.yaml")
 
 
 def test_the_configurations_named_after_the_paper_hold_its_values():

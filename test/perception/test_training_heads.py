@@ -40,7 +40,7 @@ def test_softbound_of_the_network_is_that_of_numpy():
         [-1e30, -700.0, -20.0, 0.0, 1e-6, 3.0, 80.0, 1e6, 1e30, float("inf")], dtype=torch.float64
     )
     np.testing.assert_allclose(
-        softbound(x, 1e-6, 1e6).numpy(), softbound_numpy(x.numpy(), 1e-6, 1e6), rtol=1e-15
+        softbound(x, 1e-6, 1e6).numpy(), softbound_numpy(x.numpy(), 1e-6, 1e6), rtol=1e-13
     )
 
 
@@ -57,14 +57,15 @@ def test_loss_is_the_mean_negative_log_likelihood():
 def test_each_output_has_its_own_dropout():
     torch.manual_seed(0)
     dropouts = (0.7, 0.0, 0.4)
-    head = MultiDropoutLinear(2000, dropouts).train()
+    head = MultiDropoutLinear(2000, dropouts).double().train()
     with torch.no_grad():
         head.weight[:] = 1.0 / 2000
         head.bias[:] = 0.0
-    answers = torch.stack([head(torch.ones(1, 2000))[0] for _ in range(200)]).detach().numpy()
+    features = torch.ones(1, 2000, dtype=torch.float64)
+    answers = torch.stack([head(features)[0] for _ in range(200)]).detach().numpy()
     np.testing.assert_allclose(answers.mean(axis=0), 1.0, atol=0.02)
     expected = [np.sqrt(p / (1 - p) / 2000) for p in dropouts]
-    np.testing.assert_allclose(answers.std(axis=0), expected, rtol=0.2, atol=1e-6)
+    np.testing.assert_allclose(answers.std(axis=0), expected, rtol=0.2, atol=1e-9)
 
 
 def test_gradients_of_dropped_features_are_those_of_the_kept_ones():
@@ -95,7 +96,8 @@ def test_the_cnn_has_one_dropout_for_all_outputs():
 
 def test_dropout_is_off_in_evaluation():
     torch.manual_seed(0)
-    head, features = MultiDropoutLinear(50, (0.7, 0.4), gain=0.5), torch.rand(3, 50)
+    head = MultiDropoutLinear(50, (0.7, 0.4), gain=0.5).double()
+    features = torch.rand(3, 50, dtype=torch.float64)
     torch.nn.init.normal_(head.weight)
     expected = features @ (0.5 * head.weight).T + head.bias
     torch.testing.assert_close(head.eval()(features), expected)
@@ -103,11 +105,12 @@ def test_dropout_is_off_in_evaluation():
 
 
 def test_an_untrained_network_starts_from_the_labels_statistics():
+    torch.manual_seed(0)
     network = PoseNetwork(NetworkSettings(image_size=64))
     labels = torch.randn(500, 6) * torch.tensor([2.0, 2, 1, 0.1, 0.1, 0.05]) + 3.0
     network.start_from(labels)
     raw = network.eval()(torch.rand(2, 1, 64, 64))
-    torch.testing.assert_close(network.distribution.mean(raw)[0], labels.mean(dim=0))
+    torch.testing.assert_close(network.distribution.mean(raw)[0], labels.mean(dim=0), rtol=1e-4, atol=1e-4)
     sigma = network.distribution.covariance(raw)[0].diagonal().sqrt()
     torch.testing.assert_close(sigma, labels.std(dim=0), rtol=1e-3, atol=1e-3)
 
@@ -115,7 +118,7 @@ def test_an_untrained_network_starts_from_the_labels_statistics():
 def test_loss_of_the_cnn_is_the_papers_weighted_squared_error():
     head = make_head(SMALL.replaced(head="mse"))
     labels, answers = torch.zeros(2, 6), torch.tensor([[1.0, 0, 0, 0.1, 0, 0], [0, 2.0, 0, 0, 0, 0.2]])
-    assert head.loss(labels, answers).item() == pytest.approx((1 + 100 * 0.01 + 4 + 100 * 0.04) / 2)
+    assert head.loss(labels, answers).item() == pytest.approx((1 + 100 * 0.01 + 4 + 100 * 0.04) / 2, rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["gaussian", "full_gaussian"])
@@ -123,7 +126,8 @@ def test_loss_of_a_gaussian_is_that_of_scipy(name):
     from scipy.stats import multivariate_normal
 
     head = make_head(SMALL.replaced(head=name))
-    raw, labels = raw_answers(head), torch.randn(4, 6, dtype=torch.float64)
+    raw = raw_answers(head)
+    labels = torch.from_numpy(np.random.default_rng(2).normal(size=(4, 6)))
     expected = [
         -multivariate_normal.logpdf(label, mean, covariance)
         for label, mean, covariance in zip(
@@ -194,8 +198,8 @@ def test_exported_model_answers_like_the_network(tmp_path, name, stride, unpoole
         expected = np.tile(np.diag(sigma**2), (3, 1, 1))
         if name != "mse":
             expected = network.distribution.covariance(raw).numpy()
-    np.testing.assert_allclose(mean, network.distribution.mean(raw).numpy(), rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(covariance, expected, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(mean, network.distribution.mean(raw).numpy(), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(covariance, expected, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("head", UNCERTAIN)
@@ -209,7 +213,7 @@ def test_exported_model_holds_the_bounds_of_sigma_and_stays_a_gaussian(tmp_path,
         metadata = ModelMetadata(PreprocessingSettings(size=16), {}, {})
         estimator = Estimator(export_onnx(network, tmp_path / "m.onnx", metadata))
         covariance = estimator.predict(np.zeros((1, 1, 16, 16), np.float32))[1][0]
-        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 1.0 / bound, rtol=1e-5)
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 1.0 / bound, rtol=1e-4)
         estimate = estimator.estimate(np.zeros((480, 640), np.uint8))
         assert np.all(np.linalg.eigvalsh(estimate.cov) > 0.0)
 

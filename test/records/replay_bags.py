@@ -9,11 +9,12 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from tactile_base.topics import Topic
 from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian, left_from_ros, ros_from_left
 from tactile_records.bags.message_definitions import message_definition
-from tactile_records.bags.writer import BagWriter, Topic
+from tactile_records.bags.writer import BagWriter
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 16_666_667
@@ -209,7 +210,7 @@ def believed(
     """What a live filter believes: messages decoded one by one, scalar functions, transforms as they are.
 
     `changes` are pairs of a stamp and the settings that are in force from its exposure on; before the stamps
-    in `resets` it is told to start anew.
+    in `resets` it is asked to start anew.
     """
     poses, in_contact, estimates = {}, {}, {}
     for topic, type_name, data, _ in source.messages:

@@ -15,9 +15,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from tactile_base.topics import Topic
 from tactile_records.bags.message_definitions import DefinitionMissing, message_definition, type_hash
 from tactile_records.bags.reader import read_bag
-from tactile_records.bags.writer import BagError, BagWriter, Topic
+from tactile_records.bags.writer import BagError, BagWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 TWIST = Topic("/arm/command/twist", "geometry_msgs/msg/TwistStamped")
@@ -220,8 +221,8 @@ def test_chunks_of_every_compression_are_read_up_to_where_the_file_is_cut(tmp_pa
 
 
 @pytest.mark.parametrize("part", [0.3, 0.6, 0.95])
-def test_a_truncated_sqlite_bag_gives_every_row_on_whole_pages(tmp_path, part):
-    """With messages that are larger than a page among them, and where sqlite itself finds nothing."""
+def test_a_truncated_sqlite_bag_gives_what_sqlite_still_finds(tmp_path, part):
+    """Messages that are larger than a page among them: none of those comes with its end cut off."""
     folder, long = tmp_path / "run", Topic("/long", "std_msgs/msg/String")
     texts = {index: str(index) * 3000 for index in range(0, 3000, 100)}
     with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:

@@ -5,6 +5,7 @@ import pytest
 
 from tactile_filter import se3
 from tactile_records.runs import figures
+from tactile_records.runs.euler_poses import euler_sigmas
 from tactile_records.runs.record import (
     ArmSeries,
     BeliefSeries,
@@ -16,6 +17,7 @@ from tactile_records.runs.record import (
     SurfaceMesh,
     TruthSeries,
 )
+from tactile_records.runs.report import write_pictures
 
 
 def made_up(paths=1, seconds=3.0):
@@ -45,8 +47,7 @@ def made_up(paths=1, seconds=3.0):
     return RunRecord(
         scene="plane",
         task="surface_following",
-        paths=[f"path_{k}" for k in range(paths)],
-        reference=np.array([0, 0, 0.003, 0, 0, 0]),
+        goals=[f"path_{k}" for k in range(paths)],
         pose=PoseSeries(stamps, T),
         truth=TruthSeries(stamps, X_fs, np.zeros(len(stamps)), np.ones(len(stamps), bool)),
         estimate=GaussianSeries(stamps, X_sf, cov),
@@ -55,7 +56,8 @@ def made_up(paths=1, seconds=3.0):
             stamps,
             twist=rng.standard_normal((len(stamps), 6)) * 0.01,
             phase=phase,
-            path=np.repeat(range(paths), n),
+            goal=np.repeat(range(paths), n),
+            reference=np.where(np.isin(phase, ("settle", "follow"))[:, None], [0, 0, 0.003, 0, 0, 0], np.nan),
         ),
         arm_twist=ArmSeries(stamps, np.zeros((len(stamps), 6))),
         latency={
@@ -68,20 +70,20 @@ def made_up(paths=1, seconds=3.0):
 
 @pytest.mark.parametrize("paths", [1, 3])
 def test_all_pictures_are_drawn(tmp_path, paths):
-    written = figures.write_figures(made_up(paths), tmp_path / "out")
+    written = write_pictures({"arm": made_up(paths)}, "arm", tmp_path / "out")
     assert [path.name for path in written] == ["trajectory.png", "contact.png", "twists.png", "latency.png"]
     for path in written:
         assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and path.stat().st_size > 20_000
 
 
 def test_a_run_that_recorded_nothing_gives_pictures_that_say_so(tmp_path):
-    assert len(figures.write_figures(RunRecord(), tmp_path)) == 4
+    assert len(write_pictures({"arm": RunRecord(task="surface_following")}, "arm", tmp_path)) == 4
 
 
 def test_a_real_run_without_truth_and_surface_is_drawn(tmp_path):
     record = made_up()
     record.truth, record.surface = TruthSeries(), SurfaceMesh()
-    assert len(figures.write_figures(record, tmp_path)) == 4
+    assert len(write_pictures({"arm": record}, "arm", tmp_path)) == 4
 
 
 def test_euler_sigmas_are_those_of_sampled_poses():
@@ -93,7 +95,7 @@ def test_euler_sigmas_are_those_of_sampled_poses():
         se3.euler_from_pose(se3.inverse(se3.exp(eps) @ X_sf))
         for eps in rng.multivariate_normal(np.zeros(6), cov, 4000)
     ]
-    expected = figures.euler_sigmas(GaussianSeries([0], X_sf[None], cov[None]))[0]
+    expected = euler_sigmas(GaussianSeries([0], X_sf[None], cov[None]))[0]
     np.testing.assert_allclose(np.std(sampled, axis=0), expected, rtol=0.06)
 
 

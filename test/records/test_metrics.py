@@ -12,8 +12,6 @@ from tactile_records.runs.metrics import (
     depth_sigma,
     report,
     strongest_sinusoid,
-    summary_rows,
-    write_report,
 )
 from tactile_records.runs.record import (
     BeliefSeries,
@@ -24,6 +22,7 @@ from tactile_records.runs.record import (
     StageSeries,
     TruthSeries,
 )
+from tactile_records.runs.report import summary, write_numbers
 
 PERIOD_NS = 16_666_667
 RATE = 1e9 / PERIOD_NS
@@ -43,17 +42,17 @@ def made_up(seconds=6.0, depth_error=0.0002, tilt=0.02, wobble=0.0, wobble_hz=3.
     following = t >= 1.0
     depth = np.where(following, 0.003 + depth_error + wobble * np.sin(2 * np.pi * wobble_hz * t), -0.001)
     T_fs = poses(depth, np.where(following, tilt, 0.3))
-    record = RunRecord(
-        scene="plane", task="surface_following", paths=["along_y"], reference=[0, 0, 0.003, 0, 0, 0]
-    )
-    record.reference = np.array([0, 0, 0.003, 0, 0, 0])
+    record = RunRecord(scene="plane", task="surface_following", goals=["along_y"])
     record.truth = TruthSeries(stamps, T_fs, slip_fraction=np.full(n, 0.25), in_contact=depth > 0)
     T = np.tile(np.eye(4), (n, 1, 1))
     T[:, 1, 3] = 0.010 * np.maximum(t - 1.0, 0.0)
     record.pose = PoseSeries(stamps, T)
     phase = np.where(following, "follow", "approach")
     phase[-1] = "done"
-    record.command = CommandSeries(stamps, twist=np.zeros((n, 6)), phase=phase, path=np.zeros(n))
+    reference = np.where((phase == "follow")[:, None], [0, 0, 0.003, 0, 0, 0], np.nan)
+    record.command = CommandSeries(
+        stamps, twist=np.zeros((n, 6)), phase=phase, goal=np.zeros(n), reference=reference
+    )
     wrong = poses(depth + 0.0001, np.where(following, tilt + 0.01, 0.3))
     cov = np.tile(np.diag([1, 1, 0.0001**2, 1, 1, 1.0]), (n, 1, 1))
     X_sf = np.linalg.inv(wrong)
@@ -69,6 +68,10 @@ def made_up(seconds=6.0, depth_error=0.0002, tilt=0.02, wobble=0.0, wobble_hz=3.
     return record
 
 
+def written(record, path):
+    return write_numbers({"arm": record}, "arm", path)
+
+
 def test_quality_is_that_of_the_follow_phase_only():
     values = report(made_up())
     assert values["depth_rms_mm"] == pytest.approx(0.2) and values["depth_bias_mm"] == pytest.approx(0.2)
@@ -80,8 +83,8 @@ def test_length_and_speed_come_from_the_sensors_poses():
     values = report(made_up(seconds=6.0))
     assert values["path_length_mm"] == pytest.approx(50.0, abs=0.4)
     assert values["speed_mm_s"] == pytest.approx(10.0, rel=1e-6)
-    assert values["paths"]["along_y"]["length_mm"] == pytest.approx(50.0, abs=0.4)
-    assert values["paths"]["along_y"]["succeeded"]
+    assert values["goals"]["along_y"]["length_mm"] == pytest.approx(50.0, abs=0.4)
+    assert values["goals"]["along_y"]["succeeded"]
 
 
 def test_errors_of_estimate_and_belief_are_against_the_truth_of_the_same_exposure():
@@ -91,6 +94,29 @@ def test_errors_of_estimate_and_belief_are_against_the_truth_of_the_same_exposur
     assert values["belief"]["normal_rms_deg"] == pytest.approx(np.degrees(0.01))
     assert values["belief"]["nis_per_dof"] == 2.0 and values["belief"]["refused"] == 0
     assert values["belief"]["depth_in_2_sigma"] == 1.0
+
+
+def test_depth_and_alignment_are_held_against_the_reference_in_force_at_their_time():
+    record = made_up()
+    following = np.flatnonzero(record.command.phase == "follow")
+    late = following[len(following) // 2 :]
+    record.command.reference[late, 2] += 0.0004
+    record.command.reference[late, 3] += 0.02
+    depths, angles = [0.2, -0.2], [np.degrees(0.02), 0.0]
+    values = report(record)
+    assert values["depth_bias_mm"] == pytest.approx(np.mean(depths), abs=0.01)
+    assert values["depth_rms_mm"] == pytest.approx(0.2) and values["depth_max_mm"] == pytest.approx(0.2)
+    assert values["normal_rms_deg"] == pytest.approx(np.sqrt(np.mean(np.square(angles))), rel=0.01)
+
+
+def test_quality_is_that_of_the_phase_in_which_the_task_works():
+    record = made_up()
+    record.command.phase = np.where(record.command.phase == "follow", "track", record.command.phase)
+    assert np.isnan(report(record)["depth_rms_mm"])
+    record.work = "track"
+    values = report(record)
+    assert values["depth_rms_mm"] == pytest.approx(0.2)
+    assert values["work_s"] == pytest.approx(5.0, abs=0.1)
 
 
 def test_contact_lost_for_a_quarter_of_the_path_counts():
@@ -141,7 +167,7 @@ def flattened(values, prefix=""):
 
 
 def test_the_report_has_the_documented_names_and_no_others(tmp_path):
-    values = write_report(made_up(), tmp_path / "report.json")
+    values = written(made_up(), tmp_path / "report.json")
     assert json.loads((tmp_path / "report.json").read_text()) == values
     patterns = {name: re.compile(re.escape(name).replace(r"\*", "[a-z_0-9]+")) for name in REPORT_FIELDS}
     names = list(flattened(values))
@@ -154,14 +180,14 @@ def test_the_report_has_the_documented_names_and_no_others(tmp_path):
 def test_a_run_without_truth_gives_null_not_a_number_of_nothing(tmp_path):
     record = made_up()
     record.truth = TruthSeries()
-    values = write_report(record, tmp_path / "report.json")
+    values = written(record, tmp_path / "report.json")
     assert values["depth_rms_mm"] is None and values["belief"]["depth_rms_mm"] is None
     assert values["latency_ms"]["p50"] is not None
-    assert ("depth RMS about reference", "unknown", "<= 0.3 mm") in summary_rows(values)
+    assert ("depth RMS about reference", "unknown", "<= 0.3 mm") in summary({"arm": record}, {"arm": values})
 
 
 def test_an_empty_record_can_be_reported(tmp_path):
-    values = write_report(RunRecord(), tmp_path / "report.json")
+    values = written(RunRecord(task="surface_following"), tmp_path / "report.json")
     assert values["contact_fraction"] is None and values["succeeded"] is False
 
 

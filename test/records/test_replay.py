@@ -13,6 +13,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from tactile_bringup.cli import main
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
+from tactile_filter.belief import invalid_belief
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import Agreement, agreement, run_filter
@@ -146,6 +147,25 @@ def test_events_that_the_live_filter_dropped_are_left_out_unless_asked_for(tmp_p
     assert whole.left_out == 0 and same(whole.beliefs, believed(source))
 
 
+def test_beliefs_after_one_whose_inputs_were_lost_are_not_compared_until_the_contact_ends(tmp_path):
+    touching = lambda k: k % 20 >= 5  # noqa: E731
+    source = recording(60, touching=touching)
+    nowhere = [
+        invalid_belief(START_NS + k * STEP_NS, BeliefFlag.NO_CONTACT) for k in range(60) if not touching(k)
+    ]
+    for belief in sorted([*believed(source), *nowhere], key=lambda belief: belief.stamp_ns):
+        source.state(belief)
+    lost_ns = START_NS + 30 * STEP_NS
+    received_ns = lost_ns + source.late_ns
+    source.messages = [m for m in source.messages if m[0] == "/arm/contact/state" or m[3] != received_ns]
+    source.note["messages_lost"] = json.dumps({"/tf": 1, "/arm/contact/estimate": 1, "/other": 7})
+    inputs, (run,) = replayed(source.write(tmp_path / "bag"))
+    found = agreement(run.states, inputs.arms[0].live)
+    assert found == Agreement(50, 50, only_live=1, only_replayed=0, after_gap=9)
+    lost = "messages were lost on their way to the recorder: /tf 1, /arm/contact/estimate 1"
+    assert lost in inputs.remarks
+
+
 def test_a_single_bit_that_differs_is_found(tmp_path):
     source = with_live(recording(touching=lambda k: True))
     inputs, (run,) = replayed(source.write(tmp_path / "bag"))
@@ -194,13 +214,13 @@ def test_settings_that_were_changed_while_the_filter_ran_are_changed_again(tmp_p
     assert same(run.beliefs, believed(source, start.replaced(process_noise_rotation=0.01), changes=others))
 
 
-def test_where_the_live_filter_was_told_to_start_anew_the_replay_does(tmp_path):
+def test_where_the_live_filter_was_asked_to_start_anew_the_replay_does(tmp_path):
     source = recording(30, touching=lambda k: True)
-    told = START_NS + 12 * STEP_NS
-    for belief in believed(source, resets=(told,)):
+    asked = START_NS + 12 * STEP_NS
+    for belief in believed(source, resets=(asked,)):
         source.state(belief)
     inputs, (run,) = replayed(source.write(tmp_path / "bag"), FilterSettings(max_prediction_age=0.3))
-    assert inputs.arms[0].resets == {told} and run.resets == {"service": 1}
+    assert inputs.arms[0].resets == {asked} and run.resets == {"service": 1}
     assert agreement(run.states, inputs.arms[0].live) == Agreement(30, 30, 0, 0)
 
 
@@ -281,7 +301,7 @@ def test_settings_come_from_the_recording_a_profile_and_the_command_line(tmp_pat
 
 def test_without_recorded_settings_those_of_the_configuration_are_taken_and_it_is_said(tmp_path, capsys):
     assert replay(recording(20).write(tmp_path / "bag"), tmp_path / "out") == 0
-    assert "does not tell the filter's settings: those of config/filter.yaml" in capsys.readouterr().out
+    assert "does not hold the filter's settings: those of config/filter.yaml" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

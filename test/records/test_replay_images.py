@@ -11,8 +11,9 @@ from tactile_bringup.cli import main
 from tactile_filter import se3
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.gaussian import PoseGaussian
+from tactile_perception.estimating.labels import EstimateError
 from tactile_perception.estimating.presence import PresenceSettings
-from tactile_perception.estimator import EstimateError, ModelError
+from tactile_perception.estimator import ModelError
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay import images as replay_images
 from tactile_records.replay.images import estimated, wanted_with_images
@@ -136,7 +137,7 @@ def test_the_recorded_model_and_presence_settings_are_taken_where_they_are_there
         bag = read_bag(source.write(tmp_path / f"bag{len(list(tmp_path.iterdir()))}"), wanted_with_images)
         remarks: list[str] = []
         chosen = replay_images._Estimates(bag, "arm", None, remarks)
-        assert chosen.estimator.model == taken and bool(remarks) == remarked
+        assert chosen.perceive.estimator.model == taken and bool(remarks) == remarked
         assert chosen.presence.settings == PresenceSettings(on=0.5)
 
 

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from tactile_control.collection_types import Capture
+from tactile_control.collection import Capture
 from tactile_filter import se3
 from tactile_perception.datasets.dataset import DatasetError, read_dataset
 from tactile_perception.estimating.preprocessing import PreprocessingSettings

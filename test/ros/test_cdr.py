@@ -10,19 +10,34 @@ from hypothesis import given
 from hypothesis import strategies as st
 from messages import gaussian_message, twist_stamped
 from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactState, ContactTruth, ControllerStatus
-from tactile_ros import cdr
-from tactile_ros.cdr import HeadedReader, Layout, numbers_of, transforms_from_bytes
+from tactile_records.bags.cdr import MessageError
+from tactile_ros.cdr import HeadedReader, Layout, transforms_from_bytes
 from tactile_ros.conversions import (
     transform_stamped,
 )
+from tactile_ros.image_bytes import bytes_from_array, image_from_bytes
 from tactile_ros.wire import gaussian_bytes, headed_bytes, twist_bytes
 
+STORE = get_typestore(Stores.LATEST)
 HEADED = [PoseWithCovarianceStamped, TwistStamped, ContactPresence, ContactState, ContactTruth]
 STRINGS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
+
+
+def numbers_of(message):
+    """All numbers of a message, nested ones included, in the order of its definition, by its Python class."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        for each in value if "[" in kind or kind.startswith("sequence<") else [value]:
+            if hasattr(each, "get_fields_and_field_types"):
+                yield from numbers_of(each)
+            elif not isinstance(each, str):
+                yield each
 
 
 def filled(message_type, seed: int, **strings):
@@ -44,7 +59,7 @@ def test_every_number_arrives_where_the_definition_has_it(message_type):
 
 @given(frame=STRINGS, phase=STRINGS, reason=STRINGS)
 def test_strings_of_any_length_shift_what_follows_as_rclpy_does(frame, phase, reason):
-    message = ControllerStatus(phase_name=phase, reason=reason, progress=0.5, belief_age=-1.0)
+    message = ControllerStatus(phase=phase, reason=reason, progress=0.5, belief_age=-1.0)
     message.header.frame_id = frame
     packed = Layout(message).pack(*numbers_of(message))
     assert deserialize_message(packed, ControllerStatus) == message
@@ -61,14 +76,47 @@ def test_what_rclpy_writes_is_read(message_type, frame):
     assert got_frame == frame and list(got) == numbers[2:]
 
 
-def test_bytes_that_are_not_plain_little_endian_go_through_the_message_class(monkeypatch):
-    message, numbers = filled(TwistStamped, 3)
-    data = serialize_message(message)
-    transforms = serialize_message(TFMessage(transforms=[transform_stamped(7, "a", "b", np.eye(4))]))
-    plain = HeadedReader(TwistStamped)(data), transforms_from_bytes(transforms)
-    monkeypatch.setattr(cdr, "PLAIN_CDR_LE", b"\xff\xff")
-    assert (HeadedReader(TwistStamped)(data), transforms_from_bytes(transforms)) == plain
-    assert list(plain[0][2]) == numbers[2:]
+def test_big_endian_bytes_are_read():
+    types, vector = STORE.types, STORE.types["geometry_msgs/msg/Vector3"]
+    head = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](7, 8), "sensor")
+    twist = types["geometry_msgs/msg/Twist"](vector(1.0, 2.0, 3.0), vector(4.0, 5.0, 6.0))
+    message = types["geometry_msgs/msg/TwistStamped"](head, twist)
+    data = bytes(STORE.serialize_cdr(message, "geometry_msgs/msg/TwistStamped", little_endian=False))
+    assert HeadedReader(TwistStamped)(data) == (7_000_000_008, "sensor", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+
+
+def test_bytes_that_are_no_message_are_an_error_that_says_why():
+    data = serialize_message(filled(TwistStamped, 3)[0])
+    with pytest.raises(MessageError, match="TwistStamped: cut, has 40 bytes"):
+        HeadedReader(TwistStamped)(data[:40])
+    with pytest.raises(MessageError, match="encapsulation 0xffff is no plain CDR"):
+        HeadedReader(TwistStamped)(b"\xff\xff" + data[2:])
+    with pytest.raises(MessageError, match="TFMessage"):
+        transforms_from_bytes(serialize_message(TFMessage())[:6])
+
+
+def test_numbers_are_found_by_the_name_of_their_field():
+    reader, message = HeadedReader(ContactState), filled(ContactState, 4)[0]
+    _, _, numbers = reader(serialize_message(message))
+    assert numbers[reader.index("flags")] == message.flags
+    for name in ("xi", "covariance", "euler"):
+        assert list(numbers[reader.place(name)]) == list(getattr(message, name))
+    assert numbers[reader.place("latency")] == (message.latency.sec, message.latency.nanosec)
+    with pytest.raises(KeyError, match="flag; fields: header"):
+        reader.place("flag")
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (480, 640), (0, 4)])
+def test_the_bytes_of_an_image_are_those_of_its_message(shape):
+    pixels = np.random.default_rng(5).integers(0, 255, shape, dtype=np.uint8)
+    data = bytes_from_array(9, "sensor", pixels)
+    message = deserialize_message(data, Image)
+    assert (message.height, message.width, message.step) == (*shape, shape[1])
+    assert (message.encoding, message.header.frame_id) == ("mono8", "sensor")
+    assert message.data.tobytes() == pixels.tobytes()
+    for received in map(image_from_bytes, (data, serialize_message(message))):
+        assert (received.stamp_ns, received.height, received.width) == (9, *shape)
+        assert received.pixels.tobytes() == pixels.tobytes()
 
 
 @given(names=st.lists(st.tuples(STRINGS, STRINGS), max_size=4))

@@ -35,11 +35,13 @@ QUICK = {
     "motion.settle_time": 0.05,
     "motion.air_speed": 0.1,
     "presence.reference_frames": 3,
-    "motion.start_timeout": PATIENT,
+    "watchdog.start_timeout": PATIENT,
     "motion.motion_timeout": PATIENT,
     "motion.capture_timeout": PATIENT,
     "watchdog.patience": PATIENT,
 }
+
+TWO_SAMPLES = "{samples: 2, seed: 4}"
 
 
 def dots(shift: int) -> np.ndarray:
@@ -87,7 +89,7 @@ class World:
         return vector_from_twist(self.twists[-1].twist)
 
     def phase(self) -> str:
-        return self.statuses[-1].phase_name
+        return self.statuses[-1].phase
 
     def run_until(self, condition) -> bool:
         for _ in self.graph.ticks(PERIOD):
@@ -96,8 +98,8 @@ class World:
             self.step()
         return condition()
 
-    def send(self, task: str = "data_collection"):
-        future = self.client.send_goal_async(RunTask.Goal(task=task))
+    def send(self, task: str = "data_collection", goal: str = TWO_SAMPLES, **more):
+        future = self.client.send_goal_async(RunTask.Goal(task=task, goal=goal, **more))
         assert self.run_until(future.done)
         return future.result()
 
@@ -128,7 +130,7 @@ def folder(tmp_path):
 @pytest.fixture
 def world(graph, folder):
     frame = se3.euler_from_pose(FRAME).tolist()
-    graph.start(COLLECTOR, {**QUICK, "folder": folder, "samples": 2, "seed": 4, "frame": frame})
+    graph.start(COLLECTOR, {**QUICK, "folder": folder, "frame": frame})
     return World(graph)
 
 
@@ -173,7 +175,7 @@ def test_an_input_that_stops_in_contact_brings_the_arm_to_rest_and_says_which(wo
 
 def test_cancelling_leaves_the_surface_and_what_is_there_is_gone_on_with(world, folder):
     handle = world.send()
-    assert world.run_until(lambda: world.statuses[-1].path == 2 and world.phase() == "contact")
+    assert world.run_until(lambda: world.statuses[-1].goal == 2 and world.phase() == "contact")
     cancelled = handle.cancel_goal_async()
     assert world.run_until(cancelled.done)
     assert "cancelled" in world.result(handle).reason
@@ -206,7 +208,7 @@ def test_a_pose_that_is_not_a_number_never_moves_the_arm(world):
 
 def test_shutting_down_in_contact_sends_zero_last_and_keeps_what_was_collected(world, folder):
     world.send()
-    assert world.run_until(lambda: world.statuses[-1].path == 2 and world.phase() == "contact")
+    assert world.run_until(lambda: world.statuses[-1].goal == 2 and world.phase() == "contact")
     assert world.graph.stop(COLLECTOR) == 0
     assert world.graph.wait(lambda: np.all(world.twist() == 0.0))
     assert len(rows(folder)) == 1
@@ -223,11 +225,11 @@ def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_o
     wrong[2, 3] += 0.001
     frame = se3.euler_from_pose(wrong).tolist()
     touch = {"touch.points": 1, "touch.search": 0.004, "touch.speed": 0.004, "touch.depth": 2.5e-4}
-    graph.start(COLLECTOR, {**QUICK, **touch, "folder": folder, "samples": 2, "seed": 4, "frame": frame})
+    graph.start(COLLECTOR, {**QUICK, **touch, "folder": folder, "frame": frame})
     world = World(graph)
     handle = world.send()
     assert world.run_until(lambda: (folder / "surface.json").exists())
-    assert world.run_until(lambda: world.statuses[-1].path == 2 and world.phase() == "rotate")
+    assert world.run_until(lambda: world.statuses[-1].goal == 2 and world.phase() == "rotate")
     cancelled = handle.cancel_goal_async()
     assert world.run_until(cancelled.done)
     world.result(handle)
@@ -236,7 +238,7 @@ def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_o
     world.statuses.clear()
     result = world.result(world.send())
     assert result.success, result.reason
-    assert "touch" not in {status.phase_name for status in world.statuses}
+    assert "touch" not in {status.phase for status in world.statuses}
     for row in rows(folder):
         depth = RADIUS * 1e3 - float(row["base_sensor_z"])
         assert float(row["pose_z"]) == pytest.approx(depth, abs=0.15)
@@ -244,7 +246,7 @@ def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_o
 
 def test_images_of_another_size_count_as_not_come(graph, folder):
     frame = se3.euler_from_pose(FRAME).tolist()
-    parameters = {"folder": folder, "samples": 1, "frame": frame, "motion.start_timeout": 0.5}
+    parameters = {"folder": folder, "frame": frame, "watchdog.start_timeout": 0.5}
     graph.start(COLLECTOR, {**QUICK, **parameters})
     world = World(graph)
     small = np.zeros((240, 320), np.uint8)
@@ -263,6 +265,18 @@ def test_a_goal_of_another_task_is_refused_with_the_name_of_ours(world):
     assert "must be 'data_collection'" in world.graph.log(COLLECTOR).read_text()
 
 
+@pytest.mark.parametrize(
+    ("asked", "complaint"),
+    [
+        ({"goal": "{sampels: 2}"}, "did you mean 'samples'"),
+        ({"goal": "{samples: 0}"}, "samples = 0"),
+    ],
+)
+def test_a_goal_that_cannot_be_run_is_refused_with_the_reason(world, asked, complaint):
+    assert not world.send(**asked).accepted
+    assert complaint in world.graph.log(COLLECTOR).read_text()
+
+
 def test_without_a_folder_it_does_not_start(graph):
     process = graph.start(COLLECTOR, {}, wait=False)
     assert graph.wait(lambda: process.poll() is not None)
@@ -272,13 +286,16 @@ def test_without_a_folder_it_does_not_start(graph):
 
 def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, folder):
     scene = load_scene("plane")
-    arm, surface = scene.arms["arm"], next(iter(scene.surfaces.values()))
-    frame = contact_frame(surface.T_base_surface(arm), arm.T_base_start, arm.sensor.model.skin.radius)
+    arm, (surface,) = scene.arms["arm"], scene.bodies
+    T_base_surface = scene.T_base_body("arm", surface)
+    frame = contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
     truths = graph.collect(ContactTruth, "sim/truth", qos.LATENCY)
     graph.start("tactile_ros.nodes.sim_node", {"scene": "plane"}, namespace="")
-    parameters = {"folder": folder, "samples": 2, "seed": 4, "frame": se3.euler_from_pose(frame).tolist()}
+    parameters = {"folder": folder, "frame": se3.euler_from_pose(frame).tolist()}
     graph.start(COLLECTOR, {**QUICK, **parameters})
-    sent = graph.action(RunTask, "run_task").send_goal_async(RunTask.Goal(task="data_collection"))
+    sent = graph.action(RunTask, "run_task").send_goal_async(
+        RunTask.Goal(task="data_collection", goal=TWO_SAMPLES)
+    )
     assert graph.wait(sent.done)
     done = sent.result().get_result_async()
     assert graph.wait(done.done, 120.0) and done.result().result.success, done.result().result.reason

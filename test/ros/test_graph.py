@@ -10,19 +10,20 @@ import numpy as np
 import pytest
 
 from tactile_base.config_paths import config_path
-from tactile_control.files import load_task
+from tactile_bringup.run_sequence import arm_plans
+from tactile_control.task_file import load_task, task_path
 from tactile_drivers.scene import load_scene
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLatency
 from tactile_ros import qos
-from tactile_ros.conversions import pose_from_matrix
 from tactile_ros.stamps import ns_from_time
+from tactile_ros.task_messages import goal_message
 
 SIM, FILTER = "tactile_ros.nodes.sim_node", "tactile_ros.nodes.filter_node"
 CONTROLLER = "tactile_ros.nodes.controller_node"
 SECOND = 1_000_000_000
 CHEAPER = (
-    ("fidelity: image", "fidelity: ideal"),
+    ("bodies:", "simulation:\n  sensors: {arm: {fidelity: ideal}}\nbodies:"),
     ("0.062]", "0.053]"),  # 3 mm above the ramp instead of 12
     ("rate: 120", "rate: 60"),
     ("camera_rate: 60", "camera_rate: 30"),
@@ -30,9 +31,9 @@ CHEAPER = (
 # a machine that holds up a process only delays the task
 WHATEVER_THE_LOAD = {
     "watchdog.patience": 30.0,
-    "task.start_timeout": 30.0,
-    "task.approach_timeout": 60.0,
-    "task.settle_timeout": 60.0,
+    "watchdog.start_timeout": 30.0,
+    "contact.approach_timeout": 60.0,
+    "contact.settle_timeout": 60.0,
 }
 
 
@@ -45,8 +46,9 @@ class Cell:
             assert old in text
             text = text.replace(old, new)
         (folder / "ramp.yaml").write_text(text)
-        task = load_task(config_path("tasks/surface_following.yaml"), "ramp")
-        settings = dataclasses.asdict(task.settings)
+        task = load_task(task_path("surface_following"), "ramp")
+        self.plan = arm_plans(task, load_scene(folder / "ramp.yaml"))[0]
+        settings = dataclasses.asdict(self.plan.role.settings)
         parameters = {
             f"{group}.{name}": value for group, values in settings.items() for name, value in values.items()
         }
@@ -62,18 +64,11 @@ class Cell:
             graph.wait_until_active(module)
         self.client = graph.action(RunTask, "run_task")
         assert graph.wait(lambda: bool(self.statuses) and bool(self.arms))
-        arm = load_scene(folder / "ramp.yaml").arms["arm"]
-        self.goal = dataclasses.replace(task.goals(arm.T_base_start)[0], length=length)
+        goal = self.plan.goals[0]
+        self.goal = dataclasses.replace(goal, goal=goal.goal.replaced(length=length))
 
     def send(self):
-        goal = self.goal
-        request = RunTask.Goal(
-            task="surface_following",
-            path_name=goal.name,
-            direction=[float(np.cos(goal.direction)), float(np.sin(goal.direction))],
-            path_length=goal.length,
-            start=[pose_from_matrix(goal.start)] if goal.start is not None else [],
-        )
+        request = goal_message(self.plan.role.task, self.goal)
         future = self.client.send_goal_async(request)
         assert self.graph.wait(future.done) and future.result().accepted
         return future.result()
@@ -87,9 +82,7 @@ class Cell:
         handle = self.send()
 
         def underway() -> bool:
-            return (
-                self.statuses[-1].phase_name == "follow" and np.linalg.norm(self.arms[-1].twist[:3]) > 0.005
-            )
+            return self.statuses[-1].phase == "follow" and np.linalg.norm(self.arms[-1].twist[:3]) > 0.005
 
         assert self.graph.wait(underway), self.statuses[-1]
         return handle
@@ -112,8 +105,8 @@ def test_the_ramp_is_followed_at_depth_and_along_the_normal(graph, tmp_path):
     cell = Cell(graph, tmp_path, length=0.02)
     result = cell.result(cell.send())
     assert result.success, result.reason
-    started = next(ns_from_time(m.header.stamp) for m in cell.statuses if m.phase_name == "follow")
-    ended = max(ns_from_time(m.header.stamp) for m in cell.statuses if m.phase_name == "follow")
+    started = next(ns_from_time(m.header.stamp) for m in cell.statuses if m.phase == "follow")
+    ended = max(ns_from_time(m.header.stamp) for m in cell.statuses if m.phase == "follow")
     path = [m for m in cell.truths if started + SECOND // 2 < ns_from_time(m.header.stamp) < ended]
     depth_mm = np.array([m.depth for m in path]) * 1e3
     angle_deg = np.degrees([m.normal_angle for m in path])

@@ -115,17 +115,19 @@ class Feed:
 
 
 TABLE = """
-rate: 60
+simulation:
+  rate: 60
+  sensors: {left: {fidelity: ideal}, right: {fidelity: ideal}}
 arms:
   left:
     base: {position: [-0.45, 0.1, 0.0]}
     start: {position: [0.0, 0.1, 0.017], rotation_deg: [0, 180, 0]}
-    sensor: {fidelity: ideal, camera_rate: 30}
+    sensor: {camera_rate: 30}
   right:
     base: {position: [-0.45, -0.1, 0.0]}
     start: {position: [0.0, -0.1, 0.017], rotation_deg: [0, 180, 0]}
-    sensor: {fidelity: ideal, camera_rate: 30}
-surfaces:
+    sensor: {camera_rate: 30}
+bodies:
   table: {shape: plane}
 """
 

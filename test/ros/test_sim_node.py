@@ -22,6 +22,7 @@ from tactile_ros.stamps import ns_from_time
 SIM = "tactile_ros.nodes.sim_node"
 SENSOR = "arm/tactile_sensor"
 SECOND = 1_000_000_000
+IDEAL = "simulation:\n  sensors: {arm: {fidelity: ideal}}\n"
 FORWARD = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -38,7 +39,7 @@ def scene_file(folder, *changes: tuple[str, str]) -> str:
 @pytest.fixture
 def ideal_scene(tmp_path):
     """The ramp with an ideal sensor, which costs no time to simulate."""
-    return scene_file(tmp_path, ("fidelity: image", "fidelity: ideal"))
+    return scene_file(tmp_path, ("bodies:", f"{IDEAL}bodies:"))
 
 
 def stamps(messages: list) -> list[int]:
@@ -118,7 +119,7 @@ def test_a_twist_that_cannot_be_followed_is_refused_counted_and_told(
     graph.start(SIM, {"scene": ideal_scene}, namespace="")
     twists = graph.publisher(TwistStamped, "command/twist", qos.COMMAND)
     twists.publish(twist_stamped(graph.now_ns(), frame, twist))
-    assert complaint in graph.wait_for_count("sim", "arm commands refused").message
+    assert complaint in graph.wait_for_count("arm", "commands refused").message
 
 
 def test_an_ideal_sensor_gives_presence_in_place_of_images(graph, ideal_scene):
@@ -131,11 +132,11 @@ def test_an_ideal_sensor_gives_presence_in_place_of_images(graph, ideal_scene):
 
 
 def test_each_arm_of_a_scene_has_its_own_topics_and_frames(graph, tmp_path):
-    text = config_path("scenes/ramp.yaml").read_text().replace("fidelity: image", "fidelity: ideal")
-    head, rest = text.split("  arm:\n")
-    block, surfaces = rest.split("surfaces:\n")
+    head, rest = config_path("scenes/ramp.yaml").read_text().split("  arm:\n")
+    block, bodies = rest.split("bodies:\n")
     path = tmp_path / "two.yaml"
-    path.write_text(f"{head}  left:\n{block}  right:\n{block}surfaces:\n{surfaces}")
+    ideal = "simulation:\n  sensors: {left: {fidelity: ideal}, right: {fidelity: ideal}}\n"
+    path.write_text(f"{head}  left:\n{block}  right:\n{block}bodies:\n{bodies}{ideal}")
     assert set(load_scene(path).arms) == {"left", "right"}
     poses = {arm: graph.collect(PoseStamped, f"/{arm}/arm/pose") for arm in ("left", "right")}
     transforms = graph.collect(TFMessage, "/tf", qos.TF)

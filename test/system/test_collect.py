@@ -97,7 +97,7 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
         return make_plan(parser.parse_args(["data", "collect", str(tmp_path / "data"), *options]))
 
     first = plan("--samples", "10")
-    assert first.missing == 10 and first.graph.node("/arm/collector").parameters["samples"] == 10
+    assert first.missing == 10 and first.graph.plans[0].goals[0].goal.samples == 10
     assert plan("--samples", "20").missing == 20
     with pytest.raises(ValueError, match="made with another sampling"):
         plan("--set", "sampling.depth=[0.001, 0.002]")
@@ -109,9 +109,9 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
 def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_table():
     scene = load_scene("plane")
     arm = scene.arms["arm"]
-    T = frame_on(chosen_surface(scene, arm, None), arm)
+    T = frame_on(scene, chosen_surface(scene, arm, None), arm)
     np.testing.assert_allclose(T[:2, 3], arm.T_base_start[:2, 3], atol=1e-12)
-    assert T[2, 3] == pytest.approx(arm.sensor.model.skin.radius)
+    assert T[2, 3] == pytest.approx(arm.sensor.settings.tip_radius)
     np.testing.assert_allclose(T[:3, 2], [0, 0, -1], atol=1e-12)
 
 

@@ -5,21 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
 from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_control.files import load_task
+from tactile_control.task_file import load_task, task_path
 from tactile_drivers.sim.cell import Cell
 from tactile_perception.estimator import shipped_model
 from tactile_records.runs import metrics
 
 IDEAL = OfflineOptions(fidelity="ideal", seed=1)
-DOME_PATHS = [f"theta_{k}" for k in range(8)]
+DOME_GOALS = [f"theta_{k}" for k in range(8)]
 
 
-def with_paths(*names, **changes):
-    return OfflineOptions(**{"fidelity": "ideal", "seed": 1, "paths": names, **changes})
+def with_goals(*names, **changes):
+    return OfflineOptions(**{"fidelity": "ideal", "seed": 1, "goals": names, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -52,19 +51,19 @@ def test_the_ramp_is_followed_with_contact_depth_and_alignment(ramp):
 def test_all_eight_paths_of_the_dome_are_followed_from_the_same_start(dome):
     values = metrics.report(dome)
     requirements(values)
-    assert list(values["paths"]) == DOME_PATHS
-    for name, path in values["paths"].items():
+    assert list(values["goals"]) == DOME_GOALS
+    for name, path in values["goals"].items():
         assert path["succeeded"] and path["contact_fraction"] == 1.0, name
         assert path["depth_rms_mm"] <= 0.3 and path["normal_rms_deg"] <= 2.0, name
     follow = dome.phase_at(dome.pose.stamp_ns) == "follow"
-    path = dome.path_at(dome.pose.stamp_ns)
+    path = dome.goal_at(dome.pose.stamp_ns)
     begins = [dome.pose.T_base_sensor[follow & (path == k)][0, :2, 3] for k in range(8)]
     np.testing.assert_allclose(begins, np.tile(begins[0], (8, 1)), atol=0.001)
 
 
 def test_radial_paths_go_out_at_45_degrees_to_each_other(dome):
     follow = dome.phase_at(dome.pose.stamp_ns) == "follow"
-    path = dome.path_at(dome.pose.stamp_ns)
+    path = dome.goal_at(dome.pose.stamp_ns)
     ways = []
     for k in range(8):
         positions = dome.pose.T_base_sensor[follow & (path == k)][:, :2, 3]
@@ -75,17 +74,17 @@ def test_radial_paths_go_out_at_45_degrees_to_each_other(dome):
 
 def test_the_papers_gains_leave_the_lag_that_they_must_on_the_dome():
     """Why the default gains are not the paper's: v / (R Kp) = 3.1 degrees, and Ki = 0.1 removes little."""
-    task = load_task(config_path("tasks/surface_following.yaml"), "dome", controller="surface_following")
-    values = metrics.report(run_offline("dome", task, with_paths("theta_1")))
+    task = load_task(task_path("surface_following"), "dome", controller="surface_following")
+    values = metrics.report(run_offline("dome", task, with_goals("theta_1")))
     assert values["succeeded"] and 2.2 < values["normal_rms_deg"] < 3.1
 
 
 def test_a_pipeline_three_times_as_slow_does_not_oscillate():
-    requirements(metrics.report(run_offline("ramp", options=with_paths(latency=0.030, jitter=0.005))))
+    requirements(metrics.report(run_offline("ramp", options=with_goals(latency=0.030, jitter=0.005))))
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
-    runs = [run_offline("plane", options=with_paths(seed=seed)) for seed in (3, 3, 4)]
+    runs = [run_offline("plane", options=with_goals(seed=seed)) for seed in (3, 3, 4)]
     np.testing.assert_array_equal(runs[0].command.twist, runs[1].command.twist)
     np.testing.assert_array_equal(runs[0].belief.mean, runs[1].belief.mean)
     n = min(len(runs[0].belief), len(runs[2].belief))
@@ -98,29 +97,22 @@ def test_each_command_rests_on_an_exposure_that_is_older_by_the_latency(ramp):
     assert age.min() == 10_000_000 and age.max() < 10_000_000 + 1e9 / 60 + 1e9 / 120
 
 
-def test_an_unknown_path_is_named_with_those_there_are():
-    with pytest.raises(SettingError, match="path 'theta_9' does not exist; valid: theta_0, theta_1"):
-        run_offline("dome", options=with_paths("theta_9"))
+def test_an_unknown_goal_is_named_with_those_there_are():
+    with pytest.raises(SettingError, match="goal 'theta_9' does not exist; valid: theta_0, theta_1"):
+        run_offline("dome", options=with_goals("theta_9"))
 
 
 def test_of_two_arms_the_one_that_is_named_runs_the_task():
-    record = run_offline("two_arms", options=with_paths(arm="right"))
+    record = run_offline("two_arms", options=with_goals(arm="right"))
     values = metrics.report(record)
     requirements(values)
     assert (values["arm"], round(values["path_length_mm"])) == ("right", 60)
-    with pytest.raises(SettingError, match="--arm must name an arm with a sensor; there are: left, right"):
+    with pytest.raises(SettingError, match="several arms have a role: left, right; choose one with --arm"):
         run_offline("two_arms", options=IDEAL)
 
 
 def test_a_surface_out_of_reach_fails_with_the_reason():
-    task = load_task(config_path("tasks/surface_following.yaml"), "plane")
-    task = type(task)(
-        task.name,
-        task.scene,
-        task.controller,
-        task.settings.replaced(task__approach_distance=0.005),
-        task.paths,
-    )
+    task = load_task(task_path("surface_following"), "plane", changes=["contact.approach_distance=0.005"])
     record = run_offline("plane", task, IDEAL)
     values = metrics.report(record)
     assert not values["succeeded"] and "no contact within 5.0 mm of approach" in values["reason"]
@@ -159,6 +151,6 @@ def test_images_that_stop_bring_the_arm_to_rest_within_200_ms_and_it_says_why(mo
 @pytest.mark.skipif(
     not shipped_model().is_file(), reason="the shipped model is not there: `make model` trains it"
 )
-@pytest.mark.parametrize("scene, paths", [("ramp", ()), ("dome", ("theta_1",))])
-def test_with_simulated_images_and_the_shipped_model(scene, paths):
-    requirements(metrics.report(run_offline(scene, options=OfflineOptions(seed=1, paths=paths))))
+@pytest.mark.parametrize("scene, goals", [("ramp", ()), ("dome", ("theta_1",))])
+def test_with_simulated_images_and_the_shipped_model(scene, goals):
+    requirements(metrics.report(run_offline(scene, options=OfflineOptions(seed=1, goals=goals))))

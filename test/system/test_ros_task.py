@@ -3,6 +3,7 @@
 The path on the ramp is a short one, in a copy of the configuration; everything else is as shipped.
 """
 
+import itertools
 import json
 import os
 import re
@@ -17,9 +18,9 @@ from launched import Launched
 
 from tactile_base.config_paths import config_folder
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_control.files import load_task
+from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
-from tactile_records.replay.inputs import read_inputs
+from tactile_records.replay.inputs import lost_messages, read_inputs
 from tactile_records.replay.run import agreement, run_filter
 from tactile_records.replay.sweep import base_settings
 from tactile_records.runs.from_bag import read_run
@@ -30,12 +31,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PATH_LENGTH = 0.04  # m
 # a machine that holds up a process only delays the task
-SETTINGS = """settings:
-  watchdog: {patience: 30.0}
-  task:
-    start_timeout: 60.0
-    approach_timeout: 100.0
-    settle_timeout: 100.0
+SETTINGS = """    settings:
+      watchdog: {patience: 30.0, start_timeout: 60.0}
+      contact: {approach_timeout: 100.0, settle_timeout: 100.0}
 """
 
 
@@ -46,9 +44,9 @@ def configuration(tmp_path_factory) -> Path:
     shutil.copytree(config_folder(), folder)
     task = folder / "tasks" / "surface_following.yaml"
     text, changed = re.subn(r"(name: ramp, .*length: )[\d.]+", rf"\g<1>{PATH_LENGTH}", task.read_text())
-    assert changed == 1, "the task file has one path named ramp"
-    assert "settings:\n  task:\n" in text
-    task.write_text(text.replace("settings:\n  task:\n", SETTINGS))
+    assert changed == 1, "the task file has one goal named ramp"
+    assert text.count("    settings:\n      task:\n") == 1
+    task.write_text(text.replace("    settings:\n", SETTINGS, 1))
     return folder
 
 
@@ -137,8 +135,12 @@ def test_latency_is_recorded_stage_by_stage(finished):
     stages = list(record.latency)
     assert stages == [s for s in ("camera", "estimator", "filter", "controller") if s in stages]
     assert stages[-2:] == ["filter", "controller"]
-    medians = [values["latency_ms"]["stages"][stage]["p50"] for stage in stages]
-    assert medians == sorted(medians) and medians[0] > 0.0
+    assert all(values["latency_ms"]["stages"][stage]["p50"] > 0.0 for stage in stages)
+    # Of frames that both have, since a stage may lose its slowest; and of most of them: a stage takes the
+    # time of its output after it was sent, when the next one may have had it already.
+    for earlier, later in itertools.pairwise(record.latency.values()):
+        _, first, second = np.intersect1d(earlier.stamp_ns, later.stamp_ns, return_indices=True)
+        assert len(first) > 100 and np.median(later.seconds[second] - earlier.seconds[first]) > 0.0
     assert 0.0 < values["latency_ms"]["p50"] <= values["latency_ms"]["p99"] < 1000.0
 
 
@@ -183,10 +185,11 @@ def test_replayed_beliefs_are_the_live_ones_to_the_bit(finished, tmp_path):
     inputs = read_inputs(launch.folder / "bag")
     settings = base_settings(inputs, None)["arm"]
     run = run_filter(inputs.arms[0], settings)
-    assert inputs.remarks == [] and inputs.arms[0].live is not None
+    lost = sum(lost_messages(inputs.bag).values())  # a recorder that is not held up for 30 s loses none
+    assert inputs.arms[0].live is not None and (inputs.remarks == [] or lost)
     found = agreement(run.states, inputs.arms[0].live)
-    assert found.common > 300 and found.only_live == 0
-    assert found.identical == found.common, found.first_difference
+    assert found.only_live <= lost
+    assert found.common > 300 and found.identical == found.common, found.first_difference
 
 
 def read_note(bag: Path) -> dict[str, str]:
@@ -203,7 +206,7 @@ def test_a_truncated_bag_still_gives_the_run_up_to_there(finished, tmp_path):
     part = read_run(tmp_path / "bag")
     assert 0 < len(part.belief) < len(record.belief)
     assert not part.result["bag_complete"] and "ends early" in part.result["bag_problem"]
-    assert not part.result["succeeded"] and part.result["reason"] == "path ramp did not reach its end"
+    assert not part.result["succeeded"] and part.result["reason"] == "goal ramp was not reached"
 
 
 def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):

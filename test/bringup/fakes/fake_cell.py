@@ -23,7 +23,7 @@ class FakeCell(ManagedNode):
     def __init__(self):
         super().__init__("fake_cell")
         self.fault = declare_read_only(self, "fault", "", "how to misbehave")
-        self.seconds = declare_read_only(self, "seconds", 0.5, "duration of a path")
+        self.seconds = declare_read_only(self, "seconds", 0.5, "duration of a goal")
         self.goal = None
 
     def configure(self):
@@ -58,7 +58,7 @@ class FakeCell(ManagedNode):
         if self.fault == "die" and elapsed > 0.2:
             print("FATAL: the gel is torn", flush=True)
             os._exit(7)
-        feedback = RunTask.Feedback(phase_name="follow", progress=elapsed / self.seconds, depth=0.003)
+        feedback = RunTask.Feedback(phase="follow", progress=elapsed / self.seconds, depth=0.003)
         self.goal.publish_feedback(feedback)
         if elapsed >= self.seconds:
             self.end()

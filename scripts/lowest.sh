@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# Run tests that need neither ROS 2 nor PyTorch with the lowest versions that setup.cfg allows, in a virtual environment
+# of their own: lowest.sh [ARGUMENT OF PYTEST...]. After `make`, on Python 3.10 or 3.11.
+set -euo pipefail
+. "$(dirname "$0")/common.sh"
+. scripts/env.sh
+# Of ROS 2 only the definitions of the messages, which are text (AMENT_PREFIX_PATH); none of its code.
+unset LD_LIBRARY_PATH PYTHONPATH
+lock
+
+# Newer Pythons have no wheels of versions this low.
+if ! python -c 'import sys; sys.exit(sys.version_info >= (3, 12))'; then
+    echo "the lowest versions need Python 3.10 or 3.11, and .venv has $(python --version): make PYTHON=python3.11" >&2
+    exit 1
+fi
+
+lowest=$root/build/lowest
+venv=$lowest/venv
+wanted=$(cat build/stamp-package scripts/lowest.txt scripts/lowest.sh | sha256sum)
+if ! up_to_date "$lowest/stamp" "$wanted"; then
+    [ -x "$venv/bin/python" ] || step lowest-venv "virtual environment for the lowest versions" python -m venv "$venv"
+    step lowest-pip "lowest versions of Python packages" "$venv/bin/python" -m pip install --progress-bar off \
+        -r scripts/lowest.txt
+    rm -rf "$lowest/lib" "$lowest/build"
+    mkdir -p "$lowest/lib"
+    step lowest-package "Python package with C extensions" "$venv/bin/python" setup.py egg_info --egg-base "$lowest/lib" \
+        build --build-base "$lowest/build" --build-lib "$lowest/lib"
+    printf '%s\n' "$wanted" >"$lowest/stamp"
+fi
+
+exec 9>&-
+export PYTHONPATH=$lowest/lib
+[ $# -gt 0 ] || set -- -q --disable-warnings --numprocesses auto --maxprocesses 4 --dist loadfile \
+    -m "not slow and not ros" test/base test/filter test/control test/drivers test/records \
+    test/perception/test_estimator.py test/perception/test_estimate.py test/perception/test_evaluation.py
+exec "$venv/bin/pytest" "$@"

@@ -1,0 +1,195 @@
+"""The order of a run: which arm starts which goal when, and when the run is over.
+
+The same for processes over ROS and for the loop without: both say what the arms report, and ask what to do.
+Each arm runs its goals one after the other. A role may wait for another one's phase, a follower's contact for
+instance; when the arms whose end ends the run are through, or one has failed, the others finish::
+
+    sequence = RunSequence(arm_plans(task, scene))
+    while not sequence.finished:
+        for plan, goal in sequence.start():
+            send(plan.arm, goal)
+        for arm in sequence.finish():
+            ask_to_finish(arm)
+        ...                                 # sequence.phase(arm, name), sequence.result(arm, success, reason)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import SettingError
+from tactile_control.task_file import NamedGoal, Role, Task
+from tactile_drivers.scene import Scene
+
+
+@dataclass(frozen=True)
+class ArmPlan:
+    """What one arm does in a run: its role, and its goals with where each begins."""
+
+    arm: str
+    role: Role
+    goals: tuple[NamedGoal, ...]
+
+
+def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
+    """What each arm of the scene does.
+
+    Parameters
+    ----------
+    only : str, optional
+        Leave out all arms but this one.
+    goals : sequence of str
+        Leave out all goals but these, in roles that have any of them.
+
+    Raises
+    ------
+    SettingError
+        A role names an arm that is not there or cannot run its task, two roles have the same arm, or
+        nothing is left to do.
+    """
+    plans: dict[str, ArmPlan] = {}
+    for role in task.roles:
+        for arm in _arms_of(role, scene):
+            if arm in plans:
+                raise SettingError(
+                    f"task {task.name}: arm '{arm}' has two roles, {plans[arm].role.name} and {role.name}"
+                )
+            plans[arm] = ArmPlan(arm, role, _begun(role, scene.arms[arm].T_base_start))
+    _check_goals(list(plans.values()), goals)
+    chosen = [_only_goals(plan, goals) for plan in plans.values() if only is None or plan.arm == only]
+    if not chosen:
+        where = f"--arm {only}" if only is not None else f"scene {scene.name}"
+        raise SettingError(f"task {task.name}: {where}: no arm to run it, of {', '.join(plans) or 'none'}")
+    return chosen
+
+
+def _arms_of(role: Role, scene: Scene) -> list[str]:
+    feels = role.task_type.needs_sensor
+    able = [name for name, arm in scene.arms.items() if arm.sensor is not None or not feels]
+    for arm in role.arms:
+        if arm not in able:
+            lacks = "has no tactile sensor" if arm in scene.arms else "is not in the scene"
+            raise SettingError(
+                f"scene {scene.name}, role {role.name}: arm '{arm}' {lacks}; valid: {', '.join(able)}"
+            )
+    return list(role.arms) or able
+
+
+def _begun(role: Role, T_base_start: NDArray[np.float64]) -> tuple[NamedGoal, ...]:
+    """The goals, those without a start of their own from where the arm starts.
+
+    Only the first goal of a task that feels nothing has a start: it goes on from where the last one ended.
+    """
+    begun = []
+    for index, goal in enumerate(role.goals):
+        returns = goal.start is None and (role.task_type.needs_sensor or index == 0)
+        begun.append(dataclasses.replace(goal, start=T_base_start) if returns else goal)
+    return tuple(begun)
+
+
+def _check_goals(plans: Sequence[ArmPlan], wanted: Sequence[str]) -> None:
+    known = {goal.name for plan in plans for goal in plan.goals}
+    for name in wanted:
+        if name not in known:
+            raise SettingError(f"goal '{name}' does not exist; valid: {', '.join(sorted(known))}")
+
+
+def _only_goals(plan: ArmPlan, wanted: Sequence[str]) -> ArmPlan:
+    goals = tuple(goal for goal in plan.goals if goal.name in wanted)
+    return dataclasses.replace(plan, goals=goals) if goals else plan
+
+
+@dataclass
+class _ArmState:
+    """How far an arm has come."""
+
+    plan: ArmPlan
+    next: int = 0
+    running: bool = False
+    asked: bool = False
+    phases: set[str] = field(default_factory=set)
+
+    @property
+    def through(self) -> bool:
+        return not self.running and self.next == len(self.plan.goals)
+
+
+class RunSequence:
+    """See the module's text.
+
+    Attributes
+    ----------
+    failure : str
+        Why the run failed; '' as long as it has not.
+    """
+
+    def __init__(self, plans: Sequence[ArmPlan]) -> None:
+        self._arms = {plan.arm: _ArmState(plan) for plan in plans}
+        ending = [state for state in self._arms.values() if state.plan.role.ends_run]
+        lasting = [state for state in self._arms.values() if not state.plan.role.task_type.endless]
+        self._ending = ending or lasting or list(self._arms.values())
+        self.failure = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether no further goal starts."""
+        return bool(self.failure) or all(state.through for state in self._ending)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all arms are done."""
+        return self.over and not any(state.running for state in self._arms.values())
+
+    def running(self, arm: str) -> bool:
+        """Whether a goal of the arm is under way."""
+        return self._arms[arm].running
+
+    def start(self) -> list[tuple[ArmPlan, int]]:
+        """Goals that start now, by their index in the arm's plan; they count as running from here on."""
+        begun = []
+        for state in [] if self.over else self._arms.values():
+            if not state.running and not state.through and self._may_begin(state):
+                state.running = True
+                begun.append((state.plan, state.next))
+        return begun
+
+    def finish(self) -> list[str]:
+        """Arms that are to finish what they do since the run is over; each is named once."""
+        if not self.over:
+            return []
+        late = [state for state in self._arms.values() if state.running and not state.asked]
+        for state in late:
+            state.asked = True
+        return [state.plan.arm for state in late]
+
+    def phase(self, arm: str, phase: str) -> None:
+        """Take in the phase that an arm is in."""
+        self._arms[arm].phases.add(phase)
+
+    def result(self, arm: str, success: bool, reason: str) -> bool:
+        """Take in how an arm's goal ended; returns whether that was well.
+
+        One that was asked to finish, as the run was over, has done what was wanted of it.
+        """
+        state = self._arms[arm]
+        goal = state.plan.goals[state.next]
+        well = success or (state.asked and not self.failure)
+        state.running = False
+        state.next += 1
+        if not well and not self.failure:
+            name = f"{arm}: {goal.name}" if len(self._arms) > 1 else goal.name
+            self.failure = f"{name}: {reason}"
+        return well
+
+    def _may_begin(self, state: _ArmState) -> bool:
+        after = state.plan.role.after
+        if after is None:
+            return True
+        role, phase = after
+        awaited = [other for other in self._arms.values() if other.plan.role.name == role]
+        return all(phase in other.phases for other in awaited)

@@ -1,0 +1,430 @@
+"""What tasks in contact share: go to the start, approach, settle, retreat; contact lost and found again.
+
+A library without ROS and without a clock of its own: whoever owns the time calls `step(now_ns, inputs)` at
+the control rate and sends the twist of the `Command` that comes back. In between, settings can be replaced
+(`configure`) and the task can be asked to end (`finish`, `stop`)::
+
+    task = SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.1), T_base_start)
+    while not (command := task.step(now_ns(), inputs())).done:
+        send(command.twist)
+
+Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed. What a task adds is
+one file of tactile_control/tasks: its own phase's name, the reference velocity in it, and when it is done.
+How a task stops and fails is in `phases`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import SettingGroups, Settings, setting
+from tactile_base.stamps import NANOSECOND, SECOND_NS
+from tactile_control.limiter import LimiterSettings
+from tactile_control.motion import Odometer, TravelSettings, Waypoint, along_z, twist_towards, way_to_start
+from tactile_control.phases import (
+    DONE,
+    FAILED,
+    GO_TO_START,
+    RETREAT,
+    STOPPING,
+    Command,
+    Goal,
+    PhaseMachine,
+    StampedPose,
+    StampedPresence,
+    TaskInputs,
+    newer,
+)
+from tactile_control.pid import PidSettings
+from tactile_control.servoing import ServoingController, ServoingOutput, ServoingSettings
+from tactile_control.watchdog import WatchdogSettings
+from tactile_filter import se3
+from tactile_filter.prediction import ContactPredictor, PredictionSettings
+from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
+
+Array = NDArray[np.float64]
+
+APPROACH = "approach"
+SETTLE = "settle"
+LOST_CONTACT = ("reapproach", "fail")
+TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
+
+# progress at which each phase begins; the work takes the large middle part
+PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, RETREAT: 0.97, DONE: 1.0}
+WORK_PROGRESS = 0.1
+
+
+@dataclass(frozen=True)
+class ContactSettings(Settings):
+    """Speeds, tolerances and time limits of the phases that tasks in contact share."""
+
+    approach_speed: float = setting(
+        0.004, lower=1e-4, upper=0.1, unit="m/s", doc="speed along the sensor's z until contact"
+    )
+    press_distance: float = setting(
+        0.0007,
+        lower=0.0,
+        upper=0.02,
+        unit="m",
+        doc="the approach goes on for this much after the first touch, where images say little yet",
+    )
+    approach_distance: float = setting(
+        0.05, lower=1e-3, upper=1.0, unit="m", doc="without contact within this the task fails"
+    )
+    approach_timeout: float = setting(20.0, lower=0.1, upper=600.0, unit="s", doc="longest approach")
+    settle_depth_tolerance: float = setting(
+        0.00025, lower=1e-6, upper=0.02, unit="m", doc="settled when the error along z stays below this"
+    )
+    settle_angle_tolerance: float = setting(
+        0.03, lower=1e-4, upper=1.0, unit="rad", doc="and the tilt error (phi_x, phi_y) below this"
+    )
+    settle_time: float = setting(0.3, lower=0.0, upper=60.0, unit="s", doc="for this long")
+    settle_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest settling")
+    lost_contact_time: float = setting(
+        0.1, lower=0.0, upper=10.0, unit="s", doc="contact counts as lost when it was absent for this long"
+    )
+    lost_contact: str = setting(
+        "reapproach", choices=LOST_CONTACT, doc="on lost contact: approach again where the sensor is, or fail"
+    )
+    reapproaches: int = setting(3, lower=0, upper=100, doc="fail when contact is lost more often than this")
+    retreat_distance: float = setting(
+        0.015, lower=0.0, upper=1.0, unit="m", doc="way back along the sensor's -z"
+    )
+    retreat_speed: float = setting(0.03, lower=1e-3, upper=1.0, unit="m/s", doc="speed of the retreat")
+    retreat_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest retreat")
+    pose_step: float = setting(
+        0.0002,
+        lower=0.0,
+        upper=0.01,
+        unit="m",
+        doc="sensor positions nearer to each other than this do not add to the path length (poses are noisy)",
+    )
+
+
+@dataclass(frozen=True)
+class ContactTaskSettings(SettingGroups):
+    """All settings of the control chain; a task adds its own as the group `task`."""
+
+    travel: TravelSettings = field(default_factory=TravelSettings)
+    contact: ContactSettings = field(default_factory=ContactSettings)
+    servoing: ServoingSettings = field(default_factory=ServoingSettings)
+    pid: PidSettings = field(default_factory=PidSettings)
+    limiter: LimiterSettings = field(default_factory=LimiterSettings)
+    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
+    prediction: PredictionSettings = field(default_factory=PredictionSettings)
+
+
+class ContactTask(PhaseMachine[TaskInputs, Command]):
+    """Base of tasks in contact; see the module's text. One object runs one goal.
+
+    A task names its phase `work` and fills in `reference_velocity`, `finished`, and where it has them
+    `failure` and `fraction`.
+
+    Parameters
+    ----------
+    settings : ContactTaskSettings
+        Of the task's `settings_class`.
+    goal : Goal
+        Of the task's `goal_class`.
+    start : ndarray (4, 4), optional
+        T_base_sensor in the air from where to approach; without, the approach begins where the arm stands.
+    """
+
+    def __init__(self, settings: ContactTaskSettings, goal: Goal, start: Array | None = None) -> None:
+        handlers = {
+            GO_TO_START: self._go_to_start,
+            APPROACH: self._approach,
+            SETTLE: self._settle,
+            self.work: self._work,
+            STOPPING: self._stopping,
+            RETREAT: self._retreat,
+        }
+        first = APPROACH if start is None else GO_TO_START
+        super().__init__(first, handlers, settings.limiter, settings.watchdog)
+        self.settings = settings
+        self.goal = goal
+        self.start = None if start is None else se3.checked_pose("start", start)
+        self.servoing = ServoingController(settings.servoing, settings.pid)
+        self.predictor = ContactPredictor(settings.prediction)
+        self._needs = {
+            GO_TO_START: ("pose", "presence"),
+            APPROACH: ("pose", "presence"),
+            SETTLE: ("pose", "presence", "belief"),
+            self.work: ("pose", "presence", "belief"),
+            RETREAT: ("pose",),
+        }
+        self._odometer = Odometer(settings.contact.pose_step)
+        self._track = TransformBuffer(TRACK_NS)
+        self._phase_pose: Array | None = None
+        self._belief: StampedPose | None = None
+        self._presence: StampedPresence | None = None
+        self._servo: ServoingOutput | None = None
+        self._waypoints: list[Waypoint] | None = None
+        self._contact_ns: int | None = None
+        self._touch_ns = 0
+        self._touch_position: Array | None = None
+        self._settled_ns: int | None = None
+        self._reapproaches = 0
+        self._progress = 0.0
+        self._limited = False
+
+    # ---- what the owner calls ----
+
+    def configure(self, settings: ContactTaskSettings) -> None:
+        """Replace the settings; they hold from the next step on, gains without a jump of the twist."""
+        self.settings = settings
+        self.servoing.configure(settings.servoing, settings.pid)
+        self.limiter.configure(settings.limiter)
+        self.watchdog.configure(settings.watchdog)
+        self.predictor.configure(settings.prediction)
+        self._odometer.step = settings.contact.pose_step
+
+    # ---- what a task fills in ----
+
+    @abstractmethod
+    def reference_velocity(self, elapsed: float) -> Array:
+        """Velocity (6,) in the reference frame {s'} after `elapsed` s of the task's own phase."""
+
+    @abstractmethod
+    def finished(self, elapsed: float) -> bool:
+        """Whether the goal has been reached."""
+
+    def failure(self, elapsed: float) -> str:
+        """Why the goal cannot be reached any more; '' while it can."""
+        return ""
+
+    def fraction(self) -> float:
+        """Part of the goal that is done, 0 to 1."""
+        return 0.0
+
+    def follows_motion(self) -> bool:
+        """Whether the motion of the touched surface is to be estimated."""
+        return self.settings.prediction.enabled
+
+    # ---- inputs ----
+
+    def _take(self, inputs: TaskInputs) -> None:
+        pose, belief = inputs.sensor_pose, inputs.belief
+        if newer(pose, self._pose):
+            se3.checked_pose("sensor pose", pose.T)
+            self._pose = pose
+            self._follow_sensor()
+        if newer(inputs.presence, self._presence):
+            self._presence = inputs.presence
+        if newer(belief, self._belief):
+            se3.checked_pose("belief", belief.T)
+            self._belief = belief
+            self._follow_contact()
+
+    def _follow_sensor(self) -> None:
+        assert self._pose is not None
+        if self.follows_motion():
+            self._track.set_transform("base", "sensor", self._pose.stamp_ns, self._pose.T)
+
+    def _follow_contact(self) -> None:
+        """Let the predictor know the belief, with the sensor's pose at its exposure."""
+        assert self._belief is not None
+        if not self.follows_motion():
+            return
+        stamp_ns = self._belief.stamp_ns
+        try:
+            self.predictor.update(stamp_ns, self._belief.T, self._track.lookup("base", "sensor", stamp_ns))
+        except TransformUnavailable:
+            self.predictor.reset()  # without the pose then, nothing can be carried on
+
+    def _stamps(self) -> dict[str, int | None]:
+        latest = {"pose": self._pose, "presence": self._presence, "belief": self._belief}
+        return {
+            name: value.stamp_ns if (value := latest[name]) is not None else None
+            for name in self._needs.get(self.phase, ())
+        }
+
+    def _missing(self) -> list[str]:
+        """After a touch the belief has to be of an image exposed since: one from before was of no contact."""
+        missing = super()._missing()
+        if self.phase == SETTLE and not missing and self._belief is not None:
+            missing = ["belief since the contact"] if self._belief.stamp_ns < self._touch_ns else []
+        return missing
+
+    # ---- phases: each returns the twist wanted now ----
+
+    def _go_to_start(self, now_ns: int) -> Array:
+        pose, travel = self._sensor_pose(), self.settings.travel
+        assert self.start is not None
+        if self._waypoints is None:
+            self._waypoints = way_to_start(pose, self.start, travel)
+        if self._touching() and self._in_phase(now_ns) > self.settings.contact.lost_contact_time:
+            return self._fail("touched something on the way to the start")
+        if self._in_phase(now_ns) > travel.timeout:
+            return self._fail(f"the start was not reached within {travel.timeout:g} s")
+        while self._waypoints and self._waypoints[0].reached(pose):
+            self._waypoints.pop(0)
+        if not self._waypoints:
+            self._enter(APPROACH)
+            return np.zeros(6)
+        return twist_towards(pose, self._waypoints[0].T_base_goal, travel)
+
+    def _approach(self, now_ns: int) -> Array:
+        settings = self.settings.contact
+        if self._pressed() >= settings.press_distance:
+            self.servoing.reset()
+            self.predictor.reset()  # a new contact is another feature: the way to it is no motion
+            self._servo = None
+            self._enter(SETTLE)
+            return np.zeros(6)
+        if self._gone_from_phase_start() > settings.approach_distance:
+            return self._fail(f"no contact within {settings.approach_distance * 1e3:.1f} mm of approach")
+        if self._in_phase(now_ns) > settings.approach_timeout:
+            return self._fail(f"no contact within {settings.approach_timeout:g} s of approach")
+        return along_z(settings.approach_speed)
+
+    def _pressed(self) -> float:
+        """Way since the first touch of this approach, m; negative before it."""
+        if not self._touching():
+            self._touch_position = None
+            return -1.0
+        assert self._presence is not None
+        position = self._sensor_pose()[:3, 3]
+        if self._touch_position is None:
+            self._touch_position = position.copy()
+            self._touch_ns = self._contact_ns = self._presence.stamp_ns
+        return float(np.linalg.norm(position - self._touch_position))
+
+    def _settle(self, now_ns: int) -> Array:
+        settings = self.settings.contact
+        if self._contact_lost():
+            return self._after_lost_contact()
+        # the way in is no steady error: an integral of it would only be an offset on the path
+        output = self._serve(np.zeros(6), hold_integral=True)
+        depth, tilt = abs(output.error[2]), float(np.linalg.norm(output.error[3:5]))
+        if depth > settings.settle_depth_tolerance or tilt > settings.settle_angle_tolerance:
+            self._settled_ns = None
+        elif self._settled_ns is None:
+            self._settled_ns = now_ns
+        if self._settled_ns is not None and (now_ns - self._settled_ns) * NANOSECOND >= settings.settle_time:
+            self._odometer.break_off()
+            self._enter(self.work)
+        elif self._in_phase(now_ns) > settings.settle_timeout:
+            return self._fail(
+                f"not settled within {settings.settle_timeout:g} s: depth error {depth * 1e3:.2f} mm, "
+                f"tilt error {np.degrees(tilt):.2f} deg"
+            )
+        return output.twist
+
+    def _work(self, now_ns: int) -> Array:
+        if self._contact_lost():
+            return self._after_lost_contact()
+        self._odometer.add(self._sensor_pose()[:3, 3])
+        elapsed = self._in_phase(now_ns)
+        if self.finished(elapsed):
+            self._enter(RETREAT)
+        elif reason := self.failure(elapsed):
+            return self._fail(reason)
+        return self._serve(self.reference_velocity(self._in_phase(now_ns))).twist
+
+    def _stopping(self, now_ns: int) -> Array:
+        if self._at_rest():
+            if self._contact_ns is not None:
+                self._enter(RETREAT)
+            else:
+                self._enter(FAILED if self.reason else DONE)
+        return np.zeros(6)
+
+    def _retreat(self, now_ns: int) -> Array:
+        settings = self.settings.contact
+        if self._gone_from_phase_start() >= settings.retreat_distance:
+            self._enter(FAILED if self.reason else DONE)
+            return np.zeros(6)
+        if self._in_phase(now_ns) > settings.retreat_timeout:
+            return self._retreat_late(settings.retreat_timeout)
+        return along_z(-settings.retreat_speed)
+
+    # ---- parts of phases ----
+
+    def _serve(self, velocity: Array, hold_integral: bool = False) -> ServoingOutput:
+        """Servo on the belief if it is a new one or carried on; else the last output holds."""
+        assert self._belief is not None
+        belief = self._carried_on(self._belief)
+        if self._servo is None or belief.stamp_ns > (self.servoing.pid.stamp_ns or 0):
+            self._servo = self.servoing.step(
+                belief.stamp_ns, belief.T, velocity, hold_integral or self._limited
+            )
+        return self._servo
+
+    def _carried_on(self, belief: StampedPose) -> StampedPose:
+        """The belief as predicted for now, if that is set and can be done; else the belief."""
+        if not self.settings.prediction.enabled or self._pose is None or self._now_ns is None:
+            return belief
+        since = (self._now_ns - self._pose.stamp_ns) * NANOSECOND
+        T_base_sensor = self._pose.T @ se3.exp(since * self.limiter.twist)
+        X_sf = self.predictor.ahead(self._now_ns, T_base_sensor)
+        return belief if X_sf is None else StampedPose(self._now_ns, X_sf)
+
+    def _touching(self) -> bool:
+        """In contact, by an image exposed since this phase began."""
+        presence = self._presence
+        return presence is not None and presence.in_contact and presence.stamp_ns >= self._phase_since_ns
+
+    def _contact_lost(self) -> bool:
+        presence = self._presence
+        assert presence is not None and self._contact_ns is not None
+        if presence.in_contact:
+            self._contact_ns = max(self._contact_ns, presence.stamp_ns)
+        return (presence.stamp_ns - self._contact_ns) * NANOSECOND > self.settings.contact.lost_contact_time
+
+    def _after_lost_contact(self) -> Array:
+        settings = self.settings.contact
+        self._reapproaches += 1
+        if settings.lost_contact == "fail":
+            return self._fail(f"contact was lost in phase {self.phase}")
+        if self._reapproaches > settings.reapproaches:
+            return self._fail(f"contact was lost {self._reapproaches} times")
+        self._enter(APPROACH)
+        return np.zeros(6)
+
+    def _fail(self, reason: str) -> Array:
+        """Fail with a retreat first."""
+        self._contact_ns = self._contact_ns or self._now_ns  # it may touch: retreat after the stop
+        return super()._fail(reason)
+
+    def _enter(self, phase: str) -> None:
+        super()._enter(phase)
+        self._phase_pose = None
+        self._touch_position = None
+        self._settled_ns = None
+
+    def _gone_from_phase_start(self) -> float:
+        """Distance from where the sensor was at the first step of this phase, m."""
+        pose = self._sensor_pose()
+        if self._phase_pose is None:
+            self._phase_pose = pose.copy()
+        return float(np.linalg.norm(pose[:3, 3] - self._phase_pose[:3, 3]))
+
+    # ---- output ----
+
+    def _answer(self, wanted: Array, waiting: str) -> Command:
+        common = self._command(wanted, waiting)
+        self._limited = "speed" in common.limited
+        servo = self._servo if self.phase in (SETTLE, self.work) else None
+        shown = replace(common, progress=self._advance_progress(), travelled=self._odometer.length)
+        if servo is None or self._belief is None:
+            return shown
+        return replace(
+            shown,
+            error=servo.error,
+            feedforward=servo.feedforward,
+            reference=servo.reference,
+            exposure_ns=self._belief.stamp_ns,
+        )
+
+    def _advance_progress(self) -> float:
+        if self.phase == self.work:
+            progress = WORK_PROGRESS + (PROGRESS[RETREAT] - WORK_PROGRESS) * self.fraction()
+        else:
+            progress = PROGRESS.get(self.phase, 0.0)
+        self._progress = max(self._progress, progress if not self.reason else 0.0)
+        return self._progress

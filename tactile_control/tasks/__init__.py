@@ -1,0 +1,19 @@
+"""Tasks, one file each; another package adds one by an entry point of the group tactile_servoing.tasks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tactile_base.registry import Registry
+from tactile_control.phases import PhaseMachine
+
+TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
+    "task",
+    "tactile_servoing.tasks",
+    {
+        "surface_following": "tactile_control.tasks.surface_following:SurfaceFollowing",
+        "object_tracking": "tactile_control.tasks.object_tracking:ObjectTracking",
+        "trajectory": "tactile_control.tasks.trajectory:Trajectory",
+        "data_collection": "tactile_control.tasks.data_collection:DataCollection",
+    },
+)

@@ -1,0 +1,125 @@
+"""Surface following, the paper's Task 2: along a direction over a surface, at a depth, normal to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_control.contact_task import APPROACH, SETTLE, ContactTask, ContactTaskSettings
+from tactile_control.motion import smooth_ramp
+from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
+
+Array = NDArray[np.float64]
+
+FOLLOW = "follow"
+
+
+@dataclass(frozen=True)
+class FollowingSettings(Settings):
+    """How a surface is followed."""
+
+    speed: float = setting(
+        0.010, lower=0.0, upper=0.2, unit="m/s", doc="reference speed along the surface while following"
+    )
+    ramp_time: float = setting(
+        0.5, lower=0.0, upper=10.0, unit="s", doc="time in which the reference speed comes in, smoothly"
+    )
+    curvature: float = setting(
+        0.0,
+        lower=-200.0,
+        upper=200.0,
+        unit="1/m",
+        doc="curvature of the sensor centre's path that is fed forward as rotation: > 0 over a bulge, 1 / "
+        "(surface radius + tip radius - depth); 0 leaves the turning to feedback, as the paper does. "
+        "Wants servoing.free_shear: else the turn about a sheared reference adds depth",
+    )
+    timeout: float = setting(120.0, lower=0.1, upper=3600.0, unit="s", doc="longest following of one path")
+
+
+@dataclass(frozen=True)
+class SurfaceFollowingSettings(ContactTaskSettings):
+    """All settings of surface following."""
+
+    task: FollowingSettings = field(default_factory=FollowingSettings)
+
+
+@dataclass(frozen=True)
+class FollowingGoal(Goal):
+    """One path over a surface."""
+
+    direction_deg: float = setting(
+        90.0,
+        lower=-360.0,
+        upper=360.0,
+        unit="deg",
+        doc="direction of motion in the xy-plane of the reference frame {s'}, from x towards y",
+    )
+    length: float = setting(
+        0.1, lower=1e-4, upper=100.0, unit="m", doc="way of the sensor's centre after which the path is done"
+    )
+    target: tuple[float, ...] = setting(
+        (),
+        lower=-100.0,
+        upper=100.0,
+        unit="m",
+        doc="position in the base where the path is done, 3 numbers or none; arriving nowhere near it within "
+        "the length is then a failure",
+    )
+    target_radius: float = setting(
+        0.002,
+        lower=1e-6,
+        upper=1.0,
+        unit="m",
+        doc="the target is reached within this",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.target) not in (0, 3):
+            raise SettingError(f"target: must have 0 or 3 elements, has {len(self.target)}")
+        if not np.isfinite(np.array(self.target, dtype=np.float64)).all():
+            raise SettingError(f"target = {self.target}: must be finite numbers, m")
+
+
+class SurfaceFollowing(ContactTask):
+    """Follows one path over a surface."""
+
+    settings_class = SurfaceFollowingSettings
+    goal_class = FollowingGoal
+    work = FOLLOW
+    phases = (GO_TO_START, APPROACH, SETTLE, FOLLOW, STOPPING, RETREAT, DONE, FAILED)
+
+    settings: SurfaceFollowingSettings
+    goal: FollowingGoal
+
+    def reference_velocity(self, elapsed: float) -> Array:
+        """Along the path, with the turning that a known curvature asks for."""
+        settings = self.settings.task
+        speed = settings.speed * smooth_ramp(elapsed, settings.ramp_time)
+        direction = math.radians(self.goal.direction_deg)
+        along = np.array([np.cos(direction), np.sin(direction), 0.0])
+        turn = settings.curvature * speed * np.array([along[1], -along[0], 0.0])  # along x z
+        return np.concatenate([speed * along, turn])
+
+    def finished(self, elapsed: float) -> bool:
+        """At the target if there is one, else at the end of the length."""
+        if not self.goal.target:
+            return self._odometer.length >= self.goal.length
+        distance = np.linalg.norm(self._sensor_pose()[:3, 3] - np.array(self.goal.target))
+        return bool(distance <= self.goal.target_radius)
+
+    def failure(self, elapsed: float) -> str:
+        """The target was missed, or the path takes too long."""
+        if self._odometer.length >= self.goal.length:
+            return f"the target was not reached within {self.goal.length * 1e3:.1f} mm of path"
+        if elapsed > self.settings.task.timeout:
+            return f"the path was not done within {self.settings.task.timeout:g} s"
+        return ""
+
+    def fraction(self) -> float:
+        """By the way so far."""
+        return min(1.0, self._odometer.length / self.goal.length)

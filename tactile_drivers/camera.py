@@ -1,0 +1,89 @@
+"""Camera: what every driver of a tactile sensor's camera offers, simulated or real.
+
+A driver is a class in the registry `CAMERAS`, made as an arm driver is (`tactile_drivers.arm`); another
+package adds its own by an entry point of the group "tactile_servoing.cameras"::
+
+    class MyCamera:
+        settings_class = MyCameraSettings            # checked against `camera_settings` of the scene
+
+        def __init__(self, arm: ArmScene, settings: MyCameraSettings, report: Callable[[CameraFrame], None]):
+            ...                                      # connect; then report(frame) for each exposure
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.registry import Registry
+from tactile_base.settings import SettingError, Settings
+
+if TYPE_CHECKING:
+    from tactile_drivers.scene import ArmScene
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """One exposure.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time in the middle of the exposure, ns of ROS time.
+    image : ndarray (height, width) uint8
+        Gray image.
+    lost : int
+        Exposures known to be lost since the start.
+    """
+
+    stamp_ns: int
+    image: NDArray[np.uint8]
+    lost: int = 0
+
+
+class Camera(Protocol):
+    """A driver that has been opened."""
+
+    @property
+    def rate(self) -> float:
+        """Exposures a second, Hz."""
+
+    def close(self) -> None:
+        """Let go of the camera; no frame is reported after it returns."""
+
+
+class CameraDriver(Protocol):
+    """What an entry of `CAMERAS` is.
+
+    Called with the arm of the scene whose sensor it is, the driver's own settings, and what to call with each
+    frame, from any thread. Raises `OSError` or `RuntimeError` if the camera cannot be had.
+    """
+
+    settings_class: ClassVar[type[Settings]]
+
+    def __call__(self, arm: ArmScene, settings: Any, report: Callable[[CameraFrame], None]) -> Camera: ...
+
+
+#: Camera drivers by name, besides the simulated cell's.
+CAMERAS: Registry[CameraDriver] = Registry("camera driver", "tactile_servoing.cameras", {})
+
+
+def open_camera(arm: ArmScene, report: Callable[[CameraFrame], None]) -> Camera:
+    """The camera of an arm's sensor, driven by the driver that the scene names.
+
+    Raises
+    ------
+    SettingError
+        If the arm has no sensor, there is no such driver, or `camera_settings` hold what it does not know.
+    OSError, RuntimeError
+        If the driver cannot have the camera.
+    """
+    if arm.sensor is None:
+        raise SettingError(f"arm '{arm.name}' has no sensor in this scene")
+    driver = CAMERAS.load(arm.sensor.camera)
+    given = arm.sensor.camera_settings
+    return driver(arm, given.checked(driver.settings_class, given.values), report)

@@ -1,0 +1,44 @@
+"""Shapes of bodies as signed distance functions, each in its own frame and a file of its own.
+
+Distances are exact (Euclidean), positive outside, in metres; normals are unit, outward, and equal the
+gradient of the distance. All functions take many points at once::
+
+    surface = make_surface("ramp", {"height": 0.03})
+    distance, normal = surface.query(points)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from tactile_base.registry import Registry
+from tactile_base.settings import SettingError
+
+if TYPE_CHECKING:
+    from tactile_drivers.shapes.surface import Surface
+
+SHAPES: Registry[type[Surface]] = Registry(
+    "shape",
+    "tactile_servoing.shapes",
+    {
+        "plane": "tactile_drivers.shapes.plane:Plane",
+        "ramp": "tactile_drivers.shapes.ramp:Ramp",
+        "dome": "tactile_drivers.shapes.dome:Dome",
+        "box": "tactile_drivers.shapes.box:Box",
+        "cylinder": "tactile_drivers.shapes.cylinder:Cylinder",
+        "sphere": "tactile_drivers.shapes.sphere:Sphere",
+    },
+)
+
+
+def make_surface(kind: str, parameters: Mapping[str, Any] | None = None, where: str = "") -> Surface:
+    """The surface of the given kind, a name of `SHAPES`, from named parameters.
+
+    Raises `SettingError`, which names `where` (a file and line), for an unknown kind or a bad parameter.
+    """
+    try:
+        shape = SHAPES.load(kind)
+    except SettingError as error:
+        raise SettingError(f"{where}: {error}" if where else str(error)) from error
+    return shape(shape.settings_class.from_mapping(parameters or {}, where))

@@ -1,0 +1,70 @@
+"""A box with rounded edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_drivers.shapes.surface import Array, Surface
+
+_QUADRANTS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+@dataclass(frozen=True)
+class BoxSettings(Settings):
+    """A box; the default is a Rubik's cube."""
+
+    size: tuple[float, ...] = setting(
+        (0.057, 0.057, 0.057), unit="m", lower=1e-3, upper=10.0, length=3, doc="extent along x, y and z"
+    )
+    rounding: float = setting(0.002, unit="m", lower=0.0, upper=5.0, doc="radius of edges and corners")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rounding > min(self.size) / 2:
+            raise SettingError(
+                f"rounding = {self.rounding:g} m: must be at most half the shortest side, "
+                f"{min(self.size) / 2:g} m"
+            )
+
+
+class Box(Surface):
+    """A box about the origin: all points within `rounding` of a smaller box, the core, with sharp edges."""
+
+    settings_class = BoxSettings
+    settings: BoxSettings
+
+    @property
+    def _core(self) -> Array:
+        """Half the core's size (3,), m."""
+        return np.array(self.settings.size) / 2 - self.settings.rounding
+
+    def query(self, points: Array) -> tuple[Array, Array]:
+        beyond = np.abs(points) - self._core
+        sign = np.where(points < 0, -1.0, 1.0)
+        outer = np.maximum(beyond, 0.0)
+        from_core = np.sqrt(np.einsum("ij,ij->i", outer, outer))
+        outside = from_core > 0
+        normal = sign * outer / np.where(outside, from_core, 1.0)[:, None]
+        inside = np.flatnonzero(~outside)
+        face = np.argmax(beyond[inside], axis=1)
+        normal[inside, face] = sign[inside, face]
+        return np.where(outside, from_core, beyond.max(axis=1)) - self.settings.rounding, normal
+
+    def grid(self, n: int = 60) -> Array:
+        """A grid on a sphere, cut into eight and moved to the core's corners: faces are what lies between."""
+        count = max(2, n // 4)
+        azimuth = (np.arange(4)[:, None] * np.pi / 2 + np.linspace(0.0, np.pi / 2, count)).ravel()
+        polar = np.concatenate([np.linspace(np.pi, np.pi / 2, count), np.linspace(np.pi / 2, 0.0, count)])
+        a, p = np.meshgrid(azimuth, polar)
+        ball = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1)
+        corner = np.empty_like(ball)
+        corner[..., :2] = np.repeat(_QUADRANTS, count, axis=0)
+        corner[..., 2] = np.repeat([-1.0, 1.0], count)[:, None]
+        sides = corner * self._core + self.settings.rounding * ball
+        sides = np.concatenate([sides, sides[:, :1]], axis=1)
+        middle = np.zeros((1, sides.shape[1], 3))
+        middle[..., 2] = self.settings.size[2] / 2
+        return np.concatenate([-middle, sides, middle])

@@ -1,0 +1,123 @@
+"""The section `simulation` of a scene: all that only a simulation needs (docs/scenes.md).
+
+simulation:
+rate: 120
+sensors:
+left: {fidelity: image, image: {contact: {friction: 0.9}}}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+from tactile_base.config_paths import named_file
+from tactile_base.settings import SettingError
+from tactile_base.yaml_file import Section, read_yaml
+from tactile_drivers.sim.settings import IdealSensorSettings, TacTipSettings
+
+FIDELITIES = ("image", "ideal")
+_SENSOR_GROUPS = tuple(item.name for item in fields(TacTipSettings))
+_DATA_GROUPS = ("collection", "variation")
+
+
+@dataclass(frozen=True)
+class SimulatedSensor:
+    """How a sensor is simulated: as camera images of a soft tip, or as its contact pose plus noise."""
+
+    model: TacTipSettings | IdealSensorSettings = field(default_factory=TacTipSettings)
+
+    @property
+    def fidelity(self) -> str:
+        """One of `FIDELITIES`."""
+        return "image" if isinstance(self.model, TacTipSettings) else "ideal"
+
+    @property
+    def tip_radius(self) -> float:
+        """Radius (m) of the hemispherical tip."""
+        return self.model.skin.radius if isinstance(self.model, TacTipSettings) else self.model.radius
+
+    def with_tip_radius(self, radius: float) -> SimulatedSensor:
+        """The same sensor with a tip of this radius (m)."""
+        if isinstance(self.model, TacTipSettings):
+            return SimulatedSensor(replace(self.model, skin=self.model.skin.replaced(radius=radius)))
+        return SimulatedSensor(self.model.replaced(radius=radius))
+
+    def changed(self, fidelity: str, **model: Any) -> SimulatedSensor:
+        """A sensor of this fidelity with settings of its model given by name.
+
+        They start from those of this sensor where the fidelity is the same, else from the defaults.
+        """
+        base = (
+            self if fidelity == self.fidelity else default_sensor(fidelity).with_tip_radius(self.tip_radius)
+        )
+        return SimulatedSensor(replace(base.model, **model)) if model else base
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How a scene is simulated.
+
+    Attributes
+    ----------
+    rate : int
+        Steps in a second: the arms' poses, and a multiple of every simulated camera's rate (Hz).
+    sensors : mapping
+        Arm -> how its sensor is simulated, for each arm with a sensor.
+    """
+
+    rate: int = 120
+    sensors: Mapping[str, SimulatedSensor] = field(default_factory=dict)
+
+
+def default_sensor(fidelity: str) -> SimulatedSensor:
+    """The sensor of a fidelity that nothing is said about."""
+    return SimulatedSensor(TacTipSettings() if fidelity == "image" else IdealSensorSettings())
+
+
+def read_simulation(section: Section, with_sensor: Sequence[str]) -> Simulation:
+    """Read the section, for the arms of the scene that have a sensor."""
+    section.allow("rate", "sensors")
+    rate = section.number("rate", 120)
+    if rate != int(rate) or not 1 <= rate <= 1000:
+        section.fail(f"{section.name}.rate = {rate:g}: must be a whole number of Hz in [1, 1000]", "rate")
+    sections = section.section("sensors")
+    sections.allow(*with_sensor)
+    sensors = {name: _sensor(sections.section(name)) for name in with_sensor}
+    return Simulation(int(rate), sensors)
+
+
+def read_sensor_groups(root: Section) -> TacTipSettings:
+    """The settings of a sensor file (`tactile_drivers.sim.sensor_file`) without those of data sets."""
+    default = TacTipSettings()
+    root.allow("description", *_SENSOR_GROUPS, *_DATA_GROUPS)
+    given = [name for name in _SENSOR_GROUPS if name in root.values]
+    return replace(default, **{name: root.settings(name, type(getattr(default, name))) for name in given})
+
+
+def _sensor(section: Section) -> SimulatedSensor:
+    section.allow("fidelity", *FIDELITIES)
+    fidelity = section.choice("fidelity", FIDELITIES, "image")
+    if fidelity == "ideal":
+        return SimulatedSensor(section.settings("ideal", IdealSensorSettings))
+    return SimulatedSensor(_image_model(section.section("image")))
+
+
+def _image_model(groups: Section) -> TacTipSettings:
+    """The sensor file that `file` names, or the defaults, with the groups that are given."""
+    groups.allow("file", *_SENSOR_GROUPS)
+    base = _from_sensor_file(groups) if "file" in groups.values else TacTipSettings()
+    changed = {}
+    for name in _SENSOR_GROUPS:
+        if name in groups.values:
+            group, settings = groups.section(name), getattr(base, name)
+            changed[name] = group.checked(type(settings), {**asdict(settings), **group.values})
+    return replace(base, **changed)
+
+
+def _from_sensor_file(groups: Section) -> TacTipSettings:
+    try:
+        return read_sensor_groups(read_yaml(named_file("sensor", groups.text("file"))))
+    except (FileNotFoundError, SettingError) as error:
+        groups.fail(str(error), "file")

@@ -1,0 +1,79 @@
+"""Presence, then estimate: what perception makes of one image, live, offline and in a replay alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from numpy.typing import NDArray
+
+from tactile_filter.gaussian import PoseGaussian
+from tactile_perception.estimating.image import Image
+from tactile_perception.estimating.labels import EstimateError
+from tactile_perception.estimating.presence import ContactPresence
+
+if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
+    from tactile_perception.estimator import Estimator
+
+
+@dataclass(frozen=True)
+class Percept:
+    """What perception says of one exposure.
+
+    Attributes
+    ----------
+    in_contact : bool or None
+        None while the reference of the contact presence is being captured, and where presence is not asked.
+    score : float
+        Of the contact presence; NaN where `in_contact` is None.
+    estimate : PoseGaussian or None
+        Gaussian over X_sf (SI, left perturbation); None without contact, and where the network failed.
+    fault : str
+        Why there is no estimate although one was due; else empty.
+    """
+
+    in_contact: bool | None
+    score: float
+    estimate: PoseGaussian | None = None
+    fault: str = ""
+
+
+class Perceiver:
+    """Image -> percept. A network always answers, but without contact there is nothing to estimate.
+
+    With a `ContactPresence` an estimate is made in contact only; without one, of every image::
+
+        perceive = Perceiver(Estimator(), ContactPresence())
+        percept = perceive(image)
+    """
+
+    def __init__(self, estimator: Estimator, presence: ContactPresence | None = None) -> None:
+        self.estimator = estimator
+        self.presence = presence
+
+    def __call__(self, image: Image, processed: bool = False) -> Percept:
+        """The percept of one camera image, or of one that is already cropped and thresholded.
+
+        Raises
+        ------
+        ImageError
+            If the image has the wrong size or type.
+        """
+        if self.presence is None:
+            make = self.estimator.estimate_processed if processed else self.estimator.estimate
+            return self._estimated(make, image, None, float("nan"))
+        prepare = self.estimator.preprocessor
+        prepared = prepare.from_processed(image) if processed else prepare(image)
+        presence = self.presence.update(prepared)
+        if not presence.in_contact:
+            return Percept(presence.in_contact, presence.score)
+        return self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
+
+    def _estimated(
+        self, make: Callable[..., PoseGaussian], image: NDArray, in_contact: bool | None, score: float
+    ) -> Percept:
+        try:
+            return Percept(in_contact, score, make(image))
+        except EstimateError as error:
+            return Percept(in_contact, score, fault=str(error))

@@ -1,0 +1,104 @@
+"""Reports of runs: report.json and pictures, by what the arm's task wants to show.
+
+A task brings its report as one file and one entry of `REPORTS`, or of the entry-point group
+tactile_servoing.reports; an arm whose task has none gets the numbers that all tasks share.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile_base.registry import Registry
+from tactile_records.runs import metrics
+from tactile_records.runs.record import RunRecord
+
+if TYPE_CHECKING:
+    from tactile_records.runs.figures import Picture
+
+Run = Mapping[str, RunRecord]  # all arms of a run, by name
+
+
+@dataclass(frozen=True)
+class TaskReport:
+    """What a report of a task shows of one arm; all of it may look at the other arms of the run as well.
+
+    Attributes
+    ----------
+    fields : mapping
+        Dotted name of each number -> its meaning and unit; the schema of report.json.
+    numbers : callable
+        Record and run -> numbers, nested as the names of `fields` are dotted.
+    summary : callable
+        Numbers -> rows for a person: (name, value with unit, requirement where there is one).
+    pictures : mapping
+        File name -> what draws it.
+    """
+
+    fields: Mapping[str, str]
+    numbers: Callable[[RunRecord, Run], dict[str, Any]]
+    summary: Callable[[Mapping[str, Any]], list[tuple[str, str, str]]]
+    pictures: Mapping[str, Picture]
+
+
+REPORTS: Registry[TaskReport] = Registry(
+    "report",
+    "tactile_servoing.reports",
+    {
+        "surface_following": "tactile_records.runs.surface_following:REPORT",
+        "object_tracking": "tactile_records.runs.object_tracking:REPORT",
+        "trajectory": "tactile_records.runs.trajectory:REPORT",
+    },
+)
+
+
+def report_of(record: RunRecord) -> TaskReport:
+    """The report of an arm's task."""
+    return REPORTS.load(record.task if record.task in REPORTS.names() else "trajectory")
+
+
+def write_reports(run: Run, folder: Path) -> dict[str, dict[str, Any]]:
+    """Write report.json and pictures of each arm, into the folder or with several arms into one each in it.
+
+    Returns
+    -------
+    dict
+        The numbers of each arm; NaN is None, as it is null in the file.
+    """
+    values = {}
+    for arm, place in places(run, folder).items():
+        place.mkdir(parents=True, exist_ok=True)
+        values[arm] = write_numbers(run, arm, place / "report.json")
+        write_pictures(run, arm, place)
+    return values
+
+
+def places(run: Run, folder: Path) -> dict[str, Path]:
+    """Where each arm's files go."""
+    return {arm: folder / arm if len(run) > 1 else folder for arm in run}
+
+
+def write_numbers(run: Run, arm: str, path: Path) -> dict[str, Any]:
+    """Write one arm's numbers and return them."""
+    values: dict[str, Any] = metrics.without_nan(report_of(run[arm]).numbers(run[arm], run))
+    path.write_text(json.dumps(values, indent=2) + "\n")
+    return values
+
+
+def write_pictures(run: Run, arm: str, folder: Path) -> list[Path]:
+    """Draw one arm's pictures; returns their paths."""
+    from tactile_records.runs.figures import draw_all  # matplotlib takes a second to load
+
+    return draw_all(report_of(run[arm]).pictures, run, arm, folder)
+
+
+def summary(run: Run, values: Mapping[str, dict[str, Any]]) -> list[tuple[str, str, str]]:
+    """What a person wants to see first, of all arms: (name, value with unit, requirement)."""
+    rows = []
+    for arm, numbers in values.items():
+        for name, value, requirement in report_of(run[arm]).summary(numbers):
+            rows.append((f"{arm}: {name}" if len(run) > 1 else name, value, requirement))
+    return rows

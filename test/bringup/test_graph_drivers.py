@@ -1,0 +1,68 @@
+"""Which processes stand for the arms and cameras of a scene: simulated, of a driver, or running already."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from other_package import installed
+
+from tactile_bringup.graph import GraphOptions, load_graph
+
+SCENE = """\
+arms:
+  arm:
+    driver: DRIVER
+    start: {position: [0.0, 0.0, 0.032], rotation_deg: [0, 180, 0]}
+    sensor: {in_tool: {position: [0.0, 0.0, 0.065]}, camera: CAMERA, camera_rate: 40, model: mine.onnx}
+bodies:
+  table: {shape: plane}
+"""
+
+
+@pytest.fixture
+def graph_of(tmp_path, monkeypatch):
+    """The graph of surface following on a scene with this driver and camera."""
+    (tmp_path / "site").mkdir()
+    for folder in installed(tmp_path / "site"):
+        monkeypatch.syspath_prepend(folder)
+
+    def make(driver: str, camera: str):
+        path = tmp_path / "plane.yaml"
+        path.write_text(SCENE.replace("DRIVER", driver).replace("CAMERA", camera))
+        return load_graph("surface_following", str(path), GraphOptions(rate=20.0, seed=3))
+
+    yield make
+    sys.modules.pop("bench_cell", None)
+
+
+def names(graph) -> list[str]:
+    return [node.full_name for node in graph.nodes]
+
+
+CHAIN = ["/arm/estimator", "/arm/filter", "/arm/controller"]
+
+
+@pytest.mark.parametrize(
+    "driver, camera, drivers",
+    [
+        ("sim", "sim", ["/sim"]),
+        ("sim", "bench_camera", ["/sim", "/arm/camera"]),
+        ("bench_arm", "bench_camera", ["/arm/arm", "/arm/camera"]),
+        ("bench_arm", "external", ["/arm/arm"]),
+        ("external", "bench_camera", ["/arm/camera"]),
+        ("external", "external", []),
+    ],
+)
+def test_only_what_does_not_run_already_gets_a_process(graph_of, driver, camera, drivers):
+    graph = graph_of(driver, camera)
+    assert names(graph) == drivers + CHAIN
+    for name in drivers:
+        assert Path(graph.node(name).parameters["scene"]).name == "plane.yaml"
+
+
+def test_a_real_sensor_keeps_its_own_rate_and_model(graph_of):
+    graph = graph_of("bench_arm", "bench_camera")
+    parameters = graph.node("/arm/estimator").parameters
+    assert parameters["images.rate"] == 40.0  # --rate is that of simulated cameras
+    assert parameters["model"] == str(graph.scene_file.parent / "mine.onnx")
+    assert "seed" not in graph.node("/arm/arm").parameters

@@ -1,0 +1,22 @@
+"""A package that brings drivers along; `installed` makes it as good as installed."""
+
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+ENTRY_POINTS = """\
+[tactile_servoing.arms]
+bench_arm = bench_cell:BenchArm
+[tactile_servoing.cameras]
+bench_camera = bench_cell:BenchCamera
+[tactile_servoing.motions]
+drift = bench_cell:Drift
+"""
+
+
+def installed(folder: Path) -> list[str]:
+    """Write the package's metadata into the folder; what has to be in PYTHONPATH or sys.path."""
+    info = folder / "bench_cell-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-cell\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(ENTRY_POINTS)
+    return [str(folder), str(FOLDER)]

@@ -1,0 +1,133 @@
+"""An arm, a camera and a motion of bodies, as a package outside this repository would bring them along."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_base.settings import Settings, setting
+from tactile_drivers.arm import ArmMode, ArmState, CommandGate
+from tactile_drivers.camera import CameraFrame
+from tactile_filter import se3
+
+PERIOD = 0.008  # s
+
+
+@dataclass(frozen=True)
+class BenchArmSettings(Settings):
+    """What the scene says of the arm."""
+
+    host: str = setting("here", doc="'nowhere' is not reached")
+    states: int = setting(10**9, lower=0, doc="states that are reported before the arm falls silent")
+
+
+class BenchArm:
+    """Follows twists exactly, from a thread of its own, with no watchdog; prints what it is told."""
+
+    settings_class = BenchArmSettings
+
+    def __init__(self, arm, settings, report):
+        if settings.host == "nowhere":
+            raise ConnectionError(f"no answer from {settings.host}")
+        self.gate = CommandGate(arm.limits)
+        self.state = None
+        self._pose, self._twist, self._why = arm.T_base_start, np.zeros(6), ""
+        self._report, self._left = report, settings.states
+        self._open = True
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def command(self, stamp_ns, twist):
+        admitted = self.gate.admit(time.time_ns(), stamp_ns, twist)
+        if admitted is None:
+            return False
+        self._twist, self._why = admitted, ""
+        return True
+
+    def stop(self, reason):
+        print(f"stop: {reason}", flush=True)
+        self._twist, self._why = np.zeros(6), reason
+        self.gate.drop()
+
+    def close(self):
+        print("close", flush=True)
+        self._open = False
+        self._thread.join()
+
+    def _run(self):
+        while self._open:
+            time.sleep(PERIOD)
+            twist = self._twist
+            self._pose = self._pose @ se3.exp(twist * PERIOD)
+            mode = ArmMode.MOVING if twist.any() else ArmMode.RESTING
+            now_ns, gate = time.time_ns(), self.gate
+            self.state = ArmState(
+                now_ns, self._pose, twist, mode, self._why, gate.age(now_ns), False,
+                gate.refused, gate.clipped, gate.last_refusal,
+            )  # fmt: skip
+            if self._left > 0:
+                self._left -= 1
+                self._report(self.state)
+
+
+@dataclass(frozen=True)
+class BenchCameraSettings(Settings):
+    """What the scene says of the camera."""
+
+    gray: int = setting(50, lower=0, upper=255, doc="of all pixels")
+    channels: int = setting(1, lower=1, upper=3, doc="1 is gray")
+
+
+class BenchCamera:
+    """Exposes the same image at the rate of the scene, and loses every tenth."""
+
+    settings_class = BenchCameraSettings
+
+    def __init__(self, arm, settings, report):
+        self.rate = arm.sensor.settings.camera_rate
+        shape = (480, 640) if settings.channels == 1 else (480, 640, settings.channels)
+        self._image = np.full(shape, settings.gray, np.uint8)
+        self._report, self._open = report, True
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self):
+        self._open = False
+        self._thread.join()
+
+    def _run(self):
+        number = 0
+        while self._open:
+            time.sleep(1 / self.rate)
+            number += 1
+            if number % 10:
+                self._report(CameraFrame(time.time_ns(), self._image, number // 10))
+
+
+@dataclass(frozen=True)
+class DriftSettings(Settings):
+    """How a body drifts."""
+
+    speed: float = setting(0.01, unit="m/s", lower=-1.0, upper=1.0, doc="along the world's x axis")
+
+
+class Drift:
+    """A body that drifts along x, until a sensor touches it; keeps what it was told."""
+
+    settings_class = DriftSettings
+    carriers = ()
+
+    def __init__(self, scene, body, settings):
+        self._T, self._speed = scene.T_world_body(body.name), settings.speed
+        self.contacts = []
+
+    def step(self, dt, tools, contacts):
+        self.contacts += contacts
+        T = self._T.copy()
+        if not contacts:
+            T[0, 3] += dt * self._speed
+        self._T = T
+        return T
