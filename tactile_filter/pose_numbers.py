@@ -45,8 +45,7 @@ def pose_from_numbers(numbers: ArrayLike) -> Array:
         raise MessageError(_pose_fault(array[~usable][0]))
     T = np.zeros((*array.shape[:-1], 4, 4))
     T[..., :3, :3] = se3.rotation_from_quaternion(array[..., 3:])
-    T[..., :3, 3] = array[..., :3]
-    T[..., 3, 3] = 1.0
+    T[..., :3, 3], T[..., 3, 3] = array[..., :3], 1.0
     return T
 
 
@@ -86,8 +85,7 @@ def gaussians_from_numbers(numbers: ArrayLike) -> list[PoseGaussian]:
 
 
 def _have_norm_1(quaternions: Array) -> Any:
-    x, y, z, w = np.moveaxis(quaternions, -1, 0)
-    return np.abs(x * x + y * y + z * z + w * w - 1.0) <= 2.0 * QUATERNION_TOLERANCE
+    return np.abs((quaternions * quaternions).sum(axis=-1) - 1.0) <= 2.0 * QUATERNION_TOLERANCE
 
 
 def _are_covariances(covs: Array) -> Any:

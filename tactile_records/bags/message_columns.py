@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.cdr import Layout, MessageError, layout_of
 
 Array = NDArray[Any]
@@ -38,7 +39,7 @@ class Columns:
 def stamps_ns(values: Array, name: str) -> Array:
     """The Time of this name in a structured array, as int64 nanoseconds (N,)."""
     seconds = values[f"{name}.sec"].astype(np.int64)
-    return seconds * 1_000_000_000 + values[f"{name}.nanosec"].astype(np.int64)
+    return seconds * SECOND_NS + values[f"{name}.nanosec"].astype(np.int64)
 
 
 class ColumnReader:
