@@ -50,6 +50,7 @@ _POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ARM_POSE = Topic("arm/pose", "geometry_msgs/msg/PoseStamped", RELIABLE, "arm")
 ARM_STATUS = Topic("arm/status", "tactile_msgs/msg/ArmStatus", RELIABLE, "arm")
 COMMAND = Topic("command/twist", "geometry_msgs/msg/TwistStamped", RELIABLE, "controller")
+CONTROLLER_STATUS = Topic("controller/status", "tactile_msgs/msg/ControllerStatus", RELIABLE, "controller")
 LIMITED_COMMAND = Topic("command/twist_limited", "geometry_msgs/msg/TwistStamped", RELIABLE, "arm")
 
 # ---- of each arm with a sensor ----
@@ -61,7 +62,6 @@ ESTIMATE = Topic("contact/estimate", _POSE_WITH_COVARIANCE, RELIABLE, "estimator
 BELIEF = Topic("contact/belief", _POSE_WITH_COVARIANCE, RELIABLE, "filter")
 STATE = Topic("contact/state", "tactile_msgs/msg/ContactState", RELIABLE, "filter")
 SMOOTHED = Topic("contact/smoothed", _POSE_WITH_COVARIANCE, RELIABLE, "tactile replay")
-CONTROLLER_STATUS = Topic("controller/status", "tactile_msgs/msg/ControllerStatus", RELIABLE, "controller")
 TRUTH = Topic("sim/truth", "tactile_msgs/msg/ContactTruth", RELIABLE, "simulation")
 LATENCY = Topic("latency", "tactile_msgs/msg/StageLatency", RELIABLE, "every stage")
 
@@ -79,8 +79,8 @@ OBJECT_LATENCY = Topic("/object/latency", "tactile_msgs/msg/StageLatency", RELIA
 
 # ---- what a graph has, and a recorder records ----
 
-ARM_TOPICS = (ARM_POSE, ARM_STATUS, COMMAND, LIMITED_COMMAND)
-SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, CONTROLLER_STATUS, TRUTH, LATENCY)
+ARM_TOPICS = (ARM_POSE, ARM_STATUS, COMMAND, LIMITED_COMMAND, CONTROLLER_STATUS)
+SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, TRUTH, LATENCY)
 SHARED_TOPICS = (DIAGNOSTICS, PARAMETER_EVENTS, TF, TF_STATIC, SIM_MARKERS)
 OBJECT_TOPICS = (OBJECT_BELIEF, OBJECT_LATENCY)
 

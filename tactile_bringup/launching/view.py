@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from tactile_base.config_paths import config_names, config_path
+from tactile_base.topics import BELIEF
 from tactile_bringup.graph import Graph
 
 DEFAULT = "default"  # the displays of a task that has no file of its own
@@ -28,19 +29,20 @@ def write_view(graph: Graph, folder: Path) -> Path:
 
 
 def _shown(display: dict[str, Any], graph: Graph) -> list[dict[str, Any]]:
-    """A display of an arm's topic once an arm; what only some graphs publish is shown where it is."""
+    """A display of an arm's topic once an arm that feels; what only some graphs have is shown there."""
     topic = display.get("Topic", {}).get("Value", "")
     if topic.startswith(f"/{ARM}/"):
-        return [_of_arm(display, topic.removeprefix(f"/{ARM}/"), arm, graph) for arm in graph.arms]
+        feeling = [arm for arm in graph.arms if BELIEF.of(arm) in graph.topics]
+        return [_of_arm(display, topic.removeprefix(f"/{ARM}/"), arm, feeling) for arm in feeling]
     if topic.startswith("/object/"):
         published = topic in {item.name for item in graph.topics}
         return [{**display, "Enabled": published, "Value": published}]
     return [display]
 
 
-def _of_arm(display: dict[str, Any], topic: str, arm: str, graph: Graph) -> dict[str, Any]:
+def _of_arm(display: dict[str, Any], topic: str, arm: str, arms: list[str]) -> dict[str, Any]:
     display = copy.deepcopy(display)
     display["Topic"]["Value"] = f"/{arm}/{topic}"
-    if len(graph.arms) > 1:
+    if len(arms) > 1:
         display["Name"] += f" ({arm})"
     return display

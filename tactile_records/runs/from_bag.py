@@ -245,7 +245,10 @@ def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:
 
 
 def arms_of(bag: Bag) -> list[str]:
-    """The arms with a controller, by name."""
+    """The arms that had something to do, by name."""
+    roles = json.loads(bag.note.get("roles", "{}"))
+    if roles:
+        return sorted(roles)
     suffix = "/controller/status"
     return sorted({topic[1 : -len(suffix)] for topic in bag.topics if topic.endswith(suffix)})
 

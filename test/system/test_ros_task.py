@@ -136,7 +136,7 @@ def test_latency_is_recorded_stage_by_stage(finished):
     assert stages == [s for s in ("camera", "estimator", "filter", "controller") if s in stages]
     assert stages[-2:] == ["filter", "controller"]
     assert all(values["latency_ms"]["stages"][stage]["p50"] > 0.0 for stage in stages)
-    # Of frames that both have, since a stage may lose its slowest; of most of them, since a stage takes the
+    # Of frames that both have, since a stage may lose its slowest; and of most of them: a stage takes the
     # time of its output after it was sent, when the next one may have had it already.
     for earlier, later in itertools.pairwise(record.latency.values()):
         _, first, second = np.intersect1d(earlier.stamp_ns, later.stamp_ns, return_indices=True)
