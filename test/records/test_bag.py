@@ -166,6 +166,20 @@ def test_after_a_damaged_length_the_index_tells_where_to_go_on(tmp_path, definit
     assert "no record of MCAP" in bag.problem and len(bag.messages) == 5 + 7
 
 
+def test_a_chunk_that_damage_turned_into_an_unknown_record_is_missed_in_the_count(tmp_path, definitions):
+    writer = write(tmp_path / "run", definitions)
+    writer.flush()
+    size = writer.file.stat().st_size
+    for index in range(7):
+        writer.write(TWIST.name, twist(index), 3000 + index, 3000 + index)
+    writer.close()
+    data = bytearray(writer.file.read_bytes())
+    data[size] |= 0x80  # records of private kinds are passed over
+    writer.file.write_bytes(data)
+    bag = read_bag(tmp_path / "run")
+    assert len(bag.messages) == 5 and "5 of 12 messages were found" in bag.problem
+
+
 def other_bag(folder: Path, plugin, count: int = 3000) -> None:
     """A bag as `ros2 bag` would write it."""
     with Writer(folder, version=9, storage_plugin=plugin) as bag:
@@ -242,6 +256,19 @@ def test_a_truncated_sqlite_bag_gives_what_sqlite_still_finds(tmp_path, part):
     found = [message.data for _, message in bag.decoded(long.name)]
     assert len(found) > 20 * part and set(found) <= set(texts.values())
     assert not bag.complete and "ends early" in bag.problem
+
+
+def test_a_truncated_sqlite_bag_in_which_sqlite_finds_nothing_is_an_error_that_names_a_tool(tmp_path):
+    """The page that leads to the rows stands in the middle of a large file."""
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        connection = bag.add_connection(TWIST.name, TWIST.type, typestore=STORE)
+        for index in range(5000):
+            bag.write(connection, 1000 + index, bytes(1000))
+    file = next((tmp_path / "run").glob("*.db3"))
+    with file.open("r+b") as stream:
+        stream.truncate(file.stat().st_size // 4)
+    with pytest.raises(BagError, match=r"nothing in it can be read.*ends early.*sqlite3 run.db3 .recover"):
+        read_bag(tmp_path / "run")
 
 
 def test_rows_behind_a_damaged_page_of_a_sqlite_bag_are_read(tmp_path):
