@@ -1,4 +1,4 @@
-"""A task that another package brings through an entry point runs like one of ours, offline and by the node."""
+"""A task that another package brings through an entry point runs as one of ours, without ROS."""
 
 import sys
 from pathlib import Path
