@@ -8,13 +8,11 @@ Ramp and one path of the dome for each row, against the truth. The tables in doc
 from __future__ import annotations
 
 import argparse
-import dataclasses
 
 import numpy as np
 
-from tactile_base.config_paths import config_path
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_control.task_file import load_task
+from tactile_control.task_file import load_task, task_path
 from tactile_records.runs import metrics
 
 SCENES = {"ramp": (), "dome": ("theta_1",)}
@@ -50,11 +48,11 @@ ROWS: list[tuple[str, float, dict]] = [
 
 def measure(scene: str, latency_ms: float, changes: dict, fidelity: str, seeds: int) -> tuple[float, ...]:
     """Depth RMS (mm), normal RMS (deg), oscillation in depth (mm) and tilt (deg): means over seeds."""
-    task = load_task(config_path("tasks/surface_following.yaml"), scene)
-    task = dataclasses.replace(task, settings=task.settings.replaced(**changes))
+    texts = [f"{name.replace('__', '.')}={value}" for name, value in changes.items()]
+    task = load_task(task_path("surface_following"), scene, changes=texts)
     rows = []
     for seed in range(seeds):
-        options = OfflineOptions(fidelity=fidelity, seed=seed, latency=latency_ms * 1e-3, paths=SCENES[scene])
+        options = OfflineOptions(fidelity=fidelity, seed=seed, latency=latency_ms * 1e-3, goals=SCENES[scene])
         values = metrics.report(run_offline(scene, task, options))
         if not values["succeeded"]:
             return (np.nan,) * 4

@@ -35,11 +35,13 @@ def followed(scene_name: str, latency: float, speed: float, gain: float, changes
     """Metrics of one run; None where it failed."""
     scene = load_scene(scene_name).with_fidelity("ideal")
     task = load_task(task_path("surface_following"), scene.name)
-    pid = task.settings.pid
+    role = task.role("follower")
+    pid = role.settings.pid
     gains = {"pid__kp": [gain * k for k in pid.kp], "pid__ki": [gain**2 * k for k in pid.ki]}
-    settings = task.settings.replaced(task__speed=speed, **gains, **changes)
+    settings = role.settings.replaced(task__speed=speed, **gains, **changes)
+    task = dataclasses.replace(task, roles=(dataclasses.replace(role, settings=settings),))
     options = OfflineOptions(fidelity="ideal", seed=1, latency=latency)
-    values = metrics.report(run_offline(scene, dataclasses.replace(task, settings=settings), options))
+    values = metrics.report(run_offline(scene, task, options))
     if not values["succeeded"]:
         return None
     return {

@@ -109,7 +109,7 @@ def measure(options: argparse.Namespace) -> None:
             client.wait_for_server(5.0)
             client.send_goal_async(
                 RunTask.Goal(
-                    task="surface_following", path_name="bench", direction=[0.0, 1.0], path_length=1.0
+                    task="surface_following", name="bench", goal="{direction_deg: 90.0, length: 1.0}"
                 )
             )
             spin(4.0)

@@ -252,6 +252,13 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
 
     # ---- phases: each returns the twist wanted now ----
 
+    def _next_twist(self, now_ns: int) -> tuple[Array, str]:
+        """Lost contact goes before the watchdog: without contact there is no belief, which then grows old."""
+        if self.phase in (SETTLE, self.work) and self._contact_lost():
+            self._wanted = self._after_lost_contact()
+            return self._wanted, ""
+        return super()._next_twist(now_ns)
+
     def _go_to_start(self, now_ns: int) -> Array:
         pose, travel = self._sensor_pose(), self.settings.travel
         assert self.start is not None
@@ -296,8 +303,6 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
 
     def _settle(self, now_ns: int) -> Array:
         settings = self.settings.contact
-        if self._contact_lost():
-            return self._after_lost_contact()
         # the way in is no steady error: an integral of it would only be an offset on the path
         output = self._serve(np.zeros(6), hold_integral=True)
         depth, tilt = abs(output.error[2]), float(np.linalg.norm(output.error[3:5]))
@@ -316,8 +321,6 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         return output.twist
 
     def _work(self, now_ns: int) -> Array:
-        if self._contact_lost():
-            return self._after_lost_contact()
         self._odometer.add(self._sensor_pose()[:3, 3])
         elapsed = self._in_phase(now_ns)
         if self.finished(elapsed):

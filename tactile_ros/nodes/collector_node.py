@@ -273,6 +273,8 @@ class CollectorNode(TaskNode):
             return "a collection is running; cancel it first"
         if goal.task != TASK:
             return f"task is '{goal.task}', must be '{TASK}'"
+        if goal.start or goal.settings:
+            return "start and settings must be empty: set the parameters of the collector"
         try:
             named_goal(goal, DataCollection)
         except SettingError as error:

@@ -296,7 +296,7 @@ def test_a_target_that_is_not_on_the_path_fails(settings):
 
 
 def losing_contact(times):
-    """The surface drops away (presence and belief vanish) for 0.3 s, `times` times, while following."""
+    """Presence says no contact for 0.3 s, `times` times, while following; beliefs go on."""
     starts = [400 + 250 * i for i in range(times)]
 
     def change(k, inputs):
@@ -318,6 +318,21 @@ def test_lost_contact_is_approached_again_and_the_path_goes_on(settings):
     )
     assert phases_of(commands) == [APPROACH, SETTLE, FOLLOW, APPROACH, SETTLE, FOLLOW, RETREAT, DONE]
     assert commands[-1][1].succeeded
+
+
+def test_an_edge_that_the_sensor_slides_over_is_lost_contact_not_a_silent_input(settings):
+    """Without contact there are no beliefs either."""
+
+    class Edge(Plane):
+        def query(self, p):
+            distance, normal = super().query(p)
+            return distance + (0.03 if p[1] > 0.01 else 0.0), normal
+
+    settings = settings.replaced(contact__lost_contact="fail")
+    plant = Plant(Edge(), above(Plane()))
+    commands = run(SurfaceFollowing(settings, FollowingGoal(length=0.04)), plant)
+    assert phases_of(commands)[-2:] == [RETREAT, FAILED]
+    assert commands[-1][1].reason == "contact was lost in phase follow"
 
 
 def test_lost_contact_fails_where_the_settings_say_so(settings):

@@ -270,6 +270,7 @@ def test_a_goal_of_another_task_is_refused_with_the_name_of_ours(world):
     [
         ({"goal": "{sampels: 2}"}, "did you mean 'samples'"),
         ({"goal": "{samples: 0}"}, "samples = 0"),
+        ({"settings": "{motion: {gain: 5.0}}"}, "settings must be empty"),
     ],
 )
 def test_a_goal_that_cannot_be_run_is_refused_with_the_reason(world, asked, complaint):
