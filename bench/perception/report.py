@@ -23,7 +23,7 @@ def error_ratio(mae: Sequence[float]) -> float:
 
 
 def markdown_table(rows: Sequence[Row]) -> str:
-    """The table as it stands in docs/results/perception.md; without errors for networks that were not trained."""
+    """The table of docs/results/perception.md; without errors for networks that were not trained."""
     columns = {
         "network": [row.name for row in rows],
         "": [row.arithmetic for row in rows],
