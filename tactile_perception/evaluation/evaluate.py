@@ -17,15 +17,16 @@ from tactile_perception.evaluation.metrics import (
     Accuracy,
     Bins,
     Consistency,
+    Predictions,
     accuracy,
     binned,
     by_predicted_sigma,
     consistency,
     depth_edges,
+    moment_matched,
     shear_of,
 )
 from tactile_perception.evaluation.models import Model
-from tactile_perception.evaluation.predictions import Predictions, moment_matched
 
 Array = NDArray[np.float64]
 ENSEMBLE = "ensemble"

@@ -26,8 +26,8 @@ from tactile_perception.evaluation.filtering import (
     run_filter,
     unfiltered,
 )
+from tactile_perception.evaluation.metrics import Predictions
 from tactile_perception.evaluation.plots import best
-from tactile_perception.evaluation.predictions import Predictions
 from tactile_perception.evaluation.report import file_name, groups, with_spread
 
 Array = NDArray[np.float64]

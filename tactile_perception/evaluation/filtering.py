@@ -23,8 +23,7 @@ from tactile_filter.propagation import predict
 from tactile_perception.estimating.labels import pose_gaussian, surface_contact_pose, tangent_gaussian
 from tactile_perception.estimating.sources import Frame
 from tactile_perception.evaluation.evaluate import EvaluationData
-from tactile_perception.evaluation.metrics import squared_mahalanobis
-from tactile_perception.evaluation.predictions import Predictions
+from tactile_perception.evaluation.metrics import Predictions, squared_mahalanobis
 
 Array = NDArray[np.float64]
 _PERIOD_NS = 100_000_000

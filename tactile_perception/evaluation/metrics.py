@@ -1,23 +1,99 @@
-"""Accuracy and calibration of predictions against labels."""
+"""Predictions of networks for many samples at once, and their accuracy and calibration against labels."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
-from tactile_perception.evaluation.predictions import OUTPUTS, Predictions, euler_of
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_SCALE
+from tactile_perception.evaluation.calibration import Calibration
 
 Array = NDArray[np.float64]
-
 #: Nominal levels of the central intervals whose coverage the tables give.
 LEVELS = (0.50, 0.90, 0.95, 0.99)
 #: Nominal levels of the reliability diagrams.
 CURVE = np.linspace(0.0, 1.0, 41)
 #: The paper's weights of the CNN's mean squared error (eq. mse_loss_def).
 MSE_WEIGHTS = np.array([1.0, 1.0, 1.0, 100.0, 100.0, 100.0])
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Gaussians over xi_sf in the tangent space.
+
+    Attributes
+    ----------
+    mean : (N, 6) in mm and rad
+    cov : (N, 6, 6) in mm and rad, or None from a network without uncertainty
+    """
+
+    mean: Array
+    cov: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations (N, 6)."""
+        if self.cov is None:
+            raise ValueError("predictions without uncertainty have no standard deviations")
+        return np.sqrt(np.diagonal(self.cov, axis1=1, axis2=2))
+
+    def calibrated(self, calibration: Calibration) -> Predictions:
+        """The same means with calibrated covariances."""
+        if self.cov is None:
+            raise ValueError("predictions without uncertainty cannot be calibrated")
+        return Predictions(self.mean, calibration.covariance(self.mean, self.cov))
+
+    def taken(self, chosen: NDArray[np.int64]) -> Predictions:
+        """Those of some samples, in their order."""
+        return Predictions(self.mean[chosen], None if self.cov is None else self.cov[chosen])
+
+
+def moment_matched(members: Sequence[Predictions]) -> Predictions:
+    """The Gaussian with mean and covariance of the equally weighted mixture of the members.
+
+    Of members without uncertainty only the mean: their spread says nothing of the errors that they share.
+    """
+    means = np.stack([member.mean for member in members])
+    mean = means.mean(axis=0)
+    covs = [member.cov for member in members if member.cov is not None]
+    if len(covs) < len(members):
+        return Predictions(mean)
+    spread = means - mean
+    between = np.einsum("mni,mnj->nij", spread, spread) / len(members)
+    return Predictions(mean, np.mean(covs, axis=0) + between)
+
+
+def euler_of(mean: Array) -> Array:
+    """Euler surface contact poses (N, 6) in mm and degrees of network vectors xi_sf (N, 6) in mm and rad.
+
+    `labels.euler_from_label` for many at once.
+    """
+    xi = mean * NETWORK_SCALE
+    rotation = Rotation.from_rotvec(xi[:, 3:])
+    inverse = rotation.inv()
+    position = -inverse.apply(_translation(xi))
+    return np.hstack([position * 1e3, inverse.as_euler("xyz", degrees=True)])
+
+
+def _translation(xi: Array) -> Array:
+    """J(phi) rho for each row: the translation of exp(xi)."""
+    rho, phi = xi[:, :3], xi[:, 3:]
+    theta = np.linalg.norm(phi, axis=1)
+    # sin(x)/x forms: (1 - cos t) / t^2 = (sin(t/2) / (t/2))^2 / 2 cancels nowhere.
+    b = 0.5 * np.sinc(theta / (2.0 * np.pi)) ** 2
+    small = theta < 1e-2
+    safe = np.where(small, 1.0, theta)
+    c = np.where(small, (1.0 - theta**2 / 20.0) / 6.0, (safe - np.sin(safe)) / safe**3)
+    first = np.cross(phi, rho)
+    return rho + b[:, None] * first + c[:, None] * np.cross(phi, first)
 
 
 @dataclass(frozen=True)
@@ -91,11 +167,11 @@ def consistency(labels: Array, predictions: Predictions) -> Consistency:
     _, log_det = np.linalg.slogdet(predictions.cov)
     z = np.abs(error) / predictions.sigma
     return Consistency(
-        nll=float(0.5 * (squared + log_det + OUTPUTS * np.log(2.0 * np.pi)).mean()),
+        nll=float(0.5 * (squared + log_det + len(COMPONENTS) * np.log(2.0 * np.pi)).mean()),
         nees=(z**2).mean(axis=0),
         nees_interval=mean_interval(len(z), 1),
-        joint=float(squared.mean()) / OUTPUTS,
-        joint_interval=mean_interval(len(z), OUTPUTS),
+        joint=float(squared.mean()) / len(COMPONENTS),
+        joint_interval=mean_interval(len(z), len(COMPONENTS)),
         coverage=coverage(z, np.array(LEVELS)),
         curve=coverage(z, CURVE),
         sharpness=predictions.sigma.mean(axis=0),
@@ -147,7 +223,7 @@ def binned(labels: Array, predictions: Predictions, by: Array, edges: Array) -> 
     number = np.clip(np.searchsorted(edges, by, side="right") - 1, -1, len(edges) - 1)
     number[by == edges[-1]] = len(edges) - 2
     columns = (np.abs(error), error**2, sigma**2, (error / sigma) ** 2)
-    means = np.full((4, len(edges) - 1, OUTPUTS), np.nan)
+    means = np.full((4, len(edges) - 1, len(COMPONENTS)), np.nan)
     count = np.bincount(number[(number >= 0) & (number < len(edges) - 1)], minlength=len(edges) - 1)
     for index in np.flatnonzero(count):
         means[:, index] = [column[number == index].mean(axis=0) for column in columns]
@@ -158,7 +234,7 @@ def binned(labels: Array, predictions: Predictions, by: Array, edges: Array) -> 
 def by_predicted_sigma(labels: Array, predictions: Predictions, bins: int = 10) -> list[Bins]:
     """For each component, its errors in bins of as many samples each of its predicted sigma."""
     found = []
-    for component in range(OUTPUTS):
+    for component in range(len(COMPONENTS)):
         sigma = predictions.sigma[:, component]
         edges = np.unique(np.quantile(sigma, np.linspace(0.0, 1.0, bins + 1)))
         if len(edges) == 1:  # a network that always states the same

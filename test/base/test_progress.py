@@ -99,6 +99,15 @@ def test_items_pass_through_with_their_rate(clock):
     assert text.getvalue().splitlines()[1] == "train: 2 of 3 samples, 2.0/s, 0 s left"
 
 
+def test_what_comes_in_lots_adds_up(clock):
+    console, text = plain()
+    with Progress(console, line_period=0.0) as progress:
+        for _ in range(2):
+            progress.advance("predicting", 50, 150, "images")
+            clock.now_s += 3.0
+    assert text.getvalue().splitlines()[1] == "predicting: 100 of 150 images, 3 s left"
+
+
 def test_on_a_terminal_there_are_bars_that_go_away_and_lines_that_stay():
     text = io.StringIO()
     console = Console(file=text, force_terminal=True, width=100)

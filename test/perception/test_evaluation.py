@@ -20,15 +20,17 @@ from tactile_perception.estimating.model_metadata import split_holdback, unseen_
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
 from tactile_perception.evaluation.metrics import (
+    Predictions,
     accuracy,
     binned,
     by_predicted_sigma,
     consistency,
     coverage,
+    euler_of,
     mean_interval,
+    moment_matched,
 )
 from tactile_perception.evaluation.models import open_models
-from tactile_perception.evaluation.predictions import Predictions, euler_of, moment_matched
 from tactile_perception.evaluation.report import summary
 
 MU = np.array([0.5, -1.0, -3.0, 0.1, -0.2, 0.03])
@@ -53,7 +55,7 @@ def predictions_of(count: int = 4000, claimed: float = 1.0, seed: int = 0) -> tu
     mean = MU + rng.normal(size=(count, 6)) * [2, 2, 1, 0.2, 0.2, 0.05]
     sigma = SIGMA * np.exp(rng.normal(0.0, 0.3, (count, 6)))
     labels = mean + rng.normal(size=(count, 6)) * sigma
-    return labels, Predictions.from_inverse_sigma(mean, 1.0 / (claimed * sigma))
+    return labels, Predictions(mean, (claimed * sigma)[:, :, np.newaxis] ** 2 * np.eye(6))
 
 
 @pytest.fixture(scope="module")

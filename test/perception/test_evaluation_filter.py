@@ -27,8 +27,8 @@ from tactile_perception.evaluation.filtering import (
     run_filter,
     with_motion_noise,
 )
+from tactile_perception.evaluation.metrics import Predictions
 from tactile_perception.evaluation.models import open_models
-from tactile_perception.evaluation.predictions import Predictions
 from tactile_perception.evaluation.report import paper_tables
 
 SIGMA = np.array([0.5, 0.5, 0.1, 0.01, 0.01, 0.02])
@@ -45,7 +45,7 @@ def simulated(count: int, claimed: float = 1.0, seed: int = 0) -> tuple[Evaluati
     mean = labels + rng.normal(size=(count, 6)) * sigma
     names = [str(number) for number in range(count)]
     data = EvaluationData(Path("data"), names, labels, euler, {}, "", DatasetReport(Path("data")))
-    return data, Predictions.from_inverse_sigma(mean, 1.0 / (claimed * sigma))
+    return data, Predictions(mean, (claimed * sigma)[:, :, np.newaxis] ** 2 * np.eye(6))
 
 
 @pytest.fixture(scope="module")

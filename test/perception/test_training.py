@@ -20,8 +20,8 @@ from tactile_perception.evaluation.calibration import CalibrationError  # noqa: 
 from tactile_perception.training.augmentation import AugmentationError, Augmenter  # noqa: E402
 from tactile_perception.training.data import Samples, load_data, split_holdback  # noqa: E402
 from tactile_perception.training.network import PoseNetwork  # noqa: E402
-from tactile_perception.training.progress import TrainingProgress  # noqa: E402
-from tactile_perception.training.run_folder import RunFolder  # noqa: E402
+from tactile_perception.training.progress import TrainingDisplay, TrainingProgress  # noqa: E402
+from tactile_perception.training.run_folder import Epoch, RunFolder  # noqa: E402
 from tactile_perception.training.settings import (  # noqa: E402
     AugmentationSettings,
     NetworkSettings,
@@ -101,6 +101,17 @@ def test_exported_model_carries_the_facts_of_its_training(run):
     assert metadata.training["training"]["seed"] == 3
     # Epochs are compared in bf16; what the file says was measured in full precision.
     np.testing.assert_allclose(list(metadata.validation["mae"].values()), result.best.mae, rtol=0.05)
+
+
+def test_the_line_of_an_epoch_names_its_errors_and_their_units(capsys):
+    mae = np.array([0.55, 0.5362, 0.133, 0.0068, 0.0071, 0.02344])
+    with TrainingDisplay() as display:
+        display.start(2, 10, "mean NLL", 0)
+        display.epoch(Epoch(0, 1e-3, -3.0, -3.5, mae, 7.0, True, 61.0))
+    assert capsys.readouterr().err == (
+        "epoch   1  lr 1.0e-03  mean NLL train  -3.000 val  -3.500  val MAE rho x/y/z 0.550/0.536/0.133 mm, "
+        "phi x/y/z 0.0068/0.0071/0.0234 rad  7 s, 1 min 01 s left  best\n"
+    )
 
 
 def test_the_same_seed_gives_the_same_model(training_data, tmp_path):
