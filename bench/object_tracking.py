@@ -1,9 +1,9 @@
 """Object tracking in the loop without ROS: errors and lag by gains, by object and by speed (simulated).
 
-    python bench/object_tracking.py gains [--fidelity image]      # the paper's gains, ours, and what each part brings
-    python bench/object_tracking.py objects                       # flat plate, cube, mustard bottle, soft ball
-    python bench/object_tracking.py components                    # 200 mm and 60 degrees, one after the other
-    python bench/object_tracking.py speed                         # 0.5 to 8 times the paper's speed
+    python bench/object_tracking.py gains        # the paper's gains, ours, and what each part brings
+    python bench/object_tracking.py objects      # flat plate, cube, mustard bottle, soft ball
+    python bench/object_tracking.py components   # 200 mm and 60 degrees, one after the other
+    python bench/object_tracking.py speed        # 0.5 to 8 times the paper's speed
 
 The tables in docs/results/tracking.md are its output.
 """
