@@ -137,6 +137,7 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         self._T_base_origin: Array | None = None
         self._path_s = 0.0
         self._moved_ns: int | None = None
+        self._ended_ns = 0
         self._rate = 0.0
         self._error = np.full(6, np.nan)
         self._feedforward = np.zeros(6)
@@ -195,13 +196,22 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         if np.linalg.norm(self._error[:3]) > self.settings.task.largest_error:
             distance = 1e3 * float(np.linalg.norm(self._error[:3]))
             return self._fail(f"the arm is {distance:.1f} mm off its trajectory")
-        if self._path_s >= self.goal.duration:
+        if self._path_s >= self.goal.duration and self._arrived(pose.stamp_ns):
             self._enter(DONE)
             return np.zeros(6)
         ahead, behind = self.pose(self._path_s + _DIFFERENCE), self.pose(self._path_s - _DIFFERENCE)
         twist = se3.log(se3.inverse(behind) @ ahead) * (self._rate / (2.0 * _DIFFERENCE))
         self._feedforward = se3.adjoint(X_error) @ twist
         return self._feedforward + self.settings.task.gain * self._error
+
+    def _arrived(self, stamp_ns: int) -> bool:
+        """Whether the arm has come to the trajectory's end; it fails if that takes too long."""
+        travel = self.settings.travel
+        self._ended_ns = self._ended_ns or stamp_ns
+        if (stamp_ns - self._ended_ns) * NANOSECOND > travel.timeout:
+            self._fail(f"the end of the trajectory was not reached within {travel.timeout:g} s")
+        distance, angle = np.linalg.norm(self._error[:3]), np.linalg.norm(self._error[3:])
+        return bool(distance <= travel.position_tolerance and angle <= travel.angle_tolerance)
 
     def _advance(self, stamp_ns: int) -> None:
         """Go on along the trajectory to where the arm should be at the stamp of its pose."""
@@ -210,6 +220,9 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         elapsed = (stamp_ns - self._moved_ns) * NANOSECOND
         self._moved_ns = stamp_ns
         left = self.goal.duration - self._path_s
+        if left <= 0.0:
+            self._rate = 0.0
+            return
         full, ramp = settings.speed_factor, settings.ramp_time
         if ramp > 0.0:
             # a square-root law slows down evenly to the end, so that the last stretch takes the ramp's time
