@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, SettingGroups, Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings
-from tactile_control.motion import Odometer, TravelSettings, Waypoint, twist_towards, way_to_start
+from tactile_control.motion import Odometer, TravelSettings
 from tactile_control.phases import (
     DONE,
     FAILED,
@@ -133,7 +133,6 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         self.goal = goal
         self.start = None if start is None else se3.checked_pose("start", start)
         self._odometer = Odometer(1e-4)
-        self._waypoints: list[Waypoint] | None = None
         self._T_base_origin: Array | None = None
         self._path_s = 0.0
         self._moved_ns: int | None = None
@@ -169,19 +168,12 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         return {"pose": self._pose.stamp_ns if self._pose is not None else None}
 
     def _go_to_start(self, now_ns: int) -> Array:
-        pose, travel = self._sensor_pose(), self.settings.travel
         assert self.start is not None
-        if self._waypoints is None:
-            self._waypoints = way_to_start(pose, self.start, travel)
-        if self._in_phase(now_ns) > travel.timeout:
-            self._fail_here(f"the start was not reached within {travel.timeout:g} s")
-            return np.zeros(6)
-        while self._waypoints and self._waypoints[0].reached(pose):
-            self._waypoints.pop(0)
-        if not self._waypoints:
+        twist = self._go_to(self.start, self.settings.travel, now_ns)
+        if twist is None:
             self._enter(MOVE)
             return np.zeros(6)
-        return twist_towards(pose, self._waypoints[0].T_base_goal, travel)
+        return twist
 
     def _move(self, now_ns: int) -> Array:
         """Feedforward of the trajectory's own twist, and feedback of the distance from it."""
