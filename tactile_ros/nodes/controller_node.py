@@ -32,7 +32,7 @@ from tactile_ros.task_messages import feedback_message, named_goal, status_bytes
 from tactile_ros.task_node import ZERO, Run, TaskNode
 
 read_state = HeadedReader(ContactState)
-XI, FLAGS = slice(0, 6), 50  # among its numbers: behind xi are covariance, euler, nis and nis_dof
+XI, FLAGS = read_state.place("xi"), read_state.index("flags")
 
 
 @dataclass(frozen=True)
