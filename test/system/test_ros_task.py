@@ -17,6 +17,7 @@ import pytest
 from launched import Launched
 
 from tactile_base.config_paths import config_folder
+from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
@@ -98,6 +99,13 @@ def test_the_task_is_done_and_nothing_is_left(finished):
     assert done and 40 <= int(done[1]) <= 42, launch.output  # a machine that holds a step up lets it go on
     assert launch.leaves_nothing(), launch.left()
     assert record.result["bag_complete"] and values["succeeded"]
+
+
+def test_a_recorded_run_has_a_report(finished, tmp_path):
+    launch, _, values = finished
+    assert main(["report", str(launch.folder / "bag"), "--out", str(tmp_path)]) == 0
+    assert json.loads((tmp_path / "report.json").read_text())["depth_rms_mm"] == values["depth_rms_mm"]
+    assert (tmp_path / "trajectory.png").stat().st_size > 1000
 
 
 def test_contact_is_kept_at_depth_and_along_the_normal(finished):
