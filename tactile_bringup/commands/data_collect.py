@@ -95,8 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
-    from tactile_bringup.commands.collect_progress import CollectionDisplay
     from tactile_bringup.launching.launcher import Launcher
+    from tactile_bringup.launching.progress import CollectionDisplay
 
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
