@@ -22,12 +22,12 @@ from tactile_base.stamps import SECOND_NS
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
+from tactile_ros.cdr import twist_bytes
+from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import COMMAND, STATE
-from tactile_ros.stamps import duration_from_ns
 from tactile_ros.transforms import TransformListener
-from tactile_ros.wire import twist_bytes
 
 ZERO = np.zeros(6)
 FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by

@@ -12,7 +12,6 @@ deactivated.
 
 from __future__ import annotations
 
-import functools
 import sys
 import time
 from dataclasses import dataclass
@@ -33,12 +32,11 @@ from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus
-from tactile_ros.cdr import Layout, split_stamp
+from tactile_ros.cdr import Layout, headed_bytes, read_twist, split_stamp, twist_bytes
 from tactile_ros.conversions import numbers_from_pose, transform_stamped
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
-from tactile_ros.wire import headed_bytes, read_twist, twist_bytes
 
 
 @dataclass(frozen=True)
@@ -166,9 +164,9 @@ class ArmNode(ManagedNode):
         numbers = numbers_from_pose(state.T_base_controlled).tolist()
         self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
-        layout = _status_layout(self.base_frame, state.reason)
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
-        self.status_out.publish(layout.pack(*split_stamp(state.stamp_ns), *numbers))
+        status = headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, reason=state.reason)
+        self.status_out.publish(status)
 
     # ---- commands ----
 
@@ -211,13 +209,6 @@ class ArmNode(ManagedNode):
         if reason:
             self._commanded_at = None
             self.driver.stop(reason)
-
-
-@functools.lru_cache(maxsize=64)
-def _status_layout(frame_id: str, reason: str) -> Layout:
-    example = ArmStatus(reason=reason)
-    example.header.frame_id = frame_id
-    return Layout(example)
 
 
 def main() -> int:
