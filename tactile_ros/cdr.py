@@ -119,13 +119,6 @@ def gaussian_bytes(stamp_ns: int, frame_id: str, mean: Array, cov: Array) -> byt
     return headed_bytes(PoseWithCovarianceStamped, stamp_ns, frame_id, *numbers)
 
 
-read_gaussian = HeadedReader(PoseWithCovarianceStamped)
-"""Stamp (ns), frame and numbers; `conversions.gaussian_from_numbers` checks these and makes a Gaussian."""
-
-read_twist = HeadedReader(TwistStamped)
-"""Stamp (ns), frame and [v, omega] (6 numbers, which may be NaN: that is for the limiter to refuse)."""
-
-
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
     """Seconds and nanoseconds of a stamp; negative ones become zero, which ROS reads as 'none'."""
     return divmod(max(int(stamp_ns), 0), SECOND_NS)
@@ -137,3 +130,9 @@ def type_name(message_type: Any) -> str:
 
 
 _read_transforms = cdr.MessageReader("tf2_msgs/msg/TFMessage")
+
+read_gaussian = HeadedReader(PoseWithCovarianceStamped)
+"""Stamp (ns), frame and numbers; `conversions.gaussian_from_numbers` checks these and makes a Gaussian."""
+
+read_twist = HeadedReader(TwistStamped)
+"""Stamp (ns), frame and [v, omega] (6 numbers, which may be NaN: that is for the limiter to refuse)."""

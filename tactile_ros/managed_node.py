@@ -167,6 +167,18 @@ class ManagedNode(LifecycleNode):
         service = self.create_service(service_type, name, callback)
         self._while_configured.append((self.destroy_service, service))
 
+    def serve_request(self, service_type: type, name: str, act: Callable[[Any], None], outlook: str) -> None:
+        """Offer a service that acts while the node is active; `outlook` tells who asked what comes next."""
+
+        def answer(request: Any, response: Any) -> Any:
+            response.success = self.active
+            response.message = outlook if self.active else "the node is not active"
+            if self.active:
+                act(request)
+            return response
+
+        self.serve(service_type, name, answer)
+
     def release_later(self, destroy: Callable[[Any], Any], thing: Any) -> None:
         """Have `destroy(thing)` called at clean-up."""
         self._while_configured.append((destroy, thing))

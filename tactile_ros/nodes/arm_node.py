@@ -15,6 +15,7 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,14 @@ class ArmNodeSettings(Settings):
     state_timeout: float = setting(
         0.25, lower=0.01, upper=10.0, unit="s", doc="silence of the driver at which the arm is stopped"
     )
+
+
+def arm_of_scene(node: ManagedNode, scene: str) -> tuple[ArmScene, Path]:
+    """The node's arm in a scene, and the scene's file; raises `ConfigurationError` if it is not there."""
+    loaded = load_scene(scene)
+    if node.arm not in loaded.arms:
+        raise ConfigurationError(f"{loaded.path}: no arm '{node.arm}'; arms: {', '.join(loaded.arms)}")
+    return loaded.arms[node.arm], loaded.path
 
 
 class ArmNode(ManagedNode):
@@ -111,13 +120,10 @@ class ArmNode(ManagedNode):
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, which needs a driver of the registry."""
-        scene = load_scene(self.settings.value.scene)
-        if self.arm not in scene.arms:
-            raise ConfigurationError(f"{scene.path}: no arm '{self.arm}'; arms: {', '.join(scene.arms)}")
-        arm = scene.arms[self.arm]
+        arm, file = arm_of_scene(self, self.settings.value.scene)
         who = {SIM: "is moved by the simulated cell (sim_node)", EXTERNAL: "has a driver that runs already"}
         if arm.driver in who:
-            raise ConfigurationError(f"{scene.path}: arm '{arm.name}' {who[arm.driver]}")
+            raise ConfigurationError(f"{file}: arm '{arm.name}' {who[arm.driver]}")
         return arm
 
     def _open(self, scene: ArmScene) -> Arm:
