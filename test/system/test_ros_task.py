@@ -84,7 +84,7 @@ def finished(tmp_path_factory, configuration):
     folder = tmp_path_factory.mktemp("finished")
     launch = Launch(folder, configuration, "--record", str(folder / "bag"))
     try:
-        launch.wait_for("arm  follow")
+        launch.wait_for("arm: follow")
         launch.end()
     finally:
         launch.kill()
@@ -220,7 +220,7 @@ def test_a_truncated_bag_still_gives_the_run_up_to_there(finished, tmp_path):
 
 def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
     run = launch()
-    run.wait_for("arm  follow")
+    run.wait_for("arm: follow")
     run.process.send_signal(signal.SIGINT)
     assert run.end() == 130, run.output
     assert "stopped by SIGINT: bringing the arm to rest" in run.output
@@ -230,7 +230,7 @@ def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
 
 def test_a_node_killed_in_mid_run_ends_the_task_with_its_name_and_log(launch, tmp_path):
     run = launch("--record", str(tmp_path / "bag"))
-    run.wait_for("arm  follow")
+    run.wait_for("arm: follow")
     os.kill(run.node("tactile_ros.nodes.filter_node"), signal.SIGKILL)
     assert run.end() == 3, run.output
     assert "node /arm/filter was killed by SIGKILL; log: " in run.output
