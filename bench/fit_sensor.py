@@ -1,6 +1,6 @@
 """Fit the simulated sensor (camera, markers, skin, friction) and the rig's errors to a real sensor's images.
 
-    PYTHONPATH=. python bench/fit_sensor.py DATA/train --write config/sensors/NAME.yaml [--start NAME]
+    PYTHONSAFEPATH= python bench/fit_sensor.py DATA/train --write config/sensors/NAME.yaml [--start NAME]
 
 Tracks the markers of the images (bench/real_markers.py), simulates contacts with their labels, and fits all
 marker positions by Gauss-Newton on a soft-L1 loss: about two minutes an iteration with 180 contacts on one

@@ -1,6 +1,6 @@
 """A simulated sensor beside a real one: same labels, marker by marker and picture by picture.
 
-    PYTHONPATH=. python bench/simulator_vs_real.py DATA/val --sensor tactip_franka [--before default]
+    PYTHONSAFEPATH= python bench/simulator_vs_real.py DATA/val --sensor tactip_franka [--before default]
 
 Prints and plots the distance between simulated and real markers, by depth and by shear, of one sensor file
 or of two ("default" is the built-in sensor); and the gain of the simulated over the real shear response.
