@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -24,9 +25,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "filter"))
+
+from fusion_reference import fuse_exact, fuse_fixed
+
 from tactile_filter import se3
 from tactile_filter.fusion import MODES, fuse
-from tactile_filter.fusion_reference import fuse_exact, fuse_fixed
 
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array, Array, Array]

@@ -23,6 +23,7 @@ from rich.progress import Progress as Bars
 from rich.text import Text
 
 T = TypeVar("T")
+P = TypeVar("P", bound="Progress")
 LINE_PERIOD = 10.0  # s between lines where there is no terminal
 
 
@@ -53,7 +54,7 @@ class Progress:
         self._line_period = line_period
         self._things: dict[str, _Thing] = {}
 
-    def __enter__(self) -> Progress:
+    def __enter__(self: P) -> P:
         if self._bars is not None:
             self._bars.start()
         return self

@@ -51,9 +51,6 @@ def register(commands: Any) -> None:
     parser.add_argument("--images", default="both", help="keep processed images, raw ones, or both (both)")
     parser.add_argument("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
     add_set_option(parser, "one of them", "SECTION.NAME=VALUE")
-    parser.add_argument(
-        "--external", action="store_true", help="driver and camera run already: start no simulation"
-    )
     parser.add_argument("--rate", type=float, metavar="HZ", help="simulated exposures a second")
     parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
     parser.add_argument("--record-images", action="store_true", help="with images")
@@ -95,8 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
-    from tactile_bringup.commands.collect_progress import CollectionDisplay
     from tactile_bringup.launching.launcher import Launcher
+    from tactile_bringup.launching.progress import CollectionDisplay
 
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
@@ -167,9 +164,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         record_images=arguments.record_images,
     )
     named = NamedGoal(f"{missing} samples", goal)
-    graph = build_collection_graph(
-        TASK, scene, arm.name, named, collector, options, simulate=not arguments.external
-    )
+    graph = build_collection_graph(TASK, scene, arm.name, named, collector, options)
     return Plan(graph, arguments.samples, missing)
 
 

@@ -118,8 +118,8 @@ class TaskRunner:
             for plan in self.plans
             if sequence.running(plan.arm)
         }
-        self.display.update({arm: (label, task.progress) for arm, (label, task) in running.items()})
         for arm, (label, task) in running.items():
+            self.display.show(arm, label, task.progress)
             sequence.phase(arm, task.progress.phase)
             result = task.result()
             if result is not None:
@@ -128,6 +128,7 @@ class TaskRunner:
 
     def _conclude(self, label: str, arm: str, result: GoalResult, well: bool) -> None:
         self.results.append(result)
+        self.display.conclude(arm, label)
         verdict = "done" if well else f"failed: {result.reason}"
         length = f"{1e3 * result.length:.0f} mm in {result.duration_s:.1f} s"
         name = f"{arm}: {label}" if len(self.plans) > 1 else label

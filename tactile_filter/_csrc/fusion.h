@@ -1,5 +1,5 @@
 // Fusion of two Gaussians over poses: the paper's algorithm "SE(3) data fusion".
-// tactile_filter/fusion_reference.py is the same to be read.
+// test/filter/fusion_reference.py is the same to be read.
 #ifndef TACTILE_FUSION_H_
 #define TACTILE_FUSION_H_
 

@@ -12,10 +12,10 @@ deactivated.
 
 from __future__ import annotations
 
-import functools
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,12 +33,11 @@ from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus
-from tactile_ros.cdr import Layout, split_stamp
+from tactile_ros.cdr import Layout, headed_bytes, read_twist, split_stamp, twist_bytes
 from tactile_ros.conversions import numbers_from_pose, transform_stamped
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
-from tactile_ros.wire import headed_bytes, read_twist, twist_bytes
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,14 @@ class ArmNodeSettings(Settings):
     state_timeout: float = setting(
         0.25, lower=0.01, upper=10.0, unit="s", doc="silence of the driver at which the arm is stopped"
     )
+
+
+def arm_of_scene(node: ManagedNode, scene: str) -> tuple[ArmScene, Path]:
+    """The node's arm in a scene, and the scene's file; raises `ConfigurationError` if it is not there."""
+    loaded = load_scene(scene)
+    if node.arm not in loaded.arms:
+        raise ConfigurationError(f"{loaded.path}: no arm '{node.arm}'; arms: {', '.join(loaded.arms)}")
+    return loaded.arms[node.arm], loaded.path
 
 
 class ArmNode(ManagedNode):
@@ -113,13 +120,10 @@ class ArmNode(ManagedNode):
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, which needs a driver of the registry."""
-        scene = load_scene(self.settings.value.scene)
-        if self.arm not in scene.arms:
-            raise ConfigurationError(f"{scene.path}: no arm '{self.arm}'; arms: {', '.join(scene.arms)}")
-        arm = scene.arms[self.arm]
+        arm, file = arm_of_scene(self, self.settings.value.scene)
         who = {SIM: "is moved by the simulated cell (sim_node)", EXTERNAL: "has a driver that runs already"}
         if arm.driver in who:
-            raise ConfigurationError(f"{scene.path}: arm '{arm.name}' {who[arm.driver]}")
+            raise ConfigurationError(f"{file}: arm '{arm.name}' {who[arm.driver]}")
         return arm
 
     def _open(self, scene: ArmScene) -> Arm:
@@ -166,9 +170,9 @@ class ArmNode(ManagedNode):
         numbers = numbers_from_pose(state.T_base_controlled).tolist()
         self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
-        layout = _status_layout(self.base_frame, state.reason)
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
-        self.status_out.publish(layout.pack(*split_stamp(state.stamp_ns), *numbers))
+        status = headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, reason=state.reason)
+        self.status_out.publish(status)
 
     # ---- commands ----
 
@@ -211,13 +215,6 @@ class ArmNode(ManagedNode):
         if reason:
             self._commanded_at = None
             self.driver.stop(reason)
-
-
-@functools.lru_cache(maxsize=64)
-def _status_layout(frame_id: str, reason: str) -> Layout:
-    example = ArmStatus(reason=reason)
-    example.header.frame_id = frame_id
-    return Layout(example)
 
 
 def main() -> int:

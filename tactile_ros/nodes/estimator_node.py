@@ -28,13 +28,13 @@ from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
+from tactile_ros.cdr import gaussian_bytes, headed_bytes
 from tactile_ros.conversions import MessageError
 from tactile_ros.image_bytes import image_from_bytes
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE, STATE
-from tactile_ros.wire import gaussian_bytes, headed_bytes
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ class EstimatorNode(ManagedNode):
         self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
-        self.serve(Trigger, "~/capture_reference", self._capture_reference)
+        outlook = "the next images become the reference"
+        self.serve_request(Trigger, "~/capture_reference", self._new_reference, outlook)
         self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.images.value.age_limit, raw=True)
 
     def activate(self) -> None:
@@ -157,14 +158,7 @@ class EstimatorNode(ManagedNode):
         else:
             self.report.complain("reference", "waiting for images without contact, for the reference")
 
-    def _capture_reference(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self.active:
-            self._new_reference()
-        response.success = self.active
-        response.message = "the next images become the reference" if self.active else "the node is not active"
-        return response
-
-    def _new_reference(self) -> None:
+    def _new_reference(self, request: Trigger.Request | None = None) -> None:
         assert self.presence is not None
         self.presence.reset()
 

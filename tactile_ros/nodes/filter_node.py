@@ -27,14 +27,13 @@ from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
-from tactile_ros.cdr import HeadedReader
+from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
 from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
-from tactile_ros.wire import gaussian_bytes, headed_bytes, read_gaussian
 
 PRESENCE = topics.PRESENCE.name
 read_presence = HeadedReader(ContactPresence)

@@ -20,10 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Vector3
 from rclpy.parameter import Parameter
+from std_msgs.msg import ColorRGBA
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
@@ -46,18 +47,17 @@ from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.motions import FIXED
 from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
-from tactile_ros.cdr import Layout, split_stamp
-from tactile_ros.conversions import numbers_from_pose, transform_stamped
+from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp
+from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, transform_stamped
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
-from tactile_ros.markers import mesh_marker
 from tactile_ros.nodes.arm_node import ArmNode
 from tactile_ros.nodes.camera_node import CameraNode
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import LATCHED, STATE, TF
-from tactile_ros.wire import gaussian_bytes, headed_bytes
 
 START_DELAY = 0.1  # s
+SURFACE_COLOR = ColorRGBA(r=0.72, g=0.74, b=0.78, a=1.0)
 JUMP = 1.0  # s; a step that lies further ahead means that the clock was set back
 
 
@@ -268,14 +268,19 @@ def _frame_of(scene: Scene, body: str) -> str:
     return WORLD if described.motion == FIXED else ""
 
 
-def body_markers(scene: Scene) -> list[Any]:
+def body_markers(scene: Scene) -> list[Marker]:
     """The true surfaces of all bodies, for RViz, each in the frame that it moves with."""
     markers = []
     for number, (name, body) in enumerate(scene.bodies.items()):
         frame = _frame_of(scene, name)
         frame, T = (frame, body.T_parent_body) if frame else (f"body/{name}", np.eye(4))
-        markers.append(mesh_marker(frame, name, number, T, *body.make().mesh()))
-        markers[-1].frame_locked = frame != WORLD
+        marker = Marker(ns=name, id=number, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
+        marker.header.frame_id, marker.frame_locked = frame, frame != WORLD
+        marker.pose, marker.scale = pose_from_matrix(T), Vector3(x=1.0, y=1.0, z=1.0)
+        marker.color = SURFACE_COLOR
+        vertices, faces = body.make().mesh()
+        marker.points = [Point(x=x, y=y, z=z) for x, y, z in vertices[faces.ravel()].tolist()]
+        markers.append(marker)
     return markers
 
 

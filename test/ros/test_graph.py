@@ -16,7 +16,7 @@ from tactile_drivers.scene import load_scene
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLatency
 from tactile_ros import qos
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import ns_from_time
 from tactile_ros.task_messages import goal_message
 
 SIM, FILTER = "tactile_ros.nodes.sim_node", "tactile_ros.nodes.filter_node"
