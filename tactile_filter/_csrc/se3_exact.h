@@ -212,18 +212,23 @@ static int rotation_vector(Dd res[3], const Dd rot[9]) {
 }
 
 
-// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x
+// e = (1 - (t/2) cot(t/2)) / t^2 and, unless it is null, (de/dt)/t of t^2 = x
 static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
   double x = arg->x.hi;
   if (!(x <= SERIES_LIMIT)) {
     double t = sqrt(x), sine = sin(0.5*t), c = 0.5*t*cos(0.5*t)/sine;
     *e = dd_from((1 - c)/x);
-    *de = dd_from((c - 2 + x/(4*sine*sine))/(x*x));
+    if (de) {
+      *de = dd_from((c - 2 + x/(4*sine*sine))/(x*x));
+    }
     return;
   }
   Dd first = dd_div(dd_from(1), dd_sub(POLES[0], arg->x));
   Dd second = dd_div(dd_from(1), dd_sub(POLES[1], arg->x));
   *e = dd_add(dd_scale(dd_add(first, second), 2), series(COT, arg));
+  if (!de) {
+    return;
+  }
   Dd squares = dd_add(dd_mul(first, first), dd_mul(second, second));
   *de = dd_add(dd_scale(squares, 4), slope(COT, arg));
 }
@@ -231,12 +236,12 @@ static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
 
 // logarithm [rho, phi] of a rotation and a position; returns 0 if the matrix is no rotation at all
 static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
-  Dd turned[3], twice[3], e, de;
+  Dd turned[3], twice[3], e;
   if (!rotation_vector(phi, rot)) {
     return 0;
   }
   Argument arg = argument(phi);
-  inverse_coefficients(&e, &de, &arg);
+  inverse_coefficients(&e, NULL, &arg);
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
   dd_cross3(turned, phi, pos);
