@@ -294,6 +294,7 @@ def _recorder(
     nodes: Sequence[NodeProcess],
     options: GraphOptions,
 ) -> NodeProcess:
+    assert options.record is not None
     images = [IMAGE.of(arm).name for arm in scene.arms if scene.gives_images(arm)]
     note = {
         "task": task,
@@ -304,7 +305,7 @@ def _recorder(
         "parameters": json.dumps({node.full_name: node.parameters for node in nodes}),
     }
     parameters = {
-        "bag": str(options.record),
+        "bag": str(options.record.absolute()),
         "topics": [f"{topic.name} {topic.type} {topic.qos}" for topic in topics],
         "images": images if options.record_images else [],
         "note": [f"{name}={text}" for name, text in note.items()],

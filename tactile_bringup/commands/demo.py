@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     bag = folder / BAG
     if not _make_room(bag):
         return 2
-    options = graph_options(arguments, record=bag, record_images=arguments.record_images)
+    options = graph_options(arguments, record=bag)
     outcome = launch(TASK, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2

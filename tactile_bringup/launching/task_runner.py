@@ -26,20 +26,30 @@ SETTLED = 0.5  # s of rest that count as the end of a goal whose result does not
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
 
 
-class NotReady(RuntimeError):
+class Unfinished(RuntimeError):
+    """A run that came to no good end; `exit_code` is what the command ends with."""
+
+    exit_code: int
+
+
+class NotReady(Unfinished):
     """Nodes that did not become active in time."""
 
+    exit_code = 4
 
-class Interrupted(RuntimeError):
+
+class Interrupted(Unfinished):
     """SIGINT or SIGTERM was sent to this process."""
 
     def __init__(self, number: int) -> None:
-        self.number = number
+        self.exit_code = 128 + number
         super().__init__(f"stopped by {signal.Signals(number).name}")
 
 
-class GoalFailed(RuntimeError):
+class GoalFailed(Unfinished):
     """A goal that was not reached."""
+
+    exit_code = 1
 
 
 @dataclass

@@ -44,13 +44,16 @@ class FilterNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("filter")
-        self.settings = SettingsParameters(self, FilterSettings(), on_change=self._change_settings)
-        self.inputs = declare_inputs(self, BeliefInputSettings())
-        self.consistency = SettingsParameters(
-            self, ConsistencySettings(), prefix="consistency", on_change=self._change_consistency
+        self.settings = SettingsParameters(
+            self, FilterSettings(), on_change=lambda settings: self.filter.configure(settings)
         )
+        self.inputs = declare_inputs(self, BeliefInputSettings())
         self.filter = ContactFilter(self.settings.value)
-        self.monitor = ConsistencyMonitor(self.consistency.value)
+        self.monitor = ConsistencyMonitor()
+        consistency = SettingsParameters(
+            self, ConsistencySettings(), prefix="consistency", on_change=self.monitor.configure
+        )
+        self.monitor.configure(consistency.value)
         self.no_contact_ns = -1
         self.join = measurement_join()
 
@@ -209,20 +212,12 @@ class FilterNode(ManagedNode):
         for number, text in enumerate(report.warnings):
             self.report.complain(f"consistency {number}", f"filter {text}")
 
-    # ---- reset and parameters ----
-
     def _clear_inputs(self) -> None:
         """Forget what waits, and what the diagnostics rest on."""
         self.join.clear()
         self.monitor.reset()
         self.no_contact_ns = -1
         self.frame_out.clear()
-
-    def _change_settings(self, settings: FilterSettings) -> None:
-        self.filter.configure(settings)
-
-    def _change_consistency(self, settings: ConsistencySettings) -> None:
-        self.monitor.configure(settings)
 
 
 def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:
