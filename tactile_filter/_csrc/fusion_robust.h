@@ -311,8 +311,6 @@ static int robust_fixed(FusionOutput* res, const FusionInput input[2], int itera
     robust_perturb(&y, model.step);
   }
   robust_finish(res, &robust, &y, &model);
-  res->step = sqrt(model.square);
-  res->iterations = iterations;
-  res->status = res->step <= CONVERGED_STEP ? FUSION_CONVERGED : FUSION_NOT_CONVERGED;
+  end_fixed(res, model.square, iterations);
   return 0;
 }
