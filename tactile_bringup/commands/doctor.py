@@ -45,9 +45,10 @@ def _python() -> str:
 
 
 def _ros() -> str:
-    from tactile_bringup.launching.environment import middleware
+    from rclpy.utilities import get_rmw_implementation_identifier
 
-    return f"{os.environ.get('ROS_DISTRO', 'unknown distribution')}, {middleware()}"
+    distribution = os.environ.get("ROS_DISTRO", "unknown distribution")
+    return f"{distribution}, {get_rmw_implementation_identifier()}"
 
 
 def _imported(*modules: str) -> str:
