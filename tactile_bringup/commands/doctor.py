@@ -45,10 +45,9 @@ def _python() -> str:
 
 
 def _ros() -> str:
-    from rclpy.utilities import get_rmw_implementation_identifier
+    from tactile_bringup.launching.environment import middleware
 
-    distribution = os.environ.get("ROS_DISTRO", "unknown distribution")
-    return f"{distribution}, {get_rmw_implementation_identifier()}"
+    return f"{os.environ.get('ROS_DISTRO', 'unknown distribution')}, {middleware()}"
 
 
 def _imported(*modules: str) -> str:

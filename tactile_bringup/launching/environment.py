@@ -93,3 +93,10 @@ def _checked_domain(text: str) -> int:
     if not text.isdigit() or int(text) > 232:
         raise ValueError(f"ROS_DOMAIN_ID = {text!r}: must be a number from 0 to 232 (101 on most Linux)")
     return int(text)
+
+
+def middleware() -> str:
+    """The name of the middleware that rclpy uses here."""
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    return str(get_rmw_implementation_identifier())
