@@ -20,9 +20,11 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
-from rich.text import Text
+
+from tactile_base.console import say
 
 T = TypeVar("T")
+P = TypeVar("P", bound="Progress")
 LINE_PERIOD = 10.0  # s between lines where there is no terminal
 
 
@@ -53,7 +55,7 @@ class Progress:
         self._line_period = line_period
         self._things: dict[str, _Thing] = {}
 
-    def __enter__(self) -> Progress:
+    def __enter__(self: P) -> P:
         if self._bars is not None:
             self._bars.start()
         return self
@@ -64,7 +66,7 @@ class Progress:
 
     def say(self, text: str, style: str | None = None) -> None:
         """A line that stays."""
-        self.console.print(Text(text, style or ""), soft_wrap=True)
+        say(self.console, text, style)
 
     def update(
         self,

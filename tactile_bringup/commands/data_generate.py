@@ -11,14 +11,16 @@ from typing import Any
 
 from rich.console import Console
 
+from tactile_base.console import say
 from tactile_base.progress import Progress, duration
 from tactile_base.whole_file import check_folder
-from tactile_base.yaml_file import name_and_value, read_yaml
+from tactile_base.yaml_file import read_yaml
 from tactile_bringup.commands.changes import (
     add_set_option,
+    changed_settings,
     natural_int,
     positive_int,
-    refuse,
+    refusing,
 )
 from tactile_drivers.sampling import VALIDATION_START
 from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
@@ -61,6 +63,7 @@ def register(commands: Any) -> None:
     parser.set_defaults(run=run_generate)
 
 
+@refusing("data generate")
 def run_generate(arguments: argparse.Namespace) -> int:
     """`tactile data generate`: returns the exit status."""
     console = Console(stderr=True)
@@ -71,8 +74,6 @@ def run_generate(arguments: argparse.Namespace) -> int:
         for name, count, start in (("train", arguments.train, 0), ("val", arguments.val, VALIDATION_START)):
             if count > 0:
                 _generate_split(arguments, sensor, settings, name, count, start, console)
-    except (ValueError, OSError) as error:
-        return refuse(console, "data generate", error)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
         return 130
@@ -84,8 +85,7 @@ def _settings(arguments: argparse.Namespace, settings: CollectionSettings) -> Co
     if arguments.config:
         root = read_yaml(arguments.config)
         settings = root.checked(CollectionSettings, {**dataclasses.asdict(settings), **root.values})
-    changes = dict(name_and_value(change, "cap_angle=0.3") for change in arguments.changes)
-    return settings.replaced(**changes)
+    return settings.replaced(**changed_settings(arguments.changes, "cap_angle=0.3"))
 
 
 def _generate_split(
@@ -118,7 +118,7 @@ def _generate_split(
                 writer.add_row(number, euler)
         path, there = writer.finish(), len(writer.done)
     took = duration(time.monotonic() - started)
-    console.print(f"{path}: {there} samples, {len(missing)} new in {took}", highlight=False, soft_wrap=True)
+    say(console, f"{path}: {there} samples, {len(missing)} new in {took}")
 
 
 class StoreSample:

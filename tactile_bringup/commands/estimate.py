@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
+from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
-from tactile_bringup.commands.changes import natural_int, positive_int, refuse
+from tactile_bringup.commands.changes import natural_int, positive_int, refusing
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 
 
@@ -46,23 +46,18 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run_estimate)
 
 
+@refusing("estimate")
 def run_estimate(arguments: argparse.Namespace) -> int:
     """`tactile estimate`: returns the exit status."""
     from tactile_perception.estimator import Estimator
 
     console = Console(stderr=True)
-    try:
-        if not arguments.motion_sigma >= 0.0:
-            raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
-        estimator = Estimator(arguments.model or "", arguments.threads)
-        check_folder(arguments.out)
-        if Path(arguments.source).is_dir():
-            table = _estimate_folder(arguments, estimator, console)
-        else:
-            table = _estimate_video(arguments, estimator, console)
-        _write_estimates(arguments, table)
-    except (ValueError, OSError) as error:
-        return refuse(console, "estimate", error)
+    if not arguments.motion_sigma >= 0.0:
+        raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
+    estimator = Estimator(arguments.model or "", arguments.threads)
+    check_folder(arguments.out)
+    make = _estimate_folder if Path(arguments.source).is_dir() else _estimate_video
+    _write_estimates(arguments, make(arguments, estimator, console))
     return 0
 
 
@@ -74,7 +69,7 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
 
     folder = open_folder(arguments.source, estimator.metadata.preprocessing)
     order = usable_order(folder, arguments.seed, arguments.limit)
-    console.print("\n".join(folder.report.lines()), markup=False, highlight=False, soft_wrap=True)
+    say(console, "\n".join(folder.report.lines()))
     frames = folder_frames(folder, order)
     contact_filter = None
     if not arguments.no_filter:
@@ -131,24 +126,19 @@ def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
 
 def _print_estimate_summary(console: Console, table: Any) -> None:
     if table.failures:
-        console.print(
-            f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", markup=False, style="red"
-        )
+        say(console, f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", "red")
     if len(table.stage_seconds):
         times = np.array(table.stage_seconds) * 1e3
         names = ("pre-processing", "network", "conversion", "total")
         stages = zip(names, [*times.T, times.sum(axis=1)], strict=True)
         text = "; ".join(f"{name} {np.median(t):.2f} / {np.percentile(t, 99):.2f}" for name, t in stages)
-        console.print(f"ms per image, p50 / p99: {text}", highlight=False)
+        say(console, f"ms per image, p50 / p99: {text}")
     if not table.has_labels:
         return
-    summary = Table(title=f"mean absolute error over {len(table)} images")
-    summary.add_column("component")
-    summary.add_column("network", justify="right")
-    columns = [table.mean_absolute_error(table.network)]
+    errors = {"network": table.mean_absolute_error(table.network)}
     if table.has_filter:
-        summary.add_column("with filter", justify="right")
-        columns.append(table.mean_absolute_error(table.filtered))
+        errors["with filter"] = table.mean_absolute_error(table.filtered)
+    summary = number_table(f"mean absolute error over {len(table)} images", ["component", *errors])
     for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
-        summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in columns))
+        summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in errors.values()))
     console.print(summary)
