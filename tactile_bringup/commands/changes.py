@@ -7,8 +7,12 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+from rich.console import Console
+
+from tactile_base.console import say
 from tactile_base.yaml_file import name_and_value
 
+Run = Callable[[argparse.Namespace], int]
 EXTRA = ("torch", "onnx")  # libraries of the extra `train`
 
 
@@ -42,22 +46,17 @@ def _whole(text: str, least: int) -> int:
     return value
 
 
-def refusing(
-    command: str, *others: type[Exception], status: int = 1
-) -> Callable[[Callable[[argparse.Namespace], int]], Callable[[argparse.Namespace], int]]:
+def refusing(command: str, *others: type[Exception], status: int = 1) -> Callable[[Run], Run]:
     """Decorator of what runs a command: wrong input becomes a message and the exit status of that.
 
     Wrong input is a `ValueError`, an `OSError` or one of `others`. Where a library of the extra `train` is
     not installed, the message says how to install it, and the status is 2.
     """
+    wrong: tuple[type[Exception], ...] = (ValueError, OSError, *others)
 
-    def decorate(run: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
+    def decorate(run: Run) -> Run:
         @functools.wraps(run)
         def refused(arguments: argparse.Namespace) -> int:
-            from rich.console import Console
-
-            from tactile_base.console import say
-
             console = Console(stderr=True)
             try:
                 return run(arguments)
@@ -66,11 +65,9 @@ def refusing(
                     raise
                 say(console, f"tactile {command} needs {error.name}: pip install 'tactile_servoing[train]'")
                 return 2
-            except (ValueError, OSError, *others) as error:
+            except wrong as error:
                 text = str(error)
-                if (
-                    isinstance(error, OSError) and error.filename is not None
-                ):  # the system's: without its number
+                if isinstance(error, OSError) and error.filename is not None:  # without the system's number
                     text = f"{error.filename}: {error.strerror}"
                 say(console, f"tactile {command}: {text}", "red")
                 return status

@@ -8,11 +8,17 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from tactile_base.console import number_table, say
+from tactile_base.progress import Progress
+from tactile_base.whole_file import check_folder
 from tactile_bringup.commands.changes import refusing
+from tactile_perception.estimating.labels import EULER_TITLES
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from tactile_perception.datasets.check import CheckResult
 
 EXIT_CODES = """exit codes: 0 nothing wrong was found (warnings are no error, but see --strict);
@@ -43,11 +49,6 @@ def register(commands: Any) -> None:
 @refusing("data check", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """`tactile data check`: returns the exit status."""
-    from rich.console import Console
-
-    from tactile_base.console import say
-    from tactile_base.progress import Progress
-    from tactile_base.whole_file import check_folder
     from tactile_perception.datasets.check import check
     from tactile_perception.datasets.dataset import open_folder
     from tactile_perception.markers.flow import FlowSettings
@@ -72,17 +73,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def show(result: CheckResult, console: Console) -> None:
     """Ranges and findings as tables."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from tactile_base.console import number_table, say
-    from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_UNITS
-
     title = f"{result.folder.folder}: {len(result.folder)} samples"
     columns = ("component", "least", "largest", "mean", "deviation")
     ranges = number_table(title, columns, title_justify="left")
-    for name, unit, row in zip(EULER_COMPONENTS, EULER_UNITS, result.statistics.ranges, strict=True):
-        ranges.add_row(f"{name} ({unit})", *(f"{value:.3f}" for value in row))
+    for name, row in zip(EULER_TITLES, result.statistics.ranges, strict=True):
+        ranges.add_row(name, *(f"{value:.3f}" for value in row))
     console.print(ranges)
     table = Table(show_header=False, box=None, pad_edge=False)
     for finding in result.findings:

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import os
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,7 @@ def _generate_split(
     started = time.monotonic()
     with DatasetWriter(folder, preprocessing) as writer:
         missing = sorted(set(range(1, count + 1)) - writer.done)
-        store = StoreSample(folder, preprocessing, start)
+        store = partial(store_sample, folder, Preprocessor(preprocessing), start)
         samples = generate(
             settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
             processes=arguments.processes, each=store, variation=sensor.variation,
@@ -121,14 +122,10 @@ def _generate_split(
     say(console, f"{path}: {there} samples, {len(missing)} new in {took}")
 
 
-class StoreSample:
-    """Pre-processes and stores a sample's image in the process that made it; gives its number and label."""
-
-    def __init__(self, folder: Path, preprocessing: PreprocessingSettings, start: int) -> None:
-        self.folder, self.start = folder, start
-        self._preprocessor = Preprocessor(preprocessing)
-
-    def __call__(self, sample: Sample) -> tuple[int, list[float]]:
-        number = sample.index - self.start + 1
-        write_processed(self.folder, number, self._preprocessor.binary(sample.image))
-        return number, sample.euler_mm_deg.tolist()
+def store_sample(
+    folder: Path, preprocessor: Preprocessor, start: int, sample: Sample
+) -> tuple[int, list[float]]:
+    """Pre-process and store a sample's image in the process that made it; gives its number and label."""
+    number = sample.index - start + 1
+    write_processed(folder, number, preprocessor.binary(sample.image))
+    return number, sample.euler_mm_deg.tolist()

@@ -14,7 +14,7 @@ from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
 from tactile_bringup.commands.changes import natural_int, positive_int, refusing
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.labels import NETWORK_TITLES
 
 
 def register(subparsers: Any) -> None:
@@ -49,6 +49,7 @@ def register(subparsers: Any) -> None:
 @refusing("estimate")
 def run_estimate(arguments: argparse.Namespace) -> int:
     """`tactile estimate`: returns the exit status."""
+    from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimator import Estimator
 
     console = Console(stderr=True)
@@ -56,14 +57,22 @@ def run_estimate(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
     estimator = Estimator(arguments.model or "", arguments.threads)
     check_folder(arguments.out)
-    make = _estimate_folder if Path(arguments.source).is_dir() else _estimate_video
-    _write_estimates(arguments, make(arguments, estimator, console))
+    if Path(arguments.source).is_dir():
+        frames, contact_filter, total = _from_folder(arguments, estimator, console)
+    else:
+        frames, contact_filter, total = _from_video(arguments)
+    with Progress(console) as progress:
+        update = partial(progress.update, "estimating", total=total, unit="images")
+        table = run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
+    _write_estimates(arguments, table)
     return 0
 
 
-def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+def _from_folder(
+    arguments: argparse.Namespace, estimator: Any, console: Console
+) -> tuple[Any, Any, int | None]:
+    """Images, filter (or None) and number of images of a data folder."""
     from tactile_perception.datasets.dataset import open_folder
-    from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import folder_frames, usable_order
     from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
@@ -75,15 +84,13 @@ def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Con
     if not arguments.no_filter:
         frames = with_motion_noise(frames, arguments.motion_sigma, arguments.seed)
         contact_filter = motion_filter(arguments.motion_sigma)
-    with Progress(console) as progress:
-        update = partial(progress.update, "estimating", total=len(order), unit="images")
-        return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
+    return frames, contact_filter, len(order)
 
 
-def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+def _from_video(arguments: argparse.Namespace) -> tuple[Any, Any, int | None]:
+    """The same of a video or a camera; how many images there are, only a limit says."""
     from tactile_filter.bayes_filter import ContactFilter
     from tactile_filter.filter_settings import load_filter_settings
-    from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import SourceError, read_poses, video_frames
 
     source: str | int = arguments.source
@@ -94,9 +101,7 @@ def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Cons
     poses = read_poses(arguments.poses) if arguments.poses else None
     contact_filter = ContactFilter(load_filter_settings()) if poses and not arguments.no_filter else None
     frames = _until_interrupted(video_frames(source, poses, arguments.limit))
-    with Progress(console) as progress:
-        update = partial(progress.update, "estimating", total=arguments.limit, unit="images")
-        return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
+    return frames, contact_filter, arguments.limit
 
 
 def _until_interrupted(frames: Any) -> Any:
@@ -135,10 +140,8 @@ def _print_estimate_summary(console: Console, table: Any) -> None:
         say(console, f"ms per image, p50 / p99: {text}")
     if not table.has_labels:
         return
-    errors = {"network": table.mean_absolute_error(table.network)}
-    if table.has_filter:
-        errors["with filter"] = table.mean_absolute_error(table.filtered)
+    errors = {name: table.mean_absolute_error(series) for name, series in table.series.items()}
     summary = number_table(f"mean absolute error over {len(table)} images", ["component", *errors])
-    for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
-        summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in errors.values()))
+    for component, name in enumerate(NETWORK_TITLES):
+        summary.add_row(name, *(f"{column[component]:.4f}" for column in errors.values()))
     console.print(summary)

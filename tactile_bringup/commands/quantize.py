@@ -104,13 +104,13 @@ def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
 
     Fewer where the folder has fewer or some of these cannot be read.
     """
-    from tactile_perception.datasets.dataset import DatasetError, open_folder
+    from tactile_perception.datasets.dataset import DatasetError, open_folder, training_part
     from tactile_perception.estimating.image import ImageError
     from tactile_perception.estimating.preprocessing import Preprocessor
     from tactile_perception.estimator import Estimator
 
     preprocessing = Estimator(model).metadata.preprocessing
-    folder = folder / "train" if (folder / "train").is_dir() else folder
+    folder = training_part(folder)
     data, preprocessor = open_folder(folder, preprocessing), Preprocessor(preprocessing)
     found = []
     for index in np.unique(np.linspace(0, len(data) - 1, count).round().astype(int)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,10 @@ import numpy as np
 from rich.console import Console
 
 from tactile_base.console import number_table, say
-from tactile_base.whole_file import check_file
+from tactile_base.whole_file import check_file, write_csv
 from tactile_bringup.commands.changes import add_set_option, positive_int, refusing
 from tactile_bringup.commands.quantize import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS, errors_in_words
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS, errors_in_words
 from tactile_perception.training.config import profile
 
 
@@ -211,11 +210,8 @@ def _print_repeat(out: Path, runs: Sequence[Any]) -> None:
         for name, result in results.items()
     }
     loss = next(iter(results.values()))["loss"]
-    units = [f"MAE {name} ({unit})" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
-    with (out / "repeat.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["run", loss, *units])
-        writer.writerows([name, *values] for name, values in rows.items())
+    units = [f"MAE {name}" for name in NETWORK_TITLES]
+    write_csv(out / "repeat.csv", ["run", loss, *units], ([name, *row] for name, row in rows.items()))
     values = np.array(list(rows.values()))
     deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)
     title = f"{len(values)} of {len(runs)} networks, on validation data"
