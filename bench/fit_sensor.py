@@ -1,6 +1,6 @@
 """Fit the simulated sensor (camera, markers, skin, friction) and the rig's errors to a real sensor's images.
 
-    PYTHONPATH=. python bench/fit_sensor.py DATA/train --write config/sensors/NAME.yaml [--start NAME]
+    PYTHONSAFEPATH= python bench/fit_sensor.py DATA/train --write config/sensors/NAME.yaml [--start NAME]
 
 Tracks the markers of the images (bench/real_markers.py), simulates contacts with their labels, and fits all
 marker positions by Gauss-Newton on a soft-L1 loss: about two minutes an iteration with 180 contacts on one
@@ -21,9 +21,8 @@ import yaml
 from real_markers import Tracked, track
 
 from tactile_drivers.sim.camera import Camera
-from tactile_drivers.sim.collection import Mounting, press_then_shear
+from tactile_drivers.sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
 from tactile_drivers.sim.markers import Markers
-from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
 from tactile_drivers.sim.skin import Skin, load_skin
 from tactile_drivers.sim.tactip import TacTip

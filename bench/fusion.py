@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -24,9 +25,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "filter"))
+
+from fusion_reference import fuse_exact, fuse_fixed
+
 from tactile_filter import se3
 from tactile_filter.fusion import MODES, fuse
-from tactile_filter.fusion_reference import fuse_exact, fuse_fixed
 
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array, Array, Array]
@@ -121,11 +125,10 @@ def measure_limit() -> dict[str, float]:
     """What bench/fusion_limit/ answers: peaks in ns an instruction, fusions in ns, counts of instructions."""
     flags = ["-O3", "-std=gnu99", "-ffp-contract=off", f"-I{SOURCES}"]
     sources = [ROOT / "fusion_limit" / "machine.c", *SOURCES.glob("routines*.c")]
-    shared = [SOURCES / "se3.c", SOURCES / "fusion.c"]
     with tempfile.TemporaryDirectory() as folder:
         machine, operations = Path(folder) / "machine", Path(folder) / "operations"
         cc, cxx = os.environ.get("CC", "gcc"), os.environ.get("CXX", "g++")
-        subprocess.run([cc, *flags, *sources, *shared, "-lm", "-o", machine], check=True)
+        subprocess.run([cc, *flags, *sources, SOURCES / "se3.c", "-lm", "-o", machine], check=True)
         counted = [ROOT / "fusion_limit" / "operations.cpp", "-x", "c", SOURCES / "se3.c"]
         subprocess.run([cxx, "-w", f"-I{SOURCES}", *counted, "-lm", "-o", operations], check=True)
         text = "".join(subprocess.check_output([program], text=True) for program in (machine, operations))

@@ -11,7 +11,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "filter"))
 
-from tactile_filter import se3, se3_reference
+import se3_reference
+
+from tactile_filter import se3
 from tactile_filter.fusion import fuse
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import mpmath as mp
 
-COUNT = 26
+COUNT = 26  # terms of a series; as many more in a table as derivatives of it are taken
 REGULAR_VERSINE = 0.3  # of the largest angle of the polynomials, 1 - cos t
 
 
@@ -68,28 +68,18 @@ def fits() -> list[str]:
 def main() -> None:
     """Print the header."""
     mp.mp.dps = 90
-    n = range(COUNT)
-    sign = [mp.mpf(-1) ** k for k in n]
     blocks = [
-        array("SIN", "sin(t)/t in powers of t^2", [sign[k] / mp.factorial(2 * k + 1) for k in n]),
-        array("COS", "(1 - cos t)/t^2", [sign[k] / mp.factorial(2 * k + 2) for k in n]),
-        array("CUBIC", "(t - sin t)/t^3", [sign[k] / mp.factorial(2 * k + 3) for k in n]),
         array(
-            "D_COS",
-            "d/dt of (1 - cos t)/t^2, over t",
-            [-sign[k] * 2 * (k + 1) / mp.factorial(2 * k + 4) for k in n],
+            "SIN",
+            "sin(t)/t in powers of t^2",
+            [(-1) ** k / mp.factorial(2 * k + 1) for k in range(COUNT + 2)],
         ),
-        array(
-            "D_CUBIC",
-            "d/dt of (t - sin t)/t^3, over t",
-            [-sign[k] * 2 * (k + 1) / mp.factorial(2 * k + 5) for k in n],
-        ),
+        array("COS", "(1 - cos t)/t^2", [(-1) ** k / mp.factorial(2 * k + 2) for k in range(COUNT + 1)]),
         array(
             "COT",
             "what the poles from n = 3 on add to (1 - (t/2) cot(t/2))/t^2",
-            [2 * tail(2 * k + 2) for k in n],
+            [2 * tail(2 * k + 2) for k in range(COUNT + 1)],
         ),
-        array("D_COT", "twice the derivative of that by t^2", [4 * (k + 1) * tail(2 * k + 4) for k in n]),
         array("FIRST_POLE", "4 pi^2, 16 pi^2", [4 * mp.pi**2, 16 * mp.pi**2]),
     ]
     print("// Written by bench/fusion_coefficients.py. Series in powers of t^2, each a sum of two doubles.")

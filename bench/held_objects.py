@@ -1,6 +1,6 @@
 """Curves of the simulated skin for `HeldSettings`; inertia beside weight; how hard an object must be pressed.
 
-OMP_NUM_THREADS=1 PYTHONPATH=. python bench/held_objects.py
+OMP_NUM_THREADS=1 python bench/held_objects.py
 """
 
 from __future__ import annotations

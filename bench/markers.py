@@ -1,6 +1,6 @@
 """What the marker view costs per frame, and how exact the detection is.
 
-    PYTHONPATH=. python bench/markers.py [--frames 200]
+    python bench/markers.py [--frames 200]
 
 Simulated contacts over the paper's ranges: processor time of each stage, and markers missed, invented and
 displaced against the simulator's own, in camera images and in pre-processed ones.

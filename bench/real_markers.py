@@ -6,7 +6,7 @@ then from the neighbors: starting where the regression is right to a few pixels,
 where its neighbors' displacements put it, so that the matching grows over the image and follows contacts that
 slipped as well as those that stuck.
 
-    PYTHONPATH=. python bench/real_markers.py DATA/train      # how many markers are found, by depth
+    python bench/real_markers.py DATA/train      # how many markers are found, by depth
 """
 
 from __future__ import annotations

@@ -26,9 +26,8 @@ from tactile_bringup.launching.processes import ProcessGroup, tail
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import StageLatency
 from tactile_ros import qos
-from tactile_ros.dds_profile import use_dds_profile
-from tactile_ros.managed_node import make_executor
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import ns_from_time
+from tactile_ros.managed_node import make_executor, use_dds_profile
 
 ARM = "arm"
 STAGES = ("camera", "estimator", "filter", "controller")

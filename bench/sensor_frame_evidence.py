@@ -1,6 +1,6 @@
 """Does the frame {s} of a data folder's labels sit in the centre of the dome or in its apex?
 
-    PYTHONPATH=. python bench/sensor_frame_evidence.py DATA/train [--samples 2500] [--out out/sensor_frame]
+    PYTHONSAFEPATH= python bench/sensor_frame_evidence.py DATA/train [--samples 2500] [--out out/sensor_frame]
 
 If a label's angles turned the sensor about its apex, then a contact labelled with depth z at tilt t would
 press the dome R (1 - cos t) deeper than one without tilt: 1.9 mm at 25 degrees. The mean marker

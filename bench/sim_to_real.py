@@ -1,6 +1,6 @@
 """Errors of a network on real images: of one trained on simulated ones they tell what a simulator is worth.
 
-    PYTHONPATH=. python bench/sim_to_real.py DATA/val --model MODEL.onnx [--limit 1000]
+    python bench/sim_to_real.py DATA/val --model MODEL.onnx [--limit 1000]
 
 Prints mean absolute error and mean error by component and depth, and how much of the error in angle follows
 the label's shear.

@@ -1,6 +1,6 @@
 """Speed and shear saturation of the simulated sensor on one core.
 
-OMP_NUM_THREADS=1 PYTHONPATH=. python bench/simulator.py
+OMP_NUM_THREADS=1 python bench/simulator.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Pictures of the simulated sensor for docs/simulator.md.
 
-PYTHONPATH=. python bench/simulator_pictures.py [--out docs/images]
+python bench/simulator_pictures.py [--out docs/images]
 """
 
 from __future__ import annotations

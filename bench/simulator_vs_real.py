@@ -1,6 +1,6 @@
 """A simulated sensor beside a real one: same labels, marker by marker and picture by picture.
 
-    PYTHONPATH=. python bench/simulator_vs_real.py DATA/val --sensor tactip_franka [--before default]
+    PYTHONSAFEPATH= python bench/simulator_vs_real.py DATA/val --sensor tactip_franka [--before default]
 
 Prints and plots the distance between simulated and real markers, by depth and by shear, of one sensor file
 or of two ("default" is the built-in sensor); and the gain of the simulated over the real shear response.
@@ -17,8 +17,7 @@ import matplotlib
 import numpy as np
 from real_markers import Tracked, track
 
-from tactile_drivers.sim.collection import Mounting, press_then_shear
-from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
+from tactile_drivers.sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
 from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.estimating.preprocessing import Preprocessor
 

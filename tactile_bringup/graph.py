@@ -197,7 +197,6 @@ def build_collection_graph(
     goal: NamedGoal,
     collector: Mapping[str, Any],
     options: GraphOptions | None = None,
-    simulate: bool = True,
 ) -> Graph:
     """The graph that collects a data set with one arm of a scene.
 
@@ -207,14 +206,10 @@ def build_collection_graph(
         Of data collection.
     collector : mapping
         Parameter -> value, for the collector.
-    simulate : bool
-        Whether the simulated cell is part of it; without, driver and camera run already.
     """
     options = options or GraphOptions()
-    nodes = _drivers(scene, options) if simulate else []
-    nodes.append(
-        NodeProcess("collector", f"/{arm}", "tactile_ros.nodes.collector_node", "collector", collector)
-    )
+    nodes = _drivers(scene, options)
+    nodes.append(_node("collector", f"/{arm}", collector))
     topics = tuple(_topics([scene.arms[arm]]))
     role = Role("collector", task, TASKS.load(task).settings_class(), (goal,))
     plans = (ArmPlan(arm, role, (goal,)),)
@@ -229,6 +224,11 @@ def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
     return [*(topic.of(arm.name) for arm, topics in kinds for topic in topics), *SHARED_TOPICS]
 
 
+def _node(name: str, namespace: str, parameters: Mapping[str, Any]) -> NodeProcess:
+    """One of `tactile_ros.nodes`, under its own name."""
+    return NodeProcess(name, namespace, f"tactile_ros.nodes.{name}_node", name, parameters)
+
+
 def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
     """What moves arms and exposes sensors: the simulated cell, a process for each driver of a registry."""
     file, nodes = str(scene.path.absolute()), []
@@ -236,14 +236,12 @@ def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
         parameters: dict[str, Any] = {"scene": file, "seed": options.seed}
         if options.rate is not None:
             parameters["camera_rate"] = float(options.rate)
-        nodes.append(NodeProcess("sim", "/", "tactile_ros.nodes.sim_node", "sim", parameters))
+        nodes.append(_node("sim", "/", parameters))
     for arm in scene.arms.values():
         if arm.driver not in (SIM, EXTERNAL):
-            module = "tactile_ros.nodes.arm_node"
-            nodes.append(NodeProcess("arm", f"/{arm.name}", module, "arm", {"scene": file}))
+            nodes.append(_node("arm", f"/{arm.name}", {"scene": file}))
         if arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL):
-            module = "tactile_ros.nodes.camera_node"
-            nodes.append(NodeProcess("camera", f"/{arm.name}", module, "camera", {"scene": file}))
+            nodes.append(_node("camera", f"/{arm.name}", {"scene": file}))
     return nodes
 
 
@@ -251,14 +249,12 @@ def _senses(
     scene: Scene, arm: str, filter_values: Mapping[str, Any], options: GraphOptions
 ) -> list[NodeProcess]:
     """From the arm's images to its belief; an ideal simulated sensor gives the contact pose itself."""
-    namespace, nodes = f"/{arm}", []
+    nodes = []
     if scene.gives_images(arm):
         nodes.append(_estimator(scene, arm, options))
         if options.marker_view:
-            module = "tactile_ros.nodes.marker_view_node"
-            nodes.append(NodeProcess("marker_view", namespace, module, "marker_view"))
-    nodes.append(NodeProcess("filter", namespace, "tactile_ros.nodes.filter_node", "filter", filter_values))
-    return nodes
+            nodes.append(_node("marker_view", f"/{arm}", {}))
+    return [*nodes, _node("filter", f"/{arm}", filter_values)]
 
 
 def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
@@ -268,8 +264,7 @@ def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
     parameters: dict[str, Any] = {"images.rate": float(rate or sensor.settings.camera_rate)}
     if model is not None:
         parameters["model"] = str(model.absolute())
-    module = "tactile_ros.nodes.estimator_node"
-    return NodeProcess("estimator", f"/{arm}", module, "estimator", parameters)
+    return _node("estimator", f"/{arm}", parameters)
 
 
 def _controller(plan: ArmPlan, arm: ArmScene) -> NodeProcess:
@@ -277,8 +272,7 @@ def _controller(plan: ArmPlan, arm: ArmScene) -> NodeProcess:
     parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": arm.controlled_frame}
     for group, values in groups.items():
         parameters |= {f"{group}.{name}": value for name, value in values.items()}
-    module = "tactile_ros.nodes.controller_node"
-    return NodeProcess("controller", f"/{plan.arm}", module, "controller", parameters)
+    return _node("controller", f"/{plan.arm}", parameters)
 
 
 def _object(arms: Sequence[str], options: GraphOptions) -> NodeProcess:
@@ -289,7 +283,7 @@ def _object(arms: Sequence[str], options: GraphOptions) -> NodeProcess:
         parameters |= dataclasses.asdict(settings)
         for arm, place in places.items():
             parameters |= {f"place.{arm}.{name}": value for name, value in dataclasses.asdict(place).items()}
-    return NodeProcess("object", "/", "tactile_ros.nodes.object_node", "object", parameters)
+    return _node("object", "/", parameters)
 
 
 def _recorder(
@@ -300,6 +294,7 @@ def _recorder(
     nodes: Sequence[NodeProcess],
     options: GraphOptions,
 ) -> NodeProcess:
+    assert options.record is not None
     images = [IMAGE.of(arm).name for arm in scene.arms if scene.gives_images(arm)]
     note = {
         "task": task,
@@ -310,12 +305,12 @@ def _recorder(
         "parameters": json.dumps({node.full_name: node.parameters for node in nodes}),
     }
     parameters = {
-        "bag": str(options.record),
+        "bag": str(options.record.absolute()),
         "topics": [f"{topic.name} {topic.type} {topic.qos}" for topic in topics],
         "images": images if options.record_images else [],
         "note": [f"{name}={text}" for name, text in note.items()],
     }
-    return NodeProcess(RECORDER, "/", "tactile_ros.nodes.recorder_node", "recorder", parameters)
+    return _node(RECORDER, "/", parameters)
 
 
 def _role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:

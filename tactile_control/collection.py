@@ -155,6 +155,7 @@ class CollectionMotionSettings(Settings):
             angular_speed=angular_speed,
             gain=self.gain,
             height=self.standoff,
+            timeout=self.motion_timeout,
             position_tolerance=self.position_tolerance,
             angle_tolerance=self.angle_tolerance,
         )

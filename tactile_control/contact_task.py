@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingGroups, Settings, setting
 from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_control.limiter import LimiterSettings
-from tactile_control.motion import Odometer, TravelSettings, Waypoint, along_z, twist_towards, way_to_start
+from tactile_control.motion import Odometer, TravelSettings, along_z
 from tactile_control.phases import (
     DONE,
     FAILED,
@@ -163,7 +163,6 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self._belief: StampedPose | None = None
         self._presence: StampedPresence | None = None
         self._servo: ServoingOutput | None = None
-        self._waypoints: list[Waypoint] | None = None
         self._contact_ns: int | None = None
         self._touch_ns = 0
         self._touch_position: Array | None = None
@@ -260,20 +259,14 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         return super()._next_twist(now_ns)
 
     def _go_to_start(self, now_ns: int) -> Array:
-        pose, travel = self._sensor_pose(), self.settings.travel
         assert self.start is not None
-        if self._waypoints is None:
-            self._waypoints = way_to_start(pose, self.start, travel)
         if self._touching() and self._in_phase(now_ns) > self.settings.contact.lost_contact_time:
             return self._fail("touched something on the way to the start")
-        if self._in_phase(now_ns) > travel.timeout:
-            return self._fail(f"the start was not reached within {travel.timeout:g} s")
-        while self._waypoints and self._waypoints[0].reached(pose):
-            self._waypoints.pop(0)
-        if not self._waypoints:
+        twist = self._go_to(self.start, self.settings.travel, now_ns)
+        if twist is None:
             self._enter(APPROACH)
             return np.zeros(6)
-        return twist_towards(pose, self._waypoints[0].T_base_goal, travel)
+        return twist
 
     def _approach(self, now_ns: int) -> Array:
         settings = self.settings.contact

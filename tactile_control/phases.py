@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingGroups, Settings
 from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings, TwistLimiter
+from tactile_control.motion import TravelSettings, Waypoint, twist_towards, way_to_start
 from tactile_control.watchdog import Watchdog, WatchdogSettings
 from tactile_filter.se3 import PoseError
 
@@ -183,6 +184,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._pose: StampedPose | None = None
         self._wanted = np.zeros(6)
         self._refused = ""
+        self._waypoints: list[Waypoint] | None = None
 
     # ---- what the owner calls ----
 
@@ -261,6 +263,17 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self.phase = phase
         self._phase_since_ns = self._now_ns or 0
         self.watchdog.reset()
+
+    def _go_to(self, T_base_start: Array, travel: TravelSettings, now_ns: int) -> Array | None:
+        """The twist on the way to a start through the air, None once there; fails if that takes long."""
+        pose = self._sensor_pose()
+        if self._waypoints is None:
+            self._waypoints = way_to_start(pose, T_base_start, travel)
+        if self._in_phase(now_ns) > travel.timeout:
+            return self._fail(f"the start was not reached within {travel.timeout:g} s")
+        while self._waypoints and self._waypoints[0].reached(pose):
+            self._waypoints.pop(0)
+        return twist_towards(pose, self._waypoints[0].T_base_goal, travel) if self._waypoints else None
 
     def _in_phase(self, now_ns: int) -> float:
         """Seconds since this phase began."""

@@ -9,6 +9,7 @@ repeated, time that jumps, gaps. Everything refused is counted by its reason.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import NamedTuple
 
@@ -413,11 +414,7 @@ class ContactFilter:
         surprise: Innovation | None = None,
         inflation: float = 1.0,
     ) -> Belief:
-        if surprise is None:
-            return Belief(
-                state.stamp_ns, state.mean, state.cov, flags=flags, reason=reason, rejected=self.rejected
-            )
-        nis, whitened, dof = surprise
+        nis, whitened, dof = surprise or (math.nan, None, 0)
         mean, cov = state.mean, state.cov
         return Belief(state.stamp_ns, mean, cov, nis, dof, flags, reason, self.rejected, whitened, inflation)
 

@@ -1,7 +1,7 @@
 """Fusion of two Gaussians over poses into one: the correction step of the filter, in C.
 
 The algorithm is the paper's "SE(3) data fusion" (its Algorithm, after Barfoot and Furgale);
-`tactile_filter.fusion_reference` is the same in NumPy, to be read. One pair at a time: what fusing many side
+`test/filter/fusion_reference.py` is the same in NumPy, to be read. One pair at a time: what fusing many side
 by side could save filters is measured in docs/fusion.md.
 """
 

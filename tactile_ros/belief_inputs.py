@@ -47,12 +47,8 @@ def serve_reset(node: ManagedNode, reset: Callable[[], None], outlook: str) -> N
         What comes next, for who asked.
     """
 
-    def answer(request: ResetFilter.Request, response: ResetFilter.Response) -> ResetFilter.Response:
-        response.success = node.active
-        response.message = outlook if node.active else "the node is not active"
-        if node.active:
-            node.get_logger().info(f"reset: {request.reason or 'no reason given'}")
-            reset()
-        return response
+    def act(request: ResetFilter.Request) -> None:
+        node.get_logger().info(f"reset: {request.reason or 'no reason given'}")
+        reset()
 
-    node.serve(ResetFilter, "~/reset", answer)
+    node.serve_request(ResetFilter, "~/reset", act, outlook)

@@ -11,12 +11,19 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped, TwistStamped
+from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import serialize_message
 
 from tactile_base.stamps import SECOND_NS
+from tactile_filter.gaussian import ros_from_left
+from tactile_filter.pose_numbers import numbers_from_pose
 from tactile_records.bags import cdr
 from tactile_records.bags.cdr import Number as Number
 from tactile_records.bags.message_definitions import type_fields
+
+Array = NDArray[np.float64]
 
 FRAME = "header.frame_id"
 STAMP_NUMBERS = 2  # sec and nanosec, which a message with a header starts with
@@ -88,6 +95,30 @@ def _frames(layout: cdr.Layout) -> list[tuple[str, str, slice]]:
     return [(texts[f"{n}.{FRAME}"], texts[f"{n}.child_frame_id"], layout.place(n)) for n in names]
 
 
+def headed_bytes(message_type: Any, stamp_ns: int, frame_id: str, *numbers: Number, **texts: str) -> bytes:
+    """A message with a header: its numbers in the order of the definition, its texts by name."""
+    return _headed_layout(message_type, frame_id, **texts).pack(*split_stamp(stamp_ns), *numbers)
+
+
+@functools.lru_cache(maxsize=64)
+def _headed_layout(message_type: Any, frame_id: str, **texts: str) -> Layout:
+    example = message_type(**texts)
+    example.header.frame_id = frame_id
+    return Layout(example)
+
+
+def twist_bytes(stamp_ns: int, frame_id: str, twist: ArrayLike) -> bytes:
+    """TwistStamped of [v, omega] (6,) in `frame_id`."""
+    return headed_bytes(TwistStamped, stamp_ns, frame_id, *np.asarray(twist, dtype=np.float64).tolist())
+
+
+def gaussian_bytes(stamp_ns: int, frame_id: str, mean: Array, cov: Array) -> bytes:
+    """PoseWithCovarianceStamped of a mean (4, 4) with left covariance (6, 6), both in `frame_id`."""
+    ros = ros_from_left(cov, mean[:3, 3])
+    numbers = (*numbers_from_pose(mean).tolist(), *ros.ravel().tolist())
+    return headed_bytes(PoseWithCovarianceStamped, stamp_ns, frame_id, *numbers)
+
+
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
     """Seconds and nanoseconds of a stamp; negative ones become zero, which ROS reads as 'none'."""
     return divmod(max(int(stamp_ns), 0), SECOND_NS)
@@ -99,3 +130,9 @@ def type_name(message_type: Any) -> str:
 
 
 _read_transforms = cdr.MessageReader("tf2_msgs/msg/TFMessage")
+
+read_gaussian = HeadedReader(PoseWithCovarianceStamped)
+"""Stamp (ns), frame and numbers; `conversions.gaussian_from_numbers` checks these and makes a Gaussian."""
+
+read_twist = HeadedReader(TwistStamped)
+"""Stamp (ns), frame and [v, omega] (6 numbers, which may be NaN: that is for the limiter to refuse)."""

@@ -1,4 +1,6 @@
-"""Messages <-> NumPy: poses, transforms, images; what is sent at the rate of the camera is in `wire`.
+"""Messages <-> Python: stamps (int nanoseconds), poses, transforms, images.
+
+What is sent at the rate of the camera is in `cdr`.
 
 Poses are `T_parent_child` (4, 4) in meters. Whatever comes in is checked; `MessageError` says what was wrong
 and what would be right.
@@ -9,27 +11,38 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from geometry_msgs.msg import (
-    Point,
-    Pose,
-    Quaternion,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
+from tactile_base.stamps import ns_from_parts, parts_from_ns
 from tactile_filter.pose_numbers import MessageError as MessageError
 from tactile_filter.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
 from tactile_filter.pose_numbers import numbers_from_pose as numbers_from_pose
 from tactile_filter.pose_numbers import pose_from_numbers as pose_from_numbers
-from tactile_ros.stamps import time_from_ns
 
 Array = NDArray[np.float64]
 
 MONO8 = "mono8"
+
+
+def ns_from_time(stamp: Time | Duration) -> int:
+    """Nanoseconds of a Time or Duration message."""
+    return ns_from_parts(stamp.sec, stamp.nanosec)
+
+
+def time_from_ns(stamp_ns: int) -> Time:
+    """Time message of nanoseconds since the epoch; negative ones become zero, which ROS reads as 'none'."""
+    sec, nanosec = parts_from_ns(max(int(stamp_ns), 0))
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def duration_from_ns(duration_ns: int) -> Duration:
+    """Duration message of nanoseconds."""
+    sec, nanosec = parts_from_ns(duration_ns)
+    return Duration(sec=sec, nanosec=nanosec)
 
 
 def header(stamp_ns: int, frame_id: str) -> Header:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from tactile_base import topics
 from tactile_msgs.msg import StageLatency
-from tactile_ros.conversions import header
+from tactile_ros.conversions import header, time_from_ns
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.qos import LATENCY
-from tactile_ros.stamps import time_from_ns
 
 PERIOD = 0.25  # s; a message a frame would cost every stage, and whoever listens, more than some stages do
 

@@ -13,8 +13,10 @@ runs several nodes in one process.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import math
+import os
 import signal
 import sys
 import time
@@ -34,8 +36,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from tactile_base import topics
+from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError, unknown_name
-from tactile_ros.dds_profile import use_dds_profile
 from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
@@ -43,6 +45,8 @@ from tactile_ros.qos import DIAGNOSTICS, writer_profile
 Result = TransitionCallbackReturn
 
 COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
+# what names a profile to Fast DDS, and what did in the past
+DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 DIAGNOSTIC_PERIOD = 1.0  # s
 FLUSH_STEPS = 20
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
@@ -162,6 +166,18 @@ class ManagedNode(LifecycleNode):
         """Offer a service while the node is configured."""
         service = self.create_service(service_type, name, callback)
         self._while_configured.append((self.destroy_service, service))
+
+    def serve_request(self, service_type: type, name: str, act: Callable[[Any], None], outlook: str) -> None:
+        """Offer a service that acts while the node is active; `outlook` tells who asked what comes next."""
+
+        def answer(request: Any, response: Any) -> Any:
+            response.success = self.active
+            response.message = outlook if self.active else "the node is not active"
+            if self.active:
+                act(request)
+            return response
+
+        self.serve(service_type, name, answer)
 
     def release_later(self, destroy: Callable[[Any], Any], thing: Any) -> None:
         """Have `destroy(thing)` called at clean-up."""
@@ -302,6 +318,18 @@ def make_executor() -> Any:
 
         return SingleThreadedExecutor()
     return EventsExecutor()
+
+
+def use_dds_profile() -> None:
+    """Name our profile to Fast DDS, unless the user has named one; call it before `rclpy.init`.
+
+    The profile (config/dds/fastdds.xml) makes discovery quick, and shared memory large enough for images.
+    Other middlewares do not look at the variable. Without the file (a package that was only partly installed)
+    discovery works as well, only more slowly.
+    """
+    if not any(name in os.environ for name in DDS_VARIABLES):
+        with contextlib.suppress(FileNotFoundError):
+            os.environ[DDS_VARIABLES[0]] = str(config_path("dds/fastdds.xml"))
 
 
 def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str] | None = None) -> int:

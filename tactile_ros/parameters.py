@@ -17,8 +17,9 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tactile_base.settings import SettingError, Settings
+from tactile_base.settings import SettingError, SettingGroups, Settings
 
+G = TypeVar("G", bound=SettingGroups)
 S = TypeVar("S", bound=Settings)
 
 _SCALARS = {
@@ -112,6 +113,28 @@ class SettingsParameters(Generic[S]):
         self.value = value
         if self._on_change is not None:
             self._on_change(value)
+
+
+class GroupParameters(Generic[G]):
+    """One ROS parameter a setting of several groups, "pid.kp" for instance, and `value`, all in force.
+
+    `on_change` is called without arguments after a change at runtime was accepted.
+    """
+
+    def __init__(self, node: Node, defaults: G, on_change: Callable[[], None]) -> None:
+        self._type = type(defaults)
+        self._groups: dict[str, SettingsParameters[Settings]] = {
+            name: SettingsParameters(
+                node, defaults.group(name), prefix=name, on_change=lambda changed: on_change()
+            )
+            for name in defaults.group_names()
+        }
+
+    @property
+    def value(self) -> G:
+        """The settings in force."""
+        values: dict[str, Any] = {name: group.value for name, group in self._groups.items()}
+        return self._type(**values)
 
 
 def declare_read_only(node: Node, name: str, default: Any, description: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any
 
@@ -16,7 +15,7 @@ from tactile_control.phases import Command, Goal, PhaseMachine
 from tactile_control.task_file import NamedGoal
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
-from tactile_ros.cdr import Layout, split_stamp
+from tactile_ros.cdr import headed_bytes, split_stamp
 from tactile_ros.conversions import MessageError, matrix_from_pose, pose_from_matrix
 
 Array = NDArray[np.float64]
@@ -80,8 +79,10 @@ def status_bytes(
     phase, reason = (command.phase, command.reason) if command else (IDLE, "")
     number, name = goal
     unlimited = command.unlimited if command and running else _ZERO
-    return _status_layout(frame_id, task, phase, name, reason).pack(
-        *split_stamp(now_ns),
+    return headed_bytes(
+        ControllerStatus,
+        now_ns,
+        frame_id,
         *split_stamp(command.exposure_ns if command and running else 0),
         number,
         *(command.error if command else _UNKNOWN).tolist(),
@@ -93,6 +94,10 @@ def status_bytes(
         command.progress if command else 0.0,
         command.travelled if command else 0.0,
         (now_ns - belief_ns) / SECOND_NS if belief_ns else -1.0,
+        task=task,
+        phase=phase,
+        goal_name=name,
+        reason=reason,
     )
 
 
@@ -109,10 +114,3 @@ def feedback_message(command: Command, X_fs: Array | None, progress: float | Non
         depth=depth,
         normal_error=normal_error,
     )
-
-
-@functools.lru_cache(maxsize=64)
-def _status_layout(frame_id: str, task: str, phase: str, goal: str, reason: str) -> Layout:
-    example = ControllerStatus(task=task, phase=phase, goal_name=goal, reason=reason)
-    example.header.frame_id = frame_id
-    return Layout(example)

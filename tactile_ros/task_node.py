@@ -17,17 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.duration import Duration
 
+from tactile_base import topics
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
+from tactile_ros.cdr import twist_bytes
+from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import COMMAND, STATE
-from tactile_ros.stamps import duration_from_ns
 from tactile_ros.transforms import TransformListener
-from tactile_ros.wire import twist_bytes
 
 ZERO = np.zeros(6)
 FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
@@ -107,14 +108,14 @@ class TaskNode(ManagedNode, ABC):
 
     def open_task(self, tick_period: float, on_transform: Callable[[], None] | None = None) -> None:
         """Create publishers, the action, and a timer of that period (s) that steps if nothing else has."""
-        self.twist_out = self.publisher(TwistStamped, "command/twist", COMMAND)
-        self.status_out = self.publisher(ControllerStatus, "controller/status", STATE)
+        self.twist_out = self.publisher(TwistStamped, topics.COMMAND.name, COMMAND)
+        self.status_out = self.publisher(ControllerStatus, topics.CONTROLLER_STATUS.name, STATE)
         self.transforms = TransformListener(self, on_update=on_transform, on_jump=self._jumped)
         self.timer(tick_period, self._tick)
         action = ActionServer(
             self,
             RunTask,
-            "run_task",
+            topics.RUN_TASK,
             execute_callback=_nothing_to_execute,
             goal_callback=self._consider,
             handle_accepted_callback=self._accept,

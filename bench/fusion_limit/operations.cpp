@@ -13,6 +13,13 @@ struct Number {
   Number() = default;
   Number(double v) : value(v) {}
   explicit operator double() const { return value; }
+  double& operator[](int) { return value; }
+  double operator[](int) const { return value; }
+};
+
+struct Mask {
+  bool value;
+  bool operator[](int) const { return value; }
 };
 
 static Number counted(double value) {
@@ -28,13 +35,22 @@ static Number operator/(Number a, Number b) {
   divisions++;
   return counted(a.value/b.value);
 }
-static int operator>(Number a, Number b) { return (int)(counted(0), a.value > b.value); }
-static int operator<=(Number a, Number b) { return (int)(counted(0), a.value <= b.value); }
-static int operator==(Number a, Number b) { return (int)(counted(0), a.value == b.value); }
+static Mask compared(bool value) {
+  instructions++;
+  return Mask{value};
+}
+
+static Mask operator>(Number a, Number b) { return compared(a.value > b.value); }
+static Mask operator>=(Number a, Number b) { return compared(a.value >= b.value); }
+static Mask operator<=(Number a, Number b) { return compared(a.value <= b.value); }
+static Mask operator==(Number a, Number b) { return compared(a.value == b.value); }
+static Mask operator~(Mask a) { return Mask{!a.value}; }
+static Mask operator|(Mask a, Mask b) { return Mask{a.value || b.value}; }
+static Mask& operator|=(Mask& a, Mask b) { return a = a | b; }
+static int any(Mask mask) { return mask.value; }
 
 static Number FMA(Number a, Number b, Number c) { return counted(std::fma(a.value, b.value, c.value)); }
 static Number FNMA(Number a, Number b, Number c) { return counted(std::fma(-a.value, b.value, c.value)); }
-static Number MIN(Number a, Number b) { return counted(a.value < b.value ? a.value : b.value); }
 static Number SQRT(Number a) {
   divisions++;
   return counted(std::sqrt(a.value));
@@ -46,51 +62,45 @@ extern "C" {
 }
 #include "coefficients.h"
 
-#define V Number
-#define M int
-#define LANES 1
-#define NAME(name) name##_counted
-#define LANE(v, lane) (*(double*)(&(v) + (lane)))
-#define NOT(mask) (!(mask))
+typedef Number V;
+typedef Mask M;
 #define SPLAT(x) Number(x)
 #define UNROLL
 #define INLINE static inline
-static int any_counted(int mask) { return mask; }
 #include "fusion_lanes.h"
 
 
 // the counts of a fusion with so many iterations
 static void count(int iterations) {
-  Pose_counted first, second, y, mean;
-  Pose_counted relative;
-  Side_counted side[2];
-  Factor_counted factor;
+  PosePair first, second, y, mean, relative;
+  SidePair side[2];
+  FactorPair factor;
   V full[36], packed[21], root[6], step[6], lower[21], cov[21], square = Number(0);
-  M bad = 0;
-  set_identity_counted(&first);
-  set_identity_counted(&second);
-  set_identity_counted(&y);
+  M bad = {false};
+  set_identity(&first);
+  set_identity(&second);
+  set_identity(&y);
   second.pos[0] = Number(1e-3);
   instructions = divisions = 0;
-  check_pose_counted(&first, &bad);
-  check_pose_counted(&second, &bad);
+  check_pose(&first, &bad);
+  check_pose(&second, &bad);
   for (int k = 0; k < 2; k++) {
     for (int i = 0; i < 36; i++) {
       full[i] = Number(i % 7 == 0 ? 1.0 + k : 0.1);
     }
-    symmetric_part_counted(packed, full, &bad);
-    factorize_counted(&factor, packed, &bad);
-    set_roots_counted(root, &factor);
-    set_whitening_counted(side + k, &factor, root);
+    symmetric_part(packed, full, &bad);
+    factorize(&factor, packed, &bad);
+    set_roots(root, &factor);
+    set_whitening(side + k, &factor, root);
   }
-  set_relative_counted(&relative, &first, &second);
+  set_relative(&relative, &first, &second);
   for (int i = 0; i < iterations; i++) {
     V information[2][21], gradient[2][6], xi[6], e, de;
-    Pose_counted difference[2] = {y};
-    product_counted(difference + 1, &y, &relative);
+    PosePair difference[2] = {y};
+    product(difference + 1, &y, &relative);
     for (int k = 0; k < 2; k++) {
-      log_counted(xi, &e, &de, difference + k);
-      contribution_counted(information[k], gradient[k], xi, e, de, side + k, JACOBIAN_ORDER_2);
+      logarithm(xi, &e, &de, difference + k);
+      contribution(information[k], gradient[k], xi, e, de, side + k, JACOBIAN_ORDER_2);
     }
     for (int k = 0; k < 21; k++) {
       information[0][k] = information[0][k] + information[1][k];
@@ -98,15 +108,15 @@ static void count(int iterations) {
     for (int k = 0; k < 6; k++) {
       gradient[0][k] = gradient[0][k] + gradient[1][k];
     }
-    factorize_counted(&factor, information[0], &bad);
-    square = gauss_newton_counted(step, gradient[0], &factor);
-    perturb_counted(&y, step);
+    factorize(&factor, information[0], &bad);
+    square = gauss_newton(step, gradient[0], &factor);
+    perturb(&y, step);
   }
-  product_counted(&mean, &y, &first);
-  orthonormalize_counted(mean.rot);
-  set_roots_counted(root, &factor);
-  inverse_factor_counted(lower, &factor, root);
-  square_lower_counted(cov, lower);
+  product(&mean, &y, &first);
+  orthonormalize(mean.rot);
+  set_roots(root, &factor);
+  inverse_factor(lower, &factor, root);
+  square_lower(cov, lower);
   square = SQRT(square);
   std::printf("instructions_%d %ld\ndivisions_%d %ld\n", iterations, instructions, iterations, divisions);
 }

@@ -1,6 +1,6 @@
 """How long finished trainings took, and how right the command was about it on the way.
 
-    PYTHONPATH=. python bench/perception/training_time.py RUN [RUN ...]
+    python bench/perception/training_time.py RUN [RUN ...]
 
 RUN is a run folder of `tactile train` or a folder of them. After each epoch the command says what is left:
 time gone and time left are what it then expected for the whole, which is compared with what it took.

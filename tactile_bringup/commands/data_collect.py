@@ -51,9 +51,6 @@ def register(commands: Any) -> None:
     parser.add_argument("--images", default="both", help="keep processed images, raw ones, or both (both)")
     parser.add_argument("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
     add_set_option(parser, "one of them", "SECTION.NAME=VALUE")
-    parser.add_argument(
-        "--external", action="store_true", help="driver and camera run already: start no simulation"
-    )
     parser.add_argument("--rate", type=float, metavar="HZ", help="simulated exposures a second")
     parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
     parser.add_argument("--record-images", action="store_true", help="with images")
@@ -95,8 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
-    from tactile_bringup.commands.collect_progress import CollectionDisplay
     from tactile_bringup.launching.launcher import Launcher
+    from tactile_bringup.launching.progress import CollectionDisplay
 
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
@@ -124,7 +121,8 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         With what is wrong and what would be right.
     """
     from tactile_base.whole_file import check_folder
-    from tactile_bringup.graph import GraphOptions, build_collection_graph
+    from tactile_bringup.commands.launch import graph_options
+    from tactile_bringup.graph import build_collection_graph
     from tactile_control.collection import TASK, CollectionGoal
     from tactile_control.task_file import NamedGoal
     from tactile_drivers.sampling import VALIDATION_START
@@ -160,15 +158,9 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         missing = len(set(range(1, arguments.samples + 1)) - writer.done)
     for group, settings in groups.items():
         collector |= {f"{group}.{name}": value for name, value in dataclasses.asdict(settings).items()}
-    options = GraphOptions(
-        rate=arguments.rate,
-        seed=arguments.seed,
-        record=arguments.record.absolute() if arguments.record else None,
-        record_images=arguments.record_images,
-    )
     named = NamedGoal(f"{missing} samples", goal)
     graph = build_collection_graph(
-        TASK, scene, arm.name, named, collector, options, simulate=not arguments.external
+        TASK, scene, arm.name, named, collector, graph_options(arguments, changes=())
     )
     return Plan(graph, arguments.samples, missing)
 

@@ -24,8 +24,7 @@ from tactile_bringup.commands.changes import (
     refusing,
 )
 from tactile_drivers.sampling import VALIDATION_START
-from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
-from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
+from tactile_drivers.sim.collection import CollectionSettings, Sample, SensorFile, generate, load_sensor
 from tactile_perception.datasets.writer import DatasetWriter, write_processed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_records.collecting.parameters import check_same_run

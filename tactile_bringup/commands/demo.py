@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tactile_bringup.launching.launcher import Outcome
-    from tactile_records.runs.report import Run
 
 TASK = "surface_following"
 BAG, MARKER = "bag", "metadata.yaml"
@@ -47,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     bag = folder / BAG
     if not _make_room(bag):
         return 2
-    options = graph_options(arguments, record=bag, record_images=arguments.record_images)
+    options = graph_options(arguments, record=bag)
     outcome = launch(TASK, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2
@@ -68,6 +67,7 @@ def _make_room(bag: Path) -> bool:
 
 def _deliver(bag: Path, folder: Path, outcome: Outcome, console: Console) -> int:
     """Report, pictures and summary of each arm, also of a run that failed as far as it went."""
+    from tactile_bringup.commands.report import deliver
     from tactile_records.bags.writer import BagError
     from tactile_records.runs.from_bag import read_arms
 
@@ -79,33 +79,5 @@ def _deliver(bag: Path, folder: Path, outcome: Outcome, console: Console) -> int
     for record in run.values():
         if outcome.exit_code:
             record.result |= {"succeeded": False, "reason": outcome.reason.splitlines()[0]}
-    _write(run, bag, folder, console)
+    deliver(run, bag, folder, console)
     return outcome.exit_code or (0 if all(record.result["succeeded"] for record in run.values()) else 1)
-
-
-def _write(run: Run, bag: Path, folder: Path, console: Console) -> None:
-    from rich.table import Table
-
-    from tactile_records.runs.report import places, summary, write_reports
-
-    values = write_reports(run, folder)
-    first = next(iter(run.values()))
-    table = Table(title=f"{first.task_file} on {first.scene}, real ROS nodes, seed {first.seed}")
-    for name in ("", "measured", "wanted"):
-        table.add_column(name, justify="left" if not name else "right")
-    for row in summary(run, values):
-        table.add_row(*row)
-    console.print(table)
-    for record in run.values():
-        for problem in ("bag_problem", "surface_problem"):
-            if problem in record.result:
-                console.print(f"note: {record.result[problem]}", style="yellow", highlight=False)
-    files = [path for place in places(run, folder).values() for path in sorted(place.glob("*.*"))]
-    for path in (*(path for path in files if path.suffix in (".json", ".png")), bag):
-        console.print(_short(path), highlight=False, soft_wrap=True)
-
-
-def _short(path: Path) -> str:
-    """As one would type it from here."""
-    here = Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)

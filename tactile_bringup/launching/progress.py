@@ -1,100 +1,71 @@
-"""What `tactile launch` shows while it works: a live table on a terminal, plain lines elsewhere."""
+"""What `tactile launch`, `run` and `data collect` show while they work, on the `Progress` of all commands."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.progress_bar import ProgressBar
-from rich.table import Table
-from rich.text import Text
+from rich.console import Console
+
+from tactile_base.progress import Progress
+from tactile_control.collection import REFERENCE, TOUCH
+from tactile_control.phases import GO_TO_START
 
 if TYPE_CHECKING:
-    from tactile_bringup.launching.task_client import Progress
+    from tactile_bringup.launching.task_client import Progress as TaskProgress
 
 LINE_PERIOD = 2.0  # s between plain lines of one phase
-REFRESH_RATE = 8  # 1/s
 MM, DEGREES, MS = 1e3, 180.0 / math.pi, 1e3
+#: Phases before the first sample, which say nothing of the pace.
+BEFORE_SAMPLES = (GO_TO_START, REFERENCE, TOUCH)
 
 
-class Display:
-    """Shows headlines and the progress of each arm.
-
-    Parameters
-    ----------
-    console : rich.console.Console
-        Where to.
-    live : bool
-        Whether to redraw in place; only on a terminal.
-    """
+class Display(Progress):
+    """Shows headlines and how far each arm is with its goal, which is given by a label."""
 
     def __init__(self, console: Console, live: bool) -> None:
-        self._console = console
-        self._live = Live(console=console, refresh_per_second=REFRESH_RATE, transient=True) if live else None
-        self._shown: dict[str, tuple[str, float]] = {}
-        self._drawn_s = -math.inf
+        super().__init__(console, live, LINE_PERIOD)
 
-    def __enter__(self) -> Display:
-        if self._live is not None:
-            self._live.start()
-        return self
+    def show(self, arm: str, label: str, progress: TaskProgress) -> None:
+        """Show how far an arm is with the goal of that label."""
+        if progress.phase:
+            path = f"path {progress.travelled * MM:.1f} mm"
+            text = ", ".join(part for part in (progress.reason, path, *_figures(progress)) if part)
+            name, state = _name(arm, label), progress.phase
+            self.update(name, progress.fraction, 1.0, state=state, text=text, seconds_left=math.nan)
 
-    def __exit__(self, *exception: object) -> None:
-        if self._live is not None:
-            self._live.stop()
+    def conclude(self, arm: str, label: str) -> None:
+        """The arm's goal of that label has ended."""
+        self.finish(_name(arm, label))
 
-    def say(self, text: str, style: str | None = None) -> None:
-        """A line that stays."""
-        self._console.print(Text(text, style or ""), soft_wrap=True)
 
-    def update(self, arms: Mapping[str, tuple[str, Progress]]) -> None:
-        """Show how far each arm is with its goal, which is given by a label."""
-        now = time.monotonic()
-        if self._live is not None and now - self._drawn_s >= 1.0 / REFRESH_RATE:
-            self._drawn_s = now
-            self._live.update(_panel(arms))
-        elif self._live is None:
-            for arm, (label, progress) in arms.items():
-                self._line(now, label, arm, progress)
+class CollectionDisplay(Display):
+    """Shows how far a collection is; `samples` is the number that the folder is to hold."""
 
-    def _line(self, now: float, label: str, arm: str, progress: Progress) -> None:
-        phase, shown_s = self._shown.get(arm, ("", -math.inf))
-        if not progress.phase or (progress.phase == phase and now - shown_s < LINE_PERIOD):
+    def __init__(self, console: Console, live: bool, samples: int) -> None:
+        Progress.__init__(self, console, live)
+        self._samples = samples
+
+    def show(self, arm: str, label: str, progress: TaskProgress) -> None:
+        """Show the collection of an arm; each sample has all phases, so these are no lines of their own."""
+        if not progress.phase:
             return
-        self._shown[arm] = (progress.phase, now)
-        values = "  ".join(f"{name} {value}" for name, value in figures(progress).items())
-        self.say(f"  {label}  {arm}  {progress.phase:<12}{100 * progress.fraction:4.0f} %  {values}")
+        done = round(progress.fraction * self._samples)
+        depth = "" if math.isnan(progress.depth) else f"depth {progress.depth * MM:5.2f} mm"
+        text = ", ".join(part for part in (progress.phase, depth, progress.reason) if part)
+        total = None if progress.phase in BEFORE_SAMPLES else self._samples
+        self.update(arm, done, total, "samples", text=text)
 
 
-def figures(progress: Progress) -> dict[str, str]:
-    """The numbers worth watching, with units."""
-    return {
-        "path": f"{progress.travelled * MM:6.1f} mm",
-        "depth": _number(progress.depth * MM, "5.2f", "mm"),
-        "normal error": _number(progress.normal_error * DEGREES, "4.1f", "deg"),
-        "latency": _number(progress.latency * MS, "5.1f", "ms"),
-    }
+def _name(arm: str, label: str) -> str:
+    return f"{label} {arm}"
 
 
-def _panel(arms: Mapping[str, tuple[str, Progress]]) -> Group:
-    rows: list[RenderableType] = []
-    for arm, (label, progress) in arms.items():
-        bar = Table.grid(padding=(0, 2))
-        bar.add_row(Text(f"{label}  {arm}", "bold"), Text(progress.phase or "waiting", "cyan"))
-        bar.add_row(
-            ProgressBar(total=1.0, completed=progress.fraction, width=40), f"{progress.fraction:4.0%}"
-        )
-        values = Table.grid(padding=(0, 2))
-        values.add_row(*(Text.assemble((f"{n} ", "dim"), v) for n, v in figures(progress).items()))
-        rows += [bar, values]
-        if progress.reason:
-            rows.append(Text(progress.reason, "yellow"))
-    return Group(*rows)
-
-
-def _number(value: float, form: str, unit: str) -> str:
-    return f"{'-':>5} {unit}" if math.isnan(value) else f"{value:{form}} {unit}"
+def _figures(progress: TaskProgress) -> list[str]:
+    """The numbers that are known, with units."""
+    known = (
+        ("depth", progress.depth * MM, ".2f", "mm"),
+        ("normal error", progress.normal_error * DEGREES, ".1f", "deg"),
+        ("latency", progress.latency * MS, ".1f", "ms"),
+    )
+    return [f"{name} {value:{form}} {unit}" for name, value, form, unit in known if not math.isnan(value)]

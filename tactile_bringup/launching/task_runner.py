@@ -26,20 +26,30 @@ SETTLED = 0.5  # s of rest that count as the end of a goal whose result does not
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
 
 
-class NotReady(RuntimeError):
+class Unfinished(RuntimeError):
+    """A run that came to no good end; `exit_code` is what the command ends with."""
+
+    exit_code: int
+
+
+class NotReady(Unfinished):
     """Nodes that did not become active in time."""
 
+    exit_code = 4
 
-class Interrupted(RuntimeError):
+
+class Interrupted(Unfinished):
     """SIGINT or SIGTERM was sent to this process."""
 
     def __init__(self, number: int) -> None:
-        self.number = number
+        self.exit_code = 128 + number
         super().__init__(f"stopped by {signal.Signals(number).name}")
 
 
-class GoalFailed(RuntimeError):
+class GoalFailed(Unfinished):
     """A goal that was not reached."""
+
+    exit_code = 1
 
 
 @dataclass
@@ -118,8 +128,8 @@ class TaskRunner:
             for plan in self.plans
             if sequence.running(plan.arm)
         }
-        self.display.update({arm: (label, task.progress) for arm, (label, task) in running.items()})
         for arm, (label, task) in running.items():
+            self.display.show(arm, label, task.progress)
             sequence.phase(arm, task.progress.phase)
             result = task.result()
             if result is not None:
@@ -128,6 +138,7 @@ class TaskRunner:
 
     def _conclude(self, label: str, arm: str, result: GoalResult, well: bool) -> None:
         self.results.append(result)
+        self.display.conclude(arm, label)
         verdict = "done" if well else f"failed: {result.reason}"
         length = f"{1e3 * result.length:.0f} mm in {result.duration_s:.1f} s"
         name = f"{arm}: {label}" if len(self.plans) > 1 else label

@@ -40,14 +40,7 @@ from tactile_control.collection import (
     Exposure,
     Target,
 )
-from tactile_control.motion import (
-    Odometer,
-    TravelSettings,
-    Waypoint,
-    pose_difference,
-    twist_towards,
-    way_to_start,
-)
+from tactile_control.motion import Odometer, TravelSettings, Waypoint, pose_difference, twist_towards
 from tactile_control.phases import (
     DONE,
     FAILED,
@@ -108,7 +101,6 @@ class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
         self.touch = TouchOff(settings.touch)
         self._odometer = Odometer(1e-4)
         self._exposure: Exposure | None = None
-        self._waypoints: list[Waypoint] | None = None
         self._goal: Array | None = None
         self._still: StampedPose | None = None
         self._captured: Capture | None = None
@@ -143,18 +135,12 @@ class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
     # ---- phases: each returns the twist wanted now ----
 
     def _go_to_start(self, now_ns: int) -> Array:
-        pose, motion = self._sensor_pose(), self.settings.motion
-        start = self._in_base(at(0.0, 0.0, -motion.standoff))
-        if self._waypoints is None:
-            self._waypoints = way_to_start(pose, start, motion.in_air)
-        while self._waypoints and self._waypoints[0].reached(pose):
-            self._waypoints.pop(0)
-        if not self._waypoints:
+        motion = self.settings.motion
+        twist = self._go_to(self._in_base(at(0.0, 0.0, -motion.standoff)), motion.in_air, now_ns)
+        if twist is None:
             self._enter(REFERENCE)
             return np.zeros(6)
-        if self._late(now_ns):
-            return self._fail(f"the start was not reached within {motion.motion_timeout:g} s")
-        return twist_towards(pose, self._waypoints[0].T_base_goal, motion.in_air)
+        return twist
 
     def _reference(self, now_ns: int) -> Array:
         """At rest off the surface until the image without contact is known."""

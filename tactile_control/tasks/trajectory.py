@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, SettingGroups, Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings
-from tactile_control.motion import Odometer, TravelSettings, Waypoint, twist_towards, way_to_start
+from tactile_control.motion import Odometer, TravelSettings
 from tactile_control.phases import (
     DONE,
     FAILED,
@@ -133,10 +133,10 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         self.goal = goal
         self.start = None if start is None else se3.checked_pose("start", start)
         self._odometer = Odometer(1e-4)
-        self._waypoints: list[Waypoint] | None = None
         self._T_base_origin: Array | None = None
         self._path_s = 0.0
         self._moved_ns: int | None = None
+        self._ended_ns = 0
         self._rate = 0.0
         self._error = np.full(6, np.nan)
         self._feedforward = np.zeros(6)
@@ -168,19 +168,12 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         return {"pose": self._pose.stamp_ns if self._pose is not None else None}
 
     def _go_to_start(self, now_ns: int) -> Array:
-        pose, travel = self._sensor_pose(), self.settings.travel
         assert self.start is not None
-        if self._waypoints is None:
-            self._waypoints = way_to_start(pose, self.start, travel)
-        if self._in_phase(now_ns) > travel.timeout:
-            self._fail_here(f"the start was not reached within {travel.timeout:g} s")
-            return np.zeros(6)
-        while self._waypoints and self._waypoints[0].reached(pose):
-            self._waypoints.pop(0)
-        if not self._waypoints:
+        twist = self._go_to(self.start, self.settings.travel, now_ns)
+        if twist is None:
             self._enter(MOVE)
             return np.zeros(6)
-        return twist_towards(pose, self._waypoints[0].T_base_goal, travel)
+        return twist
 
     def _move(self, now_ns: int) -> Array:
         """Feedforward of the trajectory's own twist, and feedback of the distance from it."""
@@ -195,13 +188,22 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         if np.linalg.norm(self._error[:3]) > self.settings.task.largest_error:
             distance = 1e3 * float(np.linalg.norm(self._error[:3]))
             return self._fail(f"the arm is {distance:.1f} mm off its trajectory")
-        if self._path_s >= self.goal.duration:
+        if self._path_s >= self.goal.duration and self._arrived(pose.stamp_ns):
             self._enter(DONE)
             return np.zeros(6)
         ahead, behind = self.pose(self._path_s + _DIFFERENCE), self.pose(self._path_s - _DIFFERENCE)
         twist = se3.log(se3.inverse(behind) @ ahead) * (self._rate / (2.0 * _DIFFERENCE))
         self._feedforward = se3.adjoint(X_error) @ twist
         return self._feedforward + self.settings.task.gain * self._error
+
+    def _arrived(self, stamp_ns: int) -> bool:
+        """Whether the arm has come to the trajectory's end; it fails if that takes too long."""
+        travel = self.settings.travel
+        self._ended_ns = self._ended_ns or stamp_ns
+        if (stamp_ns - self._ended_ns) * NANOSECOND > travel.timeout:
+            self._fail(f"the end of the trajectory was not reached within {travel.timeout:g} s")
+        distance, angle = np.linalg.norm(self._error[:3]), np.linalg.norm(self._error[3:])
+        return bool(distance <= travel.position_tolerance and angle <= travel.angle_tolerance)
 
     def _advance(self, stamp_ns: int) -> None:
         """Go on along the trajectory to where the arm should be at the stamp of its pose."""
@@ -210,6 +212,9 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         elapsed = (stamp_ns - self._moved_ns) * NANOSECOND
         self._moved_ns = stamp_ns
         left = self.goal.duration - self._path_s
+        if left <= 0.0:
+            self._rate = 0.0
+            return
         full, ramp = settings.speed_factor, settings.ramp_time
         if ramp > 0.0:
             # a square-root law slows down evenly to the end, so that the last stretch takes the ramp's time

@@ -86,7 +86,7 @@ MOTIONS: Registry[MotionType] = Registry(
     {
         FIXED: "tactile_drivers.sim.motions:Fixed",
         CARRIED: "tactile_drivers.sim.motions:Carried",
-        "held": "tactile_drivers.sim.held_motion:Held",
+        "held": "tactile_drivers.sim.held:Held",
     },
 )
 

@@ -89,7 +89,7 @@ def read_simulation(section: Section, with_sensor: Sequence[str]) -> Simulation:
 
 
 def read_sensor_groups(root: Section) -> TacTipSettings:
-    """The settings of a sensor file (`tactile_drivers.sim.sensor_file`) without those of data sets."""
+    """The settings of a sensor file (`tactile_drivers.sim.collection`) without those of data sets."""
     default = TacTipSettings()
     root.allow("description", *_SENSOR_GROUPS, *_DATA_GROUPS)
     given = [name for name in _SENSOR_GROUPS if name in root.values]

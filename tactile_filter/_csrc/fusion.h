@@ -1,5 +1,5 @@
 // Fusion of two Gaussians over poses: the paper's algorithm "SE(3) data fusion".
-// tactile_filter/fusion_reference.py is the same to be read.
+// test/filter/fusion_reference.py is the same to be read.
 #ifndef TACTILE_FUSION_H_
 #define TACTILE_FUSION_H_
 
@@ -40,8 +40,5 @@ typedef struct {
   const double* mean;  // homogeneous matrix
   const double* cov;
 } FusionInput;
-
-// what a Gaussian lacks, of FUSION_NO_POSE and FUSION_NO_COVARIANCE, or 0; definiteness is not looked at
-int fusion_lack(const double mean[16], const double cov[36]);
 
 #endif  // TACTILE_FUSION_H_

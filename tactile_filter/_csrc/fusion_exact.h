@@ -17,7 +17,7 @@ typedef struct {
 } Problem;
 
 typedef struct {
-  Pose_d1 y;
+  PosePair y;
   DdPose y_robust;
 } Motion;
 
@@ -33,11 +33,20 @@ typedef struct {
 
 static void round_motion(Motion* motion) {
   for (int i = 0; i < 9; i++) {
-    motion->y.rot[i] = dd_round(motion->y_robust.rot[i]);
+    motion->y.rot[i] = SPLAT(dd_round(motion->y_robust.rot[i]));
   }
   for (int i = 0; i < 3; i++) {
-    motion->y.pos[i] = dd_round(motion->y_robust.pos[i]);
+    motion->y.pos[i] = SPLAT(dd_round(motion->y_robust.pos[i]));
   }
+}
+
+
+static void perturb_by(PosePair* y, const double step[6]) {
+  V xi[6];
+  for (int i = 0; i < 6; i++) {
+    xi[i] = SPLAT(step[i]);
+  }
+  perturb(y, xi);
 }
 
 
@@ -46,7 +55,7 @@ static void problem_perturb(const Problem* problem, Motion* motion, const double
     robust_perturb(&motion->y_robust, step);
     round_motion(motion);
   } else {
-    perturb_d1(&motion->y, step);
+    perturb_by(&motion->y, step);
   }
 }
 
@@ -69,20 +78,19 @@ static int problem_model(Model* model, const Problem* problem, const Motion* mot
   if (!pair_model(&model->pair, &problem->pair, &motion->y, JACOBIAN_EXACT)) {
     return 0;
   }
-  double packed[21], root[6];
-  set_roots_d1(root, &model->pair.information);
-  inverse_factor_d1(packed, &model->pair.information, root);
+  V packed[21], root[6];
+  set_roots(root, &model->pair.information);
+  inverse_factor(packed, &model->pair.information, root);
   memset(model->factor, 0, sizeof(model->factor));
-  memcpy(model->step, model->pair.step, sizeof(model->step));
-  model->square = model->pair.square;
-  model->cost = model->pair.cost;
+  model->square = model->pair.square[0];
+  model->cost = model->pair.cost[0];
 
   // descent = factor^-1 * step
   for (int i = 0; i < 6; i++) {
-    double rest = model->step[i];
+    double rest = model->step[i] = model->pair.step[i][0];
     for (int j = 0; j <= i; j++) {
-      model->factor[6*i+j] = packed[i*(i+1)/2+j];
-      rest -= j < i ? packed[i*(i+1)/2+j]*model->descent[j] : 0;
+      model->factor[6*i+j] = packed[i*(i+1)/2+j][0];
+      rest -= j < i ? model->factor[6*i+j]*model->descent[j] : 0;
     }
     model->descent[i] = rest/model->factor[7*i];
   }
@@ -102,24 +110,22 @@ static double problem_cost(const Problem* problem, const Motion* motion) {
     }
     return cost;
   }
-  Pose_d2 both, difference;
-  Vec_d2 xi[6], residual[6], e, de;
-  spread_d2(&both, &motion->y);
-  product_d2(&difference, &both, &problem->pair.relative);
-  log_d2(xi, &e, &de, &difference);
-  Vec_d2 cost = whitened_residual_d2(residual, xi, &problem->pair.side);
-  return cost[0] + cost[1];
+  PosePair difference;
+  V xi[6], residual[6], e, de;
+  product(&difference, &motion->y, &problem->pair.relative);
+  logarithm(xi, &e, &de, &difference);
+  return total(whitened_residual(residual, xi, &problem->pair.side))[0];
 }
 
 
-static double dot3(const double a[3], const double b[3]) {
+static double dot(const double a[3], const double b[3]) {
   return a[0]*b[0] + a[1]*b[1] + a[2]*b[2];
 }
 
 
 // w' (A B + B A) c for the hats of a and b
 static double mixed_form(const double a[3], const double b[3], const double w[3], const double c[3]) {
-  return dot3(w, a)*dot3(b, c) + dot3(w, b)*dot3(a, c) - 2*dot3(a, b)*dot3(w, c);
+  return dot(w, a)*dot(b, c) + dot(w, b)*dot(a, c) - 2*dot(a, b)*dot(w, c);
 }
 
 
@@ -133,7 +139,7 @@ typedef struct {
 static double first_form(const Bend* bend, const double r[3], const double w[3], const double c[3]) {
   const double* p = bend->phi;
   double turn = w[0]*(r[1]*c[2] - r[2]*c[1]) + w[1]*(r[2]*c[0] - r[0]*c[2]) + w[2]*(r[0]*c[1] - r[1]*c[0]);
-  return -0.5*turn + bend->e*mixed_form(p, r, w, c) + 0.5*bend->de*dot3(p, r)*mixed_form(p, p, w, c);
+  return -0.5*turn + bend->e*mixed_form(p, r, w, c) + 0.5*bend->de*dot(p, r)*mixed_form(p, p, w, c);
 }
 
 
@@ -141,63 +147,53 @@ static double first_form(const Bend* bend, const double r[3], const double w[3],
 static double second_form(const Bend* bend, const double r[3], const double q[3], const double w[3],
                           const double c[3]) {
   const double* p = bend->phi;
-  double pr = dot3(p, r), pq = dot3(p, q);
+  double pr = dot(p, r), pq = dot(p, q);
   return bend->e*mixed_form(r, q, w, c) + bend->de*(pq*mixed_form(p, r, w, c) + pr*mixed_form(p, q, w, c))
-         + 0.5*(bend->de*dot3(q, r) + bend->dde*pr*pq)*mixed_form(p, p, w, c);
+         + 0.5*(bend->de*dot(q, r) + bend->dde*pr*pq)*mixed_form(p, p, w, c);
 }
 
 
-// what the curvature of the logarithm of one input adds to the cost's half Hessian
-static void add_curvature(double hessian[36], const Problem* problem, const Motion* motion, int k) {
-  Pose_d1 difference, relative;
-  Side_d1 side;
-  double xi[6], residual[6], weighted[6], diag[9], corner[9], directions[6][6] = {{0}};
-  for (int i = 0; i < 9; i++) {
-    relative.rot[i] = problem->pair.relative.rot[i][k];
-    side.ur[i] = problem->pair.side.ur[i][k];
-  }
-  for (int i = 0; i < 6; i++) {
-    side.ul[i] = problem->pair.side.ul[i][k];
-    side.lr[i] = problem->pair.side.lr[i][k];
-  }
-  for (int i = 0; i < 3; i++) {
-    relative.pos[i] = problem->pair.relative.pos[i][k];
-  }
-  Bend bend;
-  product_d1(&difference, &motion->y, &relative);
-  log_d1(xi, &bend.e, &bend.de, &difference);
-  whitened_residual_d1(residual, xi, &side);
-  inverse_jacobian_d1(diag, corner, xi, bend.e, bend.de);
-  memcpy(bend.phi, xi + 3, sizeof(bend.phi));
-  bend.dde = 0;
-  for (int n = 1; n <= 20; n++) {
-    double pole = 1/(n*n*FOUR_PI_SQUARED - dot3(bend.phi, bend.phi));
-    bend.dde += 16*pole*pole*pole;
-  }
-
-  // covariance^-1 * xi = upper' * residual, and where a unit step takes xi
-  for (int j = 0; j < 3; j++) {
-    weighted[j] = weighted[3+j] = 0;
-    for (int i = 0; i < 3; i++) {
-      int n = i*(5-i)/2 + j;
-      weighted[j] += i <= j ? side.ul[n]*residual[i] : 0;
-      weighted[3+j] += side.ur[3*i+j]*residual[i] + (i <= j ? side.lr[n]*residual[3+i] : 0);
-      directions[j][i] = directions[3+j][3+i] = diag[3*i+j];
-      directions[3+j][i] = corner[3*i+j];
+// what the curvature of the logarithms adds to the cost's half Hessian
+static void add_curvature(double hessian[36], const Problem* problem, const Motion* motion) {
+  PosePair difference;
+  const SidePair* side = &problem->pair.side;
+  V xi[6], residual[6], diag[9], corner[9], e, de;
+  product(&difference, &motion->y, &problem->pair.relative);
+  logarithm(xi, &e, &de, &difference);
+  whitened_residual(residual, xi, side);
+  inverse_jacobian(diag, corner, xi, e, de);
+  for (int k = 0; k < 2; k++) {
+    double rho[3] = {xi[0][k], xi[1][k], xi[2][k]}, weighted[6], directions[6][6] = {{0}};
+    Bend bend = {{xi[3][k], xi[4][k], xi[5][k]}, e[k], de[k], 0};
+    for (int n = 1; n <= 20; n++) {
+      double pole = 1/(n*n*FOUR_PI_SQUARED - dot(bend.phi, bend.phi));
+      bend.dde += 16*pole*pole*pole;
     }
-  }
-  for (int i = 0; i < 6; i++) {
-    const double *shift = directions[i], *turn = directions[i] + 3;
-    for (int j = 0; j < 6; j++) {
-      double axis[3] = {j % 3 == 0, j % 3 == 1, j % 3 == 2}, value;
-      if (j < 3) {
-        value = first_form(&bend, turn, weighted, axis);
-      } else {
-        value = first_form(&bend, shift, weighted, axis) + second_form(&bend, xi, turn, weighted, axis)
-                + first_form(&bend, turn, weighted + 3, axis);
+
+    // covariance^-1 * xi = upper' * residual, and where a unit step takes xi
+    for (int j = 0; j < 3; j++) {
+      weighted[j] = weighted[3+j] = 0;
+      for (int i = 0; i < 3; i++) {
+        int n = i*(5-i)/2 + j;
+        weighted[j] += i <= j ? side->ul[n][k]*residual[i][k] : 0;
+        weighted[3+j] += side->ur[3*i+j][k]*residual[i][k] + (i <= j ? side->lr[n][k]*residual[3+i][k] : 0);
+        directions[j][i] = directions[3+j][3+i] = diag[3*i+j][k];
+        directions[3+j][i] = corner[3*i+j][k];
       }
-      hessian[6*i+j] += 0.5*value;
-      hessian[6*j+i] += 0.5*value;
+    }
+    for (int i = 0; i < 6; i++) {
+      const double *shift = directions[i], *turn = directions[i] + 3;
+      for (int j = 0; j < 6; j++) {
+        double axis[3] = {j % 3 == 0, j % 3 == 1, j % 3 == 2}, value;
+        if (j < 3) {
+          value = first_form(&bend, turn, weighted, axis);
+        } else {
+          value = first_form(&bend, shift, weighted, axis) + second_form(&bend, rho, turn, weighted, axis)
+                  + first_form(&bend, turn, weighted + 3, axis);
+        }
+        hessian[6*i+j] += 0.5*value;
+        hessian[6*j+i] += 0.5*value;
+      }
     }
   }
 }
@@ -205,9 +201,9 @@ static void add_curvature(double hessian[36], const Problem* problem, const Moti
 
 // Newton's step instead of Gauss-Newton's, if the Hessian is positive definite; returns whether it is
 static int newton(Model* model, const Problem* problem, const Motion* motion) {
-  double hessian[36] = {0}, product[36], packed[21], direction[6];
-  add_curvature(hessian, problem, motion, 0);
-  add_curvature(hessian, problem, motion, 1);
+  double hessian[36] = {0}, product[36];
+  V packed[21], direction[6];
+  add_curvature(hessian, problem, motion);
 
   // in posterior standard deviations: I + factor' * hessian * factor
   for (int i = 0; i < 6; i++) {
@@ -224,27 +220,27 @@ static int newton(Model* model, const Problem* problem, const Motion* motion) {
       for (int k = i; k < 6; k++) {
         sum += model->factor[6*k+i]*product[6*k+j];
       }
-      packed[i*(i+1)/2+j] = sum;
+      packed[i*(i+1)/2+j] = SPLAT(sum);
     }
-    direction[i] = model->descent[i];
+    direction[i] = SPLAT(model->descent[i]);
   }
-  Factor_d1 factor;
-  int poor = 0;
-  factorize_d1(&factor, packed, &poor);
-  if (poor) {
+  FactorPair factor;
+  M poor = {0};
+  factorize(&factor, packed, &poor);
+  if (any(poor)) {
     return 0;
   }
-  solve_transposed_d1(direction, &factor);
+  solve_transposed(direction, &factor);
   for (int i = 0; i < 6; i++) {
     direction[i] *= factor.inverse[i];
   }
-  solve_d1(direction, &factor);
+  solve(direction, &factor);
   model->square = 0;
   for (int i = 0; i < 6; i++) {
-    model->square += model->descent[i]*direction[i];
+    model->square += model->descent[i]*direction[i][0];
     model->step[i] = 0;
     for (int j = 0; j <= i; j++) {
-      model->step[i] += model->factor[6*i+j]*direction[j];
+      model->step[i] += model->factor[6*i+j]*direction[j][0];
     }
   }
   return 1;
@@ -321,64 +317,44 @@ static int descend(FusionOutput* res, double* cost, Motion* motion, const Proble
 }
 
 
-// 1 - cos of the angle of a rotation
-static double versine_of(const double rot[9]) {
-  return 0.5*(3 - rot[0] - rot[4] - rot[8]);
-}
-
-
-static void plain_relative(Pose_d1* res, const Problem* problem, int k) {
-  for (int i = 0; i < 9; i++) {
-    res->rot[i] = problem->pair.relative.rot[i][k];
-  }
-  for (int i = 0; i < 3; i++) {
-    res->pos[i] = problem->pair.relative.pos[i][k];
-  }
-}
-
-
 // whether either mean is so far in angle that there may be several minima
 static int is_far(const Problem* problem, const Motion* motion) {
-  for (int k = 0; k < 2; k++) {
-    Pose_d1 relative, difference;
-    plain_relative(&relative, problem, k);
-    product_d1(&difference, &motion->y, &relative);
-    if (!(versine_of(relative.rot) <= REGULAR_VERSINE && versine_of(difference.rot) <= REGULAR_VERSINE)) {
-      return 1;
-    }
-  }
-  return 0;
+  const PosePair* relative = &problem->pair.relative;
+  PosePair difference;
+  product(&difference, &motion->y, relative);
+  return any(~(versine_of(relative->rot) <= SPLAT(REGULAR_VERSINE)))
+         || any(~(versine_of(difference.rot) <= SPLAT(REGULAR_VERSINE)));
 }
 
 
 // the motions to start from: the first mean, the second, and points in between on both ways round
 static void set_starts(Motion start[STARTS], const Problem* problem) {
-  Pose_d1 relative, second;
-  double xi[6], e, de;
-  for (int n = 0; n < STARTS; n++) {
-    set_identity_d1(&start[n].y);
+  const PosePair* relative = &problem->pair.relative;
+  PosePair* second = &start[1].y;
+  V xi[6], e, de;
+  double pos[3] = {0};
+  for (int n = 2; n < STARTS; n++) {
+    set_identity(&start[n].y);
   }
-  plain_relative(&relative, problem, 1);
   for (int i = 0; i < 3; i++) {
-    second.pos[i] = 0;
     for (int j = 0; j < 3; j++) {
-      second.rot[3*i+j] = relative.rot[3*j+i];
-      second.pos[i] -= relative.rot[3*j+i]*relative.pos[j];
+      second->rot[3*i+j] = SPLAT(relative->rot[3*j+i][1]);
+      pos[i] -= relative->rot[3*j+i][1]*relative->pos[j][1];
     }
+    second->pos[i] = SPLAT(pos[i]);
   }
-  start[1].y = second;
-  log_d1(xi, &e, &de, &second);
-  double angle = sqrt(dot3(xi + 3, xi + 3));
+  logarithm(xi, &e, &de, second);
+  double phi[3] = {xi[3][0], xi[4][0], xi[5][0]}, angle = sqrt(dot(phi, phi));
   for (int n = 2; n < STARTS; n++) {
     // a fraction of the logarithm of X_2 X_1^-1 that turns the short or, from 5 on, the long way round
     double fraction = 0.25*((n - 2) % 3 + 1), turn = n < 5 || angle == 0 ? 1 : 1 - TWO_PI/angle;
-    double jac[36], around[6] = {0, 0, 0, turn*xi[3], turn*xi[4], turn*xi[5]}, part[6];
+    double jac[36], around[6] = {0, 0, 0, turn*phi[0], turn*phi[1], turn*phi[2]}, part[6];
     se3_exact_inverse_left_jacobian(jac, around);
     for (int i = 0; i < 3; i++) {
-      part[i] = fraction*(jac[6*i]*second.pos[0] + jac[6*i+1]*second.pos[1] + jac[6*i+2]*second.pos[2]);
+      part[i] = fraction*dot(jac + 6*i, pos);
       part[3+i] = fraction*around[3+i];
     }
-    perturb_d1(&start[n].y, part);
+    perturb_by(&start[n].y, part);
   }
 }
 
@@ -391,9 +367,9 @@ static void set_robust(Motion* motion, const Problem* problem) {
   double mat[16];
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
-      mat[4*i+j] = motion->y.rot[3*i+j];
+      mat[4*i+j] = motion->y.rot[3*i+j][0];
     }
-    mat[4*i+3] = motion->y.pos[i];
+    mat[4*i+3] = motion->y.pos[i][0];
   }
   dd_set_pose(&motion->y_robust, mat);
 }
@@ -401,7 +377,7 @@ static void set_robust(Motion* motion, const Problem* problem) {
 
 // the plain sides from the robust ones
 static void round_sides(Problem* problem) {
-  Side_d2* plain = &problem->pair.side;
+  SidePair* plain = &problem->pair.side;
   for (int k = 0; k < 2; k++) {
     const RobustSide* side = problem->robust.side + k;
     for (int i = 0; i < 3; i++) {
@@ -423,7 +399,7 @@ static void round_sides(Problem* problem) {
 static int exact_from_all_starts(FusionOutput* res, const Problem* problem, int iterations) {
   Motion start[STARTS];
   double lowest;
-  set_identity_d1(&start[0].y);
+  set_identity(&start[0].y);
   set_robust(start, problem);
   int fault = descend(res, &lowest, start, problem, iterations);
   if (fault || (res->status == FUSION_CONVERGED && !is_far(problem, start))) {

@@ -1,5 +1,4 @@
-// The arithmetic of the fusion on plain numbers, and on both inputs side by side in the two lanes of a vector. A
-// template: included once for each, which lanes_begin.h describes.
+// The arithmetic of the fusion on both inputs side by side in the two lanes of a vector.
 //
 // All poses are relative to the first mean: Y = X X_1^-1, Z_k = X_1 X_k^-1, so that xi_k = log(Y Z_k), and what is
 // sought is a small motion known to its own last digit.
@@ -10,63 +9,55 @@
 // covariance^-1 = upper' * upper; ul and lr are upper triangular and hold 00, 01, 02, 11, 12, 22
 typedef struct {
   V ul[6], ur[9], lr[6];
-} NAME(Side);
+} SidePair;
 
 
-// packed symmetric part of a covariance; `bad` gets the lanes that are not symmetric. What is not finite is left to
-// `factorize`
-INLINE void NAME(symmetric_part)(V res[21], const V cov[36], M* bad) {
-  V least = SPLAT(0);
+// packed symmetric part of a covariance; `bad` gets the lanes that are not symmetric.
+INLINE void symmetric_part(V res[21], const V cov[36], M* bad) {
   UNROLL
   for (int i = 0; i < 6; i++) {
     V scale = SPLAT(SYMMETRY_TOLERANCE*SYMMETRY_TOLERANCE)*cov[7*i];
     res[i*(i+1)/2+i] = cov[7*i];
-    UNROLL
     for (int j = 0; j < i; j++) {
       V difference = cov[6*i+j] - cov[6*j+i];
-      least = MIN(least, FNMA(difference, difference, scale*cov[7*j]));
+      *bad |= ~(FNMA(difference, difference, scale*cov[7*j]) >= SPLAT(0));
       res[i*(i+1)/2+j] = FMA(SPLAT(-0.5), difference, cov[6*i+j]);
     }
   }
-  *bad |= NOT(least == SPLAT(0));
 }
 
 
 // `bad` gets the lanes whose pose is none
-INLINE void NAME(check_pose)(const NAME(Pose)* pose, M* bad) {
+INLINE void check_pose(const PosePair* pose, M* bad) {
   const V *r = pose->rot, *p = pose->pos;
-  V least = SPLAT(0);
   UNROLL
   for (int i = 0; i < 3; i++) {
-    UNROLL
     for (int j = 0; j <= i; j++) {
       V error = FMA(r[6+i], r[6+j], FMA(r[3+i], r[3+j], r[i]*r[j])) - SPLAT(i == j ? 1 : 0);
-      least = MIN(least, FNMA(error, error, SPLAT(ROTATION_TOLERANCE*ROTATION_TOLERANCE)));
+      *bad |= ~(FNMA(error, error, SPLAT(ROTATION_TOLERANCE*ROTATION_TOLERANCE)) >= SPLAT(0));
     }
   }
 
-  // what is not finite makes the determinant or this zero no number
+  // a position that is not finite makes this zero no number
   V det = (r[0]*r[4] - r[1]*r[3])*r[8] + (r[1]*r[5] - r[2]*r[4])*r[6] + (r[2]*r[3] - r[0]*r[5])*r[7];
   V zero = SPLAT(0)*p[0] + SPLAT(0)*p[1] + SPLAT(0)*p[2];
-  *bad |= NOT(least == SPLAT(0)) | NOT(det > SPLAT(0)) | NOT(zero == SPLAT(0));
+  *bad |= ~(det > SPLAT(0)) | ~(zero == SPLAT(0));
 }
 
 
 // whitening of an input from the factor of its covariance
-INLINE void NAME(set_whitening)(NAME(Side)* side, const NAME(Factor)* factor, const V root[6]) {
+INLINE void set_whitening(SidePair* side, const FactorPair* factor, const V root[6]) {
   V lower[21];
 
   // the transpose of the inverse's lower factor, by blocks
-  NAME(inverse_factor)(lower, factor, root);
+  inverse_factor(lower, factor, root);
   UNROLL
   for (int i = 0; i < 3; i++) {
-    UNROLL
     for (int j = i; j < 3; j++) {
       int n = i*(5-i)/2 + j;
       side->ul[n] = lower[j*(j+1)/2+i];
       side->lr[n] = lower[(3+j)*(4+j)/2+3+i];
     }
-    UNROLL
     for (int j = 0; j < 3; j++) {
       side->ur[3*i+j] = lower[(3+j)*(4+j)/2+i];
     }
@@ -75,23 +66,22 @@ INLINE void NAME(set_whitening)(NAME(Side)* side, const NAME(Factor)* factor, co
 
 
 // res = X_1 X_2^-1, its rotation made orthonormal
-INLINE void NAME(set_relative)(NAME(Pose)* res, const NAME(Pose)* first, const NAME(Pose)* second) {
+INLINE void set_relative(PosePair* res, const PosePair* first, const PosePair* second) {
   UNROLL
   for (int i = 0; i < 3; i++) {
-    UNROLL
     for (int j = 0; j < 3; j++) {
-      res->rot[3*i+j] = NAME(dot3)(first->rot + 3*i, second->rot + 3*j);
+      res->rot[3*i+j] = dot3(first->rot + 3*i, second->rot + 3*j);
     }
   }
-  NAME(orthonormalize)(res->rot);
+  orthonormalize(res->rot);
   UNROLL
   for (int i = 0; i < 3; i++) {
-    res->pos[i] = first->pos[i] - NAME(dot3)(res->rot + 3*i, second->pos);
+    res->pos[i] = first->pos[i] - dot3(res->rot + 3*i, second->pos);
   }
 }
 
 
-INLINE void NAME(set_identity)(NAME(Pose)* res) {
+INLINE void set_identity(PosePair* res) {
   UNROLL
   for (int i = 0; i < 9; i++) {
     res->rot[i] = SPLAT(i % 4 == 0 ? 1 : 0);
@@ -101,41 +91,47 @@ INLINE void NAME(set_identity)(NAME(Pose)* res) {
 
 
 // the lanes whose angle is too large for the polynomials, one after another
-static __attribute__((noinline, cold, unused)) void NAME(log_irregular)(V phi[3], V* e, V* de,
-                                                                       const NAME(Pose)* pose, M irregular) {
-  for (int lane = 0; lane < LANES; lane++) {
-    if (LANE(irregular, lane)) {
+static __attribute__((noinline, cold)) void log_irregular(V phi[3], V* e, V* de,
+                                                                       const PosePair* pose, M irregular) {
+  for (int lane = 0; lane < 2; lane++) {
+    if (irregular[lane]) {
       double rot[9], vec[3], coef[2];
       for (int i = 0; i < 9; i++) {
-        rot[i] = LANE(pose->rot[i], lane);
+        rot[i] = pose->rot[i][lane];
       }
       se3_rotation_vector(vec, rot);
       se3_inverse_coefficients(coef, vec[0]*vec[0] + vec[1]*vec[1] + vec[2]*vec[2]);
       for (int i = 0; i < 3; i++) {
-        LANE(phi[i], lane) = vec[i];
+        phi[i][lane] = vec[i];
       }
-      LANE(*e, lane) = coef[0];
-      LANE(*de, lane) = coef[1];
+      (*e)[lane] = coef[0];
+      (*de)[lane] = coef[1];
     }
   }
 }
 
 
+// 1 - cos of the angle of a rotation
+INLINE V versine_of(const V r[9]) {
+  return SPLAT(0.5)*(((SPLAT(1) - r[0]) + (SPLAT(1) - r[4])) + (SPLAT(1) - r[8]));
+}
+
+
 // xi = log(pose), with the coefficients of the inverse Jacobian at xi
-INLINE void NAME(log)(V xi[6], V* e, V* de, const NAME(Pose)* pose) {
+INLINE void logarithm(V xi[6], V* e, V* de, const PosePair* pose) {
   const V *r = pose->rot, *t = pose->pos;
   V* phi = xi + 3;
-  V versine = SPLAT(0.5)*(((SPLAT(1) - r[0]) + (SPLAT(1) - r[4])) + (SPLAT(1) - r[8]));
-  V half_turn = SPLAT(0.5)*NAME(polynomial)(FIT_TURN, 12, versine);
+  V versine = versine_of(r);
+  V half_turn = SPLAT(0.5)*polynomial(FIT_TURN, 12, versine);
   phi[0] = half_turn*(r[7] - r[5]);
   phi[1] = half_turn*(r[2] - r[6]);
   phi[2] = half_turn*(r[3] - r[1]);
-  V x = NAME(dot3)(phi, phi);
-  *e = NAME(polynomial)(FIT_COT, 6, x);
-  *de = NAME(polynomial)(FIT_D_COT, 6, x);
-  M irregular = NOT(versine <= SPLAT(REGULAR_VERSINE));
-  if (NAME(any)(irregular)) {
-    NAME(log_irregular)(phi, e, de, pose, irregular);
+  V x = dot3(phi, phi);
+  *e = polynomial(FIT_COT, 6, x);
+  *de = polynomial(FIT_D_COT, 6, x);
+  M irregular = ~(versine <= SPLAT(REGULAR_VERSINE));
+  if (any(irregular)) {
+    log_irregular(phi, e, de, pose, irregular);
   }
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
@@ -156,9 +152,9 @@ INLINE void NAME(log)(V xi[6], V* e, V* de, const NAME(Pose)* pose) {
 
 
 // blocks of the inverse left Jacobian [[diag, corner], [0, diag]] with its coefficients e and de
-INLINE void NAME(inverse_jacobian)(V diag[9], V corner[9], const V xi[6], V e, V de) {
+INLINE void inverse_jacobian(V diag[9], V corner[9], const V xi[6], V e, V de) {
   const V *r = xi, *p = xi + 3;
-  V along = NAME(dot3)(p, r), scale = de*along;
+  V along = dot3(p, r), scale = de*along;
 
   // I - P/2 + e P P and -R/2 + e (P R + R P) + de (p.r) P P,
   // with P P = p p' - (p.p) I and P R + R P = p r' + r p' - 2 (p.r) I
@@ -181,12 +177,11 @@ INLINE void NAME(inverse_jacobian)(V diag[9], V corner[9], const V xi[6], V e, V
 
 
 // residual of one input, whitened; returns its squared norm
-INLINE V NAME(whitened_residual)(V res[6], const V xi[6], const NAME(Side)* side) {
+INLINE V whitened_residual(V res[6], const V xi[6], const SidePair* side) {
   const V *ul = side->ul, *ur = side->ur, *lr = side->lr, *rho = xi, *phi = xi + 3;
   UNROLL
   for (int i = 0; i < 3; i++) {
-    V upper = NAME(dot3)(ur + 3*i, phi), lower = SPLAT(0);
-    UNROLL
+    V upper = dot3(ur + 3*i, phi), lower = SPLAT(0);
     for (int j = i; j < 3; j++) {
       int n = i*(5-i)/2 + j;
       upper = FMA(ul[n], rho[j], upper);
@@ -195,19 +190,17 @@ INLINE V NAME(whitened_residual)(V res[6], const V xi[6], const NAME(Side)* side
     res[i] = upper;
     res[3+i] = lower;
   }
-  return NAME(dot3)(res, res) + NAME(dot3)(res + 3, res + 3);
+  return dot3(res, res) + dot3(res + 3, res + 3);
 }
 
 
 // res = upper * mat, upper triangular as in Side; res may be mat
-INLINE void NAME(multiply_upper)(V res[9], const V upper[6], const V mat[9]) {
+INLINE void multiply_upper(V res[9], const V upper[6], const V mat[9]) {
   UNROLL
   for (int i = 0; i < 3; i++) {
     const V* row = upper + i*(5-i)/2;
-    UNROLL
     for (int j = 0; j < 3; j++) {
       V sum = row[i]*mat[3*i+j];
-      UNROLL
       for (int k = i + 1; k < 3; k++) {
         sum = FMA(row[k], mat[3*k+j], sum);
       }
@@ -218,7 +211,7 @@ INLINE void NAME(multiply_upper)(V res[9], const V upper[6], const V mat[9]) {
 
 
 // column i of a by column j of b
-INLINE V NAME(columns)(const V a[9], int i, const V b[9], int j) {
+INLINE V columns(const V a[9], int i, const V b[9], int j) {
   return FMA(a[6+i], b[6+j], FMA(a[3+i], b[3+j], a[i]*b[j]));
 }
 
@@ -226,51 +219,48 @@ INLINE V NAME(columns)(const V a[9], int i, const V b[9], int j) {
 // what one input has in the information (packed) and the gradient, where its error is xi and the coefficients of the
 // inverse Jacobian are e and de; returns its squared residual. The order is one that needs few
 // registers
-INLINE V NAME(contribution)(V information[21], V gradient[6], const V xi[6], V e, V de, const NAME(Side)* side,
+INLINE V contribution(V information[21], V gradient[6], const V xi[6], V e, V de, const SidePair* side,
                             int order) {
   V residual[6], ul[9], ur[9], lr[9], lower[6], slope[3];
-  V cost = NAME(whitened_residual)(residual, xi, side);
+  V cost = whitened_residual(residual, xi, side);
   if (order == JACOBIAN_ORDER_2) {
     e = SPLAT(1.0/12);
     de = SPLAT(0);
   } else if (order == JACOBIAN_ORDER_4) {
-    e = FMA(NAME(dot3)(xi + 3, xi + 3), SPLAT(1.0/720), SPLAT(1.0/12));
+    e = FMA(dot3(xi + 3, xi + 3), SPLAT(1.0/720), SPLAT(1.0/12));
     de = SPLAT(1.0/360);
   }
-  NAME(inverse_jacobian)(ul, ur, xi, e, de);
+  inverse_jacobian(ul, ur, xi, e, de);
 
   // of the whitened Jacobian [[ul, ur], [0, lr]] first the lower rows
-  NAME(multiply_upper)(lr, side->lr, ul);
+  multiply_upper(lr, side->lr, ul);
   UNROLL
   for (int i = 0; i < 3; i++) {
-    UNROLL
     for (int j = 0; j <= i; j++) {
-      lower[i*(i+1)/2+j] = NAME(columns)(lr, i, lr, j);
+      lower[i*(i+1)/2+j] = columns(lr, i, lr, j);
     }
     slope[i] = FMA(lr[6+i], residual[5], FMA(lr[3+i], residual[4], lr[i]*residual[3]));
   }
 
   // the upper ones take the place of the Jacobian
-  NAME(multiply_upper)(ur, side->ul, ur);
+  multiply_upper(ur, side->ul, ur);
   UNROLL
   for (int i = 0; i < 3; i++) {
     const V* row = side->ur + 3*i;
-    UNROLL
     for (int j = 0; j < 3; j++) {
       ur[3*i+j] = FMA(row[2], ul[6+j], FMA(row[1], ul[3+j], FMA(row[0], ul[j], ur[3*i+j])));
     }
   }
-  NAME(multiply_upper)(ul, side->ul, ul);
+  multiply_upper(ul, side->ul, ul);
   UNROLL
   for (int i = 0; i < 3; i++) {
     gradient[i] = FMA(ul[6+i], residual[2], FMA(ul[3+i], residual[1], ul[i]*residual[0]));
     gradient[3+i] = FMA(ur[6+i], residual[2], FMA(ur[3+i], residual[1], FMA(ur[i], residual[0], slope[i])));
-    UNROLL
     for (int j = 0; j < 3; j++) {
       int n = i*(i+1)/2 + j, m = (3+i)*(4+i)/2 + j;
-      information[m] = NAME(columns)(ur, i, ul, j);
+      information[m] = columns(ur, i, ul, j);
       if (j <= i) {
-        information[n] = NAME(columns)(ul, i, ul, j);
+        information[n] = columns(ul, i, ul, j);
         information[m+3] = FMA(ur[6+i], ur[6+j], FMA(ur[3+i], ur[3+j], FMA(ur[i], ur[j], lower[n])));
       }
     }
@@ -280,26 +270,26 @@ INLINE V NAME(contribution)(V information[21], V gradient[6], const V xi[6], V e
 
 
 // gradient -> Gauss-Newton step by the information's factor; returns its squared length in standard deviations
-INLINE V NAME(gauss_newton)(V step[6], V gradient[6], const NAME(Factor)* factor) {
-  NAME(solve_transposed)(gradient, factor);
+INLINE V gauss_newton(V step[6], V gradient[6], const FactorPair* factor) {
+  solve_transposed(gradient, factor);
   V square = SPLAT(0);
   UNROLL
   for (int i = 0; i < 6; i++) {
     step[i] = -gradient[i]*factor->inverse[i];
     square = FNMA(gradient[i], step[i], square);
   }
-  NAME(solve)(step, factor);
+  solve(step, factor);
   return square;
 }
 
 
-static __attribute__((noinline, cold, unused)) void NAME(exp_irregular)(V coef[3], V x, M irregular) {
-  for (int lane = 0; lane < LANES; lane++) {
-    if (LANE(irregular, lane)) {
+static __attribute__((noinline, cold)) void exp_irregular(V coef[3], V x, M irregular) {
+  for (int lane = 0; lane < 2; lane++) {
+    if (irregular[lane]) {
       double res[3];
-      se3_exp_coefficients(res, LANE(x, lane));
+      se3_exp_coefficients(res, x[lane]);
       for (int i = 0; i < 3; i++) {
-        LANE(coef[i], lane) = res[i];
+        coef[i][lane] = res[i];
       }
     }
   }
@@ -307,19 +297,19 @@ static __attribute__((noinline, cold, unused)) void NAME(exp_irregular)(V coef[3
 
 
 // y = exp(xi^) * y
-INLINE void NAME(perturb)(NAME(Pose)* y, const V xi[6]) {
+INLINE void perturb(PosePair* y, const V xi[6]) {
   const V *rho = xi, *phi = xi + 3;
-  V x = NAME(dot3)(phi, phi), coef[3];
-  coef[0] = NAME(polynomial)(FIT_SIN, 6, x);
-  coef[1] = NAME(polynomial)(FIT_COS, 6, x);
-  coef[2] = NAME(polynomial)(FIT_CUBIC, 6, x);
-  M irregular = NOT(x <= SPLAT(REGULAR_SQUARE));
-  if (NAME(any)(irregular)) {
-    NAME(exp_irregular)(coef, x, irregular);
+  V x = dot3(phi, phi), coef[3];
+  coef[0] = polynomial(FIT_SIN, 6, x);
+  coef[1] = polynomial(FIT_COS, 6, x);
+  coef[2] = polynomial(FIT_CUBIC, 6, x);
+  M irregular = ~(x <= SPLAT(REGULAR_SQUARE));
+  if (any(irregular)) {
+    exp_irregular(coef, x, irregular);
   }
 
   // rotation: I + c0 phi^ + c1 phi^ phi^; translation: rho + c1 phi x rho + c2 phi x (phi x rho)
-  NAME(Pose) motion, before = *y;
+  PosePair motion, before = *y;
   V turned[3];
   UNROLL
   for (int i = 0; i < 3; i++) {
@@ -336,5 +326,5 @@ INLINE void NAME(perturb)(NAME(Pose)* y, const V xi[6]) {
     V twice = FMA(phi[j], turned[k], -(phi[k]*turned[j]));
     motion.pos[i] = FMA(coef[2], twice, FMA(coef[1], turned[i], rho[i]));
   }
-  NAME(product)(y, &motion, &before);
+  product(y, &motion, &before);
 }

@@ -75,6 +75,36 @@ static void dd_set_pose(DdPose* res, const double mat[16]) {
 }
 
 
+// what a Gaussian lacks, of FUSION_NO_POSE and FUSION_NO_COVARIANCE, or 0; definiteness is not looked at
+static int fusion_lack(const double mean[16], const double cov[36]) {
+  Pose pose;
+  if (mean[12] != 0 || mean[13] != 0 || mean[14] != 0 || mean[15] != 1) {
+    return FUSION_NO_POSE;
+  }
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      pose.rot[3*i+j] = mean[4*i+j];
+    }
+    if (!isfinite(mean[4*i+3])) {
+      return FUSION_NO_POSE;
+    }
+  }
+  if (!(se3_rotation_error(pose.rot) <= ROTATION_TOLERANCE) || !(se3_determinant(pose.rot) > 0)) {
+    return FUSION_NO_POSE;
+  }
+  for (int i = 0; i < 6; i++) {
+    for (int j = 0; j <= i; j++) {
+      double difference = cov[6*i+j] - cov[6*j+i];
+      double scale = SYMMETRY_TOLERANCE*SYMMETRY_TOLERANCE * (cov[7*i]*cov[7*j]);
+      if (!(difference*difference <= scale) || !isfinite(cov[6*i+j])) {
+        return FUSION_NO_COVARIANCE;
+      }
+    }
+  }
+  return 0;
+}
+
+
 // lower with cov^-1 = lower * lower'; returns 0 if cov is not positive definite
 static int dd_whitening(Dd lower[36], const double cov[36]) {
   Dd left[36], unit[36] = {{0, 0}}, scale[6];

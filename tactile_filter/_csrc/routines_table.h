@@ -4,12 +4,6 @@
 #include <stdint.h>
 #include <string.h>
 
-#if defined(__x86_64__)
-#include <immintrin.h>
-#elif defined(__aarch64__)
-#include <arm_neon.h>
-#endif
-
 #include "fusion.h"
 #include "routines.h"
 #include "se3.h"
@@ -31,6 +25,7 @@
 
 #include "coefficients.h"
 #include "dd.h"
+#include "lanes.h"
 #include "fusion_pair.h"
 #include "se3_exact.h"
 #include "fusion_robust.h"
@@ -50,13 +45,16 @@ static int check(const FusionInput* input) {
   if (lack) {
     return lack == FUSION_NO_POSE ? lack : 16 + lack;
   }
-  double packed[21];
-  Factor_d1 factor;
-  int poor = 0;
-  symmetric_part_d1(packed, input->cov, &poor);
-  factorize_d1(&factor, packed, &poor);
+  V full[36], packed[21];
+  FactorPair factor;
+  M poor = {0};
+  for (int i = 0; i < 36; i++) {
+    full[i] = SPLAT(input->cov[i]);
+  }
+  symmetric_part(packed, full, &poor);
+  factorize(&factor, packed, &poor);
   Dd lower[36];
-  return !poor || dd_whitening(lower, input->cov) ? 0 : 16 + FUSION_NO_COVARIANCE;
+  return !any(poor) || dd_whitening(lower, input->cov) ? 0 : 16 + FUSION_NO_COVARIANCE;
 }
 
 

@@ -20,6 +20,8 @@
 // of a unit quaternion: below it a component is rounding
 #define NO_COMPONENT 1e-25
 
+#define MOST_TERMS 26
+
 typedef struct {
   Dd x;              // t^2
   int full, double_; // terms of a series in twice the precision, and in all
@@ -28,7 +30,7 @@ typedef struct {
 
 // how many terms reach 1e-20 at x = t^2
 static Argument argument(const Dd phi[3]) {
-  Argument res = {dd_dot3(phi, phi), 12, 26};
+  Argument res = {dd_dot3(phi, phi), 12, MOST_TERMS};
   double x = res.x.hi;
   if (x <= 1e-12) {
     res.full = 2, res.double_ = 3;
@@ -44,7 +46,7 @@ static Argument argument(const Dd phi[3]) {
 
 
 // sum of coef[k]*x^k: the small terms in double, the first ones in twice the precision
-static Dd series(const Dd coef[26], const Argument* arg) {
+static Dd series(const Dd* coef, const Argument* arg) {
   double tail = 0;
   for (int k = arg->double_ - 1; k >= arg->full; k--) {
     tail = tail*arg->x.hi + coef[k].hi;
@@ -54,6 +56,16 @@ static Dd series(const Dd coef[26], const Argument* arg) {
     res = dd_add(dd_mul(res, arg->x), coef[k]);
   }
   return res;
+}
+
+
+// twice the derivative of a series by x: that by t, over t
+static Dd slope(const Dd* coef, const Argument* arg) {
+  Dd scaled[MOST_TERMS] = {{0, 0}};
+  for (int k = 0; k < arg->double_; k++) {
+    scaled[k] = dd_mul(dd_from(2*(k + 1)), coef[k+1]);
+  }
+  return series(scaled, arg);
 }
 
 
@@ -83,8 +95,9 @@ static void exp_beyond(double res[16], const double xi[6]) {
 
 
 // rotation and translation of exp([rho, phi]), for angles within the series
+// (t - sin t)/t^3 is the series of sin(t)/t from its second term on, negated
 static void exact_exp(Dd rot[9], Dd pos[3], const Dd rho[3], const Dd phi[3], const Argument* arg) {
-  Dd a = series(SIN, arg), b = series(COS, arg), c = series(CUBIC, arg), turned[3], twice[3];
+  Dd a = series(SIN, arg), b = series(COS, arg), c = dd_neg(series(SIN + 1, arg)), turned[3], twice[3];
 
   // rotation: I + a phi^ + b phi^ phi^
   Dd diagonal = dd_sub(dd_from(1), dd_mul(b, arg->x));
@@ -199,31 +212,36 @@ static int rotation_vector(Dd res[3], const Dd rot[9]) {
 }
 
 
-// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x
+// e = (1 - (t/2) cot(t/2)) / t^2 and, unless it is null, (de/dt)/t of t^2 = x
 static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
   double x = arg->x.hi;
   if (!(x <= SERIES_LIMIT)) {
     double t = sqrt(x), sine = sin(0.5*t), c = 0.5*t*cos(0.5*t)/sine;
     *e = dd_from((1 - c)/x);
-    *de = dd_from((c - 2 + x/(4*sine*sine))/(x*x));
+    if (de) {
+      *de = dd_from((c - 2 + x/(4*sine*sine))/(x*x));
+    }
     return;
   }
   Dd first = dd_div(dd_from(1), dd_sub(POLES[0], arg->x));
   Dd second = dd_div(dd_from(1), dd_sub(POLES[1], arg->x));
   *e = dd_add(dd_scale(dd_add(first, second), 2), series(COT, arg));
+  if (!de) {
+    return;
+  }
   Dd squares = dd_add(dd_mul(first, first), dd_mul(second, second));
-  *de = dd_add(dd_scale(squares, 4), series(D_COT, arg));
+  *de = dd_add(dd_scale(squares, 4), slope(COT, arg));
 }
 
 
 // logarithm [rho, phi] of a rotation and a position; returns 0 if the matrix is no rotation at all
 static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
-  Dd turned[3], twice[3], e, de;
+  Dd turned[3], twice[3], e;
   if (!rotation_vector(phi, rot)) {
     return 0;
   }
   Argument arg = argument(phi);
-  inverse_coefficients(&e, &de, &arg);
+  inverse_coefficients(&e, NULL, &arg);
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
   dd_cross3(turned, phi, pos);
@@ -332,9 +350,9 @@ static void se3_exact_left_jacobian(double res[36], const double xi[6]) {
   Argument arg = argument(phi);
   if (arg.x.hi <= SERIES_LIMIT) {
     coef[0] = series(COS, &arg);
-    coef[1] = series(CUBIC, &arg);
-    coef[2] = series(D_COS, &arg);
-    coef[3] = series(D_CUBIC, &arg);
+    coef[1] = dd_neg(series(SIN + 1, &arg));
+    coef[2] = slope(COS, &arg);
+    coef[3] = dd_neg(slope(SIN + 1, &arg));
   } else {
     double x = arg.x.hi, t = sqrt(x), half = sin(0.5*t)/t, sine = sin(t)/t;
     coef[0] = dd_from(2*half*half);

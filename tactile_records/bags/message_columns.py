@@ -74,13 +74,13 @@ class ColumnReader:
                     continue
                 template = np.frombuffer(layout.template, np.uint8)
                 same = (raw[:, layout.fixed] == template[layout.fixed]).all(axis=1)
-                groups.append(Columns(rows[same], _structured(raw[same], layout.dtype), layout))
+                groups.append(
+                    Columns(
+                        rows[same], np.ascontiguousarray(raw[same]).reshape(-1).view(layout.dtype), layout
+                    )
+                )
                 rows, raw = rows[~same], raw[~same]
         return groups
-
-
-def _structured(raw: Array, dtype: np.dtype) -> Array:
-    return np.ascontiguousarray(raw).reshape(-1).view(dtype)
 
 
 def rows_of(array: Array) -> Iterator[bytes]:

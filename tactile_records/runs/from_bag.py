@@ -65,9 +65,12 @@ def read_run(folder: Path, arm: str | None = None) -> RunRecord:
 
 
 def read_arms(folder: Path) -> dict[str, RunRecord]:
-    """The runs of all arms in a bag, by name. Raises as `read_run` does."""
+    """The runs of all arms in a bag, by name. Raises `BagError` and `ValueError` as `read_run` does."""
     bag = read_bag(folder)
-    return {arm: run_from_bag(bag, arm) for arm in arms_of(bag)}
+    arms = arms_of(bag)
+    if not arms:
+        raise ValueError(f"{folder}: no arm in this bag has a controller: there is no run to report on")
+    return {arm: run_from_bag(bag, arm) for arm in arms}
 
 
 def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:

@@ -24,7 +24,7 @@ SETTLED_AFTER = 1.0  # s of following before oscillation is looked for: the feed
 OSCILLATION_ABOVE = 0.5  # Hz: slower is the surface's own shape at 10 mm/s
 COMMAND_STAGE = "controller"  # the stage whose latency is that of the loop: exposure to command emission
 
-REPORT_FIELDS: dict[str, str] = {
+HEAD_FIELDS: dict[str, str] = {
     "scene": "name of the scene",
     "task": "name of the task",
     "task_file": "name of the task file",
@@ -35,6 +35,11 @@ REPORT_FIELDS: dict[str, str] = {
     "succeeded": "the task did all that it was asked to",
     "reason": "why it failed, in words; empty where it did not",
     "duration_s": "from the first command to the last",
+    "wall_s": "wall-clock time of the run",
+}
+
+REPORT_FIELDS: dict[str, str] = {
+    **HEAD_FIELDS,
     "work_s": "time spent at work: following, tracking",
     "path_length_mm": "arc length of the sensor's centre at work, all goals",
     "speed_mm_s": "path length over time, after the feedforward has come in",
@@ -77,7 +82,6 @@ REPORT_FIELDS: dict[str, str] = {
     "goals.*.depth_rms_mm": "as above, of this goal",
     "goals.*.normal_rms_deg": "as above, of this goal",
     "goals.*.normal_max_deg": "as above, of this goal",
-    "wall_s": "wall-clock time of the run",
 }
 
 
@@ -85,18 +89,8 @@ def report(record: RunRecord) -> dict[str, Any]:
     """All numbers of the run, nested as the names of `REPORT_FIELDS` are dotted."""
     following = record.working(record.truth.stamp_ns)
     truth = record.truth.rows(following)
-    command = record.command
-    result: dict[str, Any] = {
-        "scene": record.scene,
-        "task": record.task,
-        "task_file": record.task_file,
-        "role": record.role,
-        "arm": record.arm,
-        "source": record.source,
-        "seed": record.seed,
-        "succeeded": bool(record.result.get("succeeded", False)),
-        "reason": str(record.result.get("reason", "")),
-        "duration_s": duration(command.stamp_ns),
+    return {
+        **head(record),
         **_motion(record),
         **_quality(truth, record.reference_at(truth.stamp_ns)),
         "slip_fraction": mean(truth.slip_fraction),
@@ -107,9 +101,24 @@ def report(record: RunRecord) -> dict[str, Any]:
         "latency_ms": _latency(record),
         "frames": _frames(record),
         "goals": {name: _goal(record, index, truth) for index, name in enumerate(record.goals)},
+    }
+
+
+def head(record: RunRecord) -> dict[str, Any]:
+    """What the report of any arm begins with: `HEAD_FIELDS`."""
+    return {
+        "scene": record.scene,
+        "task": record.task,
+        "task_file": record.task_file,
+        "role": record.role,
+        "arm": record.arm,
+        "source": record.source,
+        "seed": record.seed,
+        "succeeded": bool(record.result.get("succeeded", False)),
+        "reason": str(record.result.get("reason", "")),
+        "duration_s": duration(record.command.stamp_ns),
         "wall_s": record.result.get("wall_s"),
     }
-    return result
 
 
 # ---- parts of the report ----

@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from tactile_records.runs import metrics
@@ -20,7 +21,7 @@ from tactile_records.runs.tracking import COMPONENTS, UNITS, Tracking, leader_of
 Array = NDArray[Any]
 
 POSITION_REQUIREMENT, ANGLE_REQUIREMENT = 2.0, 1.5  # mm, deg: RMS of each component
-LENGTH, TRIADS = 30.0, 12  # mm, and how many along each goal: axes that are drawn of a pose
+LENGTH, TRIADS = 22.0, 12  # mm, and how many along each goal: axes that are drawn of a pose
 LABELS = ("x [mm]", "y [mm]", "z [mm]", "α [deg]", "β [deg]", "γ [deg]")
 
 FIELDS = {
@@ -116,14 +117,13 @@ def poses(record: RunRecord, run: Run) -> Figure:
     indices = [int(index) for index in np.unique(track.goal)]
     columns = min(3, len(indices))
     rows = -(-len(indices) // columns)
-    figure = plt.figure(figsize=(6.0 * columns + 1.0, 5.6 * rows), layout="constrained")
+    figure = plt.figure(figsize=(6.0 * columns + 2.0, 6.0 * rows), layout="constrained")
     for number, index in enumerate(indices):
         axes = figure.add_subplot(rows, columns, number + 1, projection="3d")
         chosen = np.flatnonzero(track.goal == index)
         _draw_goal(axes, track, chosen)
         axes.set_title(track.goals[index])
-    title = f"{record.scene}: leader (black) and follower (blue); axes x red, y green, z blue"
-    figure.suptitle(title, weight="bold")
+    figure.suptitle(f"{record.scene}: poses of leader and follower", weight="bold")
     return figure
 
 
@@ -139,6 +139,9 @@ def _draw_goal(axes: Any, track: Tracking, chosen: Array) -> None:
                 axes.plot(*ends.T, color=axis_color, lw=1.1)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     axes.set_aspect("equal")
+    spans = [np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
+    for axis, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), spans, strict=True):
+        axis.set_major_locator(MaxNLocator(2 if span < 0.5 * max(spans) else 5))  # short sides have no room
     axes.legend(loc="upper left")
 
 

@@ -7,27 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from tactile_records.runs import metrics
 from tactile_records.runs.figures import of_one_arm, twists
-from tactile_records.runs.metrics import arc_length, duration, largest, rms, text
+from tactile_records.runs.metrics import arc_length, largest, rms, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import Run, TaskReport
 
 FIELDS = {
-    "scene": "name of the scene",
-    "task": "name of the task",
-    "task_file": "name of the task file",
-    "role": "what the arm does in it",
-    "arm": "name of the arm",
-    "source": "offline (loop in one process) or ros (nodes)",
-    "seed": "seed of the simulated cell",
-    "succeeded": "the run did all that it was asked to",
-    "reason": "why it failed, in words; empty where it did not",
-    "duration_s": "from the first command to the last",
+    **metrics.HEAD_FIELDS,
     "path_length_mm": "way of the controlled frame's origin",
     "error_rms_mm": "RMS distance from the trajectory",
     "error_max_mm": "its largest",
     "error_rms_deg": "RMS angle to the trajectory's orientation",
-    "wall_s": "wall-clock time of the run",
 }
 
 
@@ -37,21 +28,11 @@ def numbers(record: RunRecord, run: Run) -> dict[str, Any]:
     error = command.error[np.isfinite(command.error).all(axis=1)]
     distance, angle = np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)
     return {
-        "scene": record.scene,
-        "task": record.task,
-        "task_file": record.task_file,
-        "role": record.role,
-        "arm": record.arm,
-        "source": record.source,
-        "seed": record.seed,
-        "succeeded": bool(record.result.get("succeeded", False)),
-        "reason": str(record.result.get("reason", "")),
-        "duration_s": duration(command.stamp_ns),
+        **metrics.head(record),
         "path_length_mm": arc_length(record.pose.T_base_sensor) * 1e3,
         "error_rms_mm": rms(distance * 1e3),
         "error_max_mm": largest(distance * 1e3),
         "error_rms_deg": rms(np.degrees(angle)),
-        "wall_s": record.result.get("wall_s"),
     }
 
 

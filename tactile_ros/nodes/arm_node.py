@@ -12,10 +12,10 @@ deactivated.
 
 from __future__ import annotations
 
-import functools
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,22 +23,18 @@ from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
+from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import ARM_POSE, ARM_STATUS, LIMITED_COMMAND, WORLD, tool_frame
-from tactile_base.topics import COMMAND as COMMAND_TOPIC
-from tactile_base.topics import TF as TF_TOPIC
-from tactile_base.topics import TF_STATIC as TF_STATIC_TOPIC
 from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus
-from tactile_ros.cdr import Layout, split_stamp
+from tactile_ros.cdr import Layout, headed_bytes, read_twist, split_stamp, twist_bytes
 from tactile_ros.conversions import numbers_from_pose, transform_stamped
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
-from tactile_ros.wire import headed_bytes, read_twist, twist_bytes
 
 
 @dataclass(frozen=True)
@@ -52,6 +48,14 @@ class ArmNodeSettings(Settings):
     state_timeout: float = setting(
         0.25, lower=0.01, upper=10.0, unit="s", doc="silence of the driver at which the arm is stopped"
     )
+
+
+def arm_of_scene(node: ManagedNode, scene: str) -> tuple[ArmScene, Path]:
+    """The node's arm in a scene, and the scene's file; raises `ConfigurationError` if it is not there."""
+    loaded = load_scene(scene)
+    if node.arm not in loaded.arms:
+        raise ConfigurationError(f"{loaded.path}: no arm '{node.arm}'; arms: {', '.join(loaded.arms)}")
+    return loaded.arms[node.arm], loaded.path
 
 
 class ArmNode(ManagedNode):
@@ -69,21 +73,21 @@ class ArmNode(ManagedNode):
         """Open topics and, unless another node does, the driver."""
         scene = self.hosted or self._scene()
         self.frame = f"{self.arm}/{scene.controlled_frame}"
-        self.tool_frame = tool_frame(self.arm)
+        self.tool_frame = topics.tool_frame(self.arm)
         self.limits = scene.limits
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
-        self.static = [transform_stamped(0, WORLD, self.base_frame, scene.T_world_base)]
+        self.static = [transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)]
         if scene.sensor is not None:
             self.static.append(transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled))
-        self.tf_static_out = self.publisher(TFMessage, TF_STATIC_TOPIC.name, TF_STATIC)
-        self.pose_out = self.publisher(PoseStamped, ARM_POSE.name, STATE)
-        self.status_out = self.publisher(ArmStatus, ARM_STATUS.name, STATE)
-        self.limited_out = self.publisher(TwistStamped, LIMITED_COMMAND.name, STATE)
-        self.subscribe(TwistStamped, COMMAND_TOPIC.name, self._receive, COMMAND, 0.0, raw=True)
+        self.tf_static_out = self.publisher(TFMessage, topics.TF_STATIC.name, TF_STATIC)
+        self.pose_out = self.publisher(PoseStamped, topics.ARM_POSE.name, STATE)
+        self.status_out = self.publisher(ArmStatus, topics.ARM_STATUS.name, STATE)
+        self.limited_out = self.publisher(TwistStamped, topics.LIMITED_COMMAND.name, STATE)
+        self.subscribe(TwistStamped, topics.COMMAND.name, self._receive, COMMAND, 0.0, raw=True)
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self._forget()
         if self.hosted is None:
-            self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+            self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
             self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
             self.timer(scene.limits.command_timeout / 4, self._watch)
             self.driver = self._open(scene)
@@ -113,13 +117,10 @@ class ArmNode(ManagedNode):
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, which needs a driver of the registry."""
-        scene = load_scene(self.settings.value.scene)
-        if self.arm not in scene.arms:
-            raise ConfigurationError(f"{scene.path}: no arm '{self.arm}'; arms: {', '.join(scene.arms)}")
-        arm = scene.arms[self.arm]
+        arm, file = arm_of_scene(self, self.settings.value.scene)
         who = {SIM: "is moved by the simulated cell (sim_node)", EXTERNAL: "has a driver that runs already"}
         if arm.driver in who:
-            raise ConfigurationError(f"{scene.path}: arm '{arm.name}' {who[arm.driver]}")
+            raise ConfigurationError(f"{file}: arm '{arm.name}' {who[arm.driver]}")
         return arm
 
     def _open(self, scene: ArmScene) -> Arm:
@@ -166,9 +167,9 @@ class ArmNode(ManagedNode):
         numbers = numbers_from_pose(state.T_base_controlled).tolist()
         self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
-        layout = _status_layout(self.base_frame, state.reason)
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
-        self.status_out.publish(layout.pack(*split_stamp(state.stamp_ns), *numbers))
+        status = headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, reason=state.reason)
+        self.status_out.publish(status)
 
     # ---- commands ----
 
@@ -211,13 +212,6 @@ class ArmNode(ManagedNode):
         if reason:
             self._commanded_at = None
             self.driver.stop(reason)
-
-
-@functools.lru_cache(maxsize=64)
-def _status_layout(frame_id: str, reason: str) -> Layout:
-    example = ArmStatus(reason=reason)
-    example.header.frame_id = frame_id
-    return Layout(example)
 
 
 def main() -> int:

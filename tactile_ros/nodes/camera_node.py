@@ -16,11 +16,12 @@ from sensor_msgs.msg import Image
 from tactile_base.settings import Settings, setting
 from tactile_base.topics import IMAGE as IMAGE_TOPIC
 from tactile_drivers.camera import Camera, CameraFrame, open_camera
-from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
+from tactile_drivers.scene import EXTERNAL, SIM, ArmScene
 from tactile_ros.conversions import MessageError
 from tactile_ros.image_bytes import bytes_from_array
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.nodes.arm_node import arm_of_scene
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
 
@@ -75,15 +76,12 @@ class CameraNode(ManagedNode):
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, whose sensor needs a camera driver of the registry."""
-        scene = load_scene(self.settings.value.scene)
-        if self.arm not in scene.arms:
-            raise ConfigurationError(f"{scene.path}: no arm '{self.arm}'; arms: {', '.join(scene.arms)}")
-        arm = scene.arms[self.arm]
+        arm, file = arm_of_scene(self, self.settings.value.scene)
         if arm.sensor is None:
-            raise ConfigurationError(f"{scene.path}: arm '{arm.name}' has no sensor")
+            raise ConfigurationError(f"{file}: arm '{arm.name}' has no sensor")
         who = {SIM: "is that of the simulated cell (sim_node)", EXTERNAL: "has a driver that runs already"}
         if arm.sensor.camera in who:
-            raise ConfigurationError(f"{scene.path}: the camera of '{arm.name}' {who[arm.sensor.camera]}")
+            raise ConfigurationError(f"{file}: the camera of '{arm.name}' {who[arm.sensor.camera]}")
         return arm
 
     def _open(self, arm: ArmScene) -> Camera:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.topics import IMAGE as IMAGE_TOPIC
 from tactile_control.collection import (
     REFERENCE,
     ROTATE,
@@ -46,7 +47,7 @@ from tactile_ros.conversions import MessageError
 from tactile_ros.image_bytes import image_from_bytes
 from tactile_ros.managed_node import ConfigurationError
 from tactile_ros.managed_node import run as run_node
-from tactile_ros.parameters import SettingsParameters
+from tactile_ros.parameters import GroupParameters, SettingsParameters
 from tactile_ros.qos import IMAGE
 from tactile_ros.task_messages import feedback_message, named_goal, status_bytes
 from tactile_ros.task_node import ZERO, Run, TaskNode, conclude
@@ -95,11 +96,7 @@ class CollectorNode(TaskNode):
         self.sampling = SettingsParameters(self, SamplingSettings(), prefix="sampling")
         self.preprocessing = SettingsParameters(self, PreprocessingSettings(), prefix="preprocessing")
         self.presence_settings = SettingsParameters(self, PresenceSettings(), prefix="presence")
-        defaults = DataCollectionSettings()
-        self.groups = {
-            name: SettingsParameters(self, defaults.group(name), prefix=name, on_change=self._configure_task)
-            for name in defaults.group_names()
-        }
+        self.task_settings = GroupParameters(self, DataCollectionSettings(), self._configure_task)
         self.forget()
 
     # ---- lifecycle ----
@@ -110,8 +107,8 @@ class CollectorNode(TaskNode):
             raise ConfigurationError("parameter folder: must name the folder of the data set")
         self.preprocessor = Preprocessor(self.preprocessing.value)
         self.presence = ContactPresence(self.presence_settings.value)
-        age = self.task_settings().watchdog.image_age
-        self.subscribe(Image, "tactile/image", self._take_image, IMAGE, age, raw=True)
+        age = self.task_settings.value.watchdog.image_age
+        self.subscribe(Image, IMAGE_TOPIC.name, self._take_image, IMAGE, age, raw=True)
         self.open_task(self.settings.value.step_period, on_transform=self._match_image)
 
     def activate(self) -> None:
@@ -256,14 +253,9 @@ class CollectorNode(TaskNode):
 
     # ---- parameters ----
 
-    def task_settings(self) -> DataCollectionSettings:
-        """The parameters in force."""
-        values: dict[str, Any] = {name: group.value for name, group in self.groups.items()}
-        return DataCollectionSettings(**values)
-
-    def _configure_task(self, changed: Settings) -> None:
+    def _configure_task(self) -> None:
         if self.run is not None:
-            self.run.task.configure(self.task_settings())
+            self.run.task.configure(self.task_settings.value)
 
     # ---- the action ----
 
@@ -306,7 +298,7 @@ class CollectorNode(TaskNode):
             return None
         self.presence.reset()
         found = store.surface()
-        task_settings = self.task_settings()
+        task_settings = self.task_settings.value
         if found is not None:
             task_settings = task_settings.replaced(touch__points=0)
         frame = self._assumed_frame() if found is None else found

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, SettingGroups, Settings, setting, unknown_name
+from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.topics import STATE as STATE_TOPIC
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.tasks import TASKS
@@ -26,13 +26,13 @@ from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import HeadedReader
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
-from tactile_ros.parameters import SettingsParameters, declare_read_only
+from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only
 from tactile_ros.qos import STATE
 from tactile_ros.task_messages import feedback_message, named_goal, status_bytes, with_settings
 from tactile_ros.task_node import ZERO, Run, TaskNode
 
 read_state = HeadedReader(ContactState)
-XI, FLAGS = slice(0, 6), 50  # among its numbers: behind xi are covariance, euler, nis and nis_dof
+XI, FLAGS = read_state.place("xi"), read_state.index("flags")
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,7 @@ class ControllerNode(TaskNode):
         self.timing = SettingsParameters(
             self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period",)
         )
-        self.defaults = self.task_type.settings_class()
-        self.groups = {
-            name: SettingsParameters(
-                self, self.defaults.group(name), prefix=name, on_change=self._configure_task
-            )
-            for name in self.defaults.group_names()
-        }
+        self.settings = GroupParameters(self, self.task_type.settings_class(), self._configure_task)
         self.last: Command | None = None
         self.goals = 0
         self.goal_name = ""
@@ -93,7 +87,7 @@ class ControllerNode(TaskNode):
     def configure(self) -> None:
         """Create publishers, subscriptions and the action."""
         if self.task_type.needs_sensor:
-            age = getattr(self.groups["watchdog"].value, "belief_age", 0.0)
+            age = getattr(self.settings.value.group("watchdog"), "belief_age", 0.0)
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
             self.subscribe(ContactState, STATE_TOPIC.name, self._take_state, STATE, age, raw=True)
         self.open_task(self.timing.value.watchdog_period)
@@ -189,14 +183,9 @@ class ControllerNode(TaskNode):
 
     # ---- parameters ----
 
-    def _configure_task(self, changed: Settings) -> None:
+    def _configure_task(self) -> None:
         if self.run is not None:
-            self.run.task.configure(with_settings(self.run.message, self._settings()))
-
-    def _settings(self) -> SettingGroups:
-        """The parameters in force."""
-        values: dict[str, Any] = {name: group.value for name, group in self.groups.items()}
-        return type(self.defaults)(**values)
+            self.run.task.configure(with_settings(self.run.message, self.settings.value))
 
     # ---- the action ----
 
@@ -208,7 +197,7 @@ class ControllerNode(TaskNode):
             return f"task: {unknown_name(goal.task, [self.task])}; this controller was started for it"
         try:
             named_goal(goal, self.task_type)
-            with_settings(goal, self._settings())
+            with_settings(goal, self.settings.value)
         except (SettingError, ValueError) as error:
             return str(error)
         return ""
@@ -218,7 +207,7 @@ class ControllerNode(TaskNode):
         message = handle.request
         named = named_goal(message, self.task_type)
         make: Any = self.task_type
-        task = make(with_settings(message, self._settings()), named.goal, named.start)
+        task = make(with_settings(message, self.settings.value), named.goal, named.start)
         self.goal_name = named.name
         self.goals += 1
         self.last = None

@@ -52,7 +52,8 @@ class MarkerViewNode(ManagedNode):
     def configure(self) -> None:
         """Create publisher, service and subscription."""
         self.pictures = self.publisher(Image, topics.MARKER_VIEW.name, IMAGE)
-        self.serve(Trigger, "~/capture_reference", self._capture_reference)
+        outlook = "the next image becomes the reference"
+        self.serve_request(Trigger, "~/capture_reference", self._capture_reference, outlook)
         self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.view.value.age_limit, raw=True)
 
     def activate(self) -> None:
@@ -92,12 +93,8 @@ class MarkerViewNode(ManagedNode):
             f"reference: {len(markers)} markers, {spacing:.1f} px apart; nothing may have touched the sensor"
         )
 
-    def _capture_reference(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self.active:
-            self.reference = None
-        response.success = self.active
-        response.message = "the next image becomes the reference" if self.active else "the node is not active"
-        return response
+    def _capture_reference(self, request: Trigger.Request) -> None:
+        self.reference = None
 
 
 def main() -> int:

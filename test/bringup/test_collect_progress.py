@@ -5,7 +5,7 @@ import math
 from rich.console import Console
 
 from tactile_base import progress
-from tactile_bringup.commands.collect_progress import CollectionDisplay
+from tactile_bringup.launching.progress import CollectionDisplay
 
 
 class Said:
@@ -20,7 +20,7 @@ def test_lines_tell_samples_and_time_left_and_finding_the_surface_does_not_count
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
     with CollectionDisplay(Console(force_terminal=False), live=False, samples=10) as display:
         for said in (Said("touch", 0.4), Said("rotate", 0.4), Said("shear", 0.5), Said("rotate", 0.6, 0.001)):
-            display.update({"arm": ("", said)})
+            display.show("arm", "", said)
     first, *_, last = capsys.readouterr().out.splitlines()
     assert first == "arm: 4 of 10 samples, rotate"
     assert last == "arm: 6 of 10 samples, rotate, depth  1.00 mm, 44 s left"

@@ -25,6 +25,13 @@ scenes:
       goals: [{name: there, direction_deg: 0}, {name: back, direction_deg: 180}]
 """
 
+# each packaged task on each of its scenes
+PACKAGED = [
+    (task, scene)
+    for task in config_names("tasks")
+    for scene in yaml.safe_load(config_path(f"tasks/{task}.yaml").read_text())["scenes"]
+]
+
 IDEAL_SCENE = """
 arms:
   arm:
@@ -195,12 +202,16 @@ def test_the_packaged_object_has_places_for_all_arms_of_its_scene():
         load_graph("surface_following", "two_arms", replace(options, object_file="two_arm"))
 
 
-@pytest.mark.parametrize("scene", config_names("scenes"))
-def test_every_node_of_the_packaged_scenes_exists_as_module(scene):
-    graph = load_graph("surface_following", scene, GraphOptions(record=Path("/bags/one")))
+@pytest.mark.parametrize("task, scene", PACKAGED)
+def test_every_node_of_the_packaged_scenes_exists_as_module(task, scene):
+    graph = load_graph(task, scene, GraphOptions(record=Path("/bags/one")))
     assert graph.scene == scene and all(plan.goals for plan in graph.plans)
     for node in graph.nodes:
         assert importlib.util.find_spec(node.module) is not None, node.module
+
+
+def test_every_packaged_scene_has_a_task():
+    assert {scene for _, scene in PACKAGED} == set(config_names("scenes"))
 
 
 def test_every_node_of_a_graph_is_an_executable_of_the_package(bench):
@@ -256,9 +267,9 @@ def test_an_unknown_task_lists_the_tasks():
         load_graph("surface_folowing", "ramp")
 
 
-@pytest.mark.parametrize("scene", config_names("scenes"))
-def test_a_graph_has_the_topics_that_its_recorder_records(scene):
-    graph = load_graph("surface_following", scene, GraphOptions(record=Path("/bags/one")))
+@pytest.mark.parametrize("task, scene", PACKAGED)
+def test_a_graph_has_the_topics_that_its_recorder_records(task, scene):
+    graph = load_graph(task, scene, GraphOptions(record=Path("/bags/one")))
     recorded = [text.split()[0] for text in graph.nodes[0].parameters["topics"]]
     assert recorded == [topic.name for topic in graph.topics]
 

@@ -85,7 +85,7 @@ def test_nodes_that_do_not_become_active_are_named(start):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_brings_the_arm_to_rest_first(start, number):
     launch = start(seconds=30)
-    launch.wait_for("arm  follow")
+    launch.wait_for("arm: follow")
     launch.process.send_signal(number)
     assert launch.end() == 128 + number
     assert f"stopped by {number.name}: bringing the arm to rest" in launch.output
@@ -111,7 +111,7 @@ def test_a_node_that_ignores_signals_is_killed_and_said_so(start):
 
 def test_a_killed_launcher_leaves_no_node_and_no_shared_memory(start):
     launch = start(seconds=30)
-    launch.wait_for("arm  follow")
+    launch.wait_for("arm: follow")
     launch.process.kill()
     assert launch.end() == -signal.SIGKILL
     assert launch.leaves_nothing(), launch.left()

@@ -22,7 +22,7 @@ def planned(tmp_path: Path):
 
     def make(roles: dict, on_scene: dict, **chosen):
         start = {"start": {"position": [0, 0, 0.1]}}
-        feels = start | {"sensor": {"fidelity": "ideal"}}
+        feels = start | {"sensor": {}}
         scene, task = tmp_path / "shelf.yaml", tmp_path / "carry.yaml"
         scene.write_text(
             yaml.safe_dump({"arms": {"mover": start, "left": feels, "right": feels}}, sort_keys=False)

@@ -1,8 +1,9 @@
 """Prediction and innovation as the algorithm writes them, in plain NumPy: slow, and to be read."""
 
 import numpy as np
+import se3_reference
 
-from tactile_filter import se3, se3_reference
+from tactile_filter import se3
 
 
 def predict(mean, cov, T_before, T_now, variances):

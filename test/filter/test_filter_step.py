@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import step_reference as reference
 from contact_case import CONTACT, SIGMA
+from fusion_reference import fuse_fixed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
@@ -13,7 +14,6 @@ from scipy.stats import chi2
 from tactile_filter import se3
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings, gate_threshold
 from tactile_filter.fusion import MODES
-from tactile_filter.fusion_reference import fuse_fixed
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import innovation
 

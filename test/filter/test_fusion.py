@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import se3_oracle as oracle
 from fusion_cases import in_sigmas, random_pair
+from fusion_reference import fuse_exact, fuse_fixed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_triangular
 
 from tactile_filter import _fusion, se3
 from tactile_filter.fusion import MODES, FusionError, FusionStatus, check_gaussian, fuse
-from tactile_filter.fusion_reference import fuse_exact, fuse_fixed
 
 
 def reference(pair, mode):

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+import se3_reference
 import step_reference as reference
 
-from tactile_filter import se3, se3_reference
+from tactile_filter import se3
 from tactile_filter.propagation import innovation, predict, usable_pose
 
 

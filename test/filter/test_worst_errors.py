@@ -6,9 +6,10 @@ import mpmath as mp
 import numpy as np
 import pytest
 import se3_oracle as oracle
+import se3_reference
 import worst_errors
 
-from tactile_filter import _fusion, se3, se3_reference
+from tactile_filter import _fusion, se3
 
 
 def test_worst_errors_are_within_their_tolerances():

@@ -13,8 +13,7 @@ from tf2_msgs.msg import TFMessage
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus, StageLatency
 from tactile_ros import qos
-from tactile_ros.conversions import array_from_image, matrix_from_pose, matrix_from_transform
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import array_from_image, matrix_from_pose, matrix_from_transform, ns_from_time
 
 ARM_NODE, CAMERA_NODE = "tactile_ros.nodes.arm_node", "tactile_ros.nodes.camera_node"
 TOOL, SENSOR = "arm/tool", "arm/tactile_sensor"

@@ -17,12 +17,18 @@ from tf2_msgs.msg import TFMessage
 from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactState, ContactTruth, ControllerStatus
 from tactile_records.bags.cdr import MessageError
-from tactile_ros.cdr import HeadedReader, Layout, transforms_from_bytes
+from tactile_ros.cdr import (
+    HeadedReader,
+    Layout,
+    gaussian_bytes,
+    headed_bytes,
+    transforms_from_bytes,
+    twist_bytes,
+)
 from tactile_ros.conversions import (
     transform_stamped,
 )
 from tactile_ros.image_bytes import bytes_from_array, image_from_bytes
-from tactile_ros.wire import gaussian_bytes, headed_bytes, twist_bytes
 
 STORE = get_typestore(Stores.LATEST)
 HEADED = [PoseWithCovarianceStamped, TwistStamped, ContactPresence, ContactState, ContactTruth]

@@ -18,7 +18,7 @@ from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactTruth, ControllerStatus
 from tactile_perception.datasets.dataset import read_dataset
 from tactile_ros import qos
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import ns_from_time
 
 COLLECTOR = "tactile_ros.nodes.collector_node"
 SENSOR = "arm/tactile_sensor"

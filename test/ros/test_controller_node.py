@@ -14,8 +14,8 @@ from tactile_msgs.msg import ContactState, ControllerStatus
 from tactile_ros import qos
 from tactile_ros.conversions import (
     header,
+    ns_from_time,
 )
-from tactile_ros.stamps import ns_from_time
 
 CONTROLLER = "tactile_ros.nodes.controller_node"
 SENSOR = "arm/tactile_sensor"

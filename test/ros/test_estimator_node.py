@@ -14,7 +14,7 @@ from tactile_perception.estimating.model_metadata import INPUT_NAME, INVERSE_SIG
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.estimator import Estimator
 from tactile_ros import qos
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import ns_from_time
 
 ESTIMATOR = "tactile_ros.nodes.estimator_node"
 SENSOR = "arm/tactile_sensor"

@@ -19,8 +19,8 @@ from tactile_ros import qos
 from tactile_ros.conversions import (
     header,
     matrix_from_transform,
+    ns_from_time,
 )
-from tactile_ros.stamps import ns_from_time
 
 FILTER = "tactile_ros.nodes.filter_node"
 SENSOR = "arm/tactile_sensor"

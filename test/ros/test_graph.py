@@ -16,16 +16,15 @@ from tactile_drivers.scene import load_scene
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLatency
 from tactile_ros import qos
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import ns_from_time
 from tactile_ros.task_messages import goal_message
 
 SIM, FILTER = "tactile_ros.nodes.sim_node", "tactile_ros.nodes.filter_node"
 CONTROLLER = "tactile_ros.nodes.controller_node"
 SECOND = 1_000_000_000
 CHEAPER = (
-    ("bodies:", "simulation:\n  sensors: {arm: {fidelity: ideal}}\nbodies:"),
+    ("bodies:", "simulation: {rate: 60, sensors: {arm: {fidelity: ideal}}}\nbodies:"),
     ("0.062]", "0.053]"),  # 3 mm above the ramp instead of 12
-    ("rate: 120", "rate: 60"),
     ("camera_rate: 60", "camera_rate: 30"),
 )
 # a machine that holds up a process only delays the task

@@ -7,7 +7,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from std_msgs.msg import Int64
 
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import ns_from_time
 
 TOY = textwrap.dedent("""
     import sys

@@ -13,7 +13,7 @@ from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.markers.detection import density_change, detect
 from tactile_perception.markers.view import side_by_side
 from tactile_ros import qos
-from tactile_ros.stamps import ns_from_time
+from tactile_ros.conversions import ns_from_time
 
 VIEW = "tactile_ros.nodes.marker_view_node"
 SENSOR = "arm/tactile_sensor"

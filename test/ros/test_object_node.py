@@ -19,9 +19,9 @@ from tactile_ros import qos
 from tactile_ros.conversions import (
     header,
     matrix_from_transform,
+    ns_from_time,
     transform_stamped,
 )
-from tactile_ros.stamps import ns_from_time
 
 NODE, FILTER, SIM = (
     "tactile_ros.nodes.object_node",

@@ -16,8 +16,8 @@ from tactile_ros.conversions import (
     array_from_image,
     matrix_from_pose,
     matrix_from_transform,
+    ns_from_time,
 )
-from tactile_ros.stamps import ns_from_time
 
 SIM = "tactile_ros.nodes.sim_node"
 SENSOR = "arm/tactile_sensor"

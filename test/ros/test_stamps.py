@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
-from tactile_ros.stamps import duration_from_ns, ns_from_time, time_from_ns
+from tactile_ros.conversions import duration_from_ns, ns_from_time, time_from_ns
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1, 999_999_999, 1_000_000_000, 1_795_260_791_630_780_636])

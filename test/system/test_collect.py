@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
 from tactile_bringup.commands.data_collect import chosen_settings, chosen_surface, frame_on
 from tactile_drivers.sampling import SamplingSettings, pose_of
@@ -103,7 +104,20 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
         plan("--set", "sampling.depth=[0.001, 0.002]")
     with pytest.raises(ValueError, match="made with another first"):
         plan("--validation")
-    assert [n.full_name for n in plan("--external").graph.nodes] == ["/arm/collector"]
+
+
+def test_an_external_arm_is_collected_with_and_not_started(tmp_path):
+    import argparse
+
+    from tactile_bringup.commands.data_collect import make_plan, register
+
+    scene = tmp_path / "external.yaml"
+    text = config_path("scenes/plane.yaml").read_text()
+    scene.write_text(text.replace("driver: sim", "driver: external"))
+    parser = argparse.ArgumentParser()
+    register(parser.add_subparsers())
+    graph = make_plan(parser.parse_args(["collect", str(tmp_path / "data"), "--scene", str(scene)])).graph
+    assert [n.full_name for n in graph.nodes] == ["/arm/collector"]
 
 
 def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_table():

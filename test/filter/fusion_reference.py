@@ -1,6 +1,6 @@
 """Fusion of two Gaussians over poses in plain NumPy: the paper's Algorithm "SE(3) data fusion", to be read.
 
-`tactile_filter.fusion` is the same in C; the tests hold the two together. Minimized over X is
+`tactile_filter.fusion` is the same in C; the tests beside this hold the two together. Minimized over X is
 
     |L1^-1 log(X X1^-1)|^2 + |L2^-1 log(X X2^-1)|^2,      Sigma_k = L_k L_k^T,
 
@@ -12,10 +12,10 @@ place of the normal equations, which says the same without inverting or squaring
 from __future__ import annotations
 
 import numpy as np
+import se3_reference as plain
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_filter import se3
-from tactile_filter import se3_reference as plain
 from tactile_filter.fusion import CONVERGED_STEP, FusionResult, FusionStatus
 
 Array = NDArray[np.float64]

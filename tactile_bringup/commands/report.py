@@ -1,0 +1,71 @@
+"""`tactile report BAG`: numbers and pictures of a recorded run, for each of its arms."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tactile_records.runs.report import Run
+
+
+def register(subparsers: Any) -> None:
+    """Add `report`."""
+    parser = subparsers.add_parser(
+        "report", help="numbers and pictures of a recorded run", description=__doc__
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="what --record has written")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="for report.json and pictures (default: BAG-report)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code: 0 where the task was done, 1 where not, 2 without a record."""
+    from rich.console import Console
+
+    from tactile_records.bags.writer import BagError
+    from tactile_records.runs.from_bag import read_arms
+
+    try:
+        records = read_arms(arguments.bag)
+    except (BagError, ValueError, OSError) as error:
+        print(f"tactile report: {error}", file=sys.stderr)
+        return 2
+    folder = arguments.out or arguments.bag.with_name(f"{arguments.bag.name}-report")
+    deliver(records, arguments.bag, folder, Console())
+    return 0 if records and all(record.result["succeeded"] for record in records.values()) else 1
+
+
+def deliver(records: Run, bag: Path, folder: Path, console: Console) -> None:
+    """Write report and pictures of each arm, and print what a person wants to see first."""
+    from rich.table import Table
+
+    from tactile_records.runs.report import places, summary, write_reports
+
+    values = write_reports(records, folder)
+    first = next(iter(records.values()))
+    table = Table(title=f"{first.task_file} on {first.scene}, real ROS nodes, seed {first.seed}")
+    for name in ("", "measured", "wanted"):
+        table.add_column(name, justify="left" if not name else "right")
+    for row in summary(records, values):
+        table.add_row(*row)
+    console.print(table)
+    for record in records.values():
+        for problem in ("bag_problem", "surface_problem"):
+            if problem in record.result:
+                console.print(f"note: {record.result[problem]}", style="yellow", highlight=False)
+    files = [path for place in places(records, folder).values() for path in sorted(place.glob("*.*"))]
+    for path in (*(path for path in files if path.suffix in (".json", ".png")), bag):
+        console.print(_short(path), highlight=False, soft_wrap=True)
+
+
+def _short(path: Path) -> str:
+    """As one would type it from here."""
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
