@@ -18,7 +18,7 @@ _INTEGERS = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64
 _PRIMITIVES = frozenset(["bool", "byte", "char", "float32", "float64", "string", "wstring", *_INTEGERS])
 
 
-class DefinitionMissing(LookupError):
+class DefinitionMissing(ValueError):
     """A message type whose .msg file is not installed; the message says where it was looked for."""
 
 
