@@ -21,9 +21,8 @@ import yaml
 from real_markers import Tracked, track
 
 from tactile_drivers.sim.camera import Camera
-from tactile_drivers.sim.collection import Mounting, press_then_shear
+from tactile_drivers.sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
 from tactile_drivers.sim.markers import Markers
-from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
 from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
 from tactile_drivers.sim.skin import Skin, load_skin
 from tactile_drivers.sim.tactip import TacTip

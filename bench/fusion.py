@@ -125,11 +125,10 @@ def measure_limit() -> dict[str, float]:
     """What bench/fusion_limit/ answers: peaks in ns an instruction, fusions in ns, counts of instructions."""
     flags = ["-O3", "-std=gnu99", "-ffp-contract=off", f"-I{SOURCES}"]
     sources = [ROOT / "fusion_limit" / "machine.c", *SOURCES.glob("routines*.c")]
-    shared = [SOURCES / "se3.c", SOURCES / "fusion.c"]
     with tempfile.TemporaryDirectory() as folder:
         machine, operations = Path(folder) / "machine", Path(folder) / "operations"
         cc, cxx = os.environ.get("CC", "gcc"), os.environ.get("CXX", "g++")
-        subprocess.run([cc, *flags, *sources, *shared, "-lm", "-o", machine], check=True)
+        subprocess.run([cc, *flags, *sources, SOURCES / "se3.c", "-lm", "-o", machine], check=True)
         counted = [ROOT / "fusion_limit" / "operations.cpp", "-x", "c", SOURCES / "se3.c"]
         subprocess.run([cxx, "-w", f"-I{SOURCES}", *counted, "-lm", "-o", operations], check=True)
         text = "".join(subprocess.check_output([program], text=True) for program in (machine, operations))

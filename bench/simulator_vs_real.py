@@ -17,8 +17,7 @@ import matplotlib
 import numpy as np
 from real_markers import Tracked, track
 
-from tactile_drivers.sim.collection import Mounting, press_then_shear
-from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
+from tactile_drivers.sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
 from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.estimating.preprocessing import Preprocessor
 

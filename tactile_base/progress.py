@@ -20,7 +20,8 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bars
-from rich.text import Text
+
+from tactile_base.console import say
 
 T = TypeVar("T")
 P = TypeVar("P", bound="Progress")
@@ -65,7 +66,7 @@ class Progress:
 
     def say(self, text: str, style: str | None = None) -> None:
         """A line that stays."""
-        self.console.print(Text(text, style or ""), soft_wrap=True)
+        say(self.console, text, style)
 
     def update(
         self,

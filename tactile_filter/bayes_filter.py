@@ -9,6 +9,7 @@ repeated, time that jumps, gaps. Everything refused is counted by its reason.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import NamedTuple
 
@@ -31,7 +32,6 @@ __all__ = [
     "ContactFilter",
     "FilterSettings",
     "gate_threshold",
-    "normalized_innovation_squared",
 ]
 
 Array = NDArray[np.float64]
@@ -413,21 +413,12 @@ class ContactFilter:
         surprise: Innovation | None = None,
         inflation: float = 1.0,
     ) -> Belief:
-        if surprise is None:
-            return Belief(
-                state.stamp_ns, state.mean, state.cov, flags=flags, reason=reason, rejected=self.rejected
-            )
-        nis, whitened, dof = surprise
+        nis, whitened, dof = surprise or (math.nan, None, 0)
         mean, cov = state.mean, state.cov
         return Belief(state.stamp_ns, mean, cov, nis, dof, flags, reason, self.rejected, whitened, inflation)
 
     def _invalid(self, stamp_ns: int, reason: str) -> Belief:
         return invalid_belief(stamp_ns, _PREDICTED, reason, self.rejected)
-
-
-def normalized_innovation_squared(measurement: PoseGaussian, mean: Array, cov: Array) -> float:
-    """NIS of a measurement against a predicted Gaussian; see `propagation.innovation`."""
-    return innovation(measurement.mean, measurement.cov, mean, cov).nis
 
 
 def _is_finite(state: _State) -> bool:

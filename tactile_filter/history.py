@@ -69,7 +69,7 @@ class History:
 
         An entry that is the last keeps its own `before`.
         """
-        at = bisect.bisect_right(self._entries, entry.key, key=_key)
+        at = bisect.bisect_right(self._entries, entry.key, key=lambda each: each.key)
         if at < len(self._entries):
             entry.before = self._entries[at].before
         self._entries.insert(at, entry)
@@ -85,16 +85,8 @@ class History:
     def _trim(self) -> None:
         """Forget what is too old or too much."""
         oldest_ns = self._entries[-1].key.stamp_ns - self.span_ns
-        kept = bisect.bisect_left(self._entries, oldest_ns, key=_stamp)
+        kept = bisect.bisect_left(self._entries, oldest_ns, key=lambda entry: entry.key.stamp_ns)
         kept = max(kept, len(self._entries) - CAPACITY)
         if kept > 0:
             self.floor_ns = self._entries[kept - 1].key.stamp_ns
             del self._entries[:kept]
-
-
-def _key(entry: Entry) -> Key:
-    return entry.key
-
-
-def _stamp(entry: Entry) -> int:
-    return entry.key.stamp_ns

@@ -225,33 +225,35 @@ def _quaternion_from_rotation(first: Vector, second: Vector, third: Vector) -> V
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
     """Rotations (..., 3, 3) of quaternions (x, y, z, w) (..., 4) of any non-zero norm."""
-    return _each(_rotation_from_quaternion, quaternion, (4,), (3, 3), "quaternion")
-
-
-def _rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Rows:
-    norm = math.hypot(x, y, z, w)
-    if norm == 0.0:
+    array = _stacked(quaternion, (4,), "quaternion")
+    rows = array.reshape(-1, 4)
+    norms = [math.hypot(*row) for row in rows.tolist()]
+    if not all(norms):
         raise ValueError("quaternion: is zero, must have norm 1")
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    return (
+    # plain numbers where there is one: NumPy takes longer for these
+    x, y, z, w = rows.T / norms if array.ndim > 1 else [c / norms[0] for c in array.tolist()]
+    R = np.array((
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
         (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
         (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-    )
+    ))  # fmt: skip
+    return R if array.ndim == 1 else R.transpose(2, 0, 1).copy().reshape(*array.shape[:-1], 3, 3)
 
 
 def _each(convert: Callable[..., Any], value: ArrayLike, shape: Shape, result: Shape, name: str) -> Array:
     """One array of a shape converted, or each in a stack: by the same operations, so that bits agree."""
-    array = np.asarray(value, dtype=np.float64)
-    lead = array.shape[: array.ndim - len(shape)]
-    if array.shape != lead + shape:
-        raise ValueError(f"{name}: must have shape {shape}, or that behind others, has {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: must be finite, is {array.tolist()}")
-    if not lead:
+    array = _stacked(value, shape, name)
+    if array.ndim == len(shape):
         return np.array(convert(*array.tolist()))
     found = [convert(*each) for each in array.reshape(-1, *shape).tolist()]
-    return np.array(found, dtype=np.float64).reshape(lead + result)
+    return np.array(found, dtype=np.float64).reshape(array.shape[: -len(shape)] + result)
+
+
+def _stacked(value: ArrayLike, shape: Shape, name: str) -> Array:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape[-len(shape) :] != shape:
+        raise ValueError(f"{name}: must have shape {shape}, or that behind others, has {array.shape}")
+    return _finite(array, name)
 
 
 def _skew(v: Vector) -> Array:
@@ -266,10 +268,14 @@ def _upper_block(block: Array, corner: Array) -> Array:
     return result
 
 
-def _checked(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+def _checked(value: ArrayLike, shape: Shape, name: str) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(f"{name}: must have shape {shape}, has {array.shape}")
+    return _finite(array, name)
+
+
+def _finite(array: Array, name: str) -> Array:
     if not np.isfinite(array).all():
         raise ValueError(f"{name}: must be finite, is {array.tolist()}")
     return array

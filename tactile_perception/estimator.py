@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,19 +114,15 @@ class Estimator:
         EstimateError
             If the network's answer is not a Gaussian.
         """
-        started = time.perf_counter()
-        prepared = self.preprocessor(image)
-        return self._estimate(prepared, time.perf_counter() - started)
+        return self._estimate(image, self.preprocessor)
 
     def estimate_processed(self, crop: Image) -> PoseGaussian:
         """The same for an image that is already cropped and thresholded (`processed_images/`)."""
-        started = time.perf_counter()
-        prepared = self.preprocessor.from_processed(crop)
-        return self._estimate(prepared, time.perf_counter() - started)
+        return self._estimate(crop, self.preprocessor.from_processed)
 
     def estimate_prepared(self, prepared: NDArray[np.float32]) -> PoseGaussian:
         """The same for the preprocessor's output (1, 1, size, size), where that is needed elsewhere too."""
-        return self._estimate(prepared, 0.0)
+        return self._estimate(prepared, None)
 
     def predict(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
         """Many prepared images (N, 1, size, size) -> mean xi_sf (N, 6), calibrated covariance (N, 6, 6).
@@ -146,12 +143,17 @@ class Estimator:
         for _ in range(runs):
             self._one.run(self.preprocessor(black))
 
-    def _estimate(self, prepared: NDArray[np.float32], preprocess: float) -> PoseGaussian:
-        started = time.perf_counter()
-        mean, uncertainty = self._one.run(prepared)
+    def _estimate(
+        self, image: NDArray, prepare: Callable[[Image], NDArray[np.float32]] | None
+    ) -> PoseGaussian:
+        started = prepared = time.perf_counter()
+        if prepare is not None:
+            image = prepare(image)
+            prepared = time.perf_counter()
+        mean, uncertainty = self._one.run(image)
         inferred = time.perf_counter()
         gaussian = self._gaussian(mean, uncertainty)
-        self.times = StageTimes(preprocess, inferred - started, time.perf_counter() - inferred)
+        self.times = StageTimes(prepared - started, inferred - prepared, time.perf_counter() - inferred)
         return gaussian
 
     def _gaussian(self, mean: Array, uncertainty: Array) -> PoseGaussian:

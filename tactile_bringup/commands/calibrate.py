@@ -6,11 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from tactile_base.whole_file import check_file
-from tactile_base.yaml_file import name_and_value
-from tactile_bringup.commands.changes import add_set_option, needs_extra, refuse
+from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
 
 MODEL_NAME = "model.onnx"
 
@@ -31,20 +28,15 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run_calibrate)
 
 
+@refusing("calibrate")
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """`tactile calibrate`: returns the exit status."""
-    console = Console(stderr=True)
-    try:
-        from tactile_perception.training.recalibration import recalibrate
-    except ModuleNotFoundError as error:
-        return needs_extra(console, "calibrate", error)
+    from tactile_perception.training.recalibration import recalibrate
+
     model = arguments.model / MODEL_NAME if arguments.model.is_dir() else arguments.model
-    try:
-        check_file(arguments.out)
-        changes = dict(name_and_value(change, "sigma_knots=3") for change in arguments.changes)
-        calibration, own_session = recalibrate(model, arguments.data, arguments.out, changes)
-    except (ValueError, OSError) as error:
-        return refuse(console, "calibrate", error)
+    check_file(arguments.out)
+    changes = changed_settings(arguments.changes, "sigma_knots=3")
+    calibration, own_session = recalibrate(model, arguments.data, arguments.out, changes)
     source = "held back in training, for other sessions" if own_session else "of this session, for it"
     print(
         f"{arguments.out}: calibrated on {calibration.samples} samples {source}; "

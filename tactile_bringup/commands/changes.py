@@ -1,19 +1,29 @@
-"""What commands have in common: settings changed by NAME=VALUE, and how they refuse."""
+"""What commands have in common: settings changed by NAME=VALUE, numbers, and how they refuse."""
 
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+import functools
+from collections.abc import Callable
+from typing import Any
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich.console import Console
 
+from tactile_base.console import say
+from tactile_base.yaml_file import name_and_value
+
+Run = Callable[[argparse.Namespace], int]
 EXTRA = ("torch", "onnx")  # libraries of the extra `train`
 
 
 def add_set_option(parser: Any, doc: str, metavar: str = "NAME=VALUE") -> None:
     """Add `--set`, which may be given again and again; its texts become `changes`."""
     parser.add_argument("--set", action="append", default=[], metavar=metavar, dest="changes", help=doc)
+
+
+def changed_settings(changes: list[str], example: str) -> dict[str, Any]:
+    """Names and values of the texts of `--set`; `SettingError` shows the example."""
+    return dict(name_and_value(change, example) for change in changes)
 
 
 def positive_int(text: str) -> int:
@@ -36,19 +46,32 @@ def _whole(text: str, least: int) -> int:
     return value
 
 
-def refuse(console: Console, command: str, error: Exception) -> int:
-    """Print what was wrong with a command; returns the exit status of that."""
-    text = str(error)
-    if isinstance(error, OSError) and error.filename is not None:  # the system's: without its number
-        text = f"{error.filename}: {error.strerror}"
-    console.print(f"tactile {command}: {text}", markup=False, style="red", soft_wrap=True)
-    return 1
+def refusing(command: str, *others: type[Exception], status: int = 1) -> Callable[[Run], Run]:
+    """Decorator of what runs a command: wrong input becomes a message and the exit status of that.
 
+    Wrong input is a `ValueError`, an `OSError` or one of `others`. Where a library of the extra `train` is
+    not installed, the message says how to install it, and the status is 2.
+    """
+    wrong: tuple[type[Exception], ...] = (ValueError, OSError, *others)
 
-def needs_extra(console: Console, command: str, error: ModuleNotFoundError) -> int:
-    """Print how to install what a command of the extra `train` lacks; returns the exit status of that."""
-    if error.name not in EXTRA:
-        raise error
-    text = f"tactile {command} needs {error.name}: pip install 'tactile_servoing[train]'"
-    console.print(text, markup=False, soft_wrap=True)
-    return 2
+    def decorate(run: Run) -> Run:
+        @functools.wraps(run)
+        def refused(arguments: argparse.Namespace) -> int:
+            console = Console(stderr=True)
+            try:
+                return run(arguments)
+            except ModuleNotFoundError as error:
+                if error.name not in EXTRA:
+                    raise
+                say(console, f"tactile {command} needs {error.name}: pip install 'tactile_servoing[train]'")
+                return 2
+            except wrong as error:
+                text = str(error)
+                if isinstance(error, OSError) and error.filename is not None:  # without the system's number
+                    text = f"{error.filename}: {error.strerror}"
+                say(console, f"tactile {command}: {text}", "red")
+                return status
+
+        return refused
+
+    return decorate

@@ -5,13 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
+from tactile_base.console import number_table, say
+from tactile_base.progress import Progress
+from tactile_base.whole_file import check_folder
+from tactile_bringup.commands.changes import refusing
+from tactile_perception.estimating.labels import EULER_TITLES
+
+if TYPE_CHECKING:
     from tactile_perception.datasets.check import CheckResult
 
 EXIT_CODES = """exit codes: 0 nothing wrong was found (warnings are no error, but see --strict);
@@ -39,57 +46,45 @@ def register(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
+@refusing("data check", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """`tactile data check`: returns the exit status."""
-    from rich.console import Console
-
-    from tactile_base.progress import Progress
-    from tactile_base.whole_file import check_folder
     from tactile_perception.datasets.check import check
     from tactile_perception.datasets.dataset import open_folder
     from tactile_perception.markers.flow import FlowSettings
 
     console = Console()
-    try:
-        if arguments.out is not None:
-            check_folder(arguments.out)
-        folder = open_folder(arguments.folder)
-        settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
-        with Progress() as progress:
-            result = check(folder, settings, progress.update)
-        if arguments.out is not None:
-            _write(result, arguments.out)
-    except (ValueError, OSError) as error:
-        print(f"tactile data check: {error}", file=sys.stderr)
-        return 2
+    if arguments.out is not None:
+        check_folder(arguments.out)
+    folder = open_folder(arguments.folder)
+    settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
+    with Progress() as progress:
+        result = check(folder, settings, progress.update)
+    if arguments.out is not None:
+        _write(result, arguments.out)
     show(result, console)
     if arguments.out is not None:
-        console.print(f"pictures and check.json: {arguments.out}", highlight=False, soft_wrap=True)
+        say(console, f"pictures and check.json: {arguments.out}")
     if arguments.write_conventions:
-        console.print(write_conventions(result), highlight=False, soft_wrap=True)
+        say(console, write_conventions(result))
     bad = ("error", "warning") if arguments.strict else ("error",)
     return int(result.worst in bad)
 
 
 def show(result: CheckResult, console: Console) -> None:
     """Ranges and findings as tables."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_UNITS
-
-    ranges = Table(title=f"{result.folder.folder}: {len(result.folder)} samples", title_justify="left")
-    for name in ("component", "least", "largest", "mean", "deviation"):
-        ranges.add_column(name, justify="left" if name == "component" else "right")
-    for name, unit, row in zip(EULER_COMPONENTS, EULER_UNITS, result.statistics.ranges, strict=True):
-        ranges.add_row(f"{name} ({unit})", *(f"{value:.3f}" for value in row))
+    title = f"{result.folder.folder}: {len(result.folder)} samples"
+    columns = ("component", "least", "largest", "mean", "deviation")
+    ranges = number_table(title, columns, title_justify="left")
+    for name, row in zip(EULER_TITLES, result.statistics.ranges, strict=True):
+        ranges.add_row(name, *(f"{value:.3f}" for value in row))
     console.print(ranges)
     table = Table(show_header=False, box=None, pad_edge=False)
     for finding in result.findings:
         table.add_row(Text(finding.level, STYLES[finding.level]), finding.topic, Text(finding.text))
     console.print(table)
     counts = {level: sum(f.level == level for f in result.findings) for level in STYLES}
-    console.print(", ".join(f"{count} {level}" for level, count in counts.items()), highlight=False)
+    say(console, ", ".join(f"{count} {level}" for level, count in counts.items()))
 
 
 def write_conventions(result: CheckResult) -> str:

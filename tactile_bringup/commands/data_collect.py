@@ -121,7 +121,8 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         With what is wrong and what would be right.
     """
     from tactile_base.whole_file import check_folder
-    from tactile_bringup.graph import GraphOptions, build_collection_graph
+    from tactile_bringup.commands.launch import graph_options
+    from tactile_bringup.graph import build_collection_graph
     from tactile_control.collection import TASK, CollectionGoal
     from tactile_control.task_file import NamedGoal
     from tactile_drivers.sampling import VALIDATION_START
@@ -157,14 +158,10 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         missing = len(set(range(1, arguments.samples + 1)) - writer.done)
     for group, settings in groups.items():
         collector |= {f"{group}.{name}": value for name, value in dataclasses.asdict(settings).items()}
-    options = GraphOptions(
-        rate=arguments.rate,
-        seed=arguments.seed,
-        record=arguments.record.absolute() if arguments.record else None,
-        record_images=arguments.record_images,
-    )
     named = NamedGoal(f"{missing} samples", goal)
-    graph = build_collection_graph(TASK, scene, arm.name, named, collector, options)
+    graph = build_collection_graph(
+        TASK, scene, arm.name, named, collector, graph_options(arguments, changes=())
+    )
     return Plan(graph, arguments.samples, missing)
 
 

@@ -6,23 +6,25 @@ import argparse
 import dataclasses
 import os
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from tactile_base.console import say
 from tactile_base.progress import Progress, duration
 from tactile_base.whole_file import check_folder
-from tactile_base.yaml_file import name_and_value, read_yaml
+from tactile_base.yaml_file import read_yaml
 from tactile_bringup.commands.changes import (
     add_set_option,
+    changed_settings,
     natural_int,
     positive_int,
-    refuse,
+    refusing,
 )
 from tactile_drivers.sampling import VALIDATION_START
-from tactile_drivers.sim.collection import CollectionSettings, Sample, generate
-from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
+from tactile_drivers.sim.collection import CollectionSettings, Sample, SensorFile, generate, load_sensor
 from tactile_perception.datasets.writer import DatasetWriter, write_processed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_records.collecting.parameters import check_same_run
@@ -61,6 +63,7 @@ def register(commands: Any) -> None:
     parser.set_defaults(run=run_generate)
 
 
+@refusing("data generate")
 def run_generate(arguments: argparse.Namespace) -> int:
     """`tactile data generate`: returns the exit status."""
     console = Console(stderr=True)
@@ -71,8 +74,6 @@ def run_generate(arguments: argparse.Namespace) -> int:
         for name, count, start in (("train", arguments.train, 0), ("val", arguments.val, VALIDATION_START)):
             if count > 0:
                 _generate_split(arguments, sensor, settings, name, count, start, console)
-    except (ValueError, OSError) as error:
-        return refuse(console, "data generate", error)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
         return 130
@@ -84,8 +85,7 @@ def _settings(arguments: argparse.Namespace, settings: CollectionSettings) -> Co
     if arguments.config:
         root = read_yaml(arguments.config)
         settings = root.checked(CollectionSettings, {**dataclasses.asdict(settings), **root.values})
-    changes = dict(name_and_value(change, "cap_angle=0.3") for change in arguments.changes)
-    return settings.replaced(**changes)
+    return settings.replaced(**changed_settings(arguments.changes, "cap_angle=0.3"))
 
 
 def _generate_split(
@@ -108,7 +108,7 @@ def _generate_split(
     started = time.monotonic()
     with DatasetWriter(folder, preprocessing) as writer:
         missing = sorted(set(range(1, count + 1)) - writer.done)
-        store = StoreSample(folder, preprocessing, start)
+        store = partial(store_sample, folder, Preprocessor(preprocessing), start)
         samples = generate(
             settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
             processes=arguments.processes, each=store, variation=sensor.variation,
@@ -118,17 +118,13 @@ def _generate_split(
                 writer.add_row(number, euler)
         path, there = writer.finish(), len(writer.done)
     took = duration(time.monotonic() - started)
-    console.print(f"{path}: {there} samples, {len(missing)} new in {took}", highlight=False, soft_wrap=True)
+    say(console, f"{path}: {there} samples, {len(missing)} new in {took}")
 
 
-class StoreSample:
-    """Pre-processes and stores a sample's image in the process that made it; gives its number and label."""
-
-    def __init__(self, folder: Path, preprocessing: PreprocessingSettings, start: int) -> None:
-        self.folder, self.start = folder, start
-        self._preprocessor = Preprocessor(preprocessing)
-
-    def __call__(self, sample: Sample) -> tuple[int, list[float]]:
-        number = sample.index - self.start + 1
-        write_processed(self.folder, number, self._preprocessor.binary(sample.image))
-        return number, sample.euler_mm_deg.tolist()
+def store_sample(
+    folder: Path, preprocessor: Preprocessor, start: int, sample: Sample
+) -> tuple[int, list[float]]:
+    """Pre-process and store a sample's image in the process that made it; gives its number and label."""
+    number = sample.index - start + 1
+    write_processed(folder, number, preprocessor.binary(sample.image))
+    return number, sample.euler_mm_deg.tolist()

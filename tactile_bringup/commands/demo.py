@@ -21,12 +21,8 @@ BAG, MARKER = "bag", "metadata.yaml"
 
 def register(subparsers: Any) -> None:
     """Add `demo`."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="follow a curved ramp in simulation, with pictures",
-        description=__doc__,
-        epilog=EXIT_CODES,
-    )
+    doc = "follow a curved ramp in simulation, with pictures"
+    parser = subparsers.add_parser("demo", help=doc, description=__doc__, epilog=EXIT_CODES)
     add_scene_options(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="(default: out/demo)"
@@ -46,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     bag = folder / BAG
     if not _make_room(bag):
         return 2
-    options = graph_options(arguments, record=bag, record_images=arguments.record_images)
+    options = graph_options(arguments, record=bag)
     outcome = launch(TASK, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-MESSAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
+PACKAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
 COMPILED = ("tactile_filter._fusion", "tactile_drivers.sim._contact", "tactile_perception._image")
 SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
 
@@ -31,9 +31,9 @@ def run(arguments: argparse.Namespace) -> int:
     for name, check in CHECKS.items():
         try:
             print(f"ok       {name}: {check()}")
-        except Missing as problem:
+        except (Missing, ImportError, LookupError, OSError, RuntimeError, ValueError) as problem:
             failed += 1
-            print(f"MISSING  {name}: {problem}")
+            print(f"MISSING  {name}: {'; '.join([str(problem), *HINTS.get(name, ())])}")
     print(f"{failed} of {len(CHECKS)} checks failed" if failed else "all is there")
     return 1 if failed else 0
 
@@ -45,62 +45,34 @@ def _python() -> str:
 
 
 def _ros() -> str:
-    try:
-        importlib.import_module("rclpy")
-    except ImportError as error:
-        raise Missing(f"{error}; source a ROS 2 install or scripts/env.sh (after `make`)") from error
     from tactile_bringup.launching.environment import middleware
 
     return f"{os.environ.get('ROS_DISTRO', 'unknown distribution')}, {middleware()}"
 
 
-def _messages() -> str:
-    absent = []
-    for package in MESSAGES:
-        try:
-            importlib.import_module(f"{package}.msg")
-        except ImportError:
-            absent.append(package)
-    if absent:
-        raise Missing(f"{', '.join(absent)}; build the workspace (make) and source it (scripts/env.sh)")
-    return ", ".join(MESSAGES)
+def _imported(*modules: str) -> str:
+    for module in modules:
+        importlib.import_module(module)
+    return ", ".join(modules)
 
 
 def _definitions() -> str:
-    from tactile_records.bags.message_definitions import DefinitionMissing, message_definition
+    from tactile_records.bags.message_definitions import message_definition
 
-    try:
-        message_definition("tactile_msgs/msg/ContactState")
-    except DefinitionMissing as error:
-        raise Missing(f"{error}; bags could not be recorded") from error
+    message_definition("tactile_msgs/msg/ContactState")
     return "of tactile_msgs, for bags"
-
-
-def _compiled() -> str:
-    for module in COMPILED:
-        try:
-            importlib.import_module(module)
-        except ImportError as error:
-            raise Missing(f"{error}; build with `make`") from error
-    return ", ".join(COMPILED)
 
 
 def _configuration() -> str:
     from tactile_base.config_paths import config_folder, config_names
 
-    try:
-        return f"{config_folder()}: scenes {', '.join(config_names('scenes'))}"
-    except FileNotFoundError as error:
-        raise Missing(str(error)) from error
+    return f"{config_folder()}: scenes {', '.join(config_names('scenes'))}"
 
 
 def _model() -> str:
-    from tactile_perception.estimator import Estimator, ModelError
+    from tactile_perception.estimator import Estimator
 
-    try:
-        return str(Estimator().path)
-    except ModelError as error:
-        raise Missing(str(error)) from error
+    return str(Estimator().path)
 
 
 def _shared_memory() -> str:
@@ -119,10 +91,7 @@ def _shared_memory() -> str:
 def _domain() -> str:
     from tactile_bringup.launching.environment import ros_environment
 
-    try:
-        environment = ros_environment(Path())
-    except (ValueError, RuntimeError) as error:
-        raise Missing(str(error)) from error
+    environment = ros_environment(Path())
     chosen = "would be chosen" if environment.domain_chosen else "as set"
     return f"{environment.domain_id} ({chosen}), discovery {environment.discovery_range}"
 
@@ -130,11 +99,18 @@ def _domain() -> str:
 CHECKS: dict[str, Callable[[], str]] = {
     "Python": _python,
     "ROS 2": _ros,
-    "messages": _messages,
+    "messages": lambda: _imported(*(f"{package}.msg" for package in PACKAGES)),
     "message definitions": _definitions,
-    "compiled modules": _compiled,
+    "compiled modules": lambda: _imported(*COMPILED),
     "configuration": _configuration,
     "model": _model,
     "shared memory": _shared_memory,
     "ROS domain": _domain,
+}
+#: What to do where a check fails, besides what the failure itself says.
+HINTS = {
+    "ROS 2": ["source a ROS 2 install or scripts/env.sh (after `make`)"],
+    "messages": ["build the workspace (make) and source it (scripts/env.sh)"],
+    "message definitions": ["bags could not be recorded"],
+    "compiled modules": ["build with `make`"],
 }

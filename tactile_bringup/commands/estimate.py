@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
+from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
-from tactile_bringup.commands.changes import natural_int, positive_int, refuse
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_bringup.commands.changes import natural_int, positive_int, refusing
+from tactile_perception.estimating.labels import NETWORK_TITLES
 
 
 def register(subparsers: Any) -> None:
@@ -46,49 +46,51 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run_estimate)
 
 
+@refusing("estimate")
 def run_estimate(arguments: argparse.Namespace) -> int:
     """`tactile estimate`: returns the exit status."""
+    from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimator import Estimator
 
     console = Console(stderr=True)
-    try:
-        if not arguments.motion_sigma >= 0.0:
-            raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
-        estimator = Estimator(arguments.model or "", arguments.threads)
-        check_folder(arguments.out)
-        if Path(arguments.source).is_dir():
-            table = _estimate_folder(arguments, estimator, console)
-        else:
-            table = _estimate_video(arguments, estimator, console)
-        _write_estimates(arguments, table)
-    except (ValueError, OSError) as error:
-        return refuse(console, "estimate", error)
+    if not arguments.motion_sigma >= 0.0:
+        raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
+    estimator = Estimator(arguments.model or "", arguments.threads)
+    check_folder(arguments.out)
+    if Path(arguments.source).is_dir():
+        frames, contact_filter, total = _from_folder(arguments, estimator, console)
+    else:
+        frames, contact_filter, total = _from_video(arguments)
+    with Progress(console) as progress:
+        update = partial(progress.update, "estimating", total=total, unit="images")
+        table = run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
+    _write_estimates(arguments, table)
     return 0
 
 
-def _estimate_folder(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+def _from_folder(
+    arguments: argparse.Namespace, estimator: Any, console: Console
+) -> tuple[Any, Any, int | None]:
+    """Images, filter (or None) and number of images of a data folder."""
     from tactile_perception.datasets.dataset import open_folder
-    from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import folder_frames, usable_order
     from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
     folder = open_folder(arguments.source, estimator.metadata.preprocessing)
     order = usable_order(folder, arguments.seed, arguments.limit)
-    console.print("\n".join(folder.report.lines()), markup=False, highlight=False, soft_wrap=True)
+    say(console, "\n".join(folder.report.lines()))
     frames = folder_frames(folder, order)
     contact_filter = None
     if not arguments.no_filter:
         frames = with_motion_noise(frames, arguments.motion_sigma, arguments.seed)
         contact_filter = motion_filter(arguments.motion_sigma)
-    with Progress(console) as progress:
-        update = partial(progress.update, "estimating", total=len(order), unit="images")
-        return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
+    return frames, contact_filter, len(order)
 
 
-def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Console) -> Any:
+def _from_video(arguments: argparse.Namespace) -> tuple[Any, Any, int | None]:
+    """The same of a video or a camera; how many images there are, only a limit says."""
     from tactile_filter.bayes_filter import ContactFilter
     from tactile_filter.filter_settings import load_filter_settings
-    from tactile_perception.estimating.run import run_estimates
     from tactile_perception.estimating.sources import SourceError, read_poses, video_frames
 
     source: str | int = arguments.source
@@ -99,9 +101,7 @@ def _estimate_video(arguments: argparse.Namespace, estimator: Any, console: Cons
     poses = read_poses(arguments.poses) if arguments.poses else None
     contact_filter = ContactFilter(load_filter_settings()) if poses and not arguments.no_filter else None
     frames = _until_interrupted(video_frames(source, poses, arguments.limit))
-    with Progress(console) as progress:
-        update = partial(progress.update, "estimating", total=arguments.limit, unit="images")
-        return run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
+    return frames, contact_filter, arguments.limit
 
 
 def _until_interrupted(frames: Any) -> Any:
@@ -131,24 +131,17 @@ def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
 
 def _print_estimate_summary(console: Console, table: Any) -> None:
     if table.failures:
-        console.print(
-            f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", markup=False, style="red"
-        )
+        say(console, f"no Gaussian from {len(table.failures)} images: {table.failures[0]}", "red")
     if len(table.stage_seconds):
         times = np.array(table.stage_seconds) * 1e3
         names = ("pre-processing", "network", "conversion", "total")
         stages = zip(names, [*times.T, times.sum(axis=1)], strict=True)
         text = "; ".join(f"{name} {np.median(t):.2f} / {np.percentile(t, 99):.2f}" for name, t in stages)
-        console.print(f"ms per image, p50 / p99: {text}", highlight=False)
+        say(console, f"ms per image, p50 / p99: {text}")
     if not table.has_labels:
         return
-    summary = Table(title=f"mean absolute error over {len(table)} images")
-    summary.add_column("component")
-    summary.add_column("network", justify="right")
-    columns = [table.mean_absolute_error(table.network)]
-    if table.has_filter:
-        summary.add_column("with filter", justify="right")
-        columns.append(table.mean_absolute_error(table.filtered))
-    for component, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
-        summary.add_row(f"{name} ({unit})", *(f"{column[component]:.4f}" for column in columns))
+    errors = {name: table.mean_absolute_error(series) for name, series in table.series.items()}
+    summary = number_table(f"mean absolute error over {len(table)} images", ["component", *errors])
+    for component, name in enumerate(NETWORK_TITLES):
+        summary.add_row(name, *(f"{column[component]:.4f}" for column in errors.values()))
     console.print(summary)

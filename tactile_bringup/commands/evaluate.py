@@ -10,14 +10,15 @@ from typing import Any
 
 from rich.console import Console
 
+from tactile_base.console import say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
-from tactile_base.yaml_file import name_and_value
 from tactile_bringup.commands.changes import (
     add_set_option,
+    changed_settings,
     natural_int,
     positive_int,
-    refuse,
+    refusing,
 )
 
 MODES = ("network", "filter")
@@ -80,20 +81,16 @@ def _register_filter(group: Any) -> None:
     add_set_option(group, "change a setting of the filter (the paper's, without a gate)")
 
 
+@refusing("evaluate")
 def run_evaluate(arguments: argparse.Namespace) -> int:
     """`tactile evaluate`: returns the exit status."""
     console = Console(stderr=True)
-    try:
-        if arguments.mode == "filter":
-            _run_filter(arguments, console)
-        else:
-            _run_network(arguments, console)
-    except (ValueError, OSError) as error:
-        return refuse(console, "evaluate", error)
+    run = _run_filter if arguments.mode == "filter" else _run_network
+    say(console, f"files: {run(arguments, console)}")
     return 0
 
 
-def _run_network(arguments: argparse.Namespace, console: Console) -> None:
+def _run_network(arguments: argparse.Namespace, console: Console) -> Path:
     from tactile_perception.evaluation.report import summary, write_files
 
     data, results, out = _predict(arguments, console)
@@ -106,10 +103,10 @@ def _run_network(arguments: argparse.Namespace, console: Console) -> None:
         print(json.dumps(summary(data, results), allow_nan=False))
     else:
         _print_tables(_wide_console(), results, arguments.paper)
-    console.print(f"files: {out}", highlight=False, soft_wrap=True)
+    return out
 
 
-def _run_filter(arguments: argparse.Namespace, console: Console) -> None:
+def _run_filter(arguments: argparse.Namespace, console: Console) -> Path:
     from tactile_perception.evaluation import filter_experiment
     from tactile_perception.evaluation.report import paper_tables
 
@@ -131,7 +128,7 @@ def _run_filter(arguments: argparse.Namespace, console: Console) -> None:
         goal = paper_tables().filter if arguments.paper else None
         for table in filter_experiment.filter_tables(found, goal):
             _wide_console().print(table)
-    console.print(f"files: {out}", highlight=False, soft_wrap=True)
+    return out
 
 
 def _experiment(arguments: argparse.Namespace) -> Any:
@@ -141,12 +138,11 @@ def _experiment(arguments: argparse.Namespace) -> Any:
     for sigma in arguments.sigma or ():
         if not sigma > 0.0:
             raise SettingError(f"--sigma {sigma:g}: must be positive, or inf")
-    changes = dict(name_and_value(change, "fusion_mode=exact") for change in arguments.changes)
     return Experiment(
         sigmas=tuple(arguments.sigma or SIGMAS),
         seeds=tuple(range(arguments.seed, arguments.seed + arguments.repeat)),
         estimated=arguments.estimate_noise,
-        settings=Experiment().settings.replaced(**changes),
+        settings=Experiment().settings.replaced(**changed_settings(arguments.changes, "fusion_mode=exact")),
     )
 
 
@@ -166,16 +162,15 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
         advance = partial(progress.advance, "predicting", total=total, unit="images")
         results = evaluate(data, models, arguments.ensemble, held_back, advance)
     for line in data.report.lines() + [f"note: {note}" for note in data.notes]:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(console, line)
     out.mkdir(parents=True, exist_ok=True)
     return data, results, out
 
 
 def _print_tables(console: Console, results: Any, paper: bool) -> None:
     from tactile_perception.evaluation import report
-    from tactile_perception.evaluation.report import paper_tables
 
-    console.print(report.accuracy_table(results, paper_tables() if paper else None))
+    console.print(report.accuracy_table(results, report.paper_tables() if paper else None))
     for name, members in report.groups(results).items():
         table = report.calibration_table(members, name)
         if table is not None:

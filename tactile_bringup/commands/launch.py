@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,21 +41,22 @@ def register(subparsers: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
     parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("out/runs"),
-        metavar="FOLDER",
-        help="where the run's folder with logs goes",
+        "--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes"
     )
     parser.set_defaults(run=run)
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """Options that every command which runs the graph has."""
+    parser.add_argument("--rate", type=float, metavar="HZ", help="exposures a second (default: the scene's)")
+    add_task_options(parser)
+
+
+def add_task_options(parser: argparse.ArgumentParser) -> None:
+    """Options that every command which runs a task has, with ROS or without."""
     parser.add_argument(
         "--scene", metavar="NAME", help="scene, or a scene file (default: the first that the task names)"
     )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="exposures a second (default: the scene's)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated cell (default: 0)")
     parser.add_argument(
         "--model", type=Path, metavar="FILE", help="of all estimators (default: each sensor's in the scene)"
@@ -68,19 +70,16 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 
 
 def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:
-    """What `add_scene_options` has let a user choose."""
+    """What a user has chosen by options that are called like the graph's."""
+    from dataclasses import fields
+
     from tactile_bringup.graph import GraphOptions
 
-    return GraphOptions(
-        rate=arguments.rate,
-        seed=arguments.seed,
-        model=_absolute(arguments.model),
-        filter=arguments.filter,
-        controller=arguments.controller,
-        changes=tuple(arguments.changes),
-        goals=tuple(arguments.goals),
-        **more,
-    )
+    names = {item.name for item in fields(GraphOptions)}
+    given: dict[str, Any] = {name: value for name, value in vars(arguments).items() if name in names}
+    for name in ("changes", "goals"):
+        given[name] = tuple(given.get(name, ()))
+    return GraphOptions(**given | more)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -89,21 +88,15 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.record_images and arguments.record is None:
         return _refuse("--record-images needs --record BAG")
-    options = graph_options(
-        arguments,
-        record=_absolute(arguments.record),
-        record_images=arguments.record_images,
-        marker_view=arguments.marker_view,
-        object_belief=arguments.object_belief is not None,
-        object_file=arguments.object_belief or "",
-    )
+    place = arguments.object_belief
+    options = graph_options(arguments, object_belief=place is not None, object_file=place or FOUND)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = Console()
     outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2
     if options.record is not None and options.record.exists():
-        console.print(f"bag: {options.record}", highlight=False, soft_wrap=True)
+        console.print(f"bag: {options.record.absolute()}", highlight=False, soft_wrap=True)
     return outcome.exit_code
 
 
@@ -137,12 +130,9 @@ def launch_graph(graph: Graph, folder: Path, console: Console, headless: bool) -
         outcome = Launcher(graph, folder.absolute(), display).run()
     if outcome.exit_code:
         console.print(f"[red]tactile launch: {escape(outcome.reason)}[/]", highlight=False, soft_wrap=True)
-    rest = {
-        True: "the arm rests",
-        False: "the arm did not report rest in time",
-        None: "the arm never reported",
-    }
-    console.print(f"stopped: {rest[outcome.at_rest]}; logs: {outcome.logs}", highlight=False, soft_wrap=True)
+    rests = {True: "rests", False: "did not report rest in time", None: "never reported"}
+    ended = f"stopped: the arm {rests[outcome.at_rest]}; logs: {outcome.logs}"
+    console.print(ended, highlight=False, soft_wrap=True)
     return outcome
 
 
@@ -156,12 +146,6 @@ def _check(options: GraphOptions) -> None:
         raise ValueError(f"--rate {options.rate:g}: must lie in [1, 240] Hz")
 
 
-def _absolute(path: Path | None) -> Path | None:
-    return None if path is None else path.absolute()
-
-
 def _refuse(message: str) -> int:
-    import sys
-
     print(f"tactile launch: {message}", file=sys.stderr)
     return 2

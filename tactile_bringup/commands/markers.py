@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_base.whole_file import check_file
-from tactile_bringup.commands.changes import refuse
+from tactile_bringup.commands.changes import refusing
 
 
 def register(subparsers: Any) -> None:
@@ -25,20 +25,9 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run_markers)
 
 
+@refusing("markers")
 def run_markers(arguments: argparse.Namespace) -> int:
     """`tactile markers`: returns the exit status."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    try:
-        for line in _markers(arguments):
-            print(line)
-    except (ValueError, OSError) as error:
-        return refuse(console, "markers", error)
-    return 0
-
-
-def _markers(arguments: argparse.Namespace) -> list[str]:
     import cv2
 
     from tactile_perception.markers.detection import density_change, detect
@@ -78,7 +67,8 @@ def _markers(arguments: argparse.Namespace) -> list[str]:
         arguments.csv.parent.mkdir(parents=True, exist_ok=True)
         arguments.csv.write_text("column_px,row_px,area_px2,merged\n" + text)
         lines.append(f"table: {arguments.csv}")
-    return lines
+    print("\n".join(lines))
+    return 0
 
 
 def _read(path: Path) -> Any:

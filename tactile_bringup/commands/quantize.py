@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
+from tactile_base.console import number_table
 from tactile_base.whole_file import check_file, whole_file
-from tactile_base.yaml_file import name_and_value
-from tactile_bringup.commands.changes import add_set_option, needs_extra, refuse
+from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.model_metadata import RUN_MODELS
 
@@ -44,30 +43,23 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run_quantize)
 
 
+@refusing("quantize")
 def run_quantize(arguments: argparse.Namespace) -> int:
     """`tactile quantize`: returns the exit status."""
-    console = Console(stderr=True)
-    try:
-        from tactile_perception.training.quantization import QuantizationSettings, quantize
-    except ModuleNotFoundError as error:
-        return needs_extra(console, "quantize", error)
+    from tactile_perception.training.quantization import QuantizationSettings, quantize
 
-    try:
-        changes = dict(name_and_value(change, "images=300") for change in arguments.changes)
-        settings = QuantizationSettings().replaced(**changes)
-        source, out = _paths(arguments.model, arguments.out)
-        validation = _validation(arguments.data, arguments.val)
-        for path in (out, *filter(None, [arguments.install])):
-            check_file(path)
-        images = training_images(arguments.data, source, settings.images)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        quantize(source, images, out, settings)
-        print(f"model: {out}")
-        _compare(Console(), [source, out], validation)
-        if arguments.install:
-            install(out, arguments.install)
-    except (ValueError, OSError) as error:
-        return refuse(console, "quantize", error)
+    settings = QuantizationSettings().replaced(**changed_settings(arguments.changes, "images=300"))
+    source, out = _paths(arguments.model, arguments.out)
+    validation = _validation(arguments.data, arguments.val)
+    for path in (out, *filter(None, [arguments.install])):
+        check_file(path)
+    images = training_images(arguments.data, source, settings.images)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    quantize(source, images, out, settings)
+    print(f"model: {out}")
+    _compare([source, out], validation)
+    if arguments.install:
+        install(out, arguments.install)
     return 0
 
 
@@ -78,7 +70,7 @@ def quantize_run(run: Path, data: Path, validation: Path | None = None) -> Path:
     source, out = _paths(run, None)
     quantize(source, training_images(data, source, QuantizationSettings().images), out)
     print(f"quantized model: {out}")
-    _compare(Console(), [source, out], _validation(data, validation))
+    _compare([source, out], _validation(data, validation))
     return out
 
 
@@ -112,13 +104,13 @@ def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
 
     Fewer where the folder has fewer or some of these cannot be read.
     """
-    from tactile_perception.datasets.dataset import DatasetError, open_folder
+    from tactile_perception.datasets.dataset import DatasetError, open_folder, training_part
     from tactile_perception.estimating.image import ImageError
     from tactile_perception.estimating.preprocessing import Preprocessor
     from tactile_perception.estimator import Estimator
 
     preprocessing = Estimator(model).metadata.preprocessing
-    folder = folder / "train" if (folder / "train").is_dir() else folder
+    folder = training_part(folder)
     data, preprocessor = open_folder(folder, preprocessing), Preprocessor(preprocessing)
     found = []
     for index in np.unique(np.linspace(0, len(data) - 1, count).round().astype(int)):
@@ -131,7 +123,7 @@ def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
     return np.array(found)
 
 
-def _compare(console: Console, paths: Sequence[Path], validation: Path | None) -> None:
+def _compare(paths: Sequence[Path], validation: Path | None) -> None:
     from tactile_perception.evaluation.evaluate import evaluate, load_data
     from tactile_perception.evaluation.models import open_models
 
@@ -140,19 +132,17 @@ def _compare(console: Console, paths: Sequence[Path], validation: Path | None) -
     columns = [
         [f"{model.estimator.path.stat().st_size / 1e6:.2f} MB", _milliseconds(model)] for model in models
     ]
-    table = Table(title="on one core")
+    title = "on one core"
     if validation is not None:
-        table.title = f"on one core; mean absolute error on {validation}"
+        title += f"; mean absolute error on {validation}"
         for column, result in zip(columns, evaluate(load_data(validation, models), models), strict=True):
             mae = zip(result.accuracy.mae, NETWORK_UNITS, strict=True)
             column += [f"{value:.4f} {unit}" for value, unit in mae]
         names += COMPONENTS
-    table.add_column("")
-    for path in paths:
-        table.add_column(path.name, justify="right")
+    table = number_table(title, ["", *(path.name for path in paths)])
     for row in zip(names, *columns, strict=True):
         table.add_row(*row)
-    console.print(table)
+    Console().print(table)
 
 
 def _milliseconds(model: Any) -> str:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
+import shutil
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich import box
+from rich.console import Console
 
+from tactile_base.config_paths import named_file
+from tactile_base.console import number_table, say
+from tactile_bringup.commands.changes import add_set_option, refusing
+
+if TYPE_CHECKING:
     from tactile_records.replay.inputs import Inputs
     from tactile_records.replay.report import RunResult
     from tactile_records.replay.sweep import Plan
@@ -32,9 +37,7 @@ def register(subparsers: Any) -> None:
         epilog="Exit codes: 0 done, 1 with --check where beliefs are not the recorded ones, 2 nothing done.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a bag, or one of its files")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting of the filter"
-    )
+    add_set_option(parser, "change a setting of the filter")
     parser.add_argument(
         "--sweep", action="append", default=[], metavar="NAME=A,B,C", help="one run for each value; more "
         "than once: for each combination",
@@ -73,30 +76,17 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run)
 
 
+@refusing("replay", status=EXIT_USAGE)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from tactile_base.settings import SettingError
-    from tactile_records.bags.contents import BagError
-    from tactile_records.bags.message_definitions import DefinitionMissing
-    from tactile_records.replay.topics import ReplayError
-
-    try:
-        return _replay(arguments)
-    except (BagError, ReplayError, SettingError, DefinitionMissing, OSError) as error:
-        print(f"tactile replay: {error}", file=sys.stderr)
-        return EXIT_USAGE
-
-
-def _replay(arguments: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from tactile_records.replay.sweep import base_settings, make_plans, run_plans
 
     folder = arguments.out or Path("out") / "replay" / arguments.bag.resolve().stem
     started, busy = time.perf_counter(), _processor_time()
     inputs = _inputs(arguments)
-    base = base_settings(inputs, _profile(arguments.profile))
-    plans = make_plans(base, arguments.set, arguments.sweep, folder, arguments.profile is not None)
+    profile = None if arguments.profile is None else named_file("filter", arguments.profile)
+    base = base_settings(inputs, profile)
+    plans = make_plans(base, arguments.changes, arguments.sweep, folder, profile is not None)
     _make_room(folder, plans)
     results = run_plans(plans, inputs, _options(arguments, inputs), arguments.jobs)
     seconds, busy = time.perf_counter() - started, _processor_time() - busy
@@ -107,7 +97,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     speed = inputs.span_s * len(plans) / seconds if seconds else 0.0
     runs = f"{len(plans)} run{'s' * (len(plans) > 1)}"
     times = f"{inputs.span_s:.1f} s recorded, {runs} in {seconds:.2f} s ({busy:.2f} s of processor time)"
-    console.print(f"{times}: {speed:.0f} times real time", highlight=False, soft_wrap=True)
+    say(console, f"{times}: {speed:.0f} times real time")
     return EXIT_OK if agree or not arguments.check else EXIT_DIFFERS
 
 
@@ -133,12 +123,6 @@ def _inputs(arguments: argparse.Namespace) -> Inputs:
     return inputs
 
 
-def _profile(name: str | None) -> Path | None:
-    from tactile_base.config_paths import named_file
-
-    return None if name is None else named_file("filter", name)
-
-
 def _options(arguments: argparse.Namespace, inputs: Inputs) -> Any:
     from tactile_records.bags.reader import read_bag
     from tactile_records.replay.sweep import Options
@@ -154,8 +138,6 @@ def _options(arguments: argparse.Namespace, inputs: Inputs) -> Any:
 
 def _make_room(folder: Path, plans: list[Plan]) -> None:
     """Remove bags of former replays that are in the way, and only those."""
-    import shutil
-
     from tactile_records.bags.contents import BagError
     from tactile_records.bags.reader import Bag, read_bag
 
@@ -183,7 +165,7 @@ def _deliver(
     from tactile_records.replay.report import numbers, write_report
 
     for remark in inputs.remarks:
-        console.print(f"note: {remark}", style="yellow", highlight=False, soft_wrap=True)
+        _note(console, remark)
     report: dict[str, Any] = {"bag": str(inputs.bag.folder), "remarks": inputs.remarks, "arms": {}}
     agree, paths = True, []
     for arm in inputs.arms:
@@ -191,13 +173,12 @@ def _deliver(
         values = {result.name: numbers(result, arm.truth) for result in mine}
         report["arms"][arm.name] = {"remarks": arm.remarks, "runs": values}
         for remark in arm.remarks:
-            console.print(f"note: {arm.name}: {remark}", style="yellow", highlight=False, soft_wrap=True)
+            _note(console, f"{arm.name}: {remark}")
         if arm.changes:
             text = f"{len(arm.changes)} changes of the filter's settings while it ran are followed"
-            console.print(f"{arm.name}: {text}", highlight=False, soft_wrap=True)
+            say(console, f"{arm.name}: {text}")
         if arm.resets:
-            text = f"{len(arm.resets)} resets by its service are followed"
-            console.print(f"{arm.name}: {text}", highlight=False, soft_wrap=True)
+            say(console, f"{arm.name}: {len(arm.resets)} resets by its service are followed")
         _print_table(console, arm.name, mine, values)
         agree &= _tell_agreement(console, inputs, arm, plans, mine)
         if not arguments.no_plot:
@@ -207,21 +188,21 @@ def _deliver(
             compare(arm, mine, f"{inputs.bag.folder.name}, {arm.name}", paths[-1])
     write_report(folder / REPORT, report)
     for path in (folder / REPORT, *paths, *(plan.bag for plan in plans)):
-        console.print(str(path), highlight=False, soft_wrap=True)
+        say(console, str(path))
     return agree
 
 
-def _print_table(console: Console, arm: str, results: list[RunResult], values: dict[str, Any]) -> None:
-    from rich import box
-    from rich.table import Table
+def _note(console: Console, text: str) -> None:
+    say(console, f"note: {text}", "yellow")
 
+
+def _print_table(console: Console, arm: str, results: list[RunResult], values: dict[str, Any]) -> None:
     from tactile_records.replay.report import TABLE, table_row
 
     title = f"{arm}: RMS errors against the truth (mm, deg), consistency, agreement with what was live"
-    table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
-    for name in TABLE:
-        first = name == TABLE[0]
-        table.add_column(name, justify="left" if first else "right", no_wrap=True)
+    table = number_table(title, TABLE, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
+    for column in table.columns:
+        column.no_wrap = True
     for result in results:
         table.add_row(*table_row(result, values[result.name]))
     console.print(table)
@@ -243,23 +224,14 @@ def _tell_agreement(
         if found.identical < found.common:
             agree = False
             text = f"{found.common - found.identical} of {found.common} beliefs differ from the live ones"
-            console.print(
-                f"note: {arm.name}: {text}, first in {found.first_difference}",
-                style="yellow",
-                highlight=False,
-            )
+            _note(console, f"{arm.name}: {text}, first in {found.first_difference}")
         else:
-            console.print(
-                f"{arm.name}: all {found.common} beliefs are those of the live filter, to the bit",
-                highlight=False,
-            )
+            say(console, f"{arm.name}: all {found.common} beliefs are those of the live filter, to the bit")
         if found.only_live:
             text = f"what {found.only_live} live beliefs were made from is not in the bag"
             text += f": {found.after_gap} after them cannot be compared" if found.after_gap else ""
-            console.print(f"note: {arm.name}: {text}", style="yellow", highlight=False, soft_wrap=True)
+            _note(console, f"{arm.name}: {text}")
         if result.left_out:
             text = f"{result.left_out} events were not taken, as the live filter did not take them either"
-            console.print(
-                f"note: {arm.name}: {text} (--all-events takes them)", style="yellow", highlight=False
-            )
+            _note(console, f"{arm.name}: {text} (--all-events takes them)")
     return agree

@@ -32,27 +32,25 @@ def run(arguments: argparse.Namespace) -> int:
 
     from tactile_base.settings import SettingError
     from tactile_bringup.graph import GraphOptions, load_graph
-    from tactile_bringup.launching.launcher import EXIT_USAGE
     from tactile_bringup.launching.progress import Display
 
     try:
         graph = load_graph(arguments.task, arguments.scene, GraphOptions(goals=tuple(arguments.goals)))
     except (SettingError, ValueError, OSError) as error:
         print(f"tactile run: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        return 2
     console = Console()
     with Display(console, console.is_terminal and not arguments.headless) as display:
         return _run(graph, display)
 
 
 def _run(graph: Graph, display: Display) -> int:
-    from tactile_bringup.launching import launcher
     from tactile_bringup.launching.task_client import TaskClient
     from tactile_bringup.launching.task_runner import (
-        GoalFailed,
         Interrupted,
         NotReady,
         TaskRunner,
+        Unfinished,
         signals_into,
     )
 
@@ -63,16 +61,14 @@ def _run(graph: Graph, display: Display) -> int:
         try:
             runner.wait_until_active()
             runner.run()
-        except NotReady as late:
-            display.say(f"tactile run: {late}; nodes started elsewhere need the same ROS_DOMAIN_ID", "red")
-            return launcher.EXIT_NOT_READY
-        except GoalFailed as failure:
-            display.say(f"tactile run: {failure}", "red")
-            return launcher.EXIT_TASK_FAILED
-        except Interrupted as interrupt:
-            display.say(f"{interrupt}: bringing the arm to rest (again to hurry)", "yellow")
-            return launcher.EXIT_SIGNAL + interrupt.number
+        except Unfinished as end:
+            if isinstance(end, Interrupted):
+                display.say(f"{end}: bringing the arm to rest (again to hurry)", "yellow")
+            else:
+                hint = "; nodes started elsewhere need the same ROS_DOMAIN_ID"
+                display.say(f"tactile run: {end}{hint if isinstance(end, NotReady) else ''}", "red")
+            return end.exit_code
         finally:
             runner.bring_to_rest()
             client.close()
-    return launcher.EXIT_OK
+    return 0

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
-from tactile_base.whole_file import check_file
-from tactile_bringup.commands.changes import add_set_option, needs_extra, positive_int, refuse
+from tactile_base.console import number_table, say
+from tactile_base.whole_file import check_file, write_csv
+from tactile_bringup.commands.changes import add_set_option, positive_int, refusing
 from tactile_bringup.commands.quantize import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS, errors_in_words
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS, errors_in_words
 from tactile_perception.training.config import profile
 
 
@@ -77,19 +76,10 @@ def _register_ensemble(subparsers: Any) -> None:
     parser.set_defaults(run=run_ensemble)
 
 
+@refusing("train", FloatingPointError)
 def run_train(arguments: argparse.Namespace) -> int:
     """`tactile train`: returns the exit status."""
-    console = Console(stderr=True)
-    try:
-        from tactile_perception.training.jobs import JobError
-    except ModuleNotFoundError as error:
-        return needs_extra(console, "train", error)
-    try:
-        if arguments.repeat is None:
-            return _train_one(arguments)
-        return _train_many(arguments, console)
-    except (ValueError, OSError, FloatingPointError, JobError) as error:
-        return refuse(console, "train", error)
+    return _train_one(arguments) if arguments.repeat is None else _train_many(arguments)
 
 
 def _config(arguments: argparse.Namespace) -> Any:
@@ -117,7 +107,7 @@ def _train_one(arguments: argparse.Namespace) -> int:
     if not _only_quantization_left(arguments, config):
         with TrainingDisplay() as progress:
             train(arguments.data, arguments.out, config, arguments.val, arguments.limit, progress)
-    _print_result(Console(), arguments.out)
+    _print_result(arguments.out)
     model = arguments.out / MODEL_NAME
     if _quantized(arguments):
         model = quantize_run(arguments.out, arguments.data, arguments.val)
@@ -142,26 +132,23 @@ def _only_quantization_left(arguments: argparse.Namespace, config: Any) -> bool:
     return True
 
 
-def _print_result(console: Console, out: Path) -> None:
+def _print_result(out: Path) -> None:
     from tactile_perception.training.run_folder import RunFolder
 
-    result = RunFolder(out).result()
-    table = Table(
-        title=f"epoch {result['best_epoch']} of {result['epochs']}: "
-        f"{result['loss']} {result['validation_loss']:.3f}"
-    )
-    table.add_column("component")
-    table.add_column("MAE", justify="right")
+    console, result = Console(), RunFolder(out).result()
+    loss = f"{result['loss']} {result['validation_loss']:.3f}"
+    table = number_table(f"epoch {result['best_epoch']} of {result['epochs']}: {loss}", ["component", "MAE"])
     for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True):
         table.add_row(name, f"{result['mae'][name]:.4f} {unit}")
     console.print(table)
-    console.print(f"{result['minutes']:.1f} min; stopped: {result['stopped']}", highlight=False)
-    console.print(f"run: {out} (model: {out / MODEL_NAME})", highlight=False, soft_wrap=True)
+    say(console, f"{result['minutes']:.1f} min; stopped: {result['stopped']}")
+    say(console, f"run: {out} (model: {out / MODEL_NAME})")
 
 
-def _train_many(arguments: argparse.Namespace, console: Console) -> int:
+def _train_many(arguments: argparse.Namespace) -> int:
     from tactile_perception.training import jobs
 
+    console = Console(stderr=True)
     if arguments.install:
         raise ValueError("--install takes the model of one run: leave out --repeat")
     runs = jobs.seed_jobs(
@@ -169,18 +156,15 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
     )
     waiting = jobs.unfinished(runs)
     if len(waiting) < len(runs):
-        console.print(f"{len(runs) - len(waiting)} of {len(runs)} runs are already there", highlight=False)
+        say(console, f"{len(runs) - len(waiting)} of {len(runs)} runs are already there")
     errors: list[str] = []
 
     def report(job: jobs.Job, error: str) -> None:
-        errors.extend([error] if error else [])
-        console.print(
-            f"{job.name}: {error}" if error else _line(job.name, job.folder.result()),
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-            style="red" if error else None,
-        )
+        if error:
+            errors.append(error)
+            say(console, f"{job.name}: {error}", "red")
+        else:
+            say(console, _line(job.name, job.folder.result()))
 
     if arguments.scheduler:
         jobs.run_cluster(waiting, arguments.scheduler, report)
@@ -189,7 +173,7 @@ def _train_many(arguments: argparse.Namespace, console: Console) -> int:
     else:
         for job in waiting:
             report(job, _train_here(job, console))
-    _print_repeat(Console(), arguments.out, runs)
+    _print_repeat(arguments.out, runs)
     if _quantized(arguments):
         for job in runs:
             if job.folder.finished and not job.folder.file(QUANTIZED_NAME).exists():
@@ -202,7 +186,7 @@ def _train_here(job: Any, console: Console) -> str:
     from tactile_perception.training.progress import TrainingDisplay
     from tactile_perception.training.train import train
 
-    console.print(f"{job.name}", highlight=False)
+    say(console, job.name)
     try:
         with TrainingDisplay() as progress:
             train(job.data, job.out, job.config, job.validation, job.limit, progress)
@@ -216,7 +200,7 @@ def _line(name: str, result: dict[str, Any]) -> str:
     return f"{name}: {result['loss']} {result['validation_loss']:.3f}  MAE {mae}  {result['minutes']:.1f} min"
 
 
-def _print_repeat(console: Console, out: Path, runs: Sequence[Any]) -> None:
+def _print_repeat(out: Path, runs: Sequence[Any]) -> None:
     """Means and deviations over the finished runs, as in the paper's table, and `repeat.csv` with each."""
     results = {job.name: job.folder.result() for job in runs if job.folder.finished}
     if not results:
@@ -226,33 +210,25 @@ def _print_repeat(console: Console, out: Path, runs: Sequence[Any]) -> None:
         for name, result in results.items()
     }
     loss = next(iter(results.values()))["loss"]
-    units = [f"MAE {name} ({unit})" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
-    with (out / "repeat.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["run", loss, *units])
-        writer.writerows([name, *values] for name, values in rows.items())
+    units = [f"MAE {name}" for name in NETWORK_TITLES]
+    write_csv(out / "repeat.csv", ["run", loss, *units], ([name, *row] for name, row in rows.items()))
     values = np.array(list(rows.values()))
     deviation = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(values.shape[1], np.nan)
-    table = Table(title=f"{len(values)} of {len(runs)} networks, on validation data")
-    for column in ("", "mean", "deviation", "best"):
-        table.add_column(column, justify="left" if not column else "right")
+    title = f"{len(values)} of {len(runs)} networks, on validation data"
+    table = number_table(title, ["", "mean", "deviation", "best"])
     for name, column, spread in zip([loss, *units], values.T, deviation, strict=True):
         table.add_row(name, f"{column.mean():.4f}", f"{spread:.4f}", f"{column.min():.4f}")
+    console = Console()
     console.print(table)
-    console.print(f"table: {out / 'repeat.csv'}", highlight=False, soft_wrap=True)
+    say(console, f"table: {out / 'repeat.csv'}")
 
 
+@refusing("ensemble")
 def run_ensemble(arguments: argparse.Namespace) -> int:
     """`tactile ensemble`: returns the exit status."""
-    console = Console(stderr=True)
-    try:
-        from tactile_perception.training.ensemble import write_ensemble
-    except ModuleNotFoundError as error:
-        return needs_extra(console, "ensemble", error)
-    try:
-        check_file(arguments.out)
-        path = write_ensemble(arguments.runs, arguments.out, arguments.data)
-    except (ValueError, OSError) as error:
-        return refuse(console, "ensemble", error)
+    from tactile_perception.training.ensemble import write_ensemble
+
+    check_file(arguments.out)
+    path = write_ensemble(arguments.runs, arguments.out, arguments.data)
     print(f"model: {path} ({len(arguments.runs)} networks, {path.stat().st_size / 1e6:.1f} MB)")
     return 0

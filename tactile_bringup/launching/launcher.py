@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING
 
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
 from tactile_bringup.launching import shared_memory
-from tactile_bringup.launching.environment import RosEnvironment, ros_environment
+from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup
 from tactile_bringup.launching.progress import Display
-from tactile_bringup.launching.task_runner import GoalFailed, Interrupted, NotReady, TaskRunner, signals_into
+from tactile_bringup.launching.task_runner import Interrupted, TaskRunner, Unfinished, signals_into
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import GoalResult
 
-EXIT_OK, EXIT_TASK_FAILED, EXIT_USAGE, EXIT_NODE_DIED, EXIT_NOT_READY = 0, 1, 2, 3, 4
-EXIT_SIGNAL = 128  # plus the signal's number
+EXIT_NODE_DIED = 3
 
 
 @dataclass
@@ -79,7 +78,7 @@ class Launcher:
 
     def run(self) -> Outcome:
         """Start, run the goals, stop. Never raises for what happens to nodes or task."""
-        outcome = Outcome(EXIT_OK, "", self.logs)
+        outcome = Outcome(0, "", self.logs)
         shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
         started_ns = time.time_ns()
         with signals_into(self._signals), ProcessGroup() as group:
@@ -87,13 +86,10 @@ class Launcher:
                 self._run_task(group)
             except ProcessDied as death:
                 outcome.exit_code, outcome.reason = EXIT_NODE_DIED, f"node {death}"
-            except NotReady as late:
-                outcome.exit_code, outcome.reason = EXIT_NOT_READY, f"{late}; logs: {self.logs}"
-            except GoalFailed as failure:
-                outcome.exit_code, outcome.reason = EXIT_TASK_FAILED, str(failure)
-            except Interrupted as interrupt:
-                outcome.exit_code, outcome.reason = EXIT_SIGNAL + interrupt.number, str(interrupt)
-                self.display.say(f"{interrupt}: bringing the arm to rest (again to hurry)", "yellow")
+            except Unfinished as end:
+                outcome.exit_code, outcome.reason = end.exit_code, str(end)
+                if isinstance(end, Interrupted):
+                    self.display.say(f"{end}: bringing the arm to rest (again to hurry)", "yellow")
             finally:
                 self._stop(group, outcome)
         shared_memory.remove_orphans(started_ns)
@@ -101,7 +97,8 @@ class Launcher:
 
     def _run_task(self, group: ProcessGroup) -> None:
         environment = self._environment
-        _adopt(environment)
+        for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "ROS_DOMAIN_ID"):
+            os.environ[name] = environment.variables[name]  # what ROS in this process reads
         chosen = "chosen" if environment.domain_chosen else "as set"
         self.display.say(
             f"{self.graph.task} on scene {self.graph.scene}: {len(self.graph.nodes)} nodes, "
@@ -110,9 +107,8 @@ class Launcher:
         )
         for node in self.graph.nodes:
             self._start_node(group, node)
-        from tactile_bringup.launching.task_client import (
-            TaskClient,  # ROS reads the environment when it is loaded
-        )
+        # here, since ROS reads the environment when it is loaded
+        from tactile_bringup.launching.task_client import TaskClient
 
         names = [node.full_name for node in self.graph.nodes]
         client = TaskClient(environment.domain_id)
@@ -139,9 +135,3 @@ class Launcher:
         outcome.escalated = [f"{r.name} took {r.escalated_to}" for r in reports if r.escalated_to]
         for line in outcome.escalated:
             self.display.say(f"{line} to end", "yellow")
-
-
-def _adopt(environment: RosEnvironment) -> None:
-    """Take over what ROS in this process reads from the environment."""
-    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "ROS_DOMAIN_ID"):
-        os.environ[name] = environment.variables[name]

@@ -26,20 +26,30 @@ SETTLED = 0.5  # s of rest that count as the end of a goal whose result does not
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
 
 
-class NotReady(RuntimeError):
+class Unfinished(RuntimeError):
+    """A run that came to no good end; `exit_code` is what the command ends with."""
+
+    exit_code: int
+
+
+class NotReady(Unfinished):
     """Nodes that did not become active in time."""
 
+    exit_code = 4
 
-class Interrupted(RuntimeError):
+
+class Interrupted(Unfinished):
     """SIGINT or SIGTERM was sent to this process."""
 
     def __init__(self, number: int) -> None:
-        self.number = number
+        self.exit_code = 128 + number
         super().__init__(f"stopped by {signal.Signals(number).name}")
 
 
-class GoalFailed(RuntimeError):
+class GoalFailed(Unfinished):
     """A goal that was not reached."""
+
+    exit_code = 1
 
 
 @dataclass
@@ -99,22 +109,23 @@ class TaskRunner:
     def run(self) -> None:
         """Run all goals as `RunSequence` has it; raises `GoalFailed` if one is not reached."""
         sequence = RunSequence(self.plans)
-        goals: dict[str, int] = {}
+        labels: dict[str, str] = {}
         while not sequence.finished:
             for plan, number in sequence.start():
-                goals[plan.arm] = number
-                self.client.arm(plan.arm).send(plan.goals[number], plan.role.task)
+                goal = plan.goals[number]
+                labels[plan.arm] = f"[{number + 1}/{len(plan.goals)}] {goal.name}"
+                self.client.arm(plan.arm).send(goal, plan.role.task)
             for arm in sequence.finish():
                 self.client.arm(arm).cancel()
             self._turn()
-            self._follow(sequence, goals)
+            self._follow(sequence, labels)
         if sequence.failure:
             raise GoalFailed(sequence.failure)
 
-    def _follow(self, sequence: RunSequence, goals: dict[str, int]) -> None:
+    def _follow(self, sequence: RunSequence, labels: dict[str, str]) -> None:
         """Take in what the arms have reported, and show it."""
         running = {
-            plan.arm: (_label(plan, goals[plan.arm]), self.client.arm(plan.arm))
+            plan.arm: (labels[plan.arm], self.client.arm(plan.arm))
             for plan in self.plans
             if sequence.running(plan.arm)
         }
@@ -167,10 +178,6 @@ class TaskRunner:
         if self.signals:
             raise Interrupted(self.signals[0])
         self.check()
-
-
-def _label(plan: ArmPlan, number: int) -> str:
-    return f"[{number + 1}/{len(plan.goals)}] {plan.goals[number].name}"
 
 
 def _settled(task: ArmTask) -> bool:

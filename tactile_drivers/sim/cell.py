@@ -27,18 +27,63 @@ from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
 from tactile_drivers.shapes.contact import contact_pose
 from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.arm import SimArm
-from tactile_drivers.sim.ideal_sensor import IdealSensor
+from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
 from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
-from tactile_drivers.sim.settings import IdealSensorSettings, SkinSettings, TacTipSettings
-from tactile_drivers.sim.truth import Truth, shear_of
+from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 
 if TYPE_CHECKING:
     from tactile_drivers.sim.simulation import SimulatedSensor
     from tactile_drivers.sim.skin import Skin
+    from tactile_drivers.sim.tactip import ContactTruth, TacTip
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The contact of one sensor at one stamp; without a surface, `surface` is empty and the rest NaN.
+
+    Attributes
+    ----------
+    surface : str
+        Name of the surface that is meant, the nearest.
+    in_contact : bool
+        Whether the undeformed tip reaches below the surface.
+    depth : float
+        Depth of the undeformed tip below the surface, m; negative off it.
+    normal_angle : float
+        Angle between the sensor's z axis and the surface's inward normal at the nearest point, rad.
+    T_fs : ndarray (4, 4)
+        Equivalent surface contact pose X_fs.
+    shear : ndarray (3,)
+        Its shear: x, y (m) and turn gamma (rad) of X_fs as extrinsic xyz Euler angles.
+    slip_fraction : float
+        How much of the contact slips, 0..1.
+    normal_force : float
+        Force of the surface on the sensor along the outward normal, N; NaN where it is not modelled.
+    point, normal : ndarray (3,)
+        Nearest point of the true surface (m) and the outward unit normal there, in the arm's base.
+    """
+
+    surface: str
+    in_contact: bool
+    depth: float
+    normal_angle: float
+    T_fs: Array
+    shear: Array
+    slip_fraction: float
+    normal_force: float
+    point: Array
+    normal: Array
+
+    @classmethod
+    def nothing(cls) -> Truth:
+        """The truth of a sensor that no surface is there for."""
+        nan = float("nan")
+        missing = np.full(3, nan)
+        return cls("", False, nan, nan, np.full((4, 4), nan), missing, 0.0, 0.0, missing, missing)
 
 
 @dataclass(frozen=True)
@@ -258,7 +303,7 @@ class _CellArm:
     ) -> None:
         self.name = arm.name
         self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns)
-        self.sensor: _ImageSensor | _IdealAnswer | None = None
+        self.sensor: _Sensor | None = None
         self.contact: BodyContact | None = None
         self._T_world_base = arm.T_world_base
         self._T_controlled_tool = se3.inverse(arm.T_tool_controlled)
@@ -267,7 +312,7 @@ class _CellArm:
         self._sequence = 0
         self._moved = 0.0
         if arm.sensor is not None and arm.simulated_sensor:
-            self.sensor = _make_sensor(scene.simulation.sensors[arm.name], seed)
+            self.sensor = _Sensor(scene.simulation.sensors[arm.name], seed)
             self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             self._protective_depth = arm.sensor.settings.protective_depth
             self._targets = [_Target(bodies[name], arm.T_world_base) for name in scene.bodies_of(arm.name)]
@@ -327,19 +372,15 @@ class _CellArm:
         else:
             T_body_sensor = target.sensor_in_body(T_base_sensor)
             self.sensor.model.advance(target.body.surface, T_body_sensor)
-            truth = _truth(target, T_base_sensor, self.sensor)
+            known = self.sensor.model.truth()
+            truth = _truth(target, T_base_sensor, self.sensor.radius, known)
             if truth.in_contact:
-                self.contact = self._contact(T_body_sensor, truth, self.sensor)
+                force = -T_body_sensor[:3, :3] @ known.force
+                self.contact = BodyContact(self.name, self.arm.stamp_ns, T_body_sensor, truth, force)
         self._touched = target if truth.in_contact else None
         image, estimate = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
         return Frame(self.name, self.arm.stamp_ns, sequence, image, estimate, truth, T_base_sensor)
-
-    def _contact(
-        self, T_body_sensor: Array, truth: Truth, sensor: _ImageSensor | _IdealAnswer
-    ) -> BodyContact:
-        force = -T_body_sensor[:3, :3] @ sensor.force()
-        return BodyContact(self.name, self.arm.stamp_ns, T_body_sensor, truth, force)
 
     def _nearest(self, T_base_sensor: Array) -> _Target | None:
         """The body that the sensor touches, as long as it does, else the nearest to its centre."""
@@ -348,42 +389,23 @@ class _CellArm:
         return min(self._targets, key=lambda target: target.distance(T_base_sensor), default=None)
 
 
-class _ImageSensor:
-    """A TacTip, whose answer is an image."""
+class _Sensor:
+    """A TacTip, whose answer is an image, or an ideal sensor, whose answer is an estimate."""
 
-    def __init__(self, settings: TacTipSettings, seed: int) -> None:
-        from tactile_drivers.sim.tactip import TacTip  # needs the compiled contact solver
+    def __init__(self, sensor: SimulatedSensor, seed: int) -> None:
+        self.radius = sensor.tip_radius
+        self.model: TacTip | IdealSensor
+        if isinstance(sensor.model, TacTipSettings):
+            from tactile_drivers.sim.tactip import TacTip  # needs the compiled contact solver
 
-        self.model = TacTip(settings, seed, _skin(settings.skin))
-        self.radius = settings.skin.radius
+            self.model = TacTip(sensor.model, seed, _skin(sensor.model.skin))
+        else:
+            self.model = IdealSensor(sensor.model, seed)
 
     def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
+        if isinstance(self.model, IdealSensor):
+            return None, self.model.estimate() if in_contact else None
         return self.model.image(), None
-
-    def force(self) -> Array:
-        """Force (3,) of the body on the sensor, N, in {s}."""
-        return self.model.truth().force
-
-
-class _IdealAnswer:
-    """An ideal sensor, whose answer is an estimate."""
-
-    def __init__(self, settings: IdealSensorSettings, seed: int) -> None:
-        self.model = IdealSensor(settings, seed)
-        self.radius = settings.radius
-
-    def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
-        return None, self.model.estimate() if in_contact else None
-
-    def force(self) -> Array:
-        """Not modelled: NaN."""
-        return np.full(3, np.nan)
-
-
-def _make_sensor(sensor: SimulatedSensor, seed: int) -> _ImageSensor | _IdealAnswer:
-    if isinstance(sensor.model, TacTipSettings):
-        return _ImageSensor(sensor.model, seed)
-    return _IdealAnswer(sensor.model, seed)
 
 
 @functools.cache
@@ -394,19 +416,18 @@ def _skin(settings: SkinSettings) -> Skin:
     return load_skin(settings)
 
 
-def _truth(target: _Target, T_base_sensor: Array, sensor: _ImageSensor | _IdealAnswer) -> Truth:
+def _truth(target: _Target, T_base_sensor: Array, radius: float, known: ContactTruth | IdealTruth) -> Truth:
     """What the sensor's model knows, with the geometry of the surface in the arm's base."""
-    known = sensor.model.truth()
     T_base_body = target.T_base_body
-    geometry = contact_pose(target.body.surface, target.sensor_in_body(T_base_sensor), sensor.radius)
-    rotation, origin = T_base_body[:3, :3], T_base_body[:3, 3]
+    geometry = contact_pose(target.body.surface, target.sensor_in_body(T_base_sensor), radius)
+    rotation, origin, T_fs = T_base_body[:3, :3], T_base_body[:3, 3], known.T_fs
     return Truth(
         surface=target.body.name,
         in_contact=known.contact_nodes > 0,
         depth=geometry.depth,
         normal_angle=geometry.normal_angle,
-        T_fs=known.T_fs,
-        shear=shear_of(known.T_fs),
+        T_fs=T_fs,
+        shear=np.array([T_fs[0, 3], T_fs[1, 3], np.arctan2(T_fs[1, 0], T_fs[0, 0])]),
         slip_fraction=known.slip_fraction,
         normal_force=known.normal_force,
         point=rotation @ geometry.point + origin,

@@ -19,16 +19,21 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.config_paths import named_file
 from tactile_base.settings import setting
+from tactile_base.yaml_file import read_yaml
 from tactile_drivers.sampling import SamplingSettings, check_ordered, sample_pose, sample_rng
+from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.settings import TacTipSettings
+from tactile_drivers.sim.simulation import read_sensor_groups
 from tactile_drivers.sim.tactip import ContactTruth, TacTip
 from tactile_drivers.sim.variation import VariationSettings, varied
 from tactile_filter import se3
@@ -70,6 +75,37 @@ class CollectionSettings(SamplingSettings):
 
 
 @dataclass(frozen=True)
+class SensorFile:
+    """What a file of `config/sensors` says; without one, the defaults.
+
+    It has the groups of `TacTipSettings` (skin, contact, markers, camera), and for data sets `collection`
+    (the rig: errors of its arm, friction) and `variation` (how images differ); all optional.
+    """
+
+    sensor: TacTipSettings = field(default_factory=TacTipSettings)
+    collection: CollectionSettings = field(default_factory=CollectionSettings)
+    variation: VariationSettings | None = None
+
+
+def load_sensor(name_or_path: str | Path) -> SensorFile:
+    """A sensor of `config/sensors` by its name, or any sensor file by its path.
+
+    Raises
+    ------
+    FileNotFoundError
+        With the names there are.
+    SettingError
+        With file and line of what is wrong.
+    """
+    root = read_yaml(named_file("sensor", name_or_path))
+    return SensorFile(
+        read_sensor_groups(root),
+        root.settings("collection", CollectionSettings),
+        root.settings("variation", VariationSettings) if "variation" in root.values else None,
+    )
+
+
+@dataclass(frozen=True)
 class Sample:
     """One labelled image.
 
@@ -89,13 +125,6 @@ class Sample:
     euler_mm_deg: Array
     truth: ContactTruth
     friction: float
-
-
-class _Plane:
-    """The plane z = 0."""
-
-    def query(self, points: Array) -> tuple[Array, Array]:
-        return points[:, 2].copy(), np.tile([0.0, 0.0, 1.0], (len(points), 1))
 
 
 class _Sphere:
@@ -171,7 +200,7 @@ def press_then_shear(
     The surface is a plane, or a sphere of that `curvature` in 1/m, along which the shear then runs. With a
     `mounting` the pose is what the arm means.
     """
-    surface = _Plane() if abs(curvature) < _FLAT else _Sphere(curvature)
+    surface = Plane() if abs(curvature) < _FLAT else _Sphere(curvature)
 
     def move(T: Array) -> None:
         sensor.advance(surface, T if mounting is None else mounting.place(T))
@@ -212,8 +241,9 @@ def generate(
     variation
         How the images differ from those of an exactly known sensor; None: not at all.
     """
-    model = _with_step(sensor or TacTipSettings(), settings.max_step)
-    task = _Task(settings, seed, model, each or _itself, variation)
+    sensor = sensor or TacTipSettings()
+    model = replace(sensor, contact=sensor.contact.replaced(max_step=settings.max_step))
+    task = _Task(settings, seed, model, each, variation)
     if processes <= 1:
         _start(task)
         yield from map(_run, indices)
@@ -237,17 +267,8 @@ class _Task:
     settings: CollectionSettings
     seed: int
     sensor: TacTipSettings
-    each: Callable[[Sample], object]
+    each: Callable[[Sample], object] | None
     variation: VariationSettings | None
-
-
-def _itself(sample: Sample) -> Sample:
-    return sample
-
-
-def _with_step(sensor: TacTipSettings, step: float) -> TacTipSettings:
-    contact = sensor.contact.replaced(max_step=step)
-    return TacTipSettings(sensor.skin, contact, sensor.markers, sensor.camera)
 
 
 _worker: tuple[_Task, TacTip] | None = None  # what this process collects with
@@ -271,4 +292,5 @@ def _run(index: int):  # type: ignore[no-untyped-def]
     if _worker is None:
         raise RuntimeError("a worker was asked for a sample before it was started")
     task, sensor = _worker
-    return task.each(collect(sensor, task.settings, task.seed, index, task.variation))
+    sample = collect(sensor, task.settings, task.seed, index, task.variation)
+    return sample if task.each is None else task.each(sample)

@@ -6,7 +6,7 @@ then drags along: enough for shear to build up, saturate and reverse as that of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +22,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class IdealTruth:
-    """What the ideal sensor knows: depth (m), X_fs (4, 4), whether it touches (0 or 1) and slips (0 or 1)."""
+    """What the ideal sensor knows: depth (m), X_fs (4, 4), whether it touches (0 or 1) and slips (0 or 1).
+
+    Forces are not modelled: NaN.
+    """
 
     depth: float
     T_fs: Array
     contact_nodes: int
     slip_fraction: float
-    normal_force: float = float("nan")  # not modelled
+    normal_force: float = float("nan")
+    force: Array = field(default_factory=lambda: np.full(3, np.nan))
 
 
 class IdealSensor:

@@ -23,7 +23,7 @@ from tactile_base.settings import Settings
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import BodyScene, Scene
-    from tactile_drivers.sim.truth import Truth
+    from tactile_drivers.sim.cell import Truth
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ MOTIONS: Registry[MotionType] = Registry(
     {
         FIXED: "tactile_drivers.sim.motions:Fixed",
         CARRIED: "tactile_drivers.sim.motions:Carried",
-        "held": "tactile_drivers.sim.held_motion:Held",
+        "held": "tactile_drivers.sim.held:Held",
     },
 )
 

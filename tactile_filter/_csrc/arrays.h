@@ -1,13 +1,9 @@
-// NumPy arrays to and from C arrays. The file that imports NumPy defines TACTILE_IMPORTS_NUMPY first.
+// NumPy arrays to and from C arrays, for the one file that imports NumPy.
 #ifndef TACTILE_ARRAYS_H_
 #define TACTILE_ARRAYS_H_
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
-#define PY_ARRAY_UNIQUE_SYMBOL tactile_filter_numpy
-#ifndef TACTILE_IMPORTS_NUMPY
-#define NO_IMPORT_ARRAY
-#endif
 #include <numpy/arrayobject.h>
 
 #include <math.h>
@@ -37,33 +33,8 @@ static inline void set_shape_error(PyArrayObject* array, npy_intp rows, npy_intp
 }
 
 
-// copy an argument of this shape (see has_shape), converting it if need be; returns 0 with an error set
-static inline int read_array(double* res, PyObject* arg, npy_intp rows, npy_intp columns, const char* name) {
-  size_t bytes = (size_t)(rows * (columns ? columns : 1)) * sizeof(double);
-  if (PyArray_CheckExact(arg)) {
-    PyArrayObject* array = (PyArrayObject*)arg;
-    if (PyArray_TYPE(array) == NPY_DOUBLE && PyArray_ISCARRAY_RO(array) && has_shape(array, rows, columns)) {
-      memcpy(res, PyArray_DATA(array), bytes);
-      return 1;
-    }
-  }
-  PyArrayObject* array = (PyArrayObject*)PyArray_FROM_OTF(arg, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
-  if (!array) {
-    return 0;
-  }
-  int fits = has_shape(array, rows, columns);
-  if (fits) {
-    memcpy(res, PyArray_DATA(array), bytes);
-  } else {
-    set_shape_error(array, rows, columns, name);
-  }
-  Py_DECREF(array);
-  return fits;
-}
-
-
-// the elements of an argument of this shape: where they lie, or in the buffer if it has to be converted; valid as
-// long as the argument; NULL with an error set
+// the elements of an argument of this shape (see has_shape): where they lie, or in the buffer if it has to be converted;
+// valid as long as the argument; NULL with an error set
 static inline const double* borrow_array(double* buffer, PyObject* arg, npy_intp rows, npy_intp columns,
                                          const char* name) {
   if (PyArray_CheckExact(arg)) {
@@ -72,7 +43,28 @@ static inline const double* borrow_array(double* buffer, PyObject* arg, npy_intp
       return PyArray_DATA(array);
     }
   }
-  return read_array(buffer, arg, rows, columns, name) ? buffer : NULL;
+  PyArrayObject* array = (PyArrayObject*)PyArray_FROM_OTF(arg, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
+  if (!array) {
+    return NULL;
+  }
+  int fits = has_shape(array, rows, columns);
+  if (fits) {
+    memcpy(buffer, PyArray_DATA(array), (size_t)(rows * (columns ? columns : 1)) * sizeof(double));
+  } else {
+    set_shape_error(array, rows, columns, name);
+  }
+  Py_DECREF(array);
+  return fits ? buffer : NULL;
+}
+
+
+// a copy of them; returns 0 with an error set
+static inline int read_array(double* res, PyObject* arg, npy_intp rows, npy_intp columns, const char* name) {
+  const double* data = borrow_array(res, arg, rows, columns, name);
+  if (data && data != res) {
+    memcpy(res, data, (size_t)(rows * (columns ? columns : 1)) * sizeof(double));
+  }
+  return data != NULL;
 }
 
 

@@ -41,7 +41,4 @@ typedef struct {
   const double* cov;
 } FusionInput;
 
-// what a Gaussian lacks, of FUSION_NO_POSE and FUSION_NO_COVARIANCE, or 0; definiteness is not looked at
-int fusion_lack(const double mean[16], const double cov[36]);
-
 #endif  // TACTILE_FUSION_H_

@@ -1,17 +1,32 @@
 // Python module tactile_filter._fusion: the interface is tactile_filter/fusion.py, se3.py and propagation.py.
-#define TACTILE_IMPORTS_NUMPY
 #include "arrays.h"
 #include "fusion.h"
-#include "module_se3.h"
+#include "propagate.h"
+#include "routines.h"
+#include "se3.h"
 
 #define MAX_ITERATIONS 100000
 #define MAX_STATUS 3
+
+// a rotation off by less is as orthonormal as doubles are
+#define ORTHONORMAL 1e-15
+
+static const Routines* routines = NULL;
 
 // what fusion.py gives the module with set_up
 static PyTypeObject* result_type = NULL;  // a tuple of these six: mean, cov, factor, iterations, status, step
 static PyObject* statuses[MAX_STATUS] = {NULL};
 static PyObject* plans = NULL;            // dict, mode -> (iterations, order)
 static PyObject* refuse = NULL;           // raises for (fault, (mean_1, cov_1, mean_2, cov_2))
+
+
+static int has_count(const char* name, Py_ssize_t nargs, Py_ssize_t expected) {
+  if (nargs == expected) {
+    return 1;
+  }
+  PyErr_Format(PyExc_TypeError, "%s takes %zd arguments, got %zd", name, expected, nargs);
+  return 0;
+}
 
 
 static PyObject* new_result(const FusionOutput* output) {
@@ -84,8 +99,8 @@ static const char fuse_doc[] =
 static PyObject* fuse(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   int iterations, order;
-  if (nargs != 5) {
-    return PyErr_Format(PyExc_TypeError, "fuse takes 5 arguments, got %zd", nargs);
+  if (!has_count("fuse", nargs, 5)) {
+    return NULL;
   }
   if (!result_type) {
     PyErr_SetString(PyExc_RuntimeError, "set_up has not been called");
@@ -98,7 +113,7 @@ static PyObject* fuse(PyObject* module, PyObject* const* args, Py_ssize_t nargs)
     return NULL;
   }
   FusionOutput output;
-  int fault = module_routines->fuse(&output, input, iterations, order);
+  int fault = routines->fuse(&output, input, iterations, order);
   return fault ? PyObject_CallFunction(refuse, "i(OOOO)", fault, args[0], args[1], args[2], args[3])
                : new_result(&output);
 }
@@ -111,10 +126,8 @@ static PyObject* check(PyObject* module, PyObject* const* args, Py_ssize_t nargs
   (void)module;
   double mean[16], cov[36];
   FusionInput input;
-  if (nargs != 2) {
-    return PyErr_Format(PyExc_TypeError, "check takes 2 arguments, got %zd", nargs);
-  }
-  return read_input(&input, mean, cov, args, 0) ? PyLong_FromLong(module_routines->check(&input)) : NULL;
+  return has_count("check", nargs, 2) && read_input(&input, mean, cov, args, 0)
+         ? PyLong_FromLong(routines->check(&input)) : NULL;
 }
 
 
@@ -141,6 +154,18 @@ static PyObject* set_up(PyObject* module, PyObject* const* args, Py_ssize_t narg
 }
 
 
+// use the routines of this instruction set, or the best for null; returns 0 with an error set
+static int select_routines(const char* name) {
+  const Routines* found = routines_select(name);
+  if (!found) {
+    PyErr_Format(PyExc_ValueError, "instruction set '%s': this machine does not have it", name);
+    return 0;
+  }
+  routines = found;
+  return 1;
+}
+
+
 static const char instruction_set_doc[] =
   "instruction_set(name=None, /)\n--\n\n"
   "Use the routines for this instruction set: base, and on x86-64 avx2. Answers the one in use.";
@@ -152,22 +177,245 @@ static PyObject* instruction_set(PyObject* module, PyObject* const* args, Py_ssi
   }
   if (nargs == 1) {
     const char* name = PyUnicode_AsUTF8(args[0]);
-    if (!name || !module_se3_select(name)) {
+    if (!name || !select_routines(name)) {
       return NULL;
     }
   }
-  return PyUnicode_FromString(module_routines->name);
+  return PyUnicode_FromString(routines->name);
+}
+
+
+// ---- SE(3): documentation in tactile_filter/se3.py and propagation.py ----
+
+static PyObject* new_pose(const Pose* pose) {
+  double mat[16];
+  se3_to_matrix(mat, pose);
+  return new_array(mat, 4, 4);
+}
+
+
+// returns 0 with an error set if the rotation is none within ROTATION_TOLERANCE
+static int check_rotation(const double rot[9], const char* name) {
+  double error = se3_rotation_error(rot);
+  if (!(error <= ROTATION_TOLERANCE)) {
+    char text[32];
+    PyOS_snprintf(text, sizeof(text), "%.3g", error);
+    PyErr_Format(
+      PyExc_ValueError, "%s: its rotation is not orthonormal, R^T R is off the identity by %s", name, text);
+    return 0;
+  }
+  if (se3_determinant(rot) < 0) {
+    PyErr_Format(PyExc_ValueError, "%s: its rotation is a reflection, det R = -1", name);
+    return 0;
+  }
+  return 1;
+}
+
+
+static int log_of(double xi[6], const double mat[16]) {
+  if (!routines->log(xi, mat)) {
+    PyErr_SetString(PyExc_ValueError, "T: its upper left block is not a rotation");
+    return 0;
+  }
+  return 1;
+}
+
+
+// tuple of two new references, of which either may be null with an error set
+static PyObject* pack_two(PyObject* first, PyObject* second) {
+  PyObject* res = first && second ? PyTuple_Pack(2, first, second) : NULL;
+  Py_XDECREF(first);
+  Py_XDECREF(second);
+  return res;
+}
+
+
+// the functions of one tangent vector xi that answer a square matrix
+#define OF_TANGENT(name, rows)                                   \
+  static PyObject* module_##name(PyObject* module, PyObject* arg) { \
+    double xi[6], res[rows*rows];                                \
+    (void)module;                                                \
+    if (!read_finite(xi, arg, 6, 0, "xi")) {                     \
+      return NULL;                                               \
+    }                                                            \
+    routines->name(res, xi);                                     \
+    return new_array(res, rows, rows);                           \
+  }
+
+OF_TANGENT(exp, 4)
+OF_TANGENT(left_jacobian, 6)
+OF_TANGENT(inverse_left_jacobian, 6)
+
+
+static PyObject* module_log(PyObject* module, PyObject* arg) {
+  (void)module;
+  double mat[16], xi[6];
+  return read_pose(mat, arg, "T") && log_of(xi, mat) ? new_array(xi, 6, 0) : NULL;
+}
+
+
+static PyObject* module_inverse(PyObject* module, PyObject* arg) {
+  (void)module;
+  double mat[16];
+  Pose pose, inverse;
+  if (!read_pose(mat, arg, "T")) {
+    return NULL;
+  }
+  se3_from_matrix(&pose, mat);
+  se3_inverse(&inverse, &pose);
+  return new_pose(&inverse);
+}
+
+
+static PyObject* module_adjoint(PyObject* module, PyObject* arg) {
+  (void)module;
+  double mat[16], res[36];
+  if (!read_pose(mat, arg, "T")) {
+    return NULL;
+  }
+  routines->adjoint(res, mat);
+  return new_array(res, 6, 6);
+}
+
+
+static PyObject* module_orthonormalized(PyObject* module, PyObject* arg) {
+  (void)module;
+  double mat[16];
+  Pose pose;
+  if (!read_pose(mat, arg, "T")) {
+    return NULL;
+  }
+  se3_from_matrix(&pose, mat);
+  if (!check_rotation(pose.rot, "T")) {
+    return NULL;
+  }
+  se3_orthonormalize(&pose);
+  return new_pose(&pose);
+}
+
+
+static PyObject* module_interpolate(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double start[16], end[16], between[16], xi[6];
+  if (!has_count("interpolate", nargs, 3) || !read_pose(start, args[0], "T0")
+      || !read_pose(end, args[1], "T1")) {
+    return NULL;
+  }
+  double s = PyFloat_AsDouble(args[2]);
+  if (s == -1 && PyErr_Occurred()) {
+    return NULL;
+  }
+  if (!isfinite(s)) {
+    return PyErr_Format(PyExc_ValueError, "s = %S: must be finite", args[2]);
+  }
+  if (s == 0 || s == 1) {
+    return new_array(s == 0 ? start : end, 4, 4);
+  }
+
+  // start * exp(s * log(start^-1 * end))
+  Pose from, to, motion;
+  se3_from_matrix(&from, start);
+  se3_from_matrix(&to, end);
+  se3_inverse_product(&motion, &from, &to);
+  se3_to_matrix(between, &motion);
+  if (!log_of(xi, between)) {
+    return NULL;
+  }
+  for (int i = 0; i < 6; i++) {
+    xi[i] *= s;
+  }
+  routines->exp(between, xi);
+  se3_from_matrix(&motion, between);
+  se3_product(&to, &from, &motion);
+  return new_pose(&to);
+}
+
+
+static PyObject* module_usable_pose(PyObject* module, PyObject* arg) {
+  (void)module;
+  double mat[16];
+  Pose pose;
+  if (!read_array(mat, arg, 4, 4, "T")) {
+    if (PyErr_ExceptionMatches(PyExc_ValueError)) {
+      PyErr_Clear();
+      Py_RETURN_NONE;
+    }
+    return NULL;
+  }
+  se3_from_matrix(&pose, mat);
+  double error = se3_rotation_error(pose.rot);
+  if (mat[12] != 0 || mat[13] != 0 || mat[14] != 0 || mat[15] != 1 || !(error <= ROTATION_TOLERANCE)
+      || !(se3_determinant(pose.rot) > 0) || !isfinite(mat[3]) || !isfinite(mat[7]) || !isfinite(mat[11])) {
+    Py_RETURN_NONE;
+  }
+  if (error > ORTHONORMAL) {
+    se3_orthonormalize(&pose);
+  }
+  return new_pose(&pose);
+}
+
+
+static PyObject* module_predict(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  static const char* const names[] = {"mean", "T_before", "T_now"};
+  double mat[16], cov[36], moved_cov[36], variances[6];
+  Pose pose[3], moved;
+  if (!has_count("predict", nargs, 5)) {
+    return NULL;
+  }
+  PyObject* const poses[] = {args[0], args[2], args[3]};
+  for (int i = 0; i < 3; i++) {
+    if (!read_pose(mat, poses[i], names[i])) {
+      return NULL;
+    }
+    se3_from_matrix(pose + i, mat);
+    if (!check_rotation(pose[i].rot, names[i])) {
+      return NULL;
+    }
+  }
+  if (!read_finite(cov, args[1], 6, 6, "cov") || !read_finite(variances, args[4], 6, 0, "variances")) {
+    return NULL;
+  }
+  propagate(&moved, moved_cov, pose, cov, pose + 1, pose + 2, variances);
+  return pack_two(new_pose(&moved), new_array(moved_cov, 6, 6));
+}
+
+
+static PyObject* module_innovation(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double mat_1[16], cov_1[36], mat_2[16], cov_2[36], whitened[6];
+  if (!has_count("innovation", nargs, 4) || !read_pose(mat_1, args[0], "mean_1")
+      || !read_finite(cov_1, args[1], 6, 6, "cov_1") || !read_pose(mat_2, args[2], "mean_2")
+      || !read_finite(cov_2, args[3], 6, 6, "cov_2")) {
+    return NULL;
+  }
+  Pose pose_1, pose_2;
+  se3_from_matrix(&pose_1, mat_1);
+  se3_from_matrix(&pose_2, mat_2);
+  double nis = innovation(whitened, &pose_1, cov_1, &pose_2, cov_2);
+  return pack_two(PyFloat_FromDouble(nis), new_array(whitened, 6, 0));
 }
 
 
 #define METHOD(name) {#name, (PyCFunction)(void(*)(void))name, METH_FASTCALL, name##_doc}
+#define SE3_METHOD(name, kind) {#name, (PyCFunction)(void(*)(void))module_##name, kind, NULL}
 
 static PyMethodDef methods[] = {
   METHOD(check),
   METHOD(fuse),
   METHOD(instruction_set),
   METHOD(set_up),
-  MODULE_SE3_METHODS
+  SE3_METHOD(exp, METH_O),
+  SE3_METHOD(log, METH_O),
+  SE3_METHOD(inverse, METH_O),
+  SE3_METHOD(adjoint, METH_O),
+  SE3_METHOD(left_jacobian, METH_O),
+  SE3_METHOD(inverse_left_jacobian, METH_O),
+  SE3_METHOD(orthonormalized, METH_O),
+  SE3_METHOD(usable_pose, METH_O),
+  SE3_METHOD(interpolate, METH_FASTCALL),
+  SE3_METHOD(predict, METH_FASTCALL),
+  SE3_METHOD(innovation, METH_FASTCALL),
   {NULL, NULL, 0, NULL}
 };
 
@@ -179,7 +427,7 @@ static struct PyModuleDef definition = {
 
 PyMODINIT_FUNC PyInit__fusion(void) {
   import_array();
-  if (!module_se3_select(NULL)) {
+  if (!select_routines(NULL)) {
     return NULL;
   }
   return PyModule_Create(&definition);

@@ -118,6 +118,18 @@ static void exact_exp(Dd rot[9], Dd pos[3], const Dd rho[3], const Dd phi[3], co
 }
 
 
+static void round_pose(double res[16], const Dd rot[9], const Dd pos[3]) {
+  Pose pose;
+  for (int i = 0; i < 9; i++) {
+    pose.rot[i] = dd_round(rot[i]);
+  }
+  for (int i = 0; i < 3; i++) {
+    pose.pos[i] = dd_round(pos[i]);
+  }
+  se3_to_matrix(res, &pose);
+}
+
+
 static void se3_exact_exp(double res[16], const double xi[6]) {
   Dd rot[9], pos[3], rho[3], phi[3];
   to_dd3(rho, xi);
@@ -130,12 +142,7 @@ static void se3_exact_exp(double res[16], const double xi[6]) {
     return;
   }
   exact_exp(rot, pos, rho, phi, &arg);
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      res[4*i+j] = dd_round(rot[3*i+j]);
-    }
-    res[4*i+3] = dd_round(pos[i]);
-  }
+  round_pose(res, rot, pos);
 }
 
 
@@ -212,18 +219,23 @@ static int rotation_vector(Dd res[3], const Dd rot[9]) {
 }
 
 
-// e = (1 - (t/2) cot(t/2)) / t^2 and (de/dt)/t of t^2 = x
+// e = (1 - (t/2) cot(t/2)) / t^2 and, unless it is null, (de/dt)/t of t^2 = x
 static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
   double x = arg->x.hi;
   if (!(x <= SERIES_LIMIT)) {
     double t = sqrt(x), sine = sin(0.5*t), c = 0.5*t*cos(0.5*t)/sine;
     *e = dd_from((1 - c)/x);
-    *de = dd_from((c - 2 + x/(4*sine*sine))/(x*x));
+    if (de) {
+      *de = dd_from((c - 2 + x/(4*sine*sine))/(x*x));
+    }
     return;
   }
   Dd first = dd_div(dd_from(1), dd_sub(POLES[0], arg->x));
   Dd second = dd_div(dd_from(1), dd_sub(POLES[1], arg->x));
   *e = dd_add(dd_scale(dd_add(first, second), 2), series(COT, arg));
+  if (!de) {
+    return;
+  }
   Dd squares = dd_add(dd_mul(first, first), dd_mul(second, second));
   *de = dd_add(dd_scale(squares, 4), slope(COT, arg));
 }
@@ -231,12 +243,12 @@ static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
 
 // logarithm [rho, phi] of a rotation and a position; returns 0 if the matrix is no rotation at all
 static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
-  Dd turned[3], twice[3], e, de;
+  Dd turned[3], twice[3], e;
   if (!rotation_vector(phi, rot)) {
     return 0;
   }
   Argument arg = argument(phi);
-  inverse_coefficients(&e, &de, &arg);
+  inverse_coefficients(&e, NULL, &arg);
 
   // rho = t - phi x t / 2 + e phi x (phi x t)
   dd_cross3(turned, phi, pos);
@@ -253,11 +265,7 @@ static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
 static int se3_exact_log(double res[6], const double mat[16]) {
   Dd rot[9], pos[3], rho[3], phi[3];
   Pose pose;
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      pose.rot[3*i+j] = mat[4*i+j];
-    }
-  }
+  se3_from_matrix(&pose, mat);
   double error = se3_rotation_error(pose.rot);
   if (error > ROUNDING && error <= ROTATION_TOLERANCE) {
     se3_orthonormalize(&pose);

@@ -9,7 +9,8 @@ import matplotlib
 import numpy as np
 
 from tactile_perception.datasets.check import CheckResult
-from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_UNITS
+from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_TITLES
+from tactile_perception.markers.flow import regressions
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -22,13 +23,12 @@ def draw_labels(result: CheckResult, path: Path) -> None:
     """Histograms of the components, and where shear and contact angles lie."""
     labels = result.folder.euler_mm_deg
     figure, axes = plt.subplots(2, 4, figsize=(13, 6))
-    places = [axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1], axes[1, 2]]
-    for k, axis in enumerate(places):
+    for k, axis in enumerate(axes[:, :3].ravel()):
         axis.hist(labels[:, k], bins=40, color="0.5")
-        axis.set(xlabel=f"{EULER_COMPONENTS[k]} ({EULER_UNITS[k]})", ylabel="samples" if k % 3 == 0 else "")
+        axis.set(xlabel=EULER_TITLES[k], ylabel="samples" if k % 3 == 0 else "")
     for axis, (i, j) in ((axes[0, 3], (0, 1)), (axes[1, 3], (3, 4))):
         axis.plot(labels[:, i], labels[:, j], "k,", alpha=0.6)
-        axis.set(xlabel=f"{EULER_COMPONENTS[i]} ({EULER_UNITS[i]})", ylabel=EULER_COMPONENTS[j])
+        axis.set(xlabel=EULER_TITLES[i], ylabel=EULER_COMPONENTS[j])
         axis.set_aspect("equal", adjustable="datalim")
     figure.suptitle(f"{result.folder.folder}: {len(labels)} samples")
     _save(figure, path)
@@ -40,7 +40,7 @@ def draw_rows(result: CheckResult, path: Path) -> None:
     figure, axes = plt.subplots(6, 1, figsize=(11, 8), sharex=True)
     for k, axis in enumerate(axes):
         axis.plot(labels[:, k], "k.", ms=1)
-        axis.set_ylabel(f"{EULER_COMPONENTS[k]} ({EULER_UNITS[k]})")
+        axis.set_ylabel(EULER_TITLES[k])
     axes[-1].set_xlabel("row")
     _save(figure, path)
 
@@ -56,7 +56,7 @@ def draw_flow(result: CheckResult, path: Path) -> None:
     _, _, _, alpha, beta, gamma = flow.labels.T
     middle = np.ones(len(flow.labels))
     basis = np.stack([middle, rank - 0.75, *flow.labels[:, :2].T, -beta, alpha, gamma], axis=1)
-    fields = _fields(flow.positions, basis, deep)
+    fields = regressions(basis, flow.positions, deep, 4 * basis.shape[1] + 1)
     size = np.abs(basis[deep]).max(axis=0)
     shown = (("x", 2, "C0"), ("y", 3, "C1")), (("-beta", 4, "C2"), ("alpha", 5, "C3")), (("gamma", 6, "C4"),)
     for axis, group in zip(axes, shown, strict=False):
@@ -69,16 +69,6 @@ def draw_flow(result: CheckResult, path: Path) -> None:
     axes[3].legend(loc="upper right", fontsize=8)
     figure.suptitle("motion of the markers in the image by half of the range of each label")
     _save(figure, path)
-
-
-def _fields(positions: np.ndarray, basis: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Weights (markers, basis, 2) of every marker on the basis; NaN where it was seen too seldom."""
-    out = np.full((positions.shape[1], basis.shape[1], 2), np.nan)
-    for marker in range(positions.shape[1]):
-        seen = chosen & np.isfinite(positions[:, marker, 0])
-        if seen.sum() > 4 * basis.shape[1]:
-            out[marker] = np.linalg.lstsq(basis[seen], positions[seen, marker], rcond=None)[0]
-    return out
 
 
 def _arrows(axis: Any, rest: np.ndarray, motion: np.ndarray, color: str, name: str) -> None:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from tactile_filter import se3
 from tactile_perception.estimating.labels import EULER_COMPONENTS
-from tactile_perception.markers.flow import MarkerFlow
+from tactile_perception.markers.flow import MarkerFlow, regressions
 
 Array = NDArray[np.float64]
 
@@ -122,23 +122,17 @@ def explain(C_shear: Array, C_tilt: Array, turn: float, uncertain: Sequence[str]
     if "x and y" in unknown or "alpha and beta" in unknown:
         return []
     flippable = tuple(name for name in _FLIPPABLE if not (name == "gamma" and "gamma" in unknown))
-    fitting = [
-        explanation
-        for explanation in _candidates(flippable)
-        if _fits(C_shear, C_tilt, 0.0 if "gamma" in unknown else turn, explanation)
-    ]
-    least = min((explanation.cost for explanation in fitting), default=0.0)
-    return [explanation for explanation in fitting if explanation.cost == least]
-
-
-def _candidates(flippable: tuple[str, ...]) -> list[Explanation]:
-    return [
+    candidates = (
         Explanation(flipped, swapped, mirrored)
         for count in range(len(flippable) + 1)
         for flipped in itertools.combinations(flippable, count)
         for swapped in _SWAPS
         for mirrored in (False, True)
-    ]
+    )
+    sense = 0.0 if "gamma" in unknown else turn
+    fitting = [candidate for candidate in candidates if _fits(C_shear, C_tilt, sense, candidate)]
+    least = min((explanation.cost for explanation in fitting), default=0.0)
+    return [explanation for explanation in fitting if explanation.cost == least]
 
 
 def _fits(C_shear: Array, C_tilt: Array, turn: float, explanation: Explanation) -> bool:
@@ -225,8 +219,8 @@ def euler_order(flow: MarkerFlow, explanations: Sequence[Explanation], angle_uni
 
 def _order_basis(labels: Array, extrinsic: bool) -> Array:
     """What markers follow in one order of angles: direction of contact and shear in the sensor, by depth."""
-    x, y, z, alpha, beta, gamma = labels.T
-    R = np.array([_rotation(a, b, g, extrinsic) for a, b, g in zip(alpha, beta, gamma, strict=True)])
+    x, y, z, _, _, gamma = labels.T
+    R = Rotation.from_euler("xyz" if extrinsic else "XYZ", labels[:, 3:]).as_matrix()
     u, v = R[:, 2, 0], R[:, 2, 1]
     size = max(float(np.abs(labels[:, :2]).max()), 1e-12)
     shear = np.einsum("nji,nj->ni", R, np.column_stack([x, y, np.zeros_like(x)])) / size
@@ -239,23 +233,12 @@ def _order_basis(labels: Array, extrinsic: bool) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _rotation(alpha: float, beta: float, gamma: float, extrinsic: bool) -> Array:
-    if extrinsic:
-        return se3.pose_from_euler([0.0, 0.0, 0.0, alpha, beta, gamma])[:3, :3]
-    about = [se3.pose_from_euler([0.0] * 3 + list(e))[:3, :3] for e in
-             ((alpha, 0, 0), (0, beta, 0), (0, 0, gamma))]  # fmt: skip
-    return np.asarray(about[0] @ about[1] @ about[2])
-
-
 def _squared_errors(basis: Array, positions: Array, chosen: NDArray[np.bool_]) -> Array:
     """Mean squared error of each sample (n,), of markers regressed on the basis; NaN where none is seen."""
-    total, count = np.zeros(len(basis)), np.zeros(len(basis))
-    for marker in range(positions.shape[1]):
-        seen = chosen & np.isfinite(positions[:, marker, 0])
-        if seen.sum() < 3 * basis.shape[1]:
-            continue
-        weights = np.linalg.lstsq(basis[seen], positions[seen, marker], rcond=None)[0]
-        total[seen] += ((positions[seen, marker] - basis[seen] @ weights) ** 2).sum(axis=1)
-        count[seen] += 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(count > 0, total / count, np.nan))
+    weights = regressions(basis, positions, chosen, 3 * basis.shape[1])
+    errors = ((positions - np.einsum("nb,mbk->nmk", basis, weights)) ** 2).sum(axis=2)[chosen]
+    known = np.isfinite(errors)
+    result = np.full(len(basis), np.nan)
+    with np.errstate(invalid="ignore"):
+        result[chosen] = np.where(known, errors, 0.0).sum(axis=1) / known.sum(axis=1)
+    return result

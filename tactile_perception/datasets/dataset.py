@@ -21,20 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError
-from tactile_perception.datasets import lenient_json
-from tactile_perception.datasets.layout import (
-    CAMERA_PARAMS_NAMES,
-    IMAGE_FOLDERS,
-    IMAGE_PARAMS_NAME,
-    IMAGE_PARAMS_NAMES,
-    IMAGES_NAME,
-    JOURNAL_NAME,
-    REFERENCE_NAME,
-    TARGETS_NAME,
-    TARGETS_NAMES,
-    DatasetError,
-    DatasetReport,
-)
+from tactile_perception.datasets import layout, lenient_json
+from tactile_perception.datasets.layout import DatasetError, DatasetReport
 from tactile_perception.datasets.table import Row, read_conventions, read_table
 from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.image import (
@@ -87,7 +75,7 @@ class TactileFolder:
 
     def reference(self) -> Image | None:
         """The image without contact, which tools keep as number 0; None where there is no usable one."""
-        path = self.image_folder / REFERENCE_NAME
+        path = self.image_folder / layout.REFERENCE_NAME
         try:
             return read_image(path) if path.exists() else None
         except ImageError:
@@ -144,7 +132,7 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
     tables, image_folder = _find_parts(folder, report)
     parameters = _read_parameters(folder, report)
     conventions = read_conventions(folder, report)
-    processed = image_folder.name == IMAGES_NAME
+    processed = image_folder.name == layout.IMAGES_NAME
     rows = [row for table in tables for row in read_table(table, conventions, report)]
     rows = _with_images(rows, image_folder, report)
     rows = _without_duplicates(rows, report)
@@ -167,6 +155,11 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
         parameters=parameters,
         report=report,
     )
+
+
+def training_part(folder: Path) -> Path:
+    """The part `train` of a folder of splits, or the folder itself."""
+    return folder / "train" if (folder / "train").is_dir() else folder
 
 
 def read_dataset(
@@ -208,7 +201,8 @@ def read_dataset(
         content[file_hash] += 1
         if content[file_hash] > 1:
             source.report.add("image identical to an earlier one (kept)", source.names[index])
-        digest.update(_sample_key(source.names[index], source.euler_mm_deg[index], file_hash))
+        label = np.ascontiguousarray(source.euler_mm_deg[index], dtype="<f8").tobytes()
+        digest.update(source.names[index].encode() + b"\0" + label + file_hash.encode())
         if progress is not None:
             progress(count + 1, len(chosen))
     source.report.samples = len(kept)
@@ -244,26 +238,23 @@ def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Ima
         yield from pool.map(load, chosen)
 
 
-def _sample_key(name: str, euler: NDArray[np.float64], file_hash: str) -> bytes:
-    return name.encode() + b"\0" + np.ascontiguousarray(euler, dtype="<f8").tobytes() + file_hash.encode()
-
-
 def _find_parts(folder: Path, report: DatasetReport) -> tuple[list[Path], Path]:
     """The label tables and the image folder, or an error that says what the layout is."""
     if not folder.is_dir():
         raise DatasetError(f"{folder}: is not a folder")
-    others = ", ".join(f"{name}/" for name in IMAGE_FOLDERS[1:])
-    layout = f"a data folder holds {TARGETS_NAME} and {IMAGES_NAME}/ (or {others})"
-    tables = [folder / name for name in TARGETS_NAMES if (folder / name).is_file()][:1]
-    if (folder / JOURNAL_NAME).is_file():
-        report.notes.append(f"{JOURNAL_NAME}: the collection of this folder was not finished; read as well")
-        tables.append(folder / JOURNAL_NAME)
+    others = ", ".join(f"{name}/" for name in layout.IMAGE_FOLDERS[1:])
+    right = f"a data folder holds {layout.TARGETS_NAME} and {layout.IMAGES_NAME}/ (or {others})"
+    tables = [folder / name for name in layout.TARGETS_NAMES if (folder / name).is_file()][:1]
+    if (folder / layout.JOURNAL_NAME).is_file():
+        note = "the collection of this folder was not finished; read as well"
+        report.notes.append(f"{layout.JOURNAL_NAME}: {note}")
+        tables.append(folder / layout.JOURNAL_NAME)
     if not tables:
-        raise DatasetError(f"{folder}: has no {TARGETS_NAME}; {layout}")
-    for name in IMAGE_FOLDERS:
+        raise DatasetError(f"{folder}: has no {layout.TARGETS_NAME}; {right}")
+    for name in layout.IMAGE_FOLDERS:
         if (folder / name).is_dir():
             return tables, folder / name
-    raise DatasetError(f"{folder}: has neither {IMAGES_NAME}/ nor {others}; {layout}")
+    raise DatasetError(f"{folder}: has neither {layout.IMAGES_NAME}/ nor {others}; {right}")
 
 
 def _read_parameters(folder: Path, report: DatasetReport) -> dict[str, Any]:
@@ -283,10 +274,10 @@ def _preprocessing(
     parameters: dict[str, Any], processed: bool, report: DatasetReport
 ) -> PreprocessingSettings:
     """Pre-processing settings of a folder from the JSON file that holds them."""
-    names = IMAGE_PARAMS_NAMES if processed else (*IMAGE_PARAMS_NAMES, *CAMERA_PARAMS_NAMES)
+    names = layout.IMAGE_PARAMS_NAMES + (() if processed else layout.CAMERA_PARAMS_NAMES)
     name = next((name for name in names if isinstance(parameters.get(name), dict)), None)
     if name is None:
-        report.notes.append(f"no {IMAGE_PARAMS_NAME}: assumed the default crop and threshold")
+        report.notes.append(f"no {layout.IMAGE_PARAMS_NAME}: assumed the default crop and threshold")
         return PreprocessingSettings()
     params = parameters[name]
     values: dict[str, Any] = {}
@@ -312,7 +303,7 @@ def _note_differences(
     wanted: PreprocessingSettings, parameters: dict[str, Any], report: DatasetReport
 ) -> None:
     """Say in which settings the images of a folder are not those that a model was trained on."""
-    if any(name in parameters for name in IMAGE_PARAMS_NAMES):
+    if any(name in parameters for name in layout.IMAGE_PARAMS_NAMES):
         stated = _preprocessing(parameters, True, report)
         stated = stated.replaced(size=wanted.size, redraw_radius=wanted.redraw_radius)
         if stated != wanted:
@@ -370,6 +361,6 @@ def _with_images(rows: list[Row], image_folder: Path, report: DatasetReport) -> 
         else:
             found.append((file, euler))
     named = {Path(name).name for name, _ in rows}.union(*report.problems.values())
-    for name in sorted(present - named - {REFERENCE_NAME}):
+    for name in sorted(present - named - {layout.REFERENCE_NAME}):
         report.add("image without its row", name)
     return found

@@ -59,7 +59,9 @@ def _balanced(text: str) -> tuple[str, list[str]]:
             opened.append(character)
         elif character in _CLOSING:
             if not opened or opened[-1] != _CLOSING[character]:
-                repairs.append(f"dropped a surplus '{character}' at {_line_and_column(text, position)}")
+                before = text[:position]
+                where = f"line {before.count(chr(10)) + 1}, column {position - before.rfind(chr(10))}"
+                repairs.append(f"dropped a surplus '{character}' at {where}")
                 continue
             opened.pop()
         kept.append(character)
@@ -67,8 +69,3 @@ def _balanced(text: str) -> tuple[str, list[str]]:
     if missing:
         repairs.append(f"added the missing '{missing}' at the end")
     return "".join(kept) + missing, repairs
-
-
-def _line_and_column(text: str, position: int) -> str:
-    before = text[:position]
-    return f"line {before.count(chr(10)) + 1}, column {position - before.rfind(chr(10))}"

@@ -9,6 +9,7 @@ are others, a file `conventions.json` in the folder says so, and every reader ap
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 from collections.abc import Iterator
@@ -101,19 +102,20 @@ def read_table(path: Path, conventions: ConventionSettings, report: DatasetRepor
     factors = conventions.factors()
     before = 0
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        lines = _Lines(csv.reader(_without_nul(file)), path, report)
-        columns = next(iter(lines), [])
+        # A crash of the machine may leave zero bytes in a file.
+        lines = _lines(csv.reader(line.replace("\0", "") for line in file), path, report)
+        _, columns = next(lines, (0, []))
         image_column, groups = _columns(columns, path, report)
         place = {name: k for k, name in enumerate(columns)}
-        for fields in lines:
+        for number, fields in lines:
             report.rows += 1
             before = len(rows)
             name = fields[place[image_column]].strip() if place[image_column] < len(fields) else ""
-            values = _numbers(fields, columns, groups, place, name or f"line {lines.number}", report)
+            values = _numbers(fields, columns, groups, place, name or f"line {number}", report)
             if values is None:
                 continue
             if not name:
-                report.add("row without an image name", f"line {lines.number}")
+                report.add("row without an image name", f"line {number}")
             else:
                 rows.append((name, factors * values.sum(axis=0)))
                 parts.append(values)
@@ -123,32 +125,18 @@ def read_table(path: Path, conventions: ConventionSettings, report: DatasetRepor
     return rows
 
 
-class _Lines:
-    """Fields of each line that csv can read; what it cannot is reported."""
-
-    def __init__(self, reader: Iterator[list[str]], path: Path, report: DatasetReport) -> None:
-        self._reader, self._path, self._report = reader, path, report
-        self.number = 0
-
-    def __iter__(self) -> _Lines:
-        return self
-
-    def __next__(self) -> list[str]:
-        while True:
-            try:
-                self.number += 1
-                fields = next(self._reader)
-            except csv.Error as error:
-                self._report.add("line that cannot be read", f"{self._path.name} line {self.number}: {error}")
-                continue
-            if fields:
-                return fields
-
-
-def _without_nul(lines: Iterator[str]) -> Iterator[str]:
-    """Lines without the zero bytes that a crash of the machine leaves in a file."""
-    for line in lines:
-        yield line.replace("\0", "")
+def _lines(reader: Iterator[list[str]], path: Path, report: DatasetReport) -> Iterator[tuple[int, list[str]]]:
+    """Number and fields of each line that csv can read; what it cannot is reported."""
+    for number in itertools.count(1):
+        try:
+            fields = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            report.add("line that cannot be read", f"{path.name} line {number}: {error}")
+            continue
+        if fields:
+            yield number, fields
 
 
 def _numbers(

@@ -22,24 +22,14 @@ from typing import IO, Any
 import cv2
 
 from tactile_base.whole_file import whole_file
-from tactile_perception.datasets.layout import (
-    IMAGE_PARAMS_NAME,
-    IMAGES_NAME,
-    JOURNAL_NAME,
-    POSE_COLUMNS,
-    RAW_IMAGES_NAME,
-    SHEAR_COLUMNS,
-    TARGETS_NAME,
-    DatasetError,
-    image_name,
-    image_number,
-)
+from tactile_perception.datasets import layout
+from tactile_perception.datasets.layout import DatasetError, image_name, image_number
 from tactile_perception.estimating.image import Image, ImageError
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 
 IMAGE_KINDS = ("processed", "raw", "both")
 LOCK_NAME = ".writing"
-_COLUMNS = ("sensor_image", *POSE_COLUMNS, *SHEAR_COLUMNS)
+_COLUMNS = ("sensor_image", *layout.POSE_COLUMNS, *layout.SHEAR_COLUMNS)
 
 
 class DatasetWriter:
@@ -81,7 +71,7 @@ class DatasetWriter:
         self.extra = tuple(extra)
         self._durable = durable
         self._columns = [*_COLUMNS, *self.extra]
-        self._journal = self.folder / JOURNAL_NAME
+        self._journal = self.folder / layout.JOURNAL_NAME
         self._preprocessor = Preprocessor(preprocessing)
         for name in self._image_folders():
             (self.folder / name).mkdir(parents=True, exist_ok=True)
@@ -121,7 +111,7 @@ class DatasetWriter:
         if self.kind != "raw":
             write_processed(self.folder, number, self._preprocessor.binary(image), self._durable)
         if self.kind != "processed":
-            path = self.folder / RAW_IMAGES_NAME / image_name(number)
+            path = self.folder / layout.RAW_IMAGES_NAME / image_name(number)
             _write_png(path, image, self._durable)
 
     def add_row(
@@ -145,7 +135,7 @@ class DatasetWriter:
     def finish(self) -> Path:
         """Write `targets_images.csv` from everything recorded so far and remove the journal."""
         rows = sorted(self._rows(), key=lambda row: image_number(row["sensor_image"]))
-        path = self.folder / TARGETS_NAME
+        path = self.folder / layout.TARGETS_NAME
         with whole_file(path) as temporary, temporary.open("w", newline="") as file:
             writer = csv.DictWriter(
                 file, self._columns, restval="", lineterminator="\n", extrasaction="ignore"
@@ -159,7 +149,7 @@ class DatasetWriter:
     def _rows(self) -> Iterator[dict[str, str]]:
         """Rows written so far whose images exist, each once."""
         seen: set[str] = set()
-        for path in (self.folder / TARGETS_NAME, self._journal):
+        for path in (self.folder / layout.TARGETS_NAME, self._journal):
             if not path.exists():
                 continue
             with path.open(newline="") as file:
@@ -173,8 +163,8 @@ class DatasetWriter:
         return all((self.folder / folder / name).exists() for folder in self._image_folders())
 
     def _image_folders(self) -> list[str]:
-        folders = {"processed": [IMAGES_NAME], "raw": [RAW_IMAGES_NAME]}
-        return folders.get(self.kind, [IMAGES_NAME, RAW_IMAGES_NAME])
+        folders = {"processed": [layout.IMAGES_NAME], "raw": [layout.RAW_IMAGES_NAME]}
+        return folders.get(self.kind, [layout.IMAGES_NAME, layout.RAW_IMAGES_NAME])
 
     def _take_lock(self) -> IO[str]:
         """A lock that ends with this process, whatever ends it."""
@@ -203,23 +193,21 @@ class DatasetWriter:
             "circle_mask_radius": settings.circle_mask_radius,
             "bbox": list(settings.bbox),
         }
-        (self.folder / IMAGE_PARAMS_NAME).write_text(json.dumps(params, indent=2) + "\n")
+        (self.folder / layout.IMAGE_PARAMS_NAME).write_text(json.dumps(params, indent=2) + "\n")
 
 
 def write_processed(folder: Path | str, number: int, binary: Image, durable: bool = False) -> None:
     """Write one cropped and thresholded image of the public layout, whole or not at all."""
-    _write_png(Path(folder) / IMAGES_NAME / image_name(number), binary, durable)
+    _write_png(Path(folder) / layout.IMAGES_NAME / image_name(number), binary, durable)
 
 
 def _write_png(path: Path, image: Image, durable: bool) -> None:
     ok, encoded = cv2.imencode(".png", image)
     if not ok:
         raise ImageError(f"{path}: could not be encoded as PNG")
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         file.write(encoded.tobytes())
         _sync(file, durable)
-    temporary.replace(path)
 
 
 def _sync(file: IO[Any], durable: bool) -> None:

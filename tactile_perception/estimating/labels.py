@@ -23,6 +23,12 @@ COMPONENTS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
 NETWORK_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 EULER_COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
 EULER_UNITS = ("mm", "mm", "mm", "deg", "deg", "deg")
+#: Component and unit, for titles, and for columns of files.
+NETWORK_TITLES, EULER_TITLES, NETWORK_COLUMNS, EULER_COLUMNS = (
+    tuple(form.format(*pair) for pair in zip(components, units, strict=True))
+    for form in ("{} ({})", "{}_{}")
+    for components, units in ((COMPONENTS, NETWORK_UNITS), (EULER_COMPONENTS, EULER_UNITS))
+)
 
 
 def errors_in_words(errors: ArrayLike) -> str:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS
 from tactile_perception.estimating.run import EstimateTable
 
 Array = NDArray[np.float64]
@@ -25,8 +25,7 @@ _MOST_TICKS = 5
 
 def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
     """The paper's figure: one row of plots for the network and, where there is one, one for the filter."""
-    series = [("network", table.network)] + ([("with filter", table.filtered)] if table.has_filter else [])
-    rows: list[Row] = [(name, table.labels, found.mean, found.sigma) for name, found in series]
+    rows: list[Row] = [(name, table.labels, found.mean, found.sigma) for name, found in table.series.items()]
     draw_predicted_against_actual(path, rows, title)
 
 
@@ -114,14 +113,11 @@ def draw_series(table: EstimateTable, path: Path, title: str) -> None:
     FigureCanvasAgg(figure)
     seconds = np.array(table.stamps_ns) * 1e-9
     for component, axes in enumerate(figure.subplots(6, 1, sharex=True)):
-        series = [("network", table.network)] + (
-            [("with filter", table.filtered)] if table.has_filter else []
-        )
-        for name, values in series:
+        for name, values in table.series.items():
             mean, sigma = values.mean[:, component], values.sigma[:, component]
             (line,) = axes.plot(seconds, mean, linewidth=0.9, label=name)
             axes.fill_between(seconds, mean - 2 * sigma, mean + 2 * sigma, color=line.get_color(), alpha=0.2)
-        axes.set_ylabel(f"{COMPONENTS[component]} ({NETWORK_UNITS[component]})")
+        axes.set_ylabel(NETWORK_TITLES[component])
         axes.grid(alpha=0.3)
     axes.set_xlabel("time (s)")
     axes.legend()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,18 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.whole_file import write_csv
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
-from tactile_perception.estimating.labels import (
-    COMPONENTS,
-    EULER_COMPONENTS,
-    EULER_UNITS,
-    NETWORK_UNITS,
-    euler_from_label,
-    label_from_euler,
-    network_row,
-)
+from tactile_perception.estimating import labels
+from tactile_perception.estimating.labels import EULER_COLUMNS, NETWORK_COLUMNS, network_row
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.sources import Frame
 from tactile_perception.estimator import Estimator
@@ -79,6 +72,11 @@ class EstimateTable:
     def has_filter(self) -> bool:
         return bool(np.isfinite(self.filtered.mean).any())
 
+    @property
+    def series(self) -> dict[str, Series]:
+        """What there is to show, by name."""
+        return {"network": self.network} | ({"with filter": self.filtered} if self.has_filter else {})
+
     def mean_absolute_error(self, series: Series) -> Array:
         """MAE (6,) in mm and rad over the frames that have both; NaN without labels."""
         errors = np.abs(series.mean - self.labels)
@@ -87,20 +85,17 @@ class EstimateTable:
 
     def write_csv(self, path: Path) -> None:
         """Write it as a table: xi_sf and sigmas in mm and rad, X_fs as Euler pose in mm and degrees."""
-        vector = [f"{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
-        euler = [f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True)]
-        header = ["name", "stamp_ns"]
-        header += [f"{kind}_{column}" for kind in ("label", "network", "filtered") for column in vector]
-        header += [f"{kind}_sigma_{column}" for kind in ("network", "filtered") for column in vector]
-        header += [f"network_{column}" for column in euler] + [f"filtered_{column}" for column in euler]
-        with path.open("w", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(header)
-            for index, name in enumerate(self.names):
-                network, filtered = self.network_rows[index], self.filtered_rows[index]
-                values = [self.label_rows[index], network[0], filtered[0], network[1], filtered[1]]
-                values += [_euler(network[0]), _euler(filtered[0])]
-                writer.writerow([name, self.stamps_ns[index], *(_text(v) for v in np.concatenate(values))])
+        kinds = ("label", "network", "filtered", "network_sigma", "filtered_sigma")
+        header = [f"{kind}_{column}" for kind in kinds for column in NETWORK_COLUMNS]
+        header += [f"{kind}_{column}" for kind in ("network", "filtered") for column in EULER_COLUMNS]
+        rows = []
+        for index, name in enumerate(self.names):
+            network, filtered = self.network_rows[index], self.filtered_rows[index]
+            values = [self.label_rows[index], network[0], filtered[0], network[1], filtered[1]]
+            values += [_euler(network[0]), _euler(filtered[0])]
+            texts = ["" if np.isnan(value) else f"{value:.6g}" for value in np.concatenate(values)]
+            rows.append([name, self.stamps_ns[index], *texts])
+        write_csv(path, ["name", "stamp_ns", *header], rows)
 
 
 def run_estimates(
@@ -122,7 +117,7 @@ def run_estimates(
     for frame in frames:
         table.names.append(frame.name)
         table.stamps_ns.append(frame.stamp_ns)
-        table.label_rows.append(_NOTHING[0] if frame.label is None else label_from_euler(frame.label))
+        table.label_rows.append(_NOTHING[0] if frame.label is None else labels.label_from_euler(frame.label))
         network = filtered = _NOTHING
         percept = perceive(frame.image, frame.processed)
         if percept.estimate is None:
@@ -162,8 +157,4 @@ def _series(rows: list[tuple[Array, Array]]) -> Series:
 
 
 def _euler(mean: Array) -> Array:
-    return euler_from_label(mean) if np.isfinite(mean).all() else np.full(6, np.nan)
-
-
-def _text(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.6g}"
+    return labels.euler_from_label(mean) if np.isfinite(mean).all() else np.full(6, np.nan)

@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_perception.datasets.dataset import DatasetError, TactileFolder
 from tactile_perception.estimating.image import Image, ImageError
-from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_UNITS, surface_contact_pose
-
-POSE_COLUMNS = tuple(f"{name}_{unit}" for name, unit in zip(EULER_COMPONENTS, EULER_UNITS, strict=True))
+from tactile_perception.estimating.labels import EULER_COLUMNS, surface_contact_pose
 
 
 class SourceError(ValueError):
@@ -110,11 +108,11 @@ def read_poses(path: Path) -> list[NDArray[np.float64]]:
     try:
         with path.open(newline="") as file:
             reader = csv.DictReader(file)
-            missing = [name for name in POSE_COLUMNS if name not in (reader.fieldnames or [])]
+            missing = [name for name in EULER_COLUMNS if name not in (reader.fieldnames or [])]
             if missing:
                 raise SourceError(f"{path}: has no column {', '.join(missing)}")
             for row in reader:
-                values = np.array([float(row[name]) for name in POSE_COLUMNS])
+                values = np.array([float(row[name]) for name in EULER_COLUMNS])
                 if not np.all(np.isfinite(values)):
                     raise SourceError(f"{path}, line {reader.line_num}: a pose must be finite")
                 poses.append(surface_contact_pose(values))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
+from tactile_base.console import number_table
+from tactile_base.whole_file import write_csv
 from tactile_filter.bayes_filter import FilterSettings
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.labels import NETWORK_COLUMNS, NETWORK_TITLES
 from tactile_perception.estimating.plots import Row, draw_predicted_against_actual
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
 from tactile_perception.evaluation.filtering import (
@@ -178,17 +179,15 @@ def _filter_table(entries: Sequence[FilterResult], name: str, goal: dict[float, 
     by_sigma = {sigma: [entry for entry in entries if entry.sigma_psi == sigma] for sigma in sigmas}
     count = len(by_sigma[sigmas[0]])
     models = f"{count} models, mean ± deviation" if count > 1 else entries[0].model
-    table = Table(title=f"filtered mean absolute errors: {name} ({models})")
-    table.add_column("sigma_psi (mm, deg)")
-    for sigma in sigmas:
-        table.add_column(f"{sigma:g}", justify="right")
-    for component, (label, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
+    title = f"filtered mean absolute errors: {name} ({models})"
+    table = number_table(title, ["sigma_psi (mm, deg)", *(f"{sigma:g}" for sigma in sigmas)])
+    for component, label in enumerate(NETWORK_TITLES):
         cells = []
         for sigma in sigmas:
             values = [entry.mae[component] for entry in by_sigma[sigma]]
             wanted = goal[sigma][component] if sigma in goal else None
             cells.append(with_spread(values) + _compared(float(np.mean(values)), wanted))
-        table.add_row(f"{label} ({unit})", *cells)
+        table.add_row(label, *cells)
     table.add_section()
     for label, attribute in (("NEES / 6", "nees"), ("NIS / 6", "nis"), ("sigma_phi", "sigma_phi")):
         columns = ([getattr(entry, attribute) for entry in by_sigma[sigma]] for sigma in sigmas)
@@ -203,28 +202,14 @@ def _compared(value: float, wanted: float | None) -> str:
 
 def write_filter_files(out: Path, found: Sequence[FilterResult]) -> None:
     """`filter.csv`, one row a model, state, noise and sigma."""
-    vector = [f"mae_{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
-    with (out / "filter.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            [
-                "model",
-                "kind",
-                "state",
-                "sigma_psi",
-                "noise",
-                "sigma_phi",
-                *vector,
-                "nees_per_dof",
-                "nis_per_dof",
-            ]
-        )
-        for entry in found:
-            numbers = [entry.sigma_phi, *entry.mae, entry.nees, entry.nis]
-            texts = ["" if math.isnan(value) else f"{value:.6g}" for value in numbers]
-            writer.writerow(
-                [entry.model, entry.kind, entry.state, f"{entry.sigma_psi:g}", entry.noise, *texts]
-            )
+    names = ["model", "kind", "state", "sigma_psi", "noise"]
+    numbers = ["sigma_phi", *(f"mae_{column}" for column in NETWORK_COLUMNS), "nees_per_dof", "nis_per_dof"]
+    rows = []
+    for entry in found:
+        values = [entry.sigma_phi, *entry.mae, entry.nees, entry.nis]
+        texts = ["" if math.isnan(value) else f"{value:.6g}" for value in values]
+        rows.append([entry.model, entry.kind, entry.state, f"{entry.sigma_psi:g}", entry.noise, *texts])
+    write_csv(out / "filter.csv", [*names, *numbers], rows)
 
 
 def filter_summary(data: EvaluationData, found: Sequence[FilterResult]) -> dict[str, Any]:
@@ -236,7 +221,7 @@ def filter_summary(data: EvaluationData, found: Sequence[FilterResult]) -> dict[
     return {
         "data": {"folder": str(data.folder), "samples": len(data), "sha256": data.sha256},
         "notes": data.notes,
-        "components": [f"{n} ({u})" for n, u in zip(COMPONENTS, NETWORK_UNITS, strict=True)],
+        "components": list(NETWORK_TITLES),
         "results": plain,
     }
 

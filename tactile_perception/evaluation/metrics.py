@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_SCALE
+from tactile_perception.estimating.labels import COMPONENTS, euler_from_label
 from tactile_perception.evaluation.calibration import Calibration
 
 Array = NDArray[np.float64]
@@ -72,28 +71,8 @@ def moment_matched(members: Sequence[Predictions]) -> Predictions:
 
 
 def euler_of(mean: Array) -> Array:
-    """Euler surface contact poses (N, 6) in mm and degrees of network vectors xi_sf (N, 6) in mm and rad.
-
-    `labels.euler_from_label` for many at once.
-    """
-    xi = mean * NETWORK_SCALE
-    rotation = Rotation.from_rotvec(xi[:, 3:])
-    inverse = rotation.inv()
-    position = -inverse.apply(_translation(xi))
-    return np.hstack([position * 1e3, inverse.as_euler("xyz", degrees=True)])
-
-
-def _translation(xi: Array) -> Array:
-    """J(phi) rho for each row: the translation of exp(xi)."""
-    rho, phi = xi[:, :3], xi[:, 3:]
-    theta = np.linalg.norm(phi, axis=1)
-    # sin(x)/x forms: (1 - cos t) / t^2 = (sin(t/2) / (t/2))^2 / 2 cancels nowhere.
-    b = 0.5 * np.sinc(theta / (2.0 * np.pi)) ** 2
-    small = theta < 1e-2
-    safe = np.where(small, 1.0, theta)
-    c = np.where(small, (1.0 - theta**2 / 20.0) / 6.0, (safe - np.sin(safe)) / safe**3)
-    first = np.cross(phi, rho)
-    return rho + b[:, None] * first + c[:, None] * np.cross(phi, first)
+    """Euler surface contact poses (N, 6) in mm and degrees of network vectors xi_sf (N, 6) in mm and rad."""
+    return np.array([euler_from_label(row) for row in mean])
 
 
 @dataclass(frozen=True)

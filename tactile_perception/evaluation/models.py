@@ -70,13 +70,7 @@ class Model:
         ModelError
             If an answer is not finite, or has no positive definite covariance.
         """
-        parts = []
-        for start in range(0, len(images), _BATCH):
-            batch = as_input(images[start : start + _BATCH])
-            parts.append(self.estimator.predict_uncalibrated(batch))
-            if progress is not None:
-                progress(len(batch))
-        mean, cov = (np.concatenate(column) for column in zip(*parts, strict=True))
+        mean, cov = predict_all(self.estimator, images, progress)
         self._check(mean, "mu")
         self._check(cov.reshape(len(cov), -1), "covariance")
         self._check(np.linalg.eigvalsh(cov), "eigenvalues of the covariance", positive=True)
@@ -90,6 +84,20 @@ class Model:
                 f"{self.estimator.path}: {what} = {array[wrong[0]]} for image {wrong[0]} "
                 f"({len(wrong)} such images); must be finite{' and positive' if positive else ''}"
             )
+
+
+def predict_all(
+    estimator: Estimator, images: NDArray[np.uint8], progress: Callable[[int], None] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`Estimator.predict_uncalibrated` for any number of pre-processed images, some at a time."""
+    parts = []
+    for start in range(0, len(images), _BATCH):
+        batch = as_input(images[start : start + _BATCH])
+        parts.append(estimator.predict_uncalibrated(batch))
+        if progress is not None:
+            progress(len(batch))
+    mean, cov = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return mean, cov
 
 
 def open_models(runs: Sequence[Path | str], threads: int = 0) -> list[Model]:

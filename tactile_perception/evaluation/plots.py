@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS
 from tactile_perception.estimating.plots import (
     DPI,
     Row,
@@ -17,7 +17,7 @@ from tactile_perception.estimating.plots import (
     plot_grid,
     shared_legend,
 )
-from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
+from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import CURVE, shear_of
 from tactile_perception.evaluation.report import groups
 
@@ -56,17 +56,23 @@ def best(members: Sequence[ModelResult]) -> ModelResult:
     return min(members, key=loss)
 
 
+def _states(result: ModelResult) -> Iterator[tuple[Assessment, str, str]]:
+    """Assessment, line and label of a model as it is and calibrated."""
+    yield result.raw, ":", f"{result.name}, as the network says"
+    if result.calibrated is not None:
+        yield result.calibrated, "-", f"{result.name}, calibrated"
+
+
 def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
     """Coverage against the nominal level of central intervals, before and after calibration."""
     figure, grid = plot_grid(1, 6, 4.3)
     for component, axes in enumerate(grid[0]):
         axes.plot([0.0, 1.0], [0.0, 1.0], color="black", linewidth=0.8)
         for color, result in enumerate(results):
-            for assessment, style in ((result.raw, ":"), (result.calibrated, "-")):
-                if assessment is not None and assessment.consistency is not None:
-                    state = "calibrated" if assessment is result.calibrated else "as the network says"
+            for assessment, style, label in _states(result):
+                if assessment.consistency is not None:
                     curve = assessment.consistency.curve[:, component]
-                    axes.plot(CURVE, curve, style, color=f"C{color}", label=f"{result.name}, {state}")
+                    axes.plot(CURVE, curve, style, color=f"C{color}", label=label)
         axes.set(xlabel="nominal", title=COMPONENTS[component], aspect="equal")
         axes.grid(alpha=0.3)
     grid[0][0].set_ylabel("fraction of labels inside")
@@ -80,14 +86,12 @@ def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
     for component, axes in enumerate(grid[0]):
         reach = []
         for color, result in enumerate(results):
-            for assessment, style in ((result.raw, "o:"), (result.calibrated, "o-")):
-                if assessment is None or assessment.by_sigma is None:
+            for assessment, style, label in _states(result):
+                if assessment.by_sigma is None:
                     continue
                 bins = assessment.by_sigma[component]
-                state = "calibrated" if assessment is result.calibrated else "as the network says"
                 sigma, rmse = bins.sigma[:, component], bins.rmse[:, component]
-                label = f"{result.name}, {state}"
-                axes.plot(sigma, rmse, style, color=f"C{color}", markersize=3, label=label)
+                axes.plot(sigma, rmse, f"o{style}", color=f"C{color}", markersize=3, label=label)
                 reach += [*sigma[np.isfinite(sigma)], *rmse[np.isfinite(rmse)]]
         limits = [min(reach), max(reach)]
         axes.plot(limits, limits, color="black", linewidth=0.8)
@@ -113,9 +117,7 @@ def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
                     # A Gaussian's mean absolute error is 0.798 of its sigma.
                     expected = np.sqrt(2.0 / np.pi) * bins.sigma[:, component]
                     axes.plot(middle, expected, "--", color=f"C{color}", label=f"{result.name}, predicted")
-            axes.set(
-                xlabel=f"{which[3:]} (mm)", title=f"{COMPONENTS[component]} ({NETWORK_UNITS[component]})"
-            )
+            axes.set(xlabel=f"{which[3:]} (mm)", title=NETWORK_TITLES[component])
             axes.set_ylim(bottom=0.0)
             axes.grid(alpha=0.3)
         axes_row[0].set_ylabel("mean absolute error")
@@ -137,7 +139,7 @@ def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) 
             mean = np.where(count >= _FEWEST, total / np.maximum(count, 1.0), np.nan)
             picture = axes.pcolormesh(edges[1], edges[0], mean, cmap="viridis", vmin=0.0)
             figure.colorbar(picture, ax=axes, pad=0.01)
-            axes.set_title(f"{COMPONENTS[component]} ({NETWORK_UNITS[component]})")
+            axes.set_title(NETWORK_TITLES[component])
             axes.set(xlabel="shear (mm)", ylabel="depth (mm)" if component else f"{result.name}\ndepth (mm)")
     figure.suptitle("mean absolute error")
     figure.savefig(path, dpi=DPI)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
 import re
@@ -16,8 +15,16 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from tactile_base.config_paths import config_path
+from tactile_base.console import number_table
+from tactile_base.whole_file import write_csv
 from tactile_base.yaml_file import read_yaml
-from tactile_perception.estimating.labels import COMPONENTS, EULER_COMPONENTS, EULER_UNITS, NETWORK_UNITS
+from tactile_perception.estimating.labels import (
+    COMPONENTS,
+    EULER_COMPONENTS,
+    EULER_TITLES,
+    NETWORK_COLUMNS,
+    NETWORK_TITLES,
+)
 from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, ModelResult
 from tactile_perception.evaluation.metrics import LEVELS, Bins
 
@@ -34,10 +41,12 @@ def groups(results: Sequence[ModelResult]) -> dict[str, list[ModelResult]]:
     return found
 
 
-def spread(values: Sequence[float] | Array) -> tuple[float, float]:
-    """Mean and sample standard deviation over models; NaN where there is only one."""
+def spread(values: Sequence[Any] | Array) -> tuple[Array, Array]:
+    """Mean and sample standard deviation over models (the first axis); NaN where there is only one."""
     array = np.asarray(values, dtype=np.float64)
-    return float(array.mean()), float(array.std(ddof=1)) if len(array) > 1 else float("nan")
+    return array.mean(axis=0), array.std(axis=0, ddof=1) if len(array) > 1 else np.full(
+        array.shape[1:], np.nan
+    )
 
 
 def with_spread(values: Sequence[float] | Array, digits: int = 4) -> str:
@@ -54,16 +63,15 @@ def accuracy_table(results: Sequence[ModelResult], reference: ReferenceTables | 
     """
     columns = groups(results)
     networks = {} if reference is None else reference.networks
-    table = Table(title="mean absolute errors")
-    table.add_column("")
-    for name, members in columns.items():
-        table.add_column(name if len(members) == 1 else f"{name}, {len(members)} models", justify="right")
-
-    for name in networks:
-        table.add_column(f"paper, {name}", justify="right")
+    heads = [
+        name if len(members) == 1 else f"{name}, {len(members)} models" for name, members in columns.items()
+    ]
+    table = number_table("mean absolute errors", ["", *heads, *(f"paper, {name}" for name in networks)])
 
     def row(label: str, value: Callable[[ModelResult], float | None], others: Sequence[str] = ()) -> None:
-        cells = [_cell([value(member) for member in members]) for members in columns.values()]
+        found = [[value(member) for member in members] for members in columns.values()]
+        known = [[value for value in values if value is not None] for values in found]
+        cells = [with_spread(values) if values else "-" for values in known]
         table.add_row(label, *cells, *others)
 
     losses = {name: f"{loss:.4f}" for name, (loss, _) in networks.items()}
@@ -72,18 +80,13 @@ def accuracy_table(results: Sequence[ModelResult], reference: ReferenceTables | 
     row("mean NLL", lambda result: result.raw.consistency.nll if result.raw.consistency else None, nll)
     row("weighted MSE", lambda result: result.accuracy.mse, mse)
     table.add_section()
-    for index, (name, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
+    for index, name in enumerate(NETWORK_TITLES):
         others = [f"{mae[index]:.4f}" for _, mae in networks.values()]
-        row(f"{name} ({unit})", lambda result, index=index: result.accuracy.mae[index], others)  # type: ignore[misc]
+        row(name, lambda result, index=index: result.accuracy.mae[index], others)  # type: ignore[misc]
     table.add_section()
-    for index, (name, unit) in enumerate(zip(EULER_COMPONENTS, EULER_UNITS, strict=True)):
-        row(f"{name} ({unit})", lambda result, index=index: result.accuracy.euler_mae[index])  # type: ignore[misc]
+    for index, name in enumerate(EULER_TITLES):
+        row(name, lambda result, index=index: result.accuracy.euler_mae[index])  # type: ignore[misc]
     return table
-
-
-def _cell(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return with_spread(known) if known else "-"
 
 
 def calibration_table(members: Sequence[ModelResult], name: str) -> Table | None:
@@ -97,13 +100,11 @@ def calibration_table(members: Sequence[ModelResult], name: str) -> Table | None
     interval = members[0].raw.consistency
     assert interval is not None
     low, high = interval.joint_interval
-    table = Table(
-        title=f"{name}: NEES (more than 1: overconfident) and coverage in %\n"
-        f"a right joint NEES / 6 of {count} samples lies in [{low:.3f}, {high:.3f}] with 95 %"
+    table = number_table(
+        f"{name}: NEES (more than 1: overconfident) and coverage in %\n"
+        f"a right joint NEES / 6 of {count} samples lies in [{low:.3f}, {high:.3f}] with 95 %",
+        ["", *COMPONENTS, "joint", "mean NLL"],
     )
-    table.add_column("")
-    for label in (*COMPONENTS, "joint", "mean NLL"):
-        table.add_column(label, justify="right")
     for state, choose in states:
         found = [choose(member).consistency for member in members]
         rows = [consistency for consistency in found if consistency is not None]
@@ -118,16 +119,14 @@ def calibration_table(members: Sequence[ModelResult], name: str) -> Table | None
 def bins_table(members: Sequence[ModelResult], name: str, which: str) -> Table:
     """MAE by depth or by shear (`by_depth`, `by_shear`), means over models."""
     bins: list[Bins] = [getattr(member.best, which) for member in members]
-    table = Table(title=f"{name}: mean absolute error {which.replace('_', ' ')} (mm)")
-    table.add_column("")
     edges, count = bins[0].edges, bins[0].count
     chosen = np.flatnonzero(count)
-    for index in chosen:
-        table.add_column(f"{edges[index]:g} to {edges[index + 1]:g}", justify="right")
+    heads = [f"{edges[index]:g} to {edges[index + 1]:g}" for index in chosen]
+    table = number_table(f"{name}: mean absolute error {which.replace('_', ' ')} (mm)", ["", *heads])
     table.add_row("samples", *(str(count[index]) for index in chosen))
     mae = np.mean([b.mae for b in bins], axis=0)
-    for component, (label, unit) in enumerate(zip(COMPONENTS, NETWORK_UNITS, strict=True)):
-        table.add_row(f"{label} ({unit})", *(f"{mae[index, component]:.4f}" for index in chosen))
+    for component, label in enumerate(NETWORK_TITLES):
+        table.add_row(label, *(f"{mae[index, component]:.4f}" for index in chosen))
     return table
 
 
@@ -136,7 +135,7 @@ def summary(data: EvaluationData, results: Sequence[ModelResult]) -> dict[str, A
     return {
         "data": {"folder": str(data.folder), "samples": len(data), "sha256": data.sha256},
         "notes": data.notes,
-        "components": [f"{n} ({u})" for n, u in zip(COMPONENTS, NETWORK_UNITS, strict=True)],
+        "components": list(NETWORK_TITLES),
         "coverage_levels": list(LEVELS),
         "models": [_plain_result(result) for result in results],
         "groups": {name: _plain_group(members) for name, members in groups(results).items()},
@@ -181,9 +180,7 @@ def _plain_group(members: Sequence[ModelResult]) -> dict[str, Any]:
 
 
 def _mean_and_deviation(values: Sequence[Any]) -> dict[str, Any]:
-    array = np.array(values)
-    deviation = array.std(axis=0, ddof=1) if len(array) > 1 else np.full(array.shape[1:], np.nan)
-    return {"mean": _plain(array.mean(axis=0)), "deviation": _plain(deviation)}
+    return dict(zip(("mean", "deviation"), map(_plain, spread(values)), strict=True))
 
 
 def _plain(value: Any) -> Any:
@@ -203,11 +200,8 @@ def write_files(out: Path, data: EvaluationData, results: Sequence[ModelResult])
     """`results.json`, `results.csv` (one number a row), and each model's predictions as a table."""
     text = json.dumps(summary(data, results), indent=1, allow_nan=False)
     (out / "results.json").write_text(text + "\n")
-    with (out / "results.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["model", "kind", "state", "quantity", "component", "value"])
-        for result in results:
-            writer.writerows((result.name, result.kind, *row) for row in _rows(result))
+    rows = ((result.name, result.kind, *row) for result in results for row in _rows(result))
+    write_csv(out / "results.csv", ["model", "kind", "state", "quantity", "component", "value"], rows)
     for result in results:
         _write_predictions(out / f"predictions_{file_name(result.name)}.csv", data, result)
 
@@ -241,19 +235,15 @@ def _rows(result: ModelResult) -> Iterator[tuple[str, str, str, str]]:
 
 
 def _write_predictions(path: Path, data: EvaluationData, result: ModelResult) -> None:
-    vector = [f"{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
-    header = [f"{kind}_{column}" for kind in ("label", "predicted") for column in vector]
+    header = [f"{kind}_{column}" for kind in ("label", "predicted") for column in NETWORK_COLUMNS]
     columns = [data.labels, result.raw.predictions.mean]
     for state in ("raw", "calibrated"):
         assessment = getattr(result, state)
         if assessment is not None and assessment.consistency is not None:
-            header += [f"{state}_sigma_{column}" for column in vector]
+            header += [f"{state}_sigma_{column}" for column in NETWORK_COLUMNS]
             columns.append(assessment.predictions.sigma)
-    values = np.hstack(columns)
-    with path.open("w", newline="") as file:
-        file.write(",".join(["image", *header]) + "\n")
-        for name, row in zip(data.names, values.tolist(), strict=True):
-            file.write(name + "," + ",".join(f"{value:.6g}" for value in row) + "\n")
+    lines = zip(data.names, np.hstack(columns).tolist(), strict=True)
+    write_csv(path, ["image", *header], ([name, *(f"{value:.6g}" for value in row)] for name, row in lines))
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,8 @@ def detect(image: Image, settings: DetectionSettings | None = None) -> DetectedM
     """
     settings = settings or DetectionSettings()
     gray = _checked(image)
-    white, weight = _binary(gray, settings) if is_binary(gray) else _bright(gray, settings)
+    smooth = np.asarray(cv2.medianBlur(gray, settings.median) if settings.median else gray, np.uint8)
+    white, weight = (smooth, None) if is_binary(gray) else _bright(smooth, settings)
     found = cv2.connectedComponentsWithStats(white, connectivity=4, ltype=cv2.CV_32S)
     labels, stats = (np.asarray(part, np.int32) for part in found[1:3])
     moments = _moments(labels, stats[:, cv2.CC_STAT_AREA], np.asarray(found[3], float), weight)
@@ -204,14 +205,8 @@ def _checked(image: Image) -> Image:
     return np.ascontiguousarray(image)
 
 
-def _binary(image: Image, settings: DetectionSettings) -> tuple[Image, None]:
-    smooth = cv2.medianBlur(image, settings.median) if settings.median else image
-    return np.asarray(smooth, np.uint8), None
-
-
-def _bright(image: Image, settings: DetectionSettings) -> tuple[Image, Image]:
+def _bright(smooth: Image, settings: DetectionSettings) -> tuple[Image, Image]:
     """What is brighter than its neighborhood (uint8), and by how much (the weights of the centers)."""
-    smooth = cv2.medianBlur(image, settings.median) if settings.median else image
     side = settings.neighborhood
     ground = cv2.boxFilter(smooth, cv2.CV_8U, (side, side), borderType=cv2.BORDER_REPLICATE)
     over = cv2.subtract(smooth, ground)

@@ -220,7 +220,7 @@ def _once(
     """Shear (2, 2), tilt (2, 2), spread () and turn () for one weighting of the samples."""
     x, y, _, alpha, beta, gamma = labels.T
     basis = np.stack([np.ones_like(x), rank - 0.5, x, y, -beta, alpha, gamma], axis=1)
-    half = _regressions(basis, positions, inner, weights * (rank > 0.3))
+    half = regressions(basis, positions, weights * (rank > 0.3), markers=inner)
     used = inner & np.isfinite(half[:, 0, 0])
     if used.sum() < _LEAST_MARKERS:
         raise FlowError(
@@ -233,11 +233,12 @@ def _once(
     spread = np.array((gradient[0, 0] + gradient[1, 1]) / 2)
     # rotation shows in deep contacts only, under the larger motions by shear and tilt; in their very middle,
     # where markers are lost or mistaken most, it is not looked for
-    bent = [v * (rank - 0.8) for v in (x, y, -beta, alpha)] + [p * q for p, q in _pairs(x, y, alpha, beta)]
+    bent = [v * (rank - 0.8) for v in (x, y, -beta, alpha)]
+    bent += [p * q for p, q in itertools.combinations_with_replacement((x, y, alpha, beta), 2)]
     distance = np.linalg.norm(rest, axis=1)
     middle = (distance >= settings.ring[0]) & (distance < settings.ring[1])
     basis = np.column_stack([basis, *bent])
-    deep = _regressions(basis, positions, middle, weights * (rank > settings.deep))
+    deep = regressions(basis, positions, weights * (rank > settings.deep), markers=middle)
     used = middle & np.isfinite(deep[:, 0, 0])
     r, moved = rest[used], deep[used, 6]
     turn = np.array(np.sum(r[:, 0] * moved[:, 1] - r[:, 1] * moved[:, 0]) / max(np.sum(r**2), 1e-12))
@@ -246,19 +247,29 @@ def _once(
     return shear, tilt, spread, turn
 
 
-def _pairs(*values: Array) -> list[tuple[Array, Array]]:
-    return list(itertools.combinations_with_replacement(values, 2))
+def regressions(
+    basis: Array,
+    positions: Array,
+    weights: NDArray,
+    least: int = _LEAST_SEEN,
+    markers: NDArray[np.bool_] | None = None,
+) -> Array:
+    """Weights (markers, basis, 2) by which markers follow a basis; NaN for those that are not asked for.
 
-
-def _regressions(basis: Array, positions: Array, inner: NDArray[np.bool_], weights: Array) -> Array:
-    """Weights (markers, basis, 2) by which inner markers follow the basis; NaN where seen too seldom."""
+    Parameters
+    ----------
+    basis : (n, basis)
+    positions : (n, markers, 2); NaN where one was not found
+    weights : (n,) of the samples
+    least : samples of positive weight in which a marker must have been seen; NaN for others, too
+    """
     out = np.full((positions.shape[1], basis.shape[1], 2), np.nan)
     scale = np.maximum(np.abs(basis).max(axis=0), 1e-12)
-    for marker in np.flatnonzero(inner):
+    for marker in range(positions.shape[1]) if markers is None else np.flatnonzero(markers):
         w = weights * np.isfinite(positions[:, marker, 0])
-        if (w > 0).sum() < _LEAST_SEEN:
-            continue
         seen = w > 0
+        if seen.sum() < least:
+            continue
         a = basis[seen] / scale * np.sqrt(w[seen])[:, None]
         b = positions[seen, marker] * np.sqrt(w[seen])[:, None]
         out[marker] = np.linalg.lstsq(a, b, rcond=None)[0] / scale[:, None]

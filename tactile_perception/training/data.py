@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from tactile_base.settings import SettingError
-from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset
+from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset, training_part
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.model_metadata import split_holdback
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
@@ -156,7 +156,7 @@ def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Pat
     """Training and validation folder."""
     if not data_dir.is_dir():
         raise DatasetError(f"{data_dir}: there is no such folder")
-    train_dir = data_dir / "train" if (data_dir / "train").is_dir() else data_dir
+    train_dir = training_part(data_dir)
     if validation_dir is not None:
         return train_dir, Path(validation_dir)
     if (data_dir / "train").is_dir() and (data_dir / "val").is_dir():

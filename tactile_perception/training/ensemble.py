@@ -7,21 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import onnx
-from onnx import helper
 
-from tactile_base.whole_file import whole_file
-from tactile_perception.datasets.dataset import read_dataset
+from tactile_perception.datasets.dataset import read_dataset, training_part
 from tactile_perception.estimating.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
     INVERSE_SIGMA,
     MEAN,
     ModelMetadata,
-    split_holdback,
+    unseen_rows,
 )
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import CalibrationSettings
-from tactile_perception.training.export import GraphWriter
+from tactile_perception.training.export import GraphWriter, save_model
 from tactile_perception.training.recalibration import fit_on
 from tactile_perception.training.run_folder import MODEL_NAME
 
@@ -52,14 +50,12 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
     estimators = [Estimator(file) for file in files]
     metadata = _joined_metadata(files, [estimator.metadata for estimator in estimators])
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     _write(files, path, metadata)
     if data is not None:
-        held_back = [estimator.metadata for estimator in estimators]
-        holdback = _common_holdback(files, held_back)
-        settings = CalibrationSettings.from_mapping(held_back[0].training.get("calibration", {}))
-        metadata = _calibrated(path, metadata, holdback, Path(data), settings)
-        _write(files, path, metadata)
+        members = [estimator.metadata for estimator in estimators]
+        _check_holdback(files, members)
+        settings = CalibrationSettings.from_mapping(members[0].training.get("calibration", {}))
+        _write(files, path, _calibrated(path, metadata, Path(data), settings))
     return path
 
 
@@ -94,10 +90,8 @@ def _write(files: Sequence[Path], path: Path, metadata: ModelMetadata) -> None:
     total = graph.node("Sum", covariances + spreads, "covariances.sum")
     graph.node("Div", [total, count], COVARIANCE)
     model = graph.model(metadata.preprocessing.size, (MEAN, COVARIANCE))
-    helper.set_model_props(model, metadata.to_properties())
     onnx.checker.check_model(model)
-    with whole_file(path) as temporary:
-        onnx.save_model(model, str(temporary))
+    save_model(model, path, metadata)
 
 
 def _add_member(graph: GraphWriter, model: onnx.ModelProto, prefix: str) -> tuple[str, str]:
@@ -108,45 +102,39 @@ def _add_member(graph: GraphWriter, model: onnx.ModelProto, prefix: str) -> tupl
 
     for constant in model.graph.initializer:
         constant.name = renamed(constant.name)
-        graph.constants.append(constant)
     for node in model.graph.node:
         node.name = renamed(node.name)
         node.input[:] = [renamed(name) for name in node.input]
         node.output[:] = [renamed(name) for name in node.output]
-        graph.nodes.append(node)
-    outputs = [output.name for output in model.graph.output]
-    if COVARIANCE in outputs:
-        return renamed(MEAN), renamed(COVARIANCE)
-    inverse = renamed(INVERSE_SIGMA)
+    graph.constants += model.graph.initializer
+    graph.nodes += model.graph.node
+    mean, covariance, inverse = map(renamed, (MEAN, COVARIANCE, INVERSE_SIGMA))
+    if COVARIANCE in [output.name for output in model.graph.output]:
+        return mean, covariance
     squared = graph.node("Mul", [inverse, inverse], f"{prefix}.precision")
     variance = graph.node("Reciprocal", [squared], f"{prefix}.variance")
-    return renamed(MEAN), graph.diagonal(variance, f"{prefix}.diagonal")
+    return mean, graph.diagonal(variance, f"{prefix}.diagonal")
 
 
-def _common_holdback(files: Sequence[Path], members: Sequence[ModelMetadata]) -> float:
-    """The part of the training data that none of the members has seen."""
-    parts = []
+def _check_holdback(files: Sequence[Path], members: Sequence[ModelMetadata]) -> None:
+    """`EnsembleError` unless there is a part of the same training data that none of the members has seen."""
     for file, member in zip(files, members, strict=True):
-        part = member.training.get("training", {}).get("holdback", 0.0)
-        if part == 0.0:
+        if member.training.get("training", {}).get("holdback", 0.0) == 0.0:
             raise EnsembleError(
                 f"{file}: was trained on all of its data, so that nothing is left to calibrate on; "
                 "train with training.holdback, or leave out --data"
             )
         if member.training_data.get("sha256") != members[0].training_data.get("sha256"):
             raise EnsembleError(f"{file}: was trained on other data than {files[0]}")
-        parts.append(float(part))
-    # The held-back samples of a smaller part are among those of a larger one.
-    return min(parts)
 
 
 def _calibrated(
-    path: Path, metadata: ModelMetadata, holdback: float, data: Path, settings: CalibrationSettings
+    path: Path, metadata: ModelMetadata, data: Path, settings: CalibrationSettings
 ) -> ModelMetadata:
-    train_dir = data / "train" if (data / "train").is_dir() else data
+    train_dir = training_part(data)
     samples = read_dataset(train_dir, metadata.preprocessing)
     if samples.sha256 != metadata.training_data.get("sha256"):
         raise EnsembleError(f"{train_dir}: is not what the networks were trained on")
-    _, chosen = split_holdback(len(samples), holdback)
-    calibration = fit_on(Estimator(path), samples, chosen, settings)
+    rows = unseen_rows(metadata, samples.sha256, len(samples))
+    calibration = fit_on(Estimator(path), samples, rows, settings)
     return dataclasses.replace(metadata, calibration=calibration)

@@ -56,11 +56,19 @@ def export_onnx(
     last = graph.node("Gemm", [last, weight, bias], "head", transB=1)
     second = write_head(graph, last, settings, sigma)
     model = graph.model(settings.image_size, (MEAN, second))
-    helper.set_model_props(model, metadata.to_properties())
     onnx.checker.check_model(model)
+    return save_model(model, path, metadata)
+
+
+def save_model(model: onnx.ModelProto, path: Path | str, metadata: ModelMetadata) -> Path:
+    """Write a model with this metadata in place of what it has, whole or not at all, and make its folder."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    del model.metadata_props[:]
+    helper.set_model_props(model, metadata.to_properties())
     with whole_file(path) as temporary:
         onnx.save_model(model, str(temporary))
-    return Path(path)
+    return path
 
 
 def _folded(block: ConvBlock, stride: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -177,21 +185,15 @@ def write_head(
     if settings.head == "mse":
         if sigma is None:
             raise ValueError("a network with the head mse needs the standard deviations of its errors")
-        return _write_mse(graph, raw, sigma)
-    writers = {"gaussian": _write_gaussian, "full_gaussian": _write_full, "mixture": _write_mixture}
-    return writers[settings.head](graph, raw, settings.inverse_sigma_bounds)
-
-
-def _write_mse(graph: GraphWriter, raw: str, sigma: NDArray[np.float64]) -> str:
-    graph.node("Identity", [raw], MEAN)
-    nothing = graph.node("Mul", [raw, graph.constant("zero", 0.0)], "nothing")
-    constant = graph.constant("inverse_sigma.value", 1.0 / sigma)
-    return graph.node("Add", [nothing, constant], INVERSE_SIGMA)
-
-
-def _write_gaussian(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:
-    graph.split(raw, [OUTPUTS, OUTPUTS], [MEAN, "unbounded"])
-    return graph.softbound("unbounded", INVERSE_SIGMA, bounds)
+        graph.node("Identity", [raw], MEAN)
+        nothing = graph.node("Mul", [raw, graph.constant("zero", 0.0)], "nothing")
+        constant = graph.constant("inverse_sigma.value", 1.0 / sigma)
+        return graph.node("Add", [nothing, constant], INVERSE_SIGMA)
+    if settings.head == "gaussian":
+        graph.split(raw, [OUTPUTS, OUTPUTS], [MEAN, "unbounded"])
+        return graph.softbound("unbounded", INVERSE_SIGMA, settings.inverse_sigma_bounds)
+    write = _write_full if settings.head == "full_gaussian" else _write_mixture
+    return write(graph, raw, settings.inverse_sigma_bounds)
 
 
 def _write_full(graph: GraphWriter, raw: str, bounds: tuple[float, ...]) -> str:

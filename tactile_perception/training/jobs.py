@@ -20,7 +20,7 @@ LOG_NAME = "train.log"
 _POLL_SECONDS = 0.3
 
 
-class JobError(RuntimeError):
+class JobError(ValueError):
     """A run that failed, or a cluster that cannot be used."""
 
 

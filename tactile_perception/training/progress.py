@@ -28,43 +28,36 @@ class TrainingProgress:
         """An epoch and its validation are done."""
 
 
-class TrainingDisplay(TrainingProgress):
+class TrainingDisplay(Progress, TrainingProgress):
     """A bar with epoch, loss and time left on a terminal, and a line for each epoch; use as a context."""
 
     def __init__(self) -> None:
-        self._display = Progress(line_period=math.inf)  # there is a line for each epoch
+        super().__init__(line_period=math.inf)  # there is a line for each epoch
         self._steps = self._epochs = 0
         self._loss_name = ""
         self._announced = False
 
-    def __enter__(self) -> TrainingDisplay:
-        self._display.__enter__()
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._display.__exit__(*exception)
-
     def loading(self, done: int, total: int) -> None:
-        self._display.update("loading", done, total, "images")
+        self.update("loading", done, total, "images")
 
     def start(self, epochs: int, steps: int, loss_name: str, epochs_done: int) -> None:
-        self._display.finish("loading")
+        self.finish("loading")
         self._steps, self._epochs, self._loss_name = steps, epochs, loss_name
         if epochs_done:
-            self._display.say(f"resumed after epoch {epochs_done} of {epochs}")
+            self.say(f"resumed after epoch {epochs_done} of {epochs}")
 
     def step(self, epoch: int, step: int, loss: float, seconds_left: float | None) -> None:
         if seconds_left is not None and not self._announced:
             self._announced = True
-            self._display.say(f"{self._epochs - epoch} epochs will take about {duration(seconds_left)}")
+            self.say(f"{self._epochs - epoch} epochs will take about {duration(seconds_left)}")
         done, total = epoch * self._steps + step + 1, self._epochs * self._steps
         text = f"epoch {epoch + 1}, {self._loss_name} {loss:.3f}"
         left = math.nan if seconds_left is None else seconds_left
-        self._display.update("training", done, total, text=text, seconds_left=left)
+        self.update("training", done, total, text=text, seconds_left=left)
 
     def epoch(self, epoch: Epoch) -> None:
         self._announced = True  # by this line
-        self._display.say(
+        self.say(
             f"epoch {epoch.number + 1:3d}  lr {epoch.learning_rate:.1e}  {self._loss_name} "
             f"train {epoch.train_loss:7.3f} val {epoch.validation_loss:7.3f}  "
             f"val MAE {errors_in_words(epoch.mae)}  "

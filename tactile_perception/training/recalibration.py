@@ -11,10 +11,8 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from tactile_base.whole_file import whole_file
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset
-from tactile_perception.estimating.model_metadata import ModelMetadata, is_training_data, unseen_rows
-from tactile_perception.estimating.preprocessing import as_input
+from tactile_perception.estimating.model_metadata import is_training_data, unseen_rows
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import (
     Calibration,
@@ -22,8 +20,8 @@ from tactile_perception.evaluation.calibration import (
     CalibrationSettings,
     fit_calibration,
 )
-
-_BATCH = 50
+from tactile_perception.evaluation.models import predict_all
+from tactile_perception.training.export import save_model
 
 
 def recalibrate(
@@ -69,7 +67,7 @@ def recalibrate(
         plain = CalibrationSettings()
         settings = settings.replaced(margin=plain.margin, floor=plain.floor)
     calibration = fit_on(estimator, samples, rows, settings.replaced(**(changes or {})))
-    _write(Path(model), Path(out), dataclasses.replace(metadata, calibration=calibration))
+    save_model(onnx.load(str(model)), out, dataclasses.replace(metadata, calibration=calibration))
     return calibration, own_session
 
 
@@ -80,19 +78,5 @@ def fit_on(
     settings: CalibrationSettings,
 ) -> Calibration:
     """Fitted to the network's own answers to some rows of a data set."""
-    parts = [
-        estimator.predict_uncalibrated(as_input(samples.images[rows[start : start + _BATCH]]))
-        for start in range(0, len(rows), _BATCH)
-    ]
-    mean, cov = (np.concatenate(column) for column in zip(*parts, strict=True))
+    mean, cov = predict_all(estimator, samples.images[rows])
     return fit_calibration(samples.labels[rows], mean, cov, settings)
-
-
-def _write(model: Path, out: Path, metadata: ModelMetadata) -> None:
-    """The same network with other metadata; whole or not at all."""
-    loaded = onnx.load(str(model))
-    del loaded.metadata_props[:]
-    onnx.helper.set_model_props(loaded, metadata.to_properties())
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(out) as temporary:
-        onnx.save_model(loaded, str(temporary))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pickle
 from dataclasses import dataclass
@@ -13,8 +14,8 @@ import torch
 import yaml
 from numpy.typing import NDArray
 
-from tactile_base.whole_file import check_folder, whole_file
-from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_base.whole_file import check_folder, whole_file, write_csv
+from tactile_perception.estimating.labels import COMPONENTS, NETWORK_COLUMNS
 from tactile_perception.training.config import TrainConfig
 
 CONFIG_NAME = "config.yaml"
@@ -94,7 +95,7 @@ class RunFolder:
             self.check_same(config, data)
         else:
             _write(self.file(FACTS_NAME), json.dumps(data, indent=2) + "\n")
-        self._write_config(config)
+        _write(self.file(CONFIG_NAME), yaml.safe_dump(config.plain(), sort_keys=False))
         _write(self.file(DATA_NAME), "\n".join(report) + "\n")
         return resumed
 
@@ -103,20 +104,19 @@ class RunFolder:
 
         The calibration is fitted when training has ended, so its settings may be others.
         """
-        found, wanted = _plain_yaml(self.file(CONFIG_NAME)), config.plain()
-        if isinstance(found, dict):
-            found["calibration"] = wanted["calibration"]
-        if data is not None and isinstance(found, dict):
-            found["data"], wanted["data"] = json.loads(self.file(FACTS_NAME).read_text()), data
-        difference = _difference(found, wanted)
+        wanted, difference = config.plain(), "an unreadable configuration"
+        with contextlib.suppress(yaml.YAMLError):
+            found = yaml.safe_load(self.file(CONFIG_NAME).read_text())
+            if isinstance(found, dict):
+                found["calibration"] = wanted["calibration"]
+                if data is not None:
+                    found["data"], wanted["data"] = json.loads(self.file(FACTS_NAME).read_text()), data
+                difference = _difference(found, wanted)
         if difference:
             raise FileExistsError(
                 f"{self.path}: holds another run that was started with {difference}; "
                 "remove it, choose another folder, or ask for the same to resume it"
             )
-
-    def _write_config(self, config: TrainConfig) -> None:
-        _write(self.file(CONFIG_NAME), yaml.safe_dump(config.plain(), sort_keys=False))
 
     def save_state(self, state: dict[str, Any]) -> None:
         """Keep what a resumed run needs."""
@@ -133,15 +133,14 @@ class RunFolder:
 
     def write_epochs(self, epochs: list[Epoch], loss_name: str) -> None:
         """`epochs.csv`: one line an epoch."""
-        units = [f"mae_{name}_{unit}" for name, unit in zip(COMPONENTS, NETWORK_UNITS, strict=True)]
-        loss = loss_name.replace(" ", "_")
-        head = ["epoch", "learning_rate", f"train_{loss}", f"validation_{loss}", *units, "seconds"]
-        lines = [",".join([*head, "seconds_left"])]
+        loss, mae = loss_name.replace(" ", "_"), [f"mae_{column}" for column in NETWORK_COLUMNS]
+        head = ["epoch", "learning_rate", f"train_{loss}", f"validation_{loss}", *mae]
+        rows = []
         for epoch in epochs:
             values = [epoch.learning_rate, epoch.train_loss, epoch.validation_loss, *epoch.mae]
             values += [epoch.seconds, epoch.seconds_left]
-            lines.append(",".join([str(epoch.number + 1), *(f"{value:.6g}" for value in values)]))
-        _write(self.file(EPOCHS_NAME), "\n".join(lines) + "\n")
+            rows.append([epoch.number + 1, *(f"{value:.6g}" for value in values)])
+        write_csv(self.file(EPOCHS_NAME), [*head, "seconds", "seconds_left"], rows)
 
     def finish(self, result: TrainResult, loss_name: str, validation: dict[str, Any]) -> None:
         """Curves and `result.json`, whose presence says that the run is complete."""
@@ -163,18 +162,8 @@ class RunFolder:
         return values
 
 
-def _plain_yaml(path: Path) -> Any:
-    """What a YAML file holds; None if it is none."""
-    try:
-        return yaml.safe_load(path.read_text())
-    except yaml.YAMLError:
-        return None
-
-
-def _difference(found: Any, wanted: dict[str, dict[str, Any]]) -> str:
+def _difference(found: dict[str, Any], wanted: dict[str, dict[str, Any]]) -> str:
     """The first value that differs, in words; empty if none does."""
-    if not isinstance(found, dict):
-        return "an unreadable configuration"
     for section, values in wanted.items():
         old = found.get(section) or {}
         for name in sorted({*old, *values} - _NO_RESULT):

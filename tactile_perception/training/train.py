@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -83,9 +84,7 @@ def train_network(
     run = _Run(data, config)
     resume = folder.open(config, data.facts, data.report)
     settings = config.training
-    history = _History(run.loss_name)
-    if resume:
-        history = run.restore(folder.load_state())
+    history = run.restore(folder.load_state()) if resume else _History()
     remaining = TimeLeft(settings.epochs, run.steps_per_epoch, settings.batch_size, len(data.validation))
     progress.start(settings.epochs, run.steps_per_epoch, run.loss_name, len(history.epochs))
     while history.stopped is None:
@@ -110,14 +109,13 @@ def train_network(
     return result
 
 
+@dataclass
 class _History:
     """What became of each epoch, and why there are no more."""
 
-    def __init__(self, loss_name: str) -> None:
-        self.loss_name = loss_name
-        self.epochs: list[Epoch] = []
-        self.best: Epoch | None = None
-        self.stopped: str | None = None
+    epochs: list[Epoch] = field(default_factory=list)
+    best: Epoch | None = None
+    stopped: str | None = None
 
     @property
     def minutes(self) -> float:
@@ -151,7 +149,8 @@ class _Run:
         self.layout = torch.channels_last if settings.channels_last else torch.contiguous_format
         self.network = PoseNetwork(config.network)
         self.loss_name = self.network.distribution.name
-        self.images, self.labels = self._tensors(data.training)
+        self.images = torch.from_numpy(data.training.images).to(self.device)
+        self.labels = torch.from_numpy(data.training.labels.astype(np.float32)).to(self.device)
         self.network.start_from(self.labels.cpu())
         if data.start is not None:
             data.start.give(self.network)
@@ -185,7 +184,7 @@ class _Run:
     def _train_epoch(self, number: int, progress: TrainingProgress, remaining: TimeLeft) -> float:
         settings = self.config.training
         # Every epoch has random numbers of its own, so that a resumed run draws those of a whole one.
-        torch.manual_seed(_epoch_seed(settings.seed, number))
+        torch.manual_seed(int(np.random.SeedSequence([settings.seed, number]).generate_state(1)[0]))
         rng = np.random.default_rng([settings.seed, number])
         self.network.train()
         order = rng.permutation(len(self.images))
@@ -193,7 +192,8 @@ class _Run:
         before = time.monotonic()
         for step in range(self.steps_per_epoch):
             moment = number + step / self.steps_per_epoch
-            self._set_rates(moment)
+            for group in self.optimizer.param_groups:
+                group["lr"] = learning_rate(moment, settings) * group["factor"]
             chosen = order[step * settings.batch_size : (step + 1) * settings.batch_size]
             loss = self._loss(*self._batch(chosen, moment, rng))
             self.optimizer.zero_grad(set_to_none=True)
@@ -211,11 +211,6 @@ class _Run:
     def usable(self) -> bool:
         """Whether all weights are finite; once one is not, no step brings it back."""
         return all(bool(torch.isfinite(weight).all()) for weight in self.network.parameters())
-
-    def _set_rates(self, moment: float) -> None:
-        rate = learning_rate(moment, self.config.training)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate * group["factor"]
 
     def _batch(
         self, chosen: NDArray[np.int64], moment: float, rng: np.random.Generator
@@ -316,11 +311,9 @@ class _Run:
         self.average.restore(state["average"])
         if self.axis is not None:
             self.axis.load_state_dict(state["axis"])
-        history = _History(self.loss_name)
-        history.epochs = [Epoch(**epoch) for epoch in state["epochs"]]
-        history.best = next((epoch for epoch in reversed(history.epochs) if epoch.best), None)
-        history.stopped = state["stopped"]
-        return history
+        epochs = [Epoch(**epoch) for epoch in state["epochs"]]
+        best = next((epoch for epoch in reversed(epochs) if epoch.best), None)
+        return _History(epochs, best, state["stopped"])
 
     def _optimizer(self) -> torch.optim.Adam:
         groups = [{"params": list(self.network.parameters()), "factor": 1.0}]
@@ -339,17 +332,9 @@ class _Run:
         depth = -data.training.labels[:, 2]
         return Augmenter(data.large, depth, data.preprocessing.crop_shape, settings)
 
-    def _tensors(self, samples: Samples) -> tuple[Tensor, Tensor]:
-        images = torch.from_numpy(samples.images).to(self.device)
-        return images, torch.from_numpy(samples.labels.astype(np.float32)).to(self.device)
-
     def _input(self, images: Tensor) -> Tensor:
         """uint8 (N, size, size) -> float (N, 1, size, size) in [0, 1]."""
         return images.unsqueeze(1).to(torch.float32).mul_(1.0 / 255.0).contiguous(memory_format=self.layout)
-
-
-def _epoch_seed(seed: int, number: int) -> int:
-    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 def keep_freed_memory() -> None:

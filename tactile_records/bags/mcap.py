@@ -25,7 +25,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.well_known import SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
-from tactile_records.bags.contents import Contents, Recorded
+from tactile_records.bags.contents import Bag, Recorded
 
 _OPCODES, _FIRST_PRIVATE_OPCODE = frozenset(map(int, Opcode)), 0x80
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)  # to compare with an enum takes longer
@@ -36,14 +36,14 @@ _DAMAGE = (McapError, ValueError, LookupError, OverflowError, RuntimeError, stru
 
 
 class McapReader:
-    """Reads one file into `contents`; `contents.problems` call it by `name`."""
+    """Reads one file into `bag`; `bag.problems` call it by `name`."""
 
-    def __init__(self, data: mmap.mmap, name: str, contents: Contents) -> None:
-        self._data, self._name, self._contents = data, name, contents
+    def __init__(self, data: mmap.mmap, name: str, bag: Bag) -> None:
+        self._data, self._name, self._bag = data, name, bag
         self._stream = cast(IO[bytes], data)  # the same, for mcap
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, bool]] = {}  # topic, type, whether it is kept
-        self._before = contents.read
+        self._before = bag.read
 
     def read(self) -> bool:
         """Read all that is readable; False if it is no MCAP file or holds nothing at all."""
@@ -53,7 +53,7 @@ class McapReader:
         position: int | None = len(MCAP0_MAGIC)
         while position is not None:
             position = self._read_from(position)
-        return bool(self._channels) or not self._contents.problems
+        return bool(self._channels) or not self._bag.problems
 
     def _read_from(self, position: int) -> int | None:
         """Read records until the end or the next damaged one; where to go on after that, None for nowhere."""
@@ -96,8 +96,8 @@ class McapReader:
 
     def _take_records(self, data: bytes) -> None:
         """The records in a chunk: nearly all are messages, and this loop is what reading a bag costs."""
-        contents, channels = self._contents, self._channels
-        keep, counts = contents.messages.append, dict.fromkeys(channels, 0)
+        bag, channels = self._bag, self._channels
+        keep, counts = bag.messages.append, dict.fromkeys(channels, 0)
         position, end, padded = 0, len(data), data + bytes(_MESSAGE.size)
         try:
             while position < end:
@@ -117,7 +117,7 @@ class McapReader:
             raise McapError(f"a message of channel {error}, which was not announced") from error
         finally:
             for channel, count in counts.items():
-                contents.counts[channels[channel][0]] += count
+                bag.counts[channels[channel][0]] += count
 
     def _take_part_of_chunk(self, at: int) -> None:
         """What can be decompressed of the chunk that the end of the file cuts."""
@@ -138,14 +138,14 @@ class McapReader:
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
             if schema.id not in self._schemas and schema.encoding == SchemaEncoding.ROS2:
-                self._contents.definitions[schema.name] = schema.data.decode()
+                self._bag.definitions[schema.name] = schema.data.decode()
             self._schemas.setdefault(schema.id, schema.name)
             return
         channel = Channel.read(stream)
         if channel.id not in self._channels:
             topic, type_name = channel.topic, self._schemas.get(channel.schema_id, "")
-            self._channels[channel.id] = topic, type_name, self._contents.wanted(topic, type_name)
-            self._contents.add_topic(topic, type_name)
+            self._channels[channel.id] = topic, type_name, self._bag.wanted(topic, type_name)
+            self._bag.add_topic(topic, type_name)
 
     def _content(self, at: int) -> ReadDataStream:
         """What the record at this place holds, for the parsers of `mcap`."""
@@ -154,19 +154,19 @@ class McapReader:
 
     def _compare(self, statistics: Statistics) -> None:
         """Damage that looks like a record of another kind shows in the count alone."""
-        read = self._contents.read - self._before
-        if read != statistics.message_count and not self._contents.problems:
+        read = self._bag.read - self._before
+        if read != statistics.message_count and not self._bag.problems:
             self._report(f"damaged: {read} of {statistics.message_count} messages were found")
 
     def _report(self, text: str) -> None:
-        self._contents.problems.append(f"{self._name}: {text}")
+        self._bag.problems.append(f"{self._name}: {text}")
 
     def _report_damage(self, at: int, what: str) -> None:
-        read = f"{self._contents.read} messages before that were read"
+        read = f"{self._bag.read} messages before that were read"
         self._report(f"damaged near byte {at} of {len(self._data)}: {what}; {read}")
 
     def _report_early_end(self) -> None:
-        read = f"{self._contents.read} messages before that were read"
+        read = f"{self._bag.read} messages before that were read"
         without = "without its footer: its writer was killed"
         self._report(f"the file ends early, after {len(self._data)} bytes and {without}; {read}")
 

@@ -42,6 +42,11 @@ def stamps_ns(values: Array, name: str) -> Array:
     return seconds * SECOND_NS + values[f"{name}.nanosec"].astype(np.int64)
 
 
+def pose_columns(position: str, orientation: str) -> tuple[str, ...]:
+    """The columns of a pose's seven numbers: position, quaternion (x, y, z, w)."""
+    return (*(f"{position}.{axis}" for axis in "xyz"), *(f"{orientation}.{axis}" for axis in "xyzw"))
+
+
 class ColumnReader:
     """Reads messages of one type.
 
@@ -74,13 +79,13 @@ class ColumnReader:
                     continue
                 template = np.frombuffer(layout.template, np.uint8)
                 same = (raw[:, layout.fixed] == template[layout.fixed]).all(axis=1)
-                groups.append(Columns(rows[same], _structured(raw[same], layout.dtype), layout))
+                groups.append(
+                    Columns(
+                        rows[same], np.ascontiguousarray(raw[same]).reshape(-1).view(layout.dtype), layout
+                    )
+                )
                 rows, raw = rows[~same], raw[~same]
         return groups
-
-
-def _structured(raw: Array, dtype: np.dtype) -> Array:
-    return np.ascontiguousarray(raw).reshape(-1).view(dtype)
 
 
 def rows_of(array: Array) -> Iterator[bytes]:

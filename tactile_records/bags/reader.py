@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import mmap
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
 import zstandard
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tactile_records.bags.contents import BagError, Contents, Recorded, Wanted
+from tactile_records.bags.contents import Bag, BagError, Recorded, Wanted
 from tactile_records.bags.mcap import McapReader
 from tactile_records.bags.sqlite import read_sqlite
 from tactile_records.bags.writer import METADATA
@@ -25,62 +23,6 @@ from tactile_records.bags.writer import METADATA
 __all__ = ["Bag", "BagError", "Recorded", "read_bag"]
 
 SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-
-
-@dataclass
-class Bag:
-    """What could be read of a bag.
-
-    Attributes
-    ----------
-    folder : Path
-        The bag.
-    complete : bool
-        False where a file is missing, ends early or holds damaged data.
-    problem : str
-        What is missing and why; empty for a complete bag.
-    messages : list of Recorded
-        In the order of the files.
-    note : dict
-        What the writer was given to keep with the bag.
-    definitions : dict
-        Type -> text of its definition, of the types that the bag defines.
-    types : dict
-        Topic -> type, also of topics without messages.
-    counts : dict
-        Topic -> number of messages, also of those that `read_bag` was not asked for.
-    """
-
-    folder: Path
-    complete: bool = True
-    problem: str = ""
-    messages: list[Recorded] = field(default_factory=list)
-    note: dict[str, str] = field(default_factory=dict)
-    definitions: dict[str, str] = field(default_factory=dict)
-    types: dict[str, str] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
-
-    def decoded(self, topic: str) -> Iterator[tuple[Recorded, Any]]:
-        """The messages of one topic, deserialised by the definitions in the bag."""
-        store = self.typestore()
-        for message in self.messages:
-            if message.topic == topic:
-                yield message, store.deserialize_cdr(message.data, message.type)
-
-    @property
-    def topics(self) -> dict[str, int]:
-        """Topic -> number of messages, of the topics that have any."""
-        return {topic: count for topic, count in self.counts.items() if count}
-
-    def typestore(self) -> Any:
-        """The types that the bag defines, for `rosbags`."""
-        if not hasattr(self, "_store"):
-            store = get_typestore(Stores.EMPTY)
-            for name, text in self.definitions.items():
-                types = get_types_from_msg(text, name)
-                store.register({key: value for key, value in types.items() if key not in store.types})
-            self._store = store
-        return self._store
 
 
 def read_bag(folder: Path, wanted: Wanted | None = None) -> Bag:
@@ -98,37 +40,34 @@ def read_bag(folder: Path, wanted: Wanted | None = None) -> Bag:
     BagError
         There is no bag at that place, or nothing in it can be read.
     """
-    contents = Contents() if wanted is None else Contents(wanted)
-    information = _read_metadata(folder, contents.problems)
-    files = _files(folder, information, contents.problems)
+    bag = Bag(folder.parent if folder.is_file() else folder)
+    bag.wanted = wanted or bag.wanted
+    information = _read_metadata(folder, bag.problems)
+    files = _files(folder, information, bag.problems)
     unpack = _message_unpacker(information)
-    readable = [_read_file(file, contents, unpack) for file in files]
-    problem = "; ".join(contents.problems)
+    readable = [_read_file(file, bag, unpack) for file in files]
     if not any(readable):
-        raise BagError(f"{folder}: nothing in it can be read ({problem})")
-    bag = Bag(folder.parent if folder.is_file() else folder, not contents.problems, problem)
+        raise BagError(f"{folder}: nothing in it can be read ({bag.problem})")
     bag.note = {str(key): str(value) for key, value in (information.get("custom_data") or {}).items()}
-    bag.messages, bag.definitions = contents.messages, contents.definitions
-    bag.types, bag.counts = contents.types, contents.counts
     return bag
 
 
-def _read_file(file: Path, contents: Contents, unpack: Callable[[bytes], bytes]) -> bool:
-    """Read one file of a bag into `contents`; False if it holds nothing readable."""
-    first = len(contents.messages)
+def _read_file(file: Path, bag: Bag, unpack: Callable[[bytes], bytes]) -> bool:
+    """Read one file of a bag into `bag`; False if it holds nothing readable."""
+    first = len(bag.messages)
     if file.suffix == ".zstd":
         with TemporaryDirectory(prefix="tactile_bag_") as folder:
-            return _read_file(_unpacked_file(file, Path(folder), contents.problems), contents, unpack)
+            return _read_file(_unpacked_file(file, Path(folder), bag.problems), bag, unpack)
     if file.suffix == ".db3":
-        return read_sqlite(file, contents, unpack)
+        return read_sqlite(file, bag, unpack)
     with file.open("rb") as stream:
         if not file.stat().st_size:
-            contents.problems.append(f"{file.name}: is empty")
+            bag.problems.append(f"{file.name}: is empty")
             return False
         data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        readable = McapReader(data, file.name, contents).read()
+        readable = McapReader(data, file.name, bag).read()
     if unpack is not bytes:
-        contents.messages[first:] = [m._replace(data=unpack(m.data)) for m in contents.messages[first:]]
+        bag.messages[first:] = [m._replace(data=unpack(m.data)) for m in bag.messages[first:]]
     return readable
 
 

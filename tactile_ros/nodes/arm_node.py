@@ -23,12 +23,9 @@ from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
+from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import ARM_POSE, ARM_STATUS, LIMITED_COMMAND, WORLD, tool_frame
-from tactile_base.topics import COMMAND as COMMAND_TOPIC
-from tactile_base.topics import TF as TF_TOPIC
-from tactile_base.topics import TF_STATIC as TF_STATIC_TOPIC
 from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
@@ -76,24 +73,27 @@ class ArmNode(ManagedNode):
         """Open topics and, unless another node does, the driver."""
         scene = self.hosted or self._scene()
         self.frame = f"{self.arm}/{scene.controlled_frame}"
-        self.tool_frame = tool_frame(self.arm)
+        self.tool_frame = topics.tool_frame(self.arm)
         self.limits = scene.limits
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
-        self.static = [transform_stamped(0, WORLD, self.base_frame, scene.T_world_base)]
+        self.static = [transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)]
         if scene.sensor is not None:
             self.static.append(transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled))
-        self.tf_static_out = self.publisher(TFMessage, TF_STATIC_TOPIC.name, TF_STATIC)
-        self.pose_out = self.publisher(PoseStamped, ARM_POSE.name, STATE)
-        self.status_out = self.publisher(ArmStatus, ARM_STATUS.name, STATE)
-        self.limited_out = self.publisher(TwistStamped, LIMITED_COMMAND.name, STATE)
-        self.subscribe(TwistStamped, COMMAND_TOPIC.name, self._receive, COMMAND, 0.0, raw=True)
+        self.tf_static_out = self.publisher(TFMessage, topics.TF_STATIC.name, TF_STATIC)
+        self.pose_out = self.publisher(PoseStamped, topics.ARM_POSE.name, STATE)
+        self.status_out = self.publisher(ArmStatus, topics.ARM_STATUS.name, STATE)
+        self.limited_out = self.publisher(TwistStamped, topics.LIMITED_COMMAND.name, STATE)
+        self.subscribe(TwistStamped, topics.COMMAND.name, self._receive, COMMAND, 0.0, raw=True)
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self._forget()
         if self.hosted is None:
-            self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+            self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
             self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
             self.timer(scene.limits.command_timeout / 4, self._watch)
-            self.driver = self._open(scene)
+            try:
+                self.driver = open_arm(scene, self.take_state)
+            except (OSError, RuntimeError) as error:
+                raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
         else:  # a simulated arm watches its commands itself, and every timer costs the cell time
             self.timer(self.settings.value.state_timeout / 2, self._watch)
 
@@ -125,12 +125,6 @@ class ArmNode(ManagedNode):
         if arm.driver in who:
             raise ConfigurationError(f"{file}: arm '{arm.name}' {who[arm.driver]}")
         return arm
-
-    def _open(self, scene: ArmScene) -> Arm:
-        try:
-            return open_arm(scene, self.take_state)
-        except (OSError, RuntimeError) as error:
-            raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
 
     def _forget(self) -> None:
         self._state: ArmState | None = None

@@ -28,13 +28,15 @@ from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
-from tactile_ros.cdr import gaussian_bytes, headed_bytes
+from tactile_ros.cdr import gaussian_bytes, headed_bytes, image_from_bytes
 from tactile_ros.conversions import MessageError
-from tactile_ros.image_bytes import image_from_bytes
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE, STATE
+
+#: Counters of what has been dropped.
+DROPPED = ("images lost", "images refused", "images out of order", "estimates refused")
 
 
 @dataclass(frozen=True)
@@ -62,10 +64,11 @@ class EstimatorNode(ManagedNode):
         self.images = SettingsParameters(
             self, ImageInputSettings(), prefix="images", read_only=("age_limit",)
         )
-        self.presence_settings = SettingsParameters(
-            self, PresenceSettings(), prefix="presence", on_change=self._change_presence
+        self.presence = ContactPresence()
+        presence = SettingsParameters(
+            self, PresenceSettings(), prefix="presence", on_change=self.presence.configure
         )
-        self.presence: ContactPresence | None = None
+        self.presence.configure(presence.value)
         self.last_stamp_ns = 0
 
     def configure(self) -> None:
@@ -76,19 +79,18 @@ class EstimatorNode(ManagedNode):
         except ModelError as error:
             raise ConfigurationError(str(error)) from error
         self.report.values["model"] = str(estimator.path)
-        self.presence = ContactPresence(self.presence_settings.value)
         self.perceive = Perceiver(estimator, self.presence)
         self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
         outlook = "the next images become the reference"
-        self.serve_request(Trigger, "~/capture_reference", self._new_reference, outlook)
+        self.serve_request(Trigger, "~/capture_reference", lambda request: self.presence.reset(), outlook)
         self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.images.value.age_limit, raw=True)
 
     def activate(self) -> None:
         """Start with a new reference image."""
         self.last_stamp_ns = 0
-        self._new_reference()
+        self.presence.reset()
 
     def _receive(self, data: bytes) -> None:
         received_ns = self.now_ns()
@@ -101,7 +103,6 @@ class EstimatorNode(ManagedNode):
             self._refuse("images refused", f"tactile/image refused: {error}")
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
-        assert self.presence is not None
         percept = self.perceive(image)
         if percept.in_contact is None:
             self._tell_reference()
@@ -127,16 +128,14 @@ class EstimatorNode(ManagedNode):
             return True
         if gap <= 0:
             self.last_stamp_ns = last_ns
-            self._refuse(
-                "images out of order", f"tactile/image refused: stamp is {-gap / 1e6:.3f} ms before the last"
-            )
+            late = f"tactile/image refused: stamp is {-gap / 1e6:.3f} ms before the last"
+            self._refuse("images out of order", late)
             return False
         missing = round(gap * 1e-9 * self.images.value.rate) - 1
         if missing > 0:
             self.count("images lost", missing)
-            self.warn(
-                "lost", f"tactile/image: {self.counters['images lost']} lost so far, {missing} just now"
-            )
+            lost = self.counters["images lost"]
+            self.warn("lost", f"tactile/image: {lost} lost so far, {missing} just now")
         return True
 
     def _refuse(self, counter: str, text: str) -> None:
@@ -144,27 +143,15 @@ class EstimatorNode(ManagedNode):
         self.warn(counter, text)
 
     def _dropped(self) -> int:
-        return sum(
-            self.counters[name]
-            for name in ("images lost", "images refused", "images out of order", "estimates refused")
-        )
+        return sum(self.counters[name] for name in DROPPED)
 
     def _tell_reference(self) -> None:
-        assert self.presence is not None
         if self.presence.ready:
             self.get_logger().info(
                 "reference of the contact presence taken: nothing may have touched the sensor"
             )
         else:
             self.report.complain("reference", "waiting for images without contact, for the reference")
-
-    def _new_reference(self, request: Trigger.Request | None = None) -> None:
-        assert self.presence is not None
-        self.presence.reset()
-
-    def _change_presence(self, settings: PresenceSettings) -> None:
-        if self.presence is not None:
-            self.presence.configure(settings)
 
 
 def main() -> int:

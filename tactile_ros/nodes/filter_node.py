@@ -26,10 +26,10 @@ from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
-from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
+from tactile_ros.belief_inputs import BeliefInputSettings, serve_reset
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
@@ -44,13 +44,18 @@ class FilterNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("filter")
-        self.settings = SettingsParameters(self, FilterSettings(), on_change=self._change_settings)
-        self.inputs = declare_inputs(self, BeliefInputSettings())
-        self.consistency = SettingsParameters(
-            self, ConsistencySettings(), prefix="consistency", on_change=self._change_consistency
+        self.settings = SettingsParameters(
+            self, FilterSettings(), on_change=lambda settings: self.filter.configure(settings)
+        )
+        self.inputs = SettingsParameters(
+            self, BeliefInputSettings(), prefix="inputs", read_only=("age_limit",)
         )
         self.filter = ContactFilter(self.settings.value)
-        self.monitor = ConsistencyMonitor(self.consistency.value)
+        self.monitor = ConsistencyMonitor()
+        consistency = SettingsParameters(
+            self, ConsistencySettings(), prefix="consistency", on_change=self.monitor.configure
+        )
+        self.monitor.configure(consistency.value)
         self.no_contact_ns = -1
         self.join = measurement_join()
 
@@ -209,20 +214,12 @@ class FilterNode(ManagedNode):
         for number, text in enumerate(report.warnings):
             self.report.complain(f"consistency {number}", f"filter {text}")
 
-    # ---- reset and parameters ----
-
     def _clear_inputs(self) -> None:
         """Forget what waits, and what the diagnostics rest on."""
         self.join.clear()
         self.monitor.reset()
         self.no_contact_ns = -1
         self.frame_out.clear()
-
-    def _change_settings(self, settings: FilterSettings) -> None:
-        self.filter.configure(settings)
-
-    def _change_consistency(self, settings: ConsistencySettings) -> None:
-        self.monitor.configure(settings)
 
 
 def state_bytes(belief: Belief, frame_id: str, emitted_ns: int) -> bytes:

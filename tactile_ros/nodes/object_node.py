@@ -31,10 +31,10 @@ from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
 from tactile_msgs.msg import ContactState
-from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
+from tactile_ros.belief_inputs import BeliefInputSettings, serve_reset
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import STATE
@@ -102,8 +102,8 @@ class ArmInput:
             belief = gaussian_from_numbers(numbers)
         except MessageError as error:
             self._refuse(str(error))
-            return
-        self._take("estimate", stamp_ns, belief)
+        else:
+            self._take("estimate", stamp_ns, belief)
 
     def _take_state(self, data: bytes) -> None:
         stamp_ns, _, numbers = read_state(data)
@@ -120,12 +120,10 @@ class ArmInput:
         self.pump()
 
     def _deliver(self, event: Event, T_world_sensor: NDArray[np.float64]) -> None:
-        if says_no_contact(event.parts):
-            _, received_ns = event.parts["presence"]
-            self._node.take(self.arm, event.stamp_ns, None, received_ns)
-            return
-        belief, received_ns = event.parts["estimate"]
-        self._node.take(self.arm, event.stamp_ns, ContactUpdate(belief, T_world_sensor), received_ns)
+        contact = not says_no_contact(event.parts)
+        belief, received_ns = event.parts["estimate" if contact else "presence"]
+        update = ContactUpdate(belief, T_world_sensor) if contact else None
+        self._node.take(self.arm, event.stamp_ns, update, received_ns)
 
     def _drop(self, event: Event, reason: str) -> None:
         self._node.count(f"{self.arm}: beliefs dropped")
@@ -150,8 +148,12 @@ class ObjectNode(ManagedNode):
         self.object_frame = declare_read_only(
             self, "object_frame", topics.OBJECT, "name of the object's frame on /tf"
         )
-        self.settings = SettingsParameters(self, TrackerSettings(), on_change=self._change_settings)
-        self.inputs = declare_inputs(self, ObjectInputSettings())
+        self.settings = SettingsParameters(
+            self, TrackerSettings(), on_change=lambda settings: self.tracker.configure(settings)
+        )
+        self.inputs = SettingsParameters(
+            self, ObjectInputSettings(), prefix="inputs", read_only=("age_limit",)
+        )
         self.places = {
             arm: SettingsParameters(
                 self,
@@ -175,7 +177,10 @@ class ObjectNode(ManagedNode):
         )
         self.latency = LatencyPublisher(self, "object", self.world_frame, topics.OBJECT_LATENCY.name)
         self.transforms = TransformListener(
-            self, on_update=self._pump, on_jump=self._transforms_jumped, ignore=(self.object_frame,)
+            self,
+            on_update=self._pump,
+            on_jump=lambda seconds: self._clear("time jumped back"),
+            ignore=(self.object_frame,),
         )
         self.contacts = [ArmInput(self, arm) for arm in self.arms]
         self.timer(MERGE_PERIOD, self._hand_on)
@@ -196,9 +201,6 @@ class ObjectNode(ManagedNode):
         """Start anew in the time after a jump."""
         self.count("backward time jumps")
         self.warn("jump", f"time jumped back by {seconds:.3f} s {where}: all contacts are forgotten")
-        self._clear("time jumped back")
-
-    def _transforms_jumped(self, seconds: float) -> None:
         self._clear("time jumped back")
 
     def _pump(self) -> None:
@@ -231,10 +233,8 @@ class ObjectNode(ManagedNode):
         self.belief_out.publish(gaussian_bytes(found.stamp_ns, self.world_frame, pose.mean, pose.cov))
         self.frame_out.publish(found.stamp_ns, pose.mean)
         received_ns = min(received for _, received in group.parts.values())
-        self.latency.note(found.stamp_ns, received_ns, emitted_ns, self._dropped())
-
-    def _dropped(self) -> int:
-        return sum(contact.dropped() for contact in self.contacts)
+        dropped = sum(contact.dropped() for contact in self.contacts)
+        self.latency.note(found.stamp_ns, received_ns, emitted_ns, dropped)
 
     def publish_diagnostics(self) -> None:
         """Add which contacts the belief rests on."""
@@ -275,9 +275,6 @@ class ObjectNode(ManagedNode):
         self.last = None
         self.frame_out.clear()
         self.count(f"resets: {reason}")
-
-    def _change_settings(self, settings: TrackerSettings) -> None:
-        self.tracker.configure(settings)
 
     def _change_place(self, arm: str, place: PlaceSettings) -> None:
         self.tracker.set_place(arm, place.place())

@@ -26,20 +26,9 @@ from std_msgs.msg import ColorRGBA
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
+from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import (
-    ESTIMATE,
-    LATENCY,
-    PRESENCE,
-    SIM_MARKERS,
-    TRUTH,
-    WORLD,
-    base_frame,
-    sensor_frame,
-    tool_frame,
-)
-from tactile_base.topics import TF as TF_TOPIC
 from tactile_drivers.arm import ArmState
 from tactile_drivers.camera import CameraFrame
 from tactile_drivers.scene import SIM, Scene, load_scene
@@ -49,7 +38,7 @@ from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
 from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp
 from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, transform_stamped
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.nodes.arm_node import ArmNode
 from tactile_ros.nodes.camera_node import CameraNode
@@ -77,27 +66,24 @@ class SimSettings(Settings):
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
     )
     head_start: float = setting(
-        0.0045,
-        lower=0.0,
-        upper=0.05,
-        unit="s",
+        0.0045, lower=0.0, upper=0.05, unit="s",
         doc="a step is computed this long before its time, so that what a simulation costs does not count as "
         "latency; nothing is published before its time, and commands that arrive in between wait a step",
-    )
+    )  # fmt: skip
 
 
 class SensorOutlet:
     """What the cell knows of one simulated sensor: the truth, and the estimate of one without a camera."""
 
     def __init__(self, node: SimNode, arm: str, camera: CameraNode | None) -> None:
-        self.base, self.frame = base_frame(arm), sensor_frame(arm)
+        self.base, self.frame = topics.base_frame(arm), topics.sensor_frame(arm)
         self.arm, self.camera, self.lost = arm, camera, 0
         self._node = node
-        self._truth = node.publisher(ContactTruth, TRUTH.of(arm).name, STATE)
+        self._truth = node.publisher(ContactTruth, topics.TRUTH.of(arm).name, STATE)
         if camera is None:
-            self._presence = node.publisher(ContactPresence, PRESENCE.of(arm).name, STATE)
-            self._estimate = node.publisher(PoseWithCovarianceStamped, ESTIMATE.of(arm).name, STATE)
-            self._latency = LatencyPublisher(node, "camera", self.frame, LATENCY.of(arm).name)
+            self._presence = node.publisher(ContactPresence, topics.PRESENCE.of(arm).name, STATE)
+            self._estimate = node.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.of(arm).name, STATE)
+            self._latency = LatencyPublisher(node, "camera", self.frame, topics.LATENCY.of(arm).name)
 
     def publish(self, frame: Frame) -> None:
         """What the sensor gives."""
@@ -174,11 +160,11 @@ class SimNode(ManagedNode):
             if self.scene.arms[name].simulated_sensor
         ]
         self.loose = [name for name in self.scene.bodies if not _frame_of(self.scene, name)]
-        self.tf_out = self.publisher(TFMessage, TF_TOPIC.name, TF)
+        self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
         moving = [node.moving_transform() for node in self.arms.values()]
-        moving += [transform_stamped(0, WORLD, f"body/{name}", np.eye(4)) for name in self.loose]
+        moving += [transform_stamped(0, topics.WORLD, f"body/{name}", np.eye(4)) for name in self.loose]
         self.tf_layout = Layout(TFMessage(transforms=moving))
-        self.markers_out = self.publisher(MarkerArray, SIM_MARKERS.name, LATCHED)
+        self.markers_out = self.publisher(MarkerArray, topics.SIM_MARKERS.name, LATCHED)
 
     def activate(self) -> None:
         """The cell starts anew, as soon as everything else has been made ready."""
@@ -201,7 +187,9 @@ class SimNode(ManagedNode):
         """Make the step that is due."""
         lead = self._lead_of_next_step()
         if lead > START_DELAY + JUMP:
-            self._restart(f"time jumped back by {lead:.3f} s")
+            self.warn("jump", f"time jumped back by {lead:.3f} s: the cell starts anew")
+            self.count("backward time jumps")
+            self.activate()
         else:
             self._step(in_time=-lead <= self.settings.value.longest_lag)
 
@@ -209,16 +197,6 @@ class SimNode(ManagedNode):
         """Seconds from now to the stamp of the next step."""
         next_ns = self.cell.stamp_ns + SECOND_NS // self.scene.simulation.rate
         return (next_ns - self.now_ns()) / SECOND_NS
-
-    def _wait_until(self, stamp_ns: int) -> None:
-        lead = (stamp_ns - self.now_ns()) / SECOND_NS
-        if lead > 0.0:
-            time.sleep(lead)
-
-    def _restart(self, reason: str) -> None:
-        self.warn("jump", f"{reason}: the cell starts anew")
-        self.count("backward time jumps")
-        self.activate()
 
     def _step(self, in_time: bool) -> None:
         """One step of all arms, published at its time: images first, since all else waits for them."""
@@ -228,7 +206,7 @@ class SimNode(ManagedNode):
         for outlet in self.outlets:
             if self.cell.exposure_due(outlet.arm) and self._in_time(outlet, in_time):
                 frames.append((outlet, self.cell.expose(outlet.arm)))
-        self._wait_until(stamp_ns)
+        time.sleep(max(0.0, (stamp_ns - self.now_ns()) / SECOND_NS))
         for outlet, frame in frames:
             outlet.publish(frame)
         self._publish_transforms(stamp_ns, states)
@@ -264,8 +242,8 @@ def _frame_of(scene: Scene, body: str) -> str:
     """The frame that a body stands still in; empty if a motion model moves it."""
     described = scene.bodies[body]
     if described.carried_by:
-        return tool_frame(described.carried_by)
-    return WORLD if described.motion == FIXED else ""
+        return topics.tool_frame(described.carried_by)
+    return topics.WORLD if described.motion == FIXED else ""
 
 
 def body_markers(scene: Scene) -> list[Marker]:
@@ -275,7 +253,7 @@ def body_markers(scene: Scene) -> list[Marker]:
         frame = _frame_of(scene, name)
         frame, T = (frame, body.T_parent_body) if frame else (f"body/{name}", np.eye(4))
         marker = Marker(ns=name, id=number, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
-        marker.header.frame_id, marker.frame_locked = frame, frame != WORLD
+        marker.header.frame_id, marker.frame_locked = frame, frame != topics.WORLD
         marker.pose, marker.scale = pose_from_matrix(T), Vector3(x=1.0, y=1.0, z=1.0)
         marker.color = SURFACE_COLOR
         vertices, faces = body.make().mesh()

@@ -219,7 +219,7 @@ def test_an_image_sensor_starts_from_a_sensor_file(scene_file):
         "ideal: {radius: 0.02}", "image: {file: tactip_franka, camera: {gain: 0.9}}"
     )
     model = load_scene(scene_file(text)).simulation.sensors["left"].model
-    from tactile_drivers.sim.sensor_file import load_sensor
+    from tactile_drivers.sim.collection import load_sensor
 
     fitted = load_sensor("tactip_franka").sensor
     assert model.skin == fitted.skin and model.contact == fitted.contact

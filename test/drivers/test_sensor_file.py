@@ -5,8 +5,14 @@ import pytest
 
 from tactile_base.config_paths import config_names
 from tactile_base.settings import SettingError
-from tactile_drivers.sim.collection import CollectionSettings, Mounting, collect, press_then_shear
-from tactile_drivers.sim.sensor_file import SensorFile, load_sensor
+from tactile_drivers.sim.collection import (
+    CollectionSettings,
+    Mounting,
+    SensorFile,
+    collect,
+    load_sensor,
+    press_then_shear,
+)
 from tactile_drivers.sim.settings import TacTipSettings
 from tactile_drivers.sim.tactip import TacTip
 from tactile_drivers.sim.variation import VariationSettings
