@@ -2,7 +2,7 @@
 
     python bench/control_gains.py [--fidelity ideal] [--seeds 3]
 
-Ramp and one path of the dome for each row, against the truth. The tables in docs/control.md are its output.
+Ramp and one path of the dome for each row, against the truth; docs/results/control.md has its tables.
 """
 
 from __future__ import annotations

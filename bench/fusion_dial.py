@@ -124,7 +124,7 @@ def times(rounds: int) -> dict[str, float]:
 def print_table(
     title: str, by_angle: dict[int, dict[str, tuple[float, float]]], ns: dict[str, float], which: int
 ):
-    """Markdown, as in docs/filter.md."""
+    """Markdown, as in docs/results/fusion.md."""
     print(f"\n{title}\n\n| iterations x order | ns | " + " | ".join(f"{d}°" for d in SHOWN) + " |")
     print("| --- |" + " --- |" * (1 + len(SHOWN)))
     for plan in TABLE:

@@ -1,15 +1,15 @@
 """Registries: what plugs in by name, from this package or from somebody else's by entry points.
 
-A registry knows where its entries lie and loads one when it is asked for, so that naming a driver in a scene
-file imports nothing that the driver needs::
+A registry knows where its entries lie and loads one when it is asked for, so that naming a shape in a scene
+file imports nothing that the others need::
 
-    ARMS = Registry("arm driver", "tactile_servoing.arms", {"sim": "tactile_drivers.sim.driver:SimulatedArm"})
-    driver = ARMS.load("sim")
+    SHAPES = Registry("shape", "tactile_servoing.shapes", {"plane": "tactile_drivers.shapes.plane:Plane"})
+    shape = SHAPES.load("plane")
 
 Another package adds an entry in its own metadata, and nothing here has to change::
 
-    [project.entry-points."tactile_servoing.arms"]
-    my_arm = "my_package.my_arm:MyArm"
+    [project.entry-points."tactile_servoing.shapes"]
+    my_shape = "my_package.my_shape:MyShape"
 """
 
 from __future__ import annotations

@@ -64,7 +64,8 @@ class NodeProcess:
 
     def parameter_text(self) -> str:
         """A ROS parameter file for this node alone."""
-        values = {name: _plain(value) for name, value in self.parameters.items() if not _is_empty(value)}
+        # an empty list has no type in a ROS parameter file; left out, the node's own empty default stands
+        values = {name: _plain(value) for name, value in self.parameters.items() if value not in ([], ())}
         values["autostart"] = True
         return yaml.safe_dump({self.full_name: {"ros__parameters": values}}, sort_keys=False)
 
@@ -322,11 +323,6 @@ def _role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
         "T_world_base": arm.T_world_base.tolist(),
         "tip_radius": arm.sensor.settings.tip_radius if arm.sensor is not None else 0.0,
     }
-
-
-def _is_empty(value: Any) -> bool:
-    """An empty list has no type in a ROS parameter file; left out, the node's own empty default stands."""
-    return isinstance(value, list | tuple) and not value
 
 
 def _plain(value: Any) -> Any:

@@ -304,7 +304,7 @@ class _OfflineArm:
 def perception(scene: Scene, arm: str, model: Path | None = None) -> Perception:
     """What makes percepts of an arm's frames: the network, or the ideal sensor's own answer."""
     if not scene.gives_images(arm):
-        return _ideal_percept
+        return lambda frame: Percept(frame.truth.in_contact, float(frame.truth.in_contact), frame.estimate)
     # here, since runs with an ideal sensor do without onnxruntime
     from tactile_perception.estimating.presence import ContactPresence
     from tactile_perception.estimator import Estimator
@@ -316,7 +316,3 @@ def perception(scene: Scene, arm: str, model: Path | None = None) -> Perception:
         return perceiver(frame.image)
 
     return perceive
-
-
-def _ideal_percept(frame: Frame) -> Percept:
-    return Percept(frame.truth.in_contact, float(frame.truth.in_contact), frame.estimate)

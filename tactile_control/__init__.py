@@ -1,1 +1,1 @@
-"""Control: tangent-space PID, tactile servoing, limits, watchdog, the surface following task. Without ROS."""
+"""Control: tangent-space PID, tactile servoing, limits, watchdog, tasks. Without ROS."""

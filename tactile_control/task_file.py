@@ -15,6 +15,7 @@ scene which arms have the role and which goals they run one after the other (doc
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,9 +86,9 @@ class Role:
     after: tuple[str, str] | None = None
     ends_run: bool = False
 
-    @property
+    @functools.cached_property
     def task_type(self) -> type[PhaseMachine[Any, Any]]:
-        """The class of its task."""
+        """The class of its task; looked up once, since a search for entry points takes milliseconds."""
         return TASKS.load(self.task)
 
 

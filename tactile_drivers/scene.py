@@ -220,17 +220,6 @@ class Scene:
         return _with_tips(replace(self, simulation=replace(self.simulation, sensors=sensors)))
 
 
-def scene_path(name_or_path: str | Path) -> Path:
-    """The file of a scene: a path (with .yaml), or the name of one of the packaged scenes.
-
-    Raises `SceneError` with the packaged names if there is none.
-    """
-    try:
-        return named_file("scene", name_or_path)
-    except FileNotFoundError as error:
-        raise SceneError(str(error)) from error
-
-
 def load_scene(name_or_path: str | Path) -> Scene:
     """Read a packaged scene by its name, or any by its path.
 
@@ -239,7 +228,10 @@ def load_scene(name_or_path: str | Path) -> Scene:
     SceneError
         With file, line and the valid choices.
     """
-    path = scene_path(name_or_path)
+    try:
+        path = named_file("scene", name_or_path)
+    except FileNotFoundError as error:
+        raise SceneError(str(error)) from error
     root = read_yaml(path, SceneError)
     root.allow("description", "arms", "bodies", "simulation")
     arm_sections, body_sections = _named(root, "arms"), _named(root, "bodies")

@@ -32,7 +32,6 @@ __all__ = [
     "ContactFilter",
     "FilterSettings",
     "gate_threshold",
-    "normalized_innovation_squared",
 ]
 
 Array = NDArray[np.float64]
@@ -420,11 +419,6 @@ class ContactFilter:
 
     def _invalid(self, stamp_ns: int, reason: str) -> Belief:
         return invalid_belief(stamp_ns, _PREDICTED, reason, self.rejected)
-
-
-def normalized_innovation_squared(measurement: PoseGaussian, mean: Array, cov: Array) -> float:
-    """NIS of a measurement against a predicted Gaussian; see `propagation.innovation`."""
-    return innovation(measurement.mean, measurement.cov, mean, cov).nis
 
 
 def _is_finite(state: _State) -> bool:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 from tactile_base.settings import Settings, setting
 from tactile_msgs.srv import ResetFilter
 from tactile_ros.managed_node import ManagedNode
-from tactile_ros.parameters import SettingsParameters
 
 
 @dataclass(frozen=True)
@@ -28,14 +26,6 @@ class BeliefInputSettings(Settings):
         15.0, lower=0.0, upper=1000.0, unit="Hz",
         doc="the belief is published as a frame on /tf as well, at most this often; 0: never",
     )  # fmt: skip
-
-
-S = TypeVar("S", bound=BeliefInputSettings)
-
-
-def declare_inputs(node: ManagedNode, defaults: S) -> SettingsParameters[S]:
-    """The parameters `inputs.*` of a node."""
-    return SettingsParameters(node, defaults, prefix="inputs", read_only=("age_limit",))
 
 
 def serve_reset(node: ManagedNode, reset: Callable[[], None], outlook: str) -> None:

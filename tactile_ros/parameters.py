@@ -22,18 +22,6 @@ from tactile_base.settings import SettingError, SettingGroups, Settings
 G = TypeVar("G", bound=SettingGroups)
 S = TypeVar("S", bound=Settings)
 
-_SCALARS = {
-    bool: Parameter.Type.BOOL,
-    int: Parameter.Type.INTEGER,
-    float: Parameter.Type.DOUBLE,
-    str: Parameter.Type.STRING,
-}
-_ARRAYS = {
-    bool: Parameter.Type.BOOL_ARRAY,
-    int: Parameter.Type.INTEGER_ARRAY,
-    float: Parameter.Type.DOUBLE_ARRAY,
-    str: Parameter.Type.STRING_ARRAY,
-}
 _LARGEST_INTEGER = 2**63 - 1
 _LARGEST_DOUBLE = 1.7976931348623157e308
 
@@ -165,9 +153,9 @@ def _declared_value(node: Node, name: str, default: Any, descriptor: ParameterDe
 
 
 def _parameter_type(default: Any) -> Parameter.Type:
-    if isinstance(default, list | tuple):
-        return _ARRAYS[type(default[0])] if default else Parameter.Type.DOUBLE_ARRAY
-    return _SCALARS[type(default)]
+    """Of a default; an empty list tells no type, and stands for numbers."""
+    empty = isinstance(default, list) and not default
+    return Parameter.Type.DOUBLE_ARRAY if empty else Parameter.Type.from_parameter_value(default)
 
 
 def _plain(value: Any) -> Any:

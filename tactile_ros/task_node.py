@@ -139,7 +139,7 @@ class TaskNode(ManagedNode, ABC):
             return None
 
     def finish_run(self, reason: str, succeeded: bool) -> None:
-        """End the run with the state that its goal is to have."""
+        """End the run with the state that its goal is to have; override it to end more."""
         assert self.run is not None
         result = RunTask.Result(
             success=succeeded,
@@ -150,14 +150,10 @@ class TaskNode(ManagedNode, ABC):
         run, self.run = self.run, None
         conclude(run.handle, result)
 
-    def end(self, reason: str) -> None:
-        """Abort what runs; a node that ends more than the run overrides it."""
-        self.finish_run(reason, succeeded=False)
-
     def deactivate(self) -> None:
         """Abort what runs and leave a zero twist as the last word."""
         if self.run is not None:
-            self.end(f"the {self.get_name()} was deactivated")
+            self.finish_run(f"the {self.get_name()} was deactivated", succeeded=False)
         self.send_twist(ZERO)
         self.twist_out.wait_for_all_acked(Duration(seconds=LAST_WORD))
 

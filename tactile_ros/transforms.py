@@ -6,6 +6,7 @@ yet waits for it with a `TransformGate`, in the order of the stamps and up to a 
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Collection
 
@@ -52,9 +53,8 @@ class TransformListener:
         self._on_jump = on_jump
         self._ignore = frozenset(ignore)
         self._buffer = TransformBuffer(jump_ns=JUMP_NS)
-        node.subscribe(
-            TFMessage, topics.TF_STATIC.name, self._receive_static, TF_STATIC, always=True, raw=True
-        )
+        receive_static = functools.partial(self._receive, static=True)
+        node.subscribe(TFMessage, topics.TF_STATIC.name, receive_static, TF_STATIC, always=True, raw=True)
         node.subscribe(TFMessage, topics.TF.name, self._receive, TF, always=True, raw=True)
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
@@ -65,14 +65,8 @@ class TransformListener:
         """The newest T_target_source with its stamp; raises `TransformUnavailable`."""
         return self._buffer.newest(target, source)
 
-    def _receive_static(self, data: bytes) -> None:
-        self._put_all(transforms_from_bytes(data), static=True)
-
-    def _receive(self, data: bytes) -> None:
-        self._put_all(transforms_from_bytes(data), static=False)
-
-    def _put_all(self, transforms: list[ReceivedTransform], static: bool) -> None:
-        for transform in transforms:
+    def _receive(self, data: bytes, static: bool = False) -> None:
+        for transform in transforms_from_bytes(data):
             if transform.child in self._ignore:
                 continue
             try:

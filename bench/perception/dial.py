@@ -1,6 +1,7 @@
-"""Speed against accuracy: image size, network size, arithmetic and threads, each measured.
+r"""Speed against accuracy: image size, network size, arithmetic and threads, each measured.
 
-    PYTHONSAFEPATH= python bench/perception/dial.py [DATA] [--out out/dial] [--only "64 M" ...] [--run NAME=RUN ...]
+    PYTHONSAFEPATH= python bench/perception/dial.py [DATA] [--out out/dial] [--only "64 M" ...] \
+        [--run NAME=RUN ...]
 
 DATA is a folder of the public layout with train/ and val/ in it; without it, simulated samples are generated.
 Each network of config/perception/dial.yaml is trained on it by the same file (a finished run is not

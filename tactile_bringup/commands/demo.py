@@ -21,12 +21,8 @@ BAG, MARKER = "bag", "metadata.yaml"
 
 def register(subparsers: Any) -> None:
     """Add `demo`."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="follow a curved ramp in simulation, with pictures",
-        description=__doc__,
-        epilog=EXIT_CODES,
-    )
+    doc = "follow a curved ramp in simulation, with pictures"
+    parser = subparsers.add_parser("demo", help=doc, description=__doc__, epilog=EXIT_CODES)
     add_scene_options(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="(default: out/demo)"

@@ -48,10 +48,15 @@ def register(subparsers: Any) -> None:
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """Options that every command which runs the graph has."""
+    parser.add_argument("--rate", type=float, metavar="HZ", help="exposures a second (default: the scene's)")
+    add_task_options(parser)
+
+
+def add_task_options(parser: argparse.ArgumentParser) -> None:
+    """Options that every command which runs a task has, with ROS or without."""
     parser.add_argument(
         "--scene", metavar="NAME", help="scene, or a scene file (default: the first that the task names)"
     )
-    parser.add_argument("--rate", type=float, metavar="HZ", help="exposures a second (default: the scene's)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated cell (default: 0)")
     parser.add_argument(
         "--model", type=Path, metavar="FILE", help="of all estimators (default: each sensor's in the scene)"

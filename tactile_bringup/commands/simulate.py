@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.commands.changes import add_set_option
+from tactile_base.progress import Progress
+from tactile_bringup.commands.launch import TASK_HELP, add_task_options
 
 if TYPE_CHECKING:
     from tactile_control.phases import Command
@@ -21,21 +22,13 @@ def register(subparsers: Any) -> None:
         help="run a task on a simulated scene in one process, without ROS, as fast as it goes",
         description="Runs a task in a simulated scene in one process; writes report.json, pictures, record.",
     )
-    parser.add_argument(
-        "task", nargs="?", default="surface_following", help="a task of config/tasks, or a path"
-    )
-    parser.add_argument("--scene", help="a scene of config/scenes, or a path (default: the task's first)")
+    parser.add_argument("task", nargs="?", default="surface_following", help=TASK_HELP)
+    add_task_options(parser)
     parser.add_argument(
         "--fidelity", choices=("image", "ideal"), help="image or ideal sensor (default: the scene's)"
     )
     parser.add_argument("--arm", metavar="NAME", help="run this arm only (default: all with a role)")
-    parser.add_argument("--model", type=Path, help="ONNX model for images (default: each sensor's)")
-    parser.add_argument("--filter", default="", help="one of config/filters, or a path")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all noise (default: 0)")
     parser.add_argument("--latency", type=float, default=10.0, help="exposure to command in ms (default: 10)")
-    parser.add_argument("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
-    parser.add_argument("--controller", help="a file of config/controllers in place of the task's")
-    add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
     parser.add_argument(
         "--out", type=Path, help="folder for report, pictures and record (default: out/simulate)"
     )
@@ -61,7 +54,12 @@ def _simulate(arguments: argparse.Namespace) -> int:
             goals=tuple(arguments.goals),
             filter=load_filter_settings(arguments.filter),
         )
-        run = run_arms_offline(scene, task, options, _Ticker() if sys.stderr.isatty() else None)
+        with Progress() as progress:
+
+            def show(arm: str, goal: str, command: Command) -> None:
+                progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
+
+            run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
     except (FileNotFoundError, ValueError) as error:  # settings, scenes, models: all say what is wrong
         print(f"tactile simulate: {error}", file=sys.stderr)
         return 2
@@ -80,16 +78,3 @@ def _deliver(run: Run, folder: Path) -> int:
         for path in sorted(place.glob("*.*")):
             print(path)
     return 0 if all(numbers["succeeded"] for numbers in values.values()) else 1
-
-
-class _Ticker:
-    """One line on a terminal: arm, goal, phase, progress."""
-
-    def __init__(self) -> None:
-        self._shown = ""
-
-    def __call__(self, arm: str, goal: str, command: Command) -> None:
-        text = f"{arm:10s} {goal:12s} {command.phase:12s} {100.0 * command.progress:5.0f} %"
-        if text != self._shown:
-            print(f"\r{text}", end="\n" if command.done else "", file=sys.stderr, flush=True)
-            self._shown = text

@@ -36,16 +36,17 @@ def main() -> None:
 def end(groups: set[int], grace_s: float = GRACE_S) -> None:
     """Signal SIGTERM, wait for up to `grace_s`, then SIGKILL."""
     for number, wait_s in ((signal.SIGTERM, grace_s), (signal.SIGKILL, REAP_S)):
-        _signal(groups, number)
+        for group in groups:
+            signal_group(group, number)
         deadline = time.monotonic() + wait_s
         while time.monotonic() < deadline and any(map(_lives, groups)):
             time.sleep(0.02)
 
 
-def _signal(groups: set[int], number: int) -> None:
-    for group in groups:
-        with contextlib.suppress(ProcessLookupError):  # it ended
-            os.killpg(group, number)
+def signal_group(group: int, number: int) -> None:
+    """Send a signal to a process group, unless it has ended by itself."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, number)
 
 
 def _lives(group: int) -> bool:

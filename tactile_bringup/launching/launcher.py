@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
 from tactile_bringup.launching import shared_memory
-from tactile_bringup.launching.environment import RosEnvironment, ros_environment
+from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup
 from tactile_bringup.launching.progress import Display
 from tactile_bringup.launching.task_runner import Interrupted, TaskRunner, Unfinished, signals_into
@@ -97,7 +97,8 @@ class Launcher:
 
     def _run_task(self, group: ProcessGroup) -> None:
         environment = self._environment
-        _adopt(environment)
+        for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "ROS_DOMAIN_ID"):
+            os.environ[name] = environment.variables[name]  # what ROS in this process reads
         chosen = "chosen" if environment.domain_chosen else "as set"
         self.display.say(
             f"{self.graph.task} on scene {self.graph.scene}: {len(self.graph.nodes)} nodes, "
@@ -134,9 +135,3 @@ class Launcher:
         outcome.escalated = [f"{r.name} took {r.escalated_to}" for r in reports if r.escalated_to]
         for line in outcome.escalated:
             self.display.say(f"{line} to end", "yellow")
-
-
-def _adopt(environment: RosEnvironment) -> None:
-    """Take over what ROS in this process reads from the environment."""
-    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "ROS_DOMAIN_ID"):
-        os.environ[name] = environment.variables[name]

@@ -8,18 +8,20 @@ left of a parent that was killed, then removes its shared memory.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import os
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO
+
+from tactile_bringup.launching.keeper import signal_group
 
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -42,7 +44,9 @@ class ProcessDied(RuntimeError):
 
     def __init__(self, name: str, exit_code: int, log: Path) -> None:
         self.name, self.exit_code, self.log = name, exit_code, log
-        super().__init__(f"{name} {describe_exit(exit_code)}; log: {log}\n{_indented(tail(log))}")
+        super().__init__(
+            f"{name} {describe_exit(exit_code)}; log: {log}\n{textwrap.indent(tail(log), '    ')}"
+        )
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,7 @@ class ProcessGroup:
             running = [child for child in children if child.process.poll() is None]
             for child in running:
                 escalated[child.name] = "" if number == signal.SIGINT else signal.Signals(number).name
-                _signal_group(child.process.pid, number)
+                signal_group(child.process.pid, number)
             _wait(running, wait_s)
         reports = [Stopped(c.name, c.process.wait(), escalated.get(c.name, "")) for c in children]
         for child in children:
@@ -139,7 +143,7 @@ class ProcessGroup:
         self._keeper.close()
 
     def _forget(self, child: Child) -> None:
-        _signal_group(child.process.pid, signal.SIGKILL)  # whatever it started itself and left behind
+        signal_group(child.process.pid, signal.SIGKILL)  # whatever it started itself and left behind
         self._keeper.release(child.process.pid)
         del self.children[child.name]
 
@@ -193,21 +197,12 @@ def tail(log: Path, lines: int = TAIL_LINES) -> str:
     return "\n".join(text.splitlines()[-lines:]) if text else "(it wrote nothing)"
 
 
-def _indented(text: str) -> str:
-    return "\n".join("    " + line for line in text.splitlines())
-
-
 def _end_with(parent: int) -> None:
     """In the child, before exec: take Ctrl-C as usual; end with the parent, also with one just dead."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored in the children of a shell's background jobs
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
-
-
-def _signal_group(pid: int, number: int) -> None:
-    with contextlib.suppress(ProcessLookupError):  # the group ended by itself
-        os.killpg(pid, number)
 
 
 def _wait(children: Sequence[Child], timeout_s: float | None) -> None:

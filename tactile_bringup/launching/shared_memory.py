@@ -27,12 +27,15 @@ def remove_orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[str]
 def orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[Path]:
     """The files of dead processes of this user, made at or after `since_ns` (epoch, ns)."""
     groups: dict[str, list[Path]] = {}
-    for path in _ours(folder):
-        match = _SEGMENT.match(path.name) or _MUTEX.match(path.name)
-        if match:
-            groups.setdefault(match["name"], []).append(path)
+    made: dict[str, int] = {}
+    for path in folder.glob("*"):
+        match, status = _SEGMENT.match(path.name) or _MUTEX.match(path.name), _status(path)
+        if match and status and status.st_uid == os.getuid():
+            name = match["name"]
+            groups.setdefault(name, []).append(path)
+            made[name] = max(made.get(name, 0), status.st_mtime_ns)
     mapped = _mapped_files(folder)
-    dead = [g for g in groups.values() if _made_since(g, since_ns) and not _is_owned(g, mapped)]
+    dead = [g for name, g in groups.items() if made[name] >= since_ns and not _is_owned(g, mapped)]
     return sorted(path for group in dead for path in group)
 
 
@@ -41,28 +44,11 @@ def segments(folder: Path = SHARED_MEMORY) -> set[str]:
     return {path.name for path in folder.glob("*") if _SEGMENT.match(path.name) or _MUTEX.match(path.name)}
 
 
-def _ours(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    return [path for path in folder.iterdir() if _owner(path) == os.getuid()]
-
-
-def _owner(path: Path) -> int | None:
+def _status(path: Path) -> os.stat_result | None:
     try:
-        return path.lstat().st_uid
+        return path.lstat()
     except FileNotFoundError:  # its process removed it since the folder was listed
         return None
-
-
-def _made_since(paths: list[Path], since_ns: int) -> bool:
-    return any(_modified_ns(path) >= since_ns for path in paths)
-
-
-def _modified_ns(path: Path) -> int:
-    try:
-        return path.lstat().st_mtime_ns
-    except FileNotFoundError:
-        return 0
 
 
 def _is_owned(paths: list[Path], mapped: set[str]) -> bool:

@@ -109,22 +109,23 @@ class TaskRunner:
     def run(self) -> None:
         """Run all goals as `RunSequence` has it; raises `GoalFailed` if one is not reached."""
         sequence = RunSequence(self.plans)
-        goals: dict[str, int] = {}
+        labels: dict[str, str] = {}
         while not sequence.finished:
             for plan, number in sequence.start():
-                goals[plan.arm] = number
-                self.client.arm(plan.arm).send(plan.goals[number], plan.role.task)
+                goal = plan.goals[number]
+                labels[plan.arm] = f"[{number + 1}/{len(plan.goals)}] {goal.name}"
+                self.client.arm(plan.arm).send(goal, plan.role.task)
             for arm in sequence.finish():
                 self.client.arm(arm).cancel()
             self._turn()
-            self._follow(sequence, goals)
+            self._follow(sequence, labels)
         if sequence.failure:
             raise GoalFailed(sequence.failure)
 
-    def _follow(self, sequence: RunSequence, goals: dict[str, int]) -> None:
+    def _follow(self, sequence: RunSequence, labels: dict[str, str]) -> None:
         """Take in what the arms have reported, and show it."""
         running = {
-            plan.arm: (_label(plan, goals[plan.arm]), self.client.arm(plan.arm))
+            plan.arm: (labels[plan.arm], self.client.arm(plan.arm))
             for plan in self.plans
             if sequence.running(plan.arm)
         }
@@ -177,10 +178,6 @@ class TaskRunner:
         if self.signals:
             raise Interrupted(self.signals[0])
         self.check()
-
-
-def _label(plan: ArmPlan, number: int) -> str:
-    return f"[{number + 1}/{len(plan.goals)}] {plan.goals[number].name}"
 
 
 def _settled(task: ArmTask) -> bool:

@@ -30,7 +30,6 @@ from tactile_drivers.sim.arm import SimArm
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
 from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
 from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
-from tactile_drivers.sim.truth import Truth, shear_of
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 
@@ -40,6 +39,51 @@ if TYPE_CHECKING:
     from tactile_drivers.sim.tactip import ContactTruth, TacTip
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The contact of one sensor at one stamp; without a surface, `surface` is empty and the rest NaN.
+
+    Attributes
+    ----------
+    surface : str
+        Name of the surface that is meant, the nearest.
+    in_contact : bool
+        Whether the undeformed tip reaches below the surface.
+    depth : float
+        Depth of the undeformed tip below the surface, m; negative off it.
+    normal_angle : float
+        Angle between the sensor's z axis and the surface's inward normal at the nearest point, rad.
+    T_fs : ndarray (4, 4)
+        Equivalent surface contact pose X_fs.
+    shear : ndarray (3,)
+        Its shear: x, y (m) and turn gamma (rad) of X_fs as extrinsic xyz Euler angles.
+    slip_fraction : float
+        How much of the contact slips, 0..1.
+    normal_force : float
+        Force of the surface on the sensor along the outward normal, N; NaN where it is not modelled.
+    point, normal : ndarray (3,)
+        Nearest point of the true surface (m) and the outward unit normal there, in the arm's base.
+    """
+
+    surface: str
+    in_contact: bool
+    depth: float
+    normal_angle: float
+    T_fs: Array
+    shear: Array
+    slip_fraction: float
+    normal_force: float
+    point: Array
+    normal: Array
+
+    @classmethod
+    def nothing(cls) -> Truth:
+        """The truth of a sensor that no surface is there for."""
+        nan = float("nan")
+        missing = np.full(3, nan)
+        return cls("", False, nan, nan, np.full((4, 4), nan), missing, 0.0, 0.0, missing, missing)
 
 
 @dataclass(frozen=True)
@@ -376,14 +420,14 @@ def _truth(target: _Target, T_base_sensor: Array, radius: float, known: ContactT
     """What the sensor's model knows, with the geometry of the surface in the arm's base."""
     T_base_body = target.T_base_body
     geometry = contact_pose(target.body.surface, target.sensor_in_body(T_base_sensor), radius)
-    rotation, origin = T_base_body[:3, :3], T_base_body[:3, 3]
+    rotation, origin, T_fs = T_base_body[:3, :3], T_base_body[:3, 3], known.T_fs
     return Truth(
         surface=target.body.name,
         in_contact=known.contact_nodes > 0,
         depth=geometry.depth,
         normal_angle=geometry.normal_angle,
-        T_fs=known.T_fs,
-        shear=shear_of(known.T_fs),
+        T_fs=T_fs,
+        shear=np.array([T_fs[0, 3], T_fs[1, 3], np.arctan2(T_fs[1, 0], T_fs[0, 0])]),
         slip_fraction=known.slip_fraction,
         normal_force=known.normal_force,
         point=rotation @ geometry.point + origin,

@@ -23,7 +23,7 @@ from tactile_base.settings import Settings
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import BodyScene, Scene
-    from tactile_drivers.sim.truth import Truth
+    from tactile_drivers.sim.cell import Truth
 
 Array = NDArray[np.float64]
 

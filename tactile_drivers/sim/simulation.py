@@ -49,9 +49,10 @@ class SimulatedSensor:
 
         They start from those of this sensor where the fidelity is the same, else from the defaults.
         """
-        base = (
-            self if fidelity == self.fidelity else default_sensor(fidelity).with_tip_radius(self.tip_radius)
-        )
+        base = self
+        if fidelity != self.fidelity:
+            default = SimulatedSensor(TacTipSettings() if fidelity == "image" else IdealSensorSettings())
+            base = default.with_tip_radius(self.tip_radius)
         return SimulatedSensor(replace(base.model, **model)) if model else base
 
 
@@ -69,11 +70,6 @@ class Simulation:
 
     rate: int = 120
     sensors: Mapping[str, SimulatedSensor] = field(default_factory=dict)
-
-
-def default_sensor(fidelity: str) -> SimulatedSensor:
-    """The sensor of a fidelity that nothing is said about."""
-    return SimulatedSensor(TacTipSettings() if fidelity == "image" else IdealSensorSettings())
 
 
 def read_simulation(section: Section, with_sensor: Sequence[str]) -> Simulation:
@@ -107,17 +103,14 @@ def _sensor(section: Section) -> SimulatedSensor:
 def _image_model(groups: Section) -> TacTipSettings:
     """The sensor file that `file` names, or the defaults, with the groups that are given."""
     groups.allow("file", *_SENSOR_GROUPS)
-    base = _from_sensor_file(groups) if "file" in groups.values else TacTipSettings()
-    changed = {}
+    base, changed = TacTipSettings(), {}
+    if "file" in groups.values:
+        try:
+            base = read_sensor_groups(read_yaml(named_file("sensor", groups.text("file"))))
+        except (FileNotFoundError, SettingError) as error:
+            groups.fail(str(error), "file")
     for name in _SENSOR_GROUPS:
         if name in groups.values:
             group, settings = groups.section(name), getattr(base, name)
             changed[name] = group.checked(type(settings), {**asdict(settings), **group.values})
     return replace(base, **changed)
-
-
-def _from_sensor_file(groups: Section) -> TacTipSettings:
-    try:
-        return read_sensor_groups(read_yaml(named_file("sensor", groups.text("file"))))
-    except (FileNotFoundError, SettingError) as error:
-        groups.fail(str(error), "file")

@@ -108,6 +108,14 @@ static inline void pair_finish(FusionOutput* res, const Pair* pair, const PosePa
 }
 
 
+// what a fixed number of iterations ends with, the last step having this squared length
+static void end_fixed(FusionOutput* res, double square, int iterations) {
+  res->step = sqrt(square);
+  res->iterations = iterations;
+  res->status = res->step <= CONVERGED_STEP ? FUSION_CONVERGED : FUSION_NOT_CONVERGED;
+}
+
+
 // the covariance as evaluated before the last iteration; returns 0 if it needs another way
 static int pair_fixed(FusionOutput* res, const FusionInput input[2], int iterations, int order) {
   Pair pair;
@@ -125,8 +133,6 @@ static int pair_fixed(FusionOutput* res, const FusionInput input[2], int iterati
     perturb(&y, model.step);
   } while (++done < iterations);
   pair_finish(res, &pair, &y, &model.information);
-  res->step = sqrt(model.square[0]);
-  res->iterations = iterations;
-  res->status = res->step <= CONVERGED_STEP ? FUSION_CONVERGED : FUSION_NOT_CONVERGED;
+  end_fixed(res, model.square[0], iterations);
   return 1;
 }

@@ -81,15 +81,9 @@ static int fusion_lack(const double mean[16], const double cov[36]) {
   if (mean[12] != 0 || mean[13] != 0 || mean[14] != 0 || mean[15] != 1) {
     return FUSION_NO_POSE;
   }
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      pose.rot[3*i+j] = mean[4*i+j];
-    }
-    if (!isfinite(mean[4*i+3])) {
-      return FUSION_NO_POSE;
-    }
-  }
-  if (!(se3_rotation_error(pose.rot) <= ROTATION_TOLERANCE) || !(se3_determinant(pose.rot) > 0)) {
+  se3_from_matrix(&pose, mean);
+  if (!(se3_rotation_error(pose.rot) <= ROTATION_TOLERANCE) || !(se3_determinant(pose.rot) > 0)
+      || !isfinite(pose.pos[0]) || !isfinite(pose.pos[1]) || !isfinite(pose.pos[2])) {
     return FUSION_NO_POSE;
   }
   for (int i = 0; i < 6; i++) {
@@ -286,14 +280,7 @@ static void robust_perturb(DdPose* y, const double step[6]) {
 static void robust_finish(FusionOutput* res, const Robust* robust, const DdPose* y, const RobustModel* model) {
   DdPose mean;
   dd_product_pose(&mean, y, &robust->base);
-  memset(res->mean, 0, sizeof(res->mean));
-  res->mean[15] = 1;
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      res->mean[4*i+j] = dd_round(mean.rot[3*i+j]);
-    }
-    res->mean[4*i+3] = dd_round(mean.pos[i]);
-  }
+  round_pose(res->mean, mean.rot, mean.pos);
   for (int i = 0; i < 6; i++) {
     for (int j = 0; j <= i; j++) {
       Dd sum = dd_from(0);
@@ -324,8 +311,6 @@ static int robust_fixed(FusionOutput* res, const FusionInput input[2], int itera
     robust_perturb(&y, model.step);
   }
   robust_finish(res, &robust, &y, &model);
-  res->step = sqrt(model.square);
-  res->iterations = iterations;
-  res->status = res->step <= CONVERGED_STEP ? FUSION_CONVERGED : FUSION_NOT_CONVERGED;
+  end_fixed(res, model.square, iterations);
   return 0;
 }

@@ -187,27 +187,9 @@ static PyObject* instruction_set(PyObject* module, PyObject* const* args, Py_ssi
 
 // ---- SE(3): documentation in tactile_filter/se3.py and propagation.py ----
 
-static void to_pose(Pose* res, const double mat[16]) {
-  for (int i = 0; i < 3; i++) {
-    memcpy(res->rot + 3*i, mat + 4*i, 3 * sizeof(double));
-    res->pos[i] = mat[4*i+3];
-  }
-}
-
-
-static void to_matrix(double res[16], const Pose* pose) {
-  for (int i = 0; i < 3; i++) {
-    memcpy(res + 4*i, pose->rot + 3*i, 3 * sizeof(double));
-    res[4*i+3] = pose->pos[i];
-  }
-  res[12] = res[13] = res[14] = 0;
-  res[15] = 1;
-}
-
-
 static PyObject* new_pose(const Pose* pose) {
   double mat[16];
-  to_matrix(mat, pose);
+  se3_to_matrix(mat, pose);
   return new_array(mat, 4, 4);
 }
 
@@ -279,7 +261,7 @@ static PyObject* module_inverse(PyObject* module, PyObject* arg) {
   if (!read_pose(mat, arg, "T")) {
     return NULL;
   }
-  to_pose(&pose, mat);
+  se3_from_matrix(&pose, mat);
   se3_inverse(&inverse, &pose);
   return new_pose(&inverse);
 }
@@ -303,7 +285,7 @@ static PyObject* module_orthonormalized(PyObject* module, PyObject* arg) {
   if (!read_pose(mat, arg, "T")) {
     return NULL;
   }
-  to_pose(&pose, mat);
+  se3_from_matrix(&pose, mat);
   if (!check_rotation(pose.rot, "T")) {
     return NULL;
   }
@@ -332,10 +314,10 @@ static PyObject* module_interpolate(PyObject* module, PyObject* const* args, Py_
 
   // start * exp(s * log(start^-1 * end))
   Pose from, to, motion;
-  to_pose(&from, start);
-  to_pose(&to, end);
+  se3_from_matrix(&from, start);
+  se3_from_matrix(&to, end);
   se3_inverse_product(&motion, &from, &to);
-  to_matrix(between, &motion);
+  se3_to_matrix(between, &motion);
   if (!log_of(xi, between)) {
     return NULL;
   }
@@ -343,7 +325,7 @@ static PyObject* module_interpolate(PyObject* module, PyObject* const* args, Py_
     xi[i] *= s;
   }
   routines->exp(between, xi);
-  to_pose(&motion, between);
+  se3_from_matrix(&motion, between);
   se3_product(&to, &from, &motion);
   return new_pose(&to);
 }
@@ -360,7 +342,7 @@ static PyObject* module_usable_pose(PyObject* module, PyObject* arg) {
     }
     return NULL;
   }
-  to_pose(&pose, mat);
+  se3_from_matrix(&pose, mat);
   double error = se3_rotation_error(pose.rot);
   if (mat[12] != 0 || mat[13] != 0 || mat[14] != 0 || mat[15] != 1 || !(error <= ROTATION_TOLERANCE)
       || !(se3_determinant(pose.rot) > 0) || !isfinite(mat[3]) || !isfinite(mat[7]) || !isfinite(mat[11])) {
@@ -386,7 +368,7 @@ static PyObject* module_predict(PyObject* module, PyObject* const* args, Py_ssiz
     if (!read_pose(mat, poses[i], names[i])) {
       return NULL;
     }
-    to_pose(pose + i, mat);
+    se3_from_matrix(pose + i, mat);
     if (!check_rotation(pose[i].rot, names[i])) {
       return NULL;
     }
@@ -408,8 +390,8 @@ static PyObject* module_innovation(PyObject* module, PyObject* const* args, Py_s
     return NULL;
   }
   Pose pose_1, pose_2;
-  to_pose(&pose_1, mat_1);
-  to_pose(&pose_2, mat_2);
+  se3_from_matrix(&pose_1, mat_1);
+  se3_from_matrix(&pose_2, mat_2);
   double nis = innovation(whitened, &pose_1, cov_1, &pose_2, cov_2);
   return pack_two(PyFloat_FromDouble(nis), new_array(whitened, 6, 0));
 }

@@ -1,6 +1,7 @@
 #include "se3.h"
 
 #include <math.h>
+#include <string.h>
 
 #define PI_SQUARED 9.869604401089358618834490999876151135
 
@@ -129,6 +130,24 @@ void se3_log(double res[6], const Pose* pose) {
   for (int i = 0; i < 3; i++) {
     res[i] = pose->pos[i] - 0.5*turned[i] + e[0]*twice[i];
   }
+}
+
+
+void se3_from_matrix(Pose* res, const double mat[16]) {
+  for (int i = 0; i < 3; i++) {
+    memcpy(res->rot + 3*i, mat + 4*i, 3 * sizeof(double));
+    res->pos[i] = mat[4*i+3];
+  }
+}
+
+
+void se3_to_matrix(double res[16], const Pose* pose) {
+  for (int i = 0; i < 3; i++) {
+    memcpy(res + 4*i, pose->rot + 3*i, 3 * sizeof(double));
+    res[4*i+3] = pose->pos[i];
+  }
+  res[12] = res[13] = res[14] = 0;
+  res[15] = 1;
 }
 
 

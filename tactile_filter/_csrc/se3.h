@@ -8,6 +8,10 @@ typedef struct {
   double pos[3];
 } Pose;
 
+// the pose of a homogeneous matrix, row-major, whose last row is not looked at; and the other way round
+void se3_from_matrix(Pose* res, const double mat[16]);
+void se3_to_matrix(double res[16], const Pose* pose);
+
 // res = logarithm of pose
 void se3_log(double res[6], const Pose* pose);
 

@@ -118,6 +118,18 @@ static void exact_exp(Dd rot[9], Dd pos[3], const Dd rho[3], const Dd phi[3], co
 }
 
 
+static void round_pose(double res[16], const Dd rot[9], const Dd pos[3]) {
+  Pose pose;
+  for (int i = 0; i < 9; i++) {
+    pose.rot[i] = dd_round(rot[i]);
+  }
+  for (int i = 0; i < 3; i++) {
+    pose.pos[i] = dd_round(pos[i]);
+  }
+  se3_to_matrix(res, &pose);
+}
+
+
 static void se3_exact_exp(double res[16], const double xi[6]) {
   Dd rot[9], pos[3], rho[3], phi[3];
   to_dd3(rho, xi);
@@ -130,12 +142,7 @@ static void se3_exact_exp(double res[16], const double xi[6]) {
     return;
   }
   exact_exp(rot, pos, rho, phi, &arg);
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      res[4*i+j] = dd_round(rot[3*i+j]);
-    }
-    res[4*i+3] = dd_round(pos[i]);
-  }
+  round_pose(res, rot, pos);
 }
 
 
@@ -258,11 +265,7 @@ static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
 static int se3_exact_log(double res[6], const double mat[16]) {
   Dd rot[9], pos[3], rho[3], phi[3];
   Pose pose;
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      pose.rot[3*i+j] = mat[4*i+j];
-    }
-  }
+  se3_from_matrix(&pose, mat);
   double error = se3_rotation_error(pose.rot);
   if (error > ROUNDING && error <= ROTATION_TOLERANCE) {
     se3_orthonormalize(&pose);

@@ -178,19 +178,6 @@ def object_from_contact(
     return SplitGaussian(mean, independent, correlated_share * own + place_share * place)
 
 
-def contact_from_object(
-    pose: PoseGaussian, T_world_sensor: Array, T_object_feature: PoseGaussian
-) -> PoseGaussian:
-    """Where a sensor has its contact, X_sf = T_ws^-1 T_wo T_of, given the object's pose.
-
-    For a sensor that lost its own belief. The two Gaussians are taken as independent.
-    """
-    T_sw = se3.inverse(T_world_sensor)
-    mean = T_sw @ pose.mean @ T_object_feature.mean
-    cov = moved_covariance(T_sw, pose.cov + moved_covariance(pose.mean, T_object_feature.cov))
-    return PoseGaussian(se3.orthonormalized(mean), cov)
-
-
 def estimate_feature(pose: PoseGaussian, belief: PoseGaussian, T_world_sensor: Array) -> PoseGaussian:
     """Where on the object a contact is, T_of = T_wo^-1 T_ws X_sf, while the object's pose is known by others.
 
@@ -203,15 +190,9 @@ def estimate_feature(pose: PoseGaussian, belief: PoseGaussian, T_world_sensor: A
     return PoseGaussian(se3.orthonormalized(mean), cov)
 
 
-def fuse_split(a: SplitGaussian, b: SplitGaussian, weight: float | None = None) -> SplitGaussian:
-    """Split covariance intersection of two Gaussians over the same pose.
-
-    Parameters
-    ----------
-    weight : float, optional
-        w in (0, 1); by default that of `intersection_weight`. The result is right for any.
-    """
-    w = intersection_weight(a, b) if weight is None else weight
+def fuse_split(a: SplitGaussian, b: SplitGaussian) -> SplitGaussian:
+    """Split covariance intersection of two Gaussians over the same pose."""
+    w = intersection_weight(a, b)
     cov_a, cov_b = a.weighted(w), b.weighted(1.0 - w)
     fused = fuse(a.mean, cov_a, b.mean, cov_b, "exact")
     gain_a, gain_b = fused.cov @ np.linalg.inv(cov_a), fused.cov @ np.linalg.inv(cov_b)

@@ -42,6 +42,11 @@ def stamps_ns(values: Array, name: str) -> Array:
     return seconds * SECOND_NS + values[f"{name}.nanosec"].astype(np.int64)
 
 
+def pose_columns(position: str, orientation: str) -> tuple[str, ...]:
+    """The columns of a pose's seven numbers: position, quaternion (x, y, z, w)."""
+    return (*(f"{position}.{axis}" for axis in "xyz"), *(f"{orientation}.{axis}" for axis in "xyzw"))
+
+
 class ColumnReader:
     """Reads messages of one type.
 

@@ -6,7 +6,7 @@ import functools
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,48 +22,44 @@ class DefinitionMissing(ValueError):
     """A message type whose .msg file is not installed; the message says where it was looked for."""
 
 
-def message_definition(type_name: str, prefixes: Sequence[Path] | None = None) -> str:
+def message_definition(type_name: str) -> str:
     """The .msg text of a type with all types that it uses, as MCAP wants it (`ros2msg`).
 
-    Read from `share/<package>/msg` under the prefixes, by default those of
-    AMENT_PREFIX_PATH, then the Python environment; without `prefixes`, what is nowhere there comes from our
-    source tree and from the common packages that `rosbags` brings. Raises `DefinitionMissing` where a file is
-    missing.
+    Read from `share/<package>/msg` under the prefixes of AMENT_PREFIX_PATH, then that of the Python
+    environment; what is nowhere there comes from our source tree and from the common packages that `rosbags`
+    brings. Raises `DefinitionMissing` where a file is missing.
     """
-    roots = None if prefixes is None else list(prefixes)
     texts: dict[str, str] = {}
-    _collect_definitions(type_name, roots, texts)
+    _collect_definitions(type_name, texts)
     first, *others = texts.items()
     parts = [first[1]] + [f"{_SEPARATOR}\nMSG: {_short(name)}\n{text}" for name, text in others]
     return "\n".join(parts)
 
 
-def _collect_definitions(type_name: str, roots: Sequence[Path] | None, texts: dict[str, str]) -> None:
+def _collect_definitions(type_name: str, texts: dict[str, str]) -> None:
     if type_name in texts:
         return
-    texts[type_name] = _read_definition(type_name, roots)
+    texts[type_name] = _read_definition(type_name)
     package = type_name.split("/")[0]
     for line in texts[type_name].splitlines():
         match = _FIELD_TYPE.match(line.split("#")[0])
         if match and match[1] not in _PRIMITIVES:
-            _collect_definitions(_full(match[1], package), roots, texts)
+            _collect_definitions(_full(match[1], package), texts)
 
 
-def _read_definition(type_name: str, roots: Sequence[Path] | None) -> str:
+def _read_definition(type_name: str) -> str:
     package, _, name = type_name.split("/")
-    prefixes = _ament_prefixes() if roots is None else roots
-    files = [prefix / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
-    if roots is None:
-        files.append(Path(__file__).parents[2] / package / "msg" / f"{name}.msg")
-    for path in files:
+    prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    prefixes.append(sys.prefix)
+    files = [Path(prefix) / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
+    for path in (*files, Path(__file__).parents[2] / package / "msg" / f"{name}.msg"):
         if path.is_file():
             return path.read_text()
-    known = _known_definition(type_name) if roots is None else ""
+    known = _known_definition(type_name)
     if known:
         return known
-    where = ", ".join(map(str, prefixes))
     raise DefinitionMissing(
-        f"no definition of {type_name}: share/{package}/msg/{name}.msg is under none of {where}"
+        f"no definition of {type_name}: share/{package}/msg/{name}.msg is under none of {', '.join(prefixes)}"
     )
 
 
@@ -73,11 +69,6 @@ def _known_definition(type_name: str) -> str:
     if type_name not in store.fielddefs:
         return ""
     return str(store.generate_msgdef(type_name, ros_version=2)[0].split(_SEPARATOR)[0])
-
-
-def _ament_prefixes() -> list[Path]:
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return [Path(prefix) for prefix in (*prefixes, sys.prefix) if prefix]
 
 
 def _full(name: str, package: str) -> str:

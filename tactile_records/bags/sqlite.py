@@ -39,13 +39,13 @@ def _missing(file: Path) -> tuple[int, int]:
     """How many bytes the file is shorter than its header says, and the size of its whole pages."""
     with file.open("rb") as stream:
         head = stream.read(32)
-    page, pages, size = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big"), _size(file)
+    page, pages, size = (
+        int.from_bytes(head[16:18], "big"),
+        int.from_bytes(head[28:32], "big"),
+        file.stat().st_size,
+    )
     page = 65536 if page == 1 else max(page, 1)
     return max(0, page * pages - size), size // page * page
-
-
-def _size(file: Path) -> int:
-    return file.stat().st_size
 
 
 def _read(file: Path, bag: Bag, unpack: Callable[[bytes], bytes], faults: list[str]) -> bool:
@@ -59,7 +59,7 @@ def _read(file: Path, bag: Bag, unpack: Callable[[bytes], bytes], faults: list[s
             topics = _read_topics(database, bag)
             _read_definitions(database, bag)
             kept = {number: bag.wanted(*topic) for number, topic in topics.items()}
-            for _, number, stamp_ns, data in _rows(database, _size(file), topics.keys(), faults):
+            for _, number, stamp_ns, data in _rows(database, file.stat().st_size, topics.keys(), faults):
                 topic, type_name = topics[number]
                 bag.counts[topic] += 1
                 if kept[number]:

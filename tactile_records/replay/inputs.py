@@ -11,12 +11,18 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag, read_bag
-from tactile_records.replay.topics import Jump, ReplayError, TopicReader, epochs, wanted_topics
+from tactile_records.replay.topics import (
+    Jump,
+    ReplayError,
+    Timeline,
+    TopicReader,
+    assign_epochs,
+    wanted_topics,
+)
 from tactile_records.replay.track import ArmInputs, Track
 from tactile_records.replay.transforms import Recording, read_transforms
 
@@ -101,15 +107,12 @@ def _span_s(bag: Bag) -> float:
 
 def _assign_epochs(recording: Recording, tracks: Iterable[Track]) -> list[Jump]:
     """Give each message and each transform its epoch."""
-    holders: dict[str, Any] = {f"/tf of {child}": link for child, link in recording.moving.items()}
+    sources: dict[str, Timeline] = {f"/tf of {child}": link for child, link in recording.moving.items()}
     for track in tracks:
         for topic, kind in ((track.estimate, ESTIMATE), (track.presence, PRESENCE)):
             if len(topic):
-                holders[kind.of(track.arm.name).name] = topic
-    found, jumps = epochs({name: holder.timeline for name, holder in holders.items()})
-    for name, holder in holders.items():
-        holder.epochs = found[name]
-    return jumps
+                sources[kind.of(track.arm.name).name] = topic
+    return assign_epochs(sources)
 
 
 def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[str]:

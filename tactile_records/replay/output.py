@@ -40,23 +40,23 @@ def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[R
     BagError
         The folder exists.
     """
-    entries: list[tuple[int, int, int, Recorded]] = []
+    messages: list[Recorded] = []
     topics: dict[str, Topic] = {}
     for message in copies:
         if not any(output.arm_of(message.topic) for output in OUTPUTS):
             qos = TF_STATIC.qos if message.topic == TF_STATIC.name else RELIABLE
             topics.setdefault(message.topic, Topic(message.topic, message.type, qos))
-            entries.append((message.received_ns, 0, len(entries), message))
-    for number, run in enumerate(runs, 1):
+            messages.append(message)
+    for run in runs:
         for message in _messages(run):
             topics.setdefault(message.topic, Topic(message.topic, message.type))
-            entries.append((message.received_ns, number, len(entries), message))
-    entries.sort(key=lambda entry: entry[:3])
+            messages.append(message)
+    messages.sort(key=lambda message: message.received_ns)
     definitions = {type_name: text for type_name, text in bag.definitions.items() if type_name != STATE.type}
     definitions |= {name: message_definition(name) for name in (STATE.type, BELIEF.type)}
     ordered = [topics[name] for name in sorted(topics)]
     with BagWriter(folder, ordered, definitions, _note(bag, runs)) as writer:
-        for _, _, _, message in entries:
+        for message in messages:
             writer.write(message.topic, message.data, message.received_ns, message.published_ns)
 
 

@@ -159,28 +159,11 @@ def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:
     for run in runs:
         arm = run.inputs
         compared = None if arm.live is None else agreement(run.states, arm.live)
-        results.append(
-            RunResult(
-                plan.name,
-                arm.name,
-                series_of(run.beliefs),
-                len(run.beliefs),
-                run.left_out,
-                dict(run.resets),
-                dict(run.rejections),
-                compared,
-            )
-        )
+        counts = len(run.beliefs), run.left_out, dict(run.resets), dict(run.rejections)
+        results.append(RunResult(plan.name, arm.name, series_of(run.beliefs), *counts, compared))
         if options.smooth:
-            results.append(
-                RunResult(
-                    f"{plan.name}, smoothed",
-                    arm.name,
-                    series_of(run.smoothed),
-                    len(run.beliefs),
-                    smoothed=True,
-                )
-            )
+            name, smoothed = f"{plan.name}, smoothed", series_of(run.smoothed)
+            results.append(RunResult(name, arm.name, smoothed, len(run.beliefs), smoothed=True))
     return results
 
 

@@ -47,19 +47,25 @@ def wanted_topics(topic: str, type_name: str) -> bool:
     )
 
 
+def _no_stamps() -> Stamps:
+    return np.zeros(0, np.int64)
+
+
 @dataclass
-class Messages:
+class Timeline:
+    """Stamps (N,) of one source's messages, ns, their places (N,) in the recording, and their epochs (N,)."""
+
+    stamps_ns: Stamps = field(default_factory=_no_stamps)
+    order: Stamps = field(default_factory=_no_stamps)
+    epochs: Stamps = field(default_factory=_no_stamps, init=False)
+
+
+@dataclass
+class Messages(Timeline):
     """The messages of one topic that could be decoded, in the order of the recording."""
 
-    stamps_ns: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-    order: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-    received_ns: Array = field(default_factory=lambda: np.zeros(0, np.int64))
+    received_ns: Array = field(default_factory=_no_stamps)
     columns: list[Columns] = field(default_factory=list)
-    epochs: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-
-    @property
-    def timeline(self) -> Timeline:
-        return Timeline(self.stamps_ns, self.order)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -106,14 +112,6 @@ class TopicReader:
 
 
 @dataclass(frozen=True)
-class Timeline:
-    """Stamps (N,) of one source's messages, ns, and their places (N,) in the recording."""
-
-    stamps_ns: Stamps
-    order: Stamps
-
-
-@dataclass(frozen=True)
 class Jump:
     """The clock went back: by how much, and the newest stamp before it."""
 
@@ -122,10 +120,12 @@ class Jump:
     before_ns: int
 
 
-def epochs(sources: Mapping[str, Timeline]) -> tuple[dict[str, Stamps], list[Jump]]:
-    """The epoch (N,) of each message of each source, and the jumps between epochs."""
+def assign_epochs(sources: Mapping[str, Timeline]) -> list[Jump]:
+    """Give each message of each source its epoch; returns the jumps between epochs."""
+    for timeline in sources.values():
+        timeline.epochs = np.zeros_like(timeline.stamps_ns)
     if not any(_jumps(timeline.stamps_ns) for timeline in sources.values()):
-        return {name: np.zeros(len(t.stamps_ns), np.int64) for name, t in sources.items()}, []
+        return []
     return _Epochs(sources).assigned()
 
 
@@ -143,16 +143,15 @@ class _Epochs:
         self.newest_of_epoch = [0]
         self.found: list[Jump] = []
 
-    def assigned(self) -> tuple[dict[str, Stamps], list[Jump]]:
-        result = {name: np.zeros(len(t.stamps_ns), np.int64) for name, t in self.sources.items()}
+    def assigned(self) -> list[Jump]:
         rows = [
             (int(order), name, row, int(stamp_ns))
             for name, timeline in self.sources.items()
             for row, (order, stamp_ns) in enumerate(zip(timeline.order, timeline.stamps_ns, strict=True))
         ]
         for _, name, row, stamp_ns in sorted(rows):
-            result[name][row] = self._take(name, stamp_ns)
-        return result, self.found
+            self.sources[name].epochs[row] = self._take(name, stamp_ns)
+        return self.found
 
     def _take(self, name: str, stamp_ns: int) -> int:
         current = len(self.newest_of_epoch) - 1

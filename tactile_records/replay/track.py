@@ -15,6 +15,7 @@ from tactile_filter.filter_settings import FilterSettings
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.pose_numbers import gaussians_from_numbers
 from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_records.bags.message_columns import pose_columns
 from tactile_records.replay.settings import Change, commanded_resets, recorded_changes, recorded_settings
 from tactile_records.replay.topics import Messages, ReplayError, TopicReader
 from tactile_records.replay.transforms import Recording, connected, follow_pose, poses_at
@@ -23,10 +24,8 @@ from tactile_records.runs.record import TruthSeries
 Array = NDArray[Any]
 
 BASE = "base"
-POSE = tuple(f"pose.pose.{part}" for part in ("position.x", "position.y", "position.z")) + tuple(
-    f"pose.pose.orientation.{axis}" for axis in "xyzw"
-)
-ARM_POSE_PARTS = tuple(part.removeprefix("pose.") for part in POSE)
+POSE = pose_columns("pose.pose.position", "pose.pose.orientation")
+ARM_POSE_PARTS = pose_columns("pose.position", "pose.orientation")
 
 
 @dataclass(frozen=True)

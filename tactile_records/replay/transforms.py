@@ -14,37 +14,21 @@ from tactile_base.topics import TF, TF_STATIC
 from tactile_filter.pose_numbers import are_poses, pose_from_numbers
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
 from tactile_records.bags.contents import Recorded
-from tactile_records.bags.message_columns import ColumnReader, Columns, stamps_ns
+from tactile_records.bags.message_columns import ColumnReader, Columns, pose_columns, stamps_ns
 from tactile_records.replay.topics import Timeline
 
 Array = NDArray[Any]
 
 FOREVER_NS = 2**62
-PARTS = (
-    "translation.x",
-    "translation.y",
-    "translation.z",
-    "rotation.x",
-    "rotation.y",
-    "rotation.z",
-    "rotation.w",
-)
+PARTS = pose_columns("translation", "rotation")
 
 
 @dataclass
-class Link:
-    """All transforms of one child, in the order of the recording: stamps, places, parents, numbers (N, 7)."""
+class Link(Timeline):
+    """All transforms of one child, in the order of the recording: also their parents, and numbers (N, 7)."""
 
-    stamps_ns: Array
-    order: Array
-    parents: list[str]
-    numbers: Array
-    epochs: Array = field(default_factory=lambda: np.zeros(0, np.int64))
-
-    @property
-    def timeline(self) -> Timeline:
-        """For the epochs of the clock."""
-        return Timeline(self.stamps_ns, self.order)
+    parents: list[str] = field(default_factory=list)
+    numbers: Array = field(default_factory=lambda: np.zeros((0, 7)))
 
 
 @dataclass

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_control.phases import Command, StampedPose
-from tactile_drivers.sim.truth import Truth
+from tactile_drivers.sim.cell import Truth
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.record import (

@@ -90,7 +90,10 @@ class ArmNode(ManagedNode):
             self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
             self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
             self.timer(scene.limits.command_timeout / 4, self._watch)
-            self.driver = self._open(scene)
+            try:
+                self.driver = open_arm(scene, self.take_state)
+            except (OSError, RuntimeError) as error:
+                raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
         else:  # a simulated arm watches its commands itself, and every timer costs the cell time
             self.timer(self.settings.value.state_timeout / 2, self._watch)
 
@@ -122,12 +125,6 @@ class ArmNode(ManagedNode):
         if arm.driver in who:
             raise ConfigurationError(f"{file}: arm '{arm.name}' {who[arm.driver]}")
         return arm
-
-    def _open(self, scene: ArmScene) -> Arm:
-        try:
-            return open_arm(scene, self.take_state)
-        except (OSError, RuntimeError) as error:
-            raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
 
     def _forget(self) -> None:
         self._state: ArmState | None = None

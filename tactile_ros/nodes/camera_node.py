@@ -17,9 +17,9 @@ from tactile_base.settings import Settings, setting
 from tactile_base.topics import IMAGE as IMAGE_TOPIC
 from tactile_drivers.camera import Camera, CameraFrame, open_camera
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene
+from tactile_ros.cdr import bytes_from_array
 from tactile_ros.conversions import MessageError
-from tactile_ros.image_bytes import bytes_from_array
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.nodes.arm_node import arm_of_scene
 from tactile_ros.parameters import SettingsParameters
@@ -50,8 +50,13 @@ class CameraNode(ManagedNode):
         self.image_out = self.publisher(Image, IMAGE_TOPIC.name, IMAGE)
         self.latency = LatencyPublisher(self, "camera", self.sensor_frame)
         self.frames = self.report.watch("frames of the camera", self.settings.value.frame_timeout)
-        if not self.hosted:
-            self.camera = self._open(self._scene())
+        if self.hosted:
+            return
+        arm = self._scene()
+        try:
+            self.camera = open_camera(arm, self.take_frame)
+        except (OSError, RuntimeError) as error:
+            raise ConfigurationError(f"camera of '{arm.name}': {error}") from error
 
     def cleanup(self) -> None:
         """Let go of the camera."""
@@ -83,12 +88,6 @@ class CameraNode(ManagedNode):
         if arm.sensor.camera in who:
             raise ConfigurationError(f"{file}: the camera of '{arm.name}' {who[arm.sensor.camera]}")
         return arm
-
-    def _open(self, arm: ArmScene) -> Camera:
-        try:
-            return open_camera(arm, self.take_frame)
-        except (OSError, RuntimeError) as error:
-            raise ConfigurationError(f"camera of '{arm.name}': {error}") from error
 
 
 def main() -> int:

@@ -43,8 +43,8 @@ from tactile_perception.estimating.image import ImageError, check_image
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_records.collecting.sample_store import SampleStore
+from tactile_ros.cdr import image_from_bytes
 from tactile_ros.conversions import MessageError
-from tactile_ros.image_bytes import image_from_bytes
 from tactile_ros.managed_node import ConfigurationError
 from tactile_ros.managed_node import run as run_node
 from tactile_ros.parameters import GroupParameters, SettingsParameters
@@ -114,10 +114,6 @@ class CollectorNode(TaskNode):
     def activate(self) -> None:
         """Forget old inputs and be idle."""
         self.forget()
-
-    def end(self, reason: str) -> None:
-        """Abort what runs, and make its table whole."""
-        self._finish(reason, succeeded=False)
 
     def forget(self) -> None:
         """Forget what has been received."""
@@ -212,7 +208,7 @@ class CollectorNode(TaskNode):
         if command.reason and not command.done:
             self.report.complain("collection", command.reason)
         if command.done:
-            self._finish(command.reason, command.succeeded)
+            self.finish_run(command.reason, command.succeeded)
         elif run.feedback_due(now_ns, self.settings.value.feedback_period):
             run.handle.publish_feedback(self._feedback(run, command))
 
@@ -310,7 +306,7 @@ class CollectorNode(TaskNode):
         """T_base_f (4, 4) as the parameter says."""
         return se3.pose_from_euler(self.settings.value.frame)
 
-    def _finish(self, reason: str, succeeded: bool) -> None:
+    def finish_run(self, reason: str, succeeded: bool) -> None:
         """Make the table whole and end the run."""
         assert self.run is not None
         store = self.run.store
@@ -320,7 +316,7 @@ class CollectorNode(TaskNode):
             reason, succeeded = f"{reason}; cannot write to {store.folder}: {error}".lstrip("; "), False
         if not succeeded:
             self.warn("collection", f"collection failed: {reason}", period=0.0)
-        self.finish_run(reason, succeeded)
+        super().finish_run(reason, succeeded)
 
 
 def main() -> int:

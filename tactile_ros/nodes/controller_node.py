@@ -24,7 +24,7 @@ from tactile_filter import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import HeadedReader
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
 from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only
 from tactile_ros.qos import STATE
@@ -98,10 +98,6 @@ class ControllerNode(TaskNode):
         self.last = None
         self.goal_name = ""
 
-    def end(self, reason: str) -> None:
-        """Abort what runs, and say so."""
-        self._finish(reason, succeeded=False)
-
     def forget(self) -> None:
         """Forget what has been received."""
         self.belief: StampedPose | None = None
@@ -114,7 +110,8 @@ class ControllerNode(TaskNode):
         received_ns = self.now_ns()
         stamp_ns, _, numbers = read_state(data)
         xi, flags = numbers[XI], int(numbers[FLAGS])
-        self._update_presence(stamp_ns, not flags & ContactState.NO_CONTACT)
+        if self.presence is None or stamp_ns > self.presence.stamp_ns:
+            self.presence = StampedPresence(stamp_ns, not flags & ContactState.NO_CONTACT)
         if not flags & ContactState.INVALID:
             self._take_belief(stamp_ns, np.array(xi))
         self.step()
@@ -128,10 +125,6 @@ class ControllerNode(TaskNode):
             self.warn("belief", f"contact/state refused: xi is not finite: {xi.tolist()}")
             return
         self.belief = StampedPose(stamp_ns, se3.exp(xi))
-
-    def _update_presence(self, stamp_ns: int, in_contact: bool) -> None:
-        if self.presence is None or stamp_ns > self.presence.stamp_ns:
-            self.presence = StampedPresence(stamp_ns, in_contact)
 
     # ---- steps ----
 
@@ -168,7 +161,7 @@ class ControllerNode(TaskNode):
         if command.reason and not command.done:
             self.report.complain("task", command.reason)
         if command.done:
-            self._finish(command.reason, command.succeeded)
+            self.finish_run(command.reason, command.succeeded)
         elif phase_changed or self.run.feedback_due(now_ns, self.timing.value.feedback_period):
             X_fs = se3.inverse(self.belief.T) if self.belief is not None else None
             self.run.handle.publish_feedback(feedback_message(command, X_fs))
@@ -213,8 +206,9 @@ class ControllerNode(TaskNode):
         self.last = None
         return GoalRun(handle=handle, task=task, started_ns=self.now_ns(), message=message)
 
-    def _finish(self, reason: str, succeeded: bool) -> None:
-        self.finish_run(reason, succeeded)
+    def finish_run(self, reason: str, succeeded: bool) -> None:
+        """End the run, and warn of a failure."""
+        super().finish_run(reason, succeeded)
         if not succeeded:
             self.warn("task", f"'{self.goal_name}' failed: {reason}", period=0.0)
 

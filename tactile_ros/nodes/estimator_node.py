@@ -28,10 +28,9 @@ from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
-from tactile_ros.cdr import gaussian_bytes, headed_bytes
+from tactile_ros.cdr import gaussian_bytes, headed_bytes, image_from_bytes
 from tactile_ros.conversions import MessageError
-from tactile_ros.image_bytes import image_from_bytes
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE, STATE

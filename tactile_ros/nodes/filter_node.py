@@ -26,10 +26,10 @@ from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
-from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
+from tactile_ros.belief_inputs import BeliefInputSettings, serve_reset
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
@@ -47,7 +47,9 @@ class FilterNode(ManagedNode):
         self.settings = SettingsParameters(
             self, FilterSettings(), on_change=lambda settings: self.filter.configure(settings)
         )
-        self.inputs = declare_inputs(self, BeliefInputSettings())
+        self.inputs = SettingsParameters(
+            self, BeliefInputSettings(), prefix="inputs", read_only=("age_limit",)
+        )
         self.filter = ContactFilter(self.settings.value)
         self.monitor = ConsistencyMonitor()
         consistency = SettingsParameters(

@@ -20,8 +20,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.markers.detection import DetectedMarkers, DetectionSettings, density_change, detect
 from tactile_perception.markers.view import side_by_side
+from tactile_ros.cdr import image_from_bytes
 from tactile_ros.conversions import MessageError, header
-from tactile_ros.image_bytes import image_from_bytes
 from tactile_ros.managed_node import ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE

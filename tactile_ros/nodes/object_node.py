@@ -31,10 +31,10 @@ from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
 from tactile_msgs.msg import ContactState
-from tactile_ros.belief_inputs import BeliefInputSettings, declare_inputs, serve_reset
+from tactile_ros.belief_inputs import BeliefInputSettings, serve_reset
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import STATE
@@ -151,7 +151,9 @@ class ObjectNode(ManagedNode):
         self.settings = SettingsParameters(
             self, TrackerSettings(), on_change=lambda settings: self.tracker.configure(settings)
         )
-        self.inputs = declare_inputs(self, ObjectInputSettings())
+        self.inputs = SettingsParameters(
+            self, ObjectInputSettings(), prefix="inputs", read_only=("age_limit",)
+        )
         self.places = {
             arm: SettingsParameters(
                 self,

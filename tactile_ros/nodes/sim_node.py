@@ -38,7 +38,7 @@ from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
 from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp
 from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, transform_stamped
-from tactile_ros.latency import LatencyPublisher
+from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.nodes.arm_node import ArmNode
 from tactile_ros.nodes.camera_node import CameraNode

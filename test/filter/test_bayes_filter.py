@@ -16,10 +16,10 @@ from tactile_filter.bayes_filter import (
     ContactFilter,
     FilterSettings,
     gate_threshold,
-    normalized_innovation_squared,
 )
 from tactile_filter.fusion import MODES, fuse
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.propagation import innovation
 
 MS = 1_000_000
 PERIOD = 16 * MS
@@ -358,9 +358,8 @@ def test_a_gate_at_99_percent_refuses_about_one_in_a_hundred_true_measurements()
 
 def test_innovation_of_a_shifted_measurement_has_its_covariance():
     shifted = PoseGaussian(se3.exp([2e-3, 0, 0, 0, 0, 0]) @ CONTACT, COV)
-    assert normalized_innovation_squared(shifted, CONTACT, COV) == pytest.approx(
-        4e-6 / (2 * SIGMA[0] ** 2), rel=1e-4
-    )
+    nis = innovation(shifted.mean, shifted.cov, CONTACT, COV).nis
+    assert nis == pytest.approx(4e-6 / (2 * SIGMA[0] ** 2), rel=1e-4)
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -323,16 +323,18 @@ def test_what_is_no_bag_is_an_error_that_names_it(tmp_path):
         read_bag(tmp_path)
 
 
-def test_a_definition_holds_all_that_a_type_uses(tmp_path):
+def test_a_definition_holds_all_that_a_type_uses(tmp_path, monkeypatch):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     folder = tmp_path / "share" / "toy_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Part.msg").write_text("float64[<=6] values  # m\nuint8 KIND=3\n")
     (folder / "Whole.msg").write_text("Part[] parts\ntoy_msgs/Part one\nstring<=8 name\n")
-    text = message_definition("toy_msgs/msg/Whole", [tmp_path])
+    text = message_definition("toy_msgs/msg/Whole")
     assert text.count("MSG: toy_msgs/Part") == 1 and "# m" in text
     assert type_hash("toy_msgs/msg/Whole", text).startswith("RIHS01_")
 
 
-def test_a_missing_definition_is_an_error_that_says_where_it_was_sought(tmp_path):
+def test_a_missing_definition_is_an_error_that_says_where_it_was_sought(tmp_path, monkeypatch):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     with pytest.raises(DefinitionMissing, match=f"no definition of toy_msgs/msg/Part.*{tmp_path}"):
-        message_definition("toy_msgs/msg/Part", [tmp_path])
+        message_definition("toy_msgs/msg/Part")

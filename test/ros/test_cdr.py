@@ -20,15 +20,16 @@ from tactile_records.bags.cdr import MessageError
 from tactile_ros.cdr import (
     HeadedReader,
     Layout,
+    bytes_from_array,
     gaussian_bytes,
     headed_bytes,
+    image_from_bytes,
     transforms_from_bytes,
     twist_bytes,
 )
 from tactile_ros.conversions import (
     transform_stamped,
 )
-from tactile_ros.image_bytes import bytes_from_array, image_from_bytes
 
 STORE = get_typestore(Stores.LATEST)
 HEADED = [PoseWithCovarianceStamped, TwistStamped, ContactPresence, ContactState, ContactTruth]

@@ -13,7 +13,14 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
 from tactile_filter import se3
-from tactile_ros.cdr import gaussian_bytes, read_gaussian, read_twist, twist_bytes
+from tactile_ros.cdr import (
+    bytes_from_array,
+    gaussian_bytes,
+    image_from_bytes,
+    read_gaussian,
+    read_twist,
+    twist_bytes,
+)
 from tactile_ros.conversions import (
     MessageError,
     array_from_image,
@@ -22,7 +29,6 @@ from tactile_ros.conversions import (
     pose_from_matrix,
     pose_from_numbers,
 )
-from tactile_ros.image_bytes import bytes_from_array, image_from_bytes
 
 RNG = np.random.default_rng(7)
 ANGLES = [0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-9, np.pi]
