@@ -1,4 +1,4 @@
-"""What every shape answers in its own frame: signed distance, outward normal, a mesh, where a tip meets it."""
+"""What every shape answers in its own frame: signed distance, outward normal, mesh, where a tip meets it."""
 
 from __future__ import annotations
 
