@@ -1,7 +1,8 @@
 """/tf and /tf_static into a `TransformBuffer` and out of it, the same one that a replayed bag goes through.
 
 Lookups are at a stamp and never fall back to another one in silence. Who needs a transform that is not there
-yet waits for it with a `TransformGate`, in the order of the stamps and up to a deadline.
+yet waits for it with a `TransformGate`, in the order of the stamps and up to a deadline. Nodes that make a
+belief of such inputs have `BeliefInputSettings` and `serve_reset` in common.
 """
 
 from __future__ import annotations
@@ -9,15 +10,18 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from tf2_msgs.msg import TFMessage
 
 from tactile_base import topics
+from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, EventJoin
 from tactile_filter.transform_buffer import TransformBuffer, TransformInPast, TransformUnavailable
+from tactile_msgs.srv import ResetFilter
 from tactile_ros.cdr import ReceivedTransform, transforms_from_bytes
 from tactile_ros.conversions import pose_from_numbers, transform_stamped
 from tactile_ros.managed_node import ManagedNode
@@ -122,6 +126,24 @@ class FramePublisher:
             self._out.publish(TFMessage(transforms=[frame]))
 
 
+@dataclass(frozen=True)
+class BeliefInputSettings(Settings):
+    """How long the node waits for what it needs, and how often it publishes its frame."""
+
+    tf_timeout: float = setting(
+        0.05, lower=0.0, upper=5.0, unit="s",
+        doc="an input waits this long for the sensor's pose at its stamp",
+    )  # fmt: skip
+    age_limit: float = setting(
+        0.25, lower=0.0, upper=60.0, unit="s",
+        doc="longer silence of an input is reported in /diagnostics; 0: never",
+    )  # fmt: skip
+    tf_rate: float = setting(
+        15.0, lower=0.0, upper=1000.0, unit="Hz",
+        doc="the belief is published as a frame on /tf as well, at most this often; 0: never",
+    )  # fmt: skip
+
+
 class TransformGate:
     """Holds joined events until T_target_source at their stamp is there; hands them out by stamp.
 
@@ -182,3 +204,19 @@ class TransformGate:
             return False
         self._drop(self._join.drop_oldest(), f"{reason}; waited {waited * 1e3:.0f} ms")
         return True
+
+
+def serve_reset(node: ManagedNode, reset: Callable[[], None], outlook: str) -> None:
+    """Offer `~/reset` while the node is configured: it forgets what it believes, if it is active.
+
+    Parameters
+    ----------
+    outlook : str
+        What comes next, for who asked.
+    """
+
+    def act(request: ResetFilter.Request) -> None:
+        node.get_logger().info(f"reset: {request.reason or 'no reason given'}")
+        reset()
+
+    node.serve_request(ResetFilter, "~/reset", act, outlook)

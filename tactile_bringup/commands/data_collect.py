@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
+from tactile_base.console import say
 from tactile_base.settings import SettingError, Settings, unknown_name
 from tactile_base.yaml_file import name_and_value
-from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int
+from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int, refusing
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from tactile_bringup.graph import Graph
     from tactile_bringup.launching.launcher import Outcome
     from tactile_drivers.scene import ArmScene, BodyScene, Scene
@@ -68,26 +68,19 @@ class Plan:
     missing: int
 
 
+@refusing("data collect", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """`tactile data collect`: returns the exit status."""
-    from rich.console import Console
-
-    console = Console()
-    try:
-        plan = make_plan(arguments)
-    except (SettingError, ValueError, OSError) as error:
-        print(f"tactile data collect: {error}", file=sys.stderr)
-        return 2
-    console.print(f"{plan.missing} of {plan.samples} samples are missing", highlight=False)
+    console, status = Console(), 0
+    plan = make_plan(arguments)
+    say(console, f"{plan.missing} of {plan.samples} samples are missing")
     if plan.missing:
         outcome = _launch(plan, arguments, console)
-        if outcome.exit_code:
-            console.print(
-                f"tactile data collect: {outcome.reason}", style="red", markup=False, soft_wrap=True
-            )
-            console.print(f"logs: {outcome.logs}; the same command goes on from here", highlight=False)
-    status = outcome.exit_code if plan.missing else 0
-    _summarize(arguments.out, console)
+        status = outcome.exit_code
+        if status:
+            say(console, f"tactile data collect: {outcome.reason}", "red")
+            say(console, f"logs: {outcome.logs}; the same command goes on from here")
+    say(console, "\n".join(_contents(arguments.out)))
     return status
 
 
@@ -101,15 +94,14 @@ def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outc
         return Launcher(plan.graph, folder.absolute(), display).run()
 
 
-def _summarize(folder: Path, console: Console) -> None:
+def _contents(folder: Path) -> list[str]:
     """What the folder holds now."""
     from tactile_perception.datasets.dataset import DatasetError, open_folder
 
     try:
-        lines = open_folder(folder).report.lines()
+        return open_folder(folder).report.lines()
     except DatasetError as error:
-        lines = [str(error)]
-    console.print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
+        return [str(error)]
 
 
 def make_plan(arguments: argparse.Namespace) -> Plan:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich.console import Console
 
+from tactile_base.console import number_table, say
+from tactile_bringup.commands.changes import refusing
+
+if TYPE_CHECKING:
     from tactile_records.runs.report import Run
 
 
@@ -25,18 +27,12 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run)
 
 
+@refusing("report", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code: 0 where the task was done, 1 where not, 2 without a record."""
-    from rich.console import Console
-
-    from tactile_records.bags.writer import BagError
     from tactile_records.runs.from_bag import read_arms
 
-    try:
-        records = read_arms(arguments.bag)
-    except (BagError, ValueError, OSError) as error:
-        print(f"tactile report: {error}", file=sys.stderr)
-        return 2
+    records = read_arms(arguments.bag)
     folder = arguments.out or arguments.bag.with_name(f"{arguments.bag.name}-report")
     deliver(records, arguments.bag, folder, Console())
     return 0 if records and all(record.result["succeeded"] for record in records.values()) else 1
@@ -44,25 +40,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 def deliver(records: Run, bag: Path, folder: Path, console: Console) -> None:
     """Write report and pictures of each arm, and print what a person wants to see first."""
-    from rich.table import Table
-
     from tactile_records.runs.report import places, summary, write_reports
 
     values = write_reports(records, folder)
     first = next(iter(records.values()))
-    table = Table(title=f"{first.task_file} on {first.scene}, real ROS nodes, seed {first.seed}")
-    for name in ("", "measured", "wanted"):
-        table.add_column(name, justify="left" if not name else "right")
+    title = f"{first.task_file} on {first.scene}, real ROS nodes, seed {first.seed}"
+    table = number_table(title, ["", "measured", "wanted"])
     for row in summary(records, values):
         table.add_row(*row)
     console.print(table)
     for record in records.values():
         for problem in ("bag_problem", "surface_problem"):
             if problem in record.result:
-                console.print(f"note: {record.result[problem]}", style="yellow", highlight=False)
+                say(console, f"note: {record.result[problem]}", "yellow")
     files = [path for place in places(records, folder).values() for path in sorted(place.glob("*.*"))]
     for path in (*(path for path in files if path.suffix in (".json", ".png")), bag):
-        console.print(_short(path), highlight=False, soft_wrap=True)
+        say(console, _short(path))
 
 
 def _short(path: Path) -> str:

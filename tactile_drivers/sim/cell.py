@@ -24,8 +24,7 @@ from tactile_base.settings import unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
-from tactile_drivers.shapes.contact import contact_pose
-from tactile_drivers.shapes.surface import Surface
+from tactile_drivers.shapes.surface import Surface, contact_pose
 from tactile_drivers.sim.arm import SimArm
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
 from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_drivers.shapes.contact import ContactGeometry, contact_pose
-from tactile_drivers.shapes.surface import Surface
+from tactile_drivers.shapes.surface import ContactGeometry, Surface, contact_pose
 from tactile_drivers.sim.settings import IdealSensorSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian

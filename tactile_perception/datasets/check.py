@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -155,10 +156,7 @@ def _report_labels(result: CheckResult) -> None:
 def _report_conventions(
     result: CheckResult, settings: FlowSettings, progress: Callable[[str, int, int], None] | None
 ) -> None:
-    def step(done: int, total: int) -> None:
-        if progress is not None:
-            progress("markers", done, total)
-
+    step = None if progress is None else partial(progress, "markers")
     try:
         result.flow = measure(result.folder, settings, step)
     except FlowError as error:

@@ -150,10 +150,7 @@ _NOTHING = (np.full(6, np.nan), np.full(6, np.nan))
 
 
 def _series(rows: list[tuple[Array, Array]]) -> Series:
-    return Series(
-        np.array([mean for mean, _ in rows]).reshape(-1, 6),
-        np.array([sigma for _, sigma in rows]).reshape(-1, 6),
-    )
+    return Series(*np.array(rows).reshape(-1, 2, 6).swapaxes(0, 1))
 
 
 def _euler(mean: Array) -> Array:

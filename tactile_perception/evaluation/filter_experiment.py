@@ -29,7 +29,7 @@ from tactile_perception.evaluation.filtering import (
 )
 from tactile_perception.evaluation.metrics import Predictions
 from tactile_perception.evaluation.plots import best
-from tactile_perception.evaluation.report import file_name, groups, with_spread
+from tactile_perception.evaluation.report import about, file_name, groups, with_spread
 
 Array = NDArray[np.float64]
 #: The paper's noises of the motion, in mm and degrees.
@@ -218,12 +218,7 @@ def filter_summary(data: EvaluationData, found: Sequence[FilterResult]) -> dict[
     for entry in found:
         values = {**vars(entry), "mae": entry.mae.tolist()}
         plain.append({key: _finite(value) for key, value in values.items()})
-    return {
-        "data": {"folder": str(data.folder), "samples": len(data), "sha256": data.sha256},
-        "notes": data.notes,
-        "components": list(NETWORK_TITLES),
-        "results": plain,
-    }
+    return {**about(data), "results": plain}
 
 
 def _finite(value: Any) -> Any:

@@ -130,12 +130,19 @@ def bins_table(members: Sequence[ModelResult], name: str, which: str) -> Table:
     return table
 
 
-def summary(data: EvaluationData, results: Sequence[ModelResult]) -> dict[str, Any]:
-    """Everything but the predictions as plain types, for JSON."""
+def about(data: EvaluationData) -> dict[str, Any]:
+    """What a summary begins with: the data, notes on them, and the components of errors."""
     return {
         "data": {"folder": str(data.folder), "samples": len(data), "sha256": data.sha256},
         "notes": data.notes,
         "components": list(NETWORK_TITLES),
+    }
+
+
+def summary(data: EvaluationData, results: Sequence[ModelResult]) -> dict[str, Any]:
+    """Everything but the predictions as plain types, for JSON."""
+    return {
+        **about(data),
         "coverage_levels": list(LEVELS),
         "models": [_plain_result(result) for result in results],
         "groups": {name: _plain_group(members) for name, members in groups(results).items()},

@@ -26,14 +26,19 @@ from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
-from tactile_ros.belief_inputs import BeliefInputSettings, serve_reset
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
-from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
+from tactile_ros.transforms import (
+    BeliefInputSettings,
+    FramePublisher,
+    TransformGate,
+    TransformListener,
+    serve_reset,
+)
 
 PRESENCE = topics.PRESENCE.name
 read_presence = HeadedReader(ContactPresence)

@@ -31,14 +31,19 @@ from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
 from tactile_msgs.msg import ContactState
-from tactile_ros.belief_inputs import BeliefInputSettings, serve_reset
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
 from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import STATE
-from tactile_ros.transforms import FramePublisher, TransformGate, TransformListener
+from tactile_ros.transforms import (
+    BeliefInputSettings,
+    FramePublisher,
+    TransformGate,
+    TransformListener,
+    serve_reset,
+)
 
 MERGE_PERIOD = 0.005  # s; how late a deadline may be kept
 read_state = HeadedReader(ContactState)

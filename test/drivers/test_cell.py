@@ -9,7 +9,7 @@ from tactile_base.settings import SettingError
 from tactile_drivers.arm import ArmMode
 from tactile_drivers.scene import load_scene
 from tactile_drivers.shapes import make_surface
-from tactile_drivers.shapes.contact import contact_pose
+from tactile_drivers.shapes.surface import contact_pose
 from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.ideal_sensor import IdealSensor
 from tactile_drivers.sim.settings import IdealSensorSettings

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from tactile_base.settings import SettingError
 from tactile_drivers.shapes import SHAPES, make_surface
-from tactile_drivers.shapes.contact import contact_pose
+from tactile_drivers.shapes.surface import contact_pose
 
 OPEN = [
     ("plane", {}),
