@@ -19,7 +19,7 @@ from tactile_control.task_file import load_task
 from tactile_drivers.arm import open_arm
 from tactile_drivers.scene import load_scene
 from tactile_records.runs import metrics, object_tracking
-from tactile_records.runs.report import write_reports
+from tactile_records.runs.report import write_numbers
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 PLACEHOLDER = re.compile(r"\[-|\.\.\.|[…|]")  # a line that shows options rather than to be typed
@@ -73,6 +73,36 @@ def test_every_command_in_the_docs_is_one_that_tactile_takes(root: Path, capsys:
                     refused.append(f"{page.relative_to(root)}: {command}: {reason}")
     assert not refused
     assert found > 50
+
+
+def subparser(words: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
+    """The parser of a command, which may have commands of its own, and the words that are left."""
+    parser = _parser()
+    while words:
+        actions = [item for item in parser._actions if isinstance(item, argparse._SubParsersAction)]
+        if not actions or words[0] not in actions[0].choices:
+            break
+        parser, words = actions[0].choices[words[0]], words[1:]
+    return parser, words
+
+
+def test_every_option_within_a_sentence_is_one_of_its_command(root: Path):
+    unknown, found = [], 0
+    for page in pages(root):
+        if page.name == "CHANGELOG.md":  # which names old ones, too
+            continue
+        for command in re.findall(r"`tactile ([a-z][^`]*)`", page.read_text()):
+            parser, words = subparser(command.split())
+            assert parser.prog != "tactile", (
+                f"{page.relative_to(root)}: there is no command `tactile {command}`"
+            )
+            for word in words:
+                if word.startswith("--"):
+                    found += 1
+                    if word.rstrip(",.;:") not in parser._option_string_actions:
+                        unknown.append(f"{page.relative_to(root)}: tactile {command}: {word}")
+    assert not unknown
+    assert found > 10
 
 
 def test_every_file_named_in_the_docs_exists(root: Path):
@@ -160,7 +190,7 @@ def examples(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 def test_the_task_of_the_docs_runs_and_reports(examples: Path, tmp_path: Path):
     task = load_task(examples / "add_a_task.md" / "my_tasks" / "rubbing.yaml", "plane")
     run = run_arms_offline(load_scene("plane"), task, OfflineOptions(fidelity="ideal", seed=1))
-    numbers = write_reports(run, tmp_path / "report")["arm"]
+    numbers = write_numbers(run, "arm", tmp_path / "report.json")
     assert numbers["succeeded"], numbers["reason"]
     assert numbers["strokes_mm"] == pytest.approx(60.0, abs=1.5)  # two strokes of 20 mm, two of 10 mm
 
