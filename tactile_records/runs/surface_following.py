@@ -34,7 +34,7 @@ DEPTH_REQUIREMENT, NORMAL_REQUIREMENT = 0.3, 2.0  # mm, deg: what the runs are h
 
 def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first: (name, value with unit, requirement where there is one)."""
-    latency = values["latency_ms"]
+    latency, measured = values["latency_ms"], values["source"] != "offline"
     return [
         ("task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""),
         ("path followed", text(values["path_length_mm"], "mm", 1), ""),
@@ -43,8 +43,8 @@ def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("normal alignment RMS", text(values["normal_rms_deg"], "deg", 2), "<= 2 deg"),
         ("oscillation in depth", text(values["oscillation"]["depth_mm"], "mm", 3), ""),
         ("depth error of belief RMS", text(values["belief"]["depth_rms_mm"], "mm", 3), ""),
-        ("latency p50", text(latency["p50"], "ms", 1), "<= 8 ms"),
-        ("latency p99", text(latency["p99"], "ms", 1), "<= 25 ms"),
+        ("latency p50", text(latency["p50"], "ms", 1), "<= 8 ms" if measured else "as set"),
+        ("latency p99", text(latency["p99"], "ms", 1), "<= 25 ms" if measured else "as set"),
         ("frames dropped and counted", str(sum(values["frames"]["lost"].values())), ""),
         ("frames lost in silence", str(values["frames"]["silent"]), "0"),
     ]
