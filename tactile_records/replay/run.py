@@ -204,6 +204,9 @@ class Agreement:
     after_gap : int
         Stamps that both have, after one that only the live filter has and in the same contact: what that
         one did to the belief is not known.
+    before_inputs : int
+        Stamps of the live filter from before the bag's first input: topics are not found all at once when a
+        recording begins.
     """
 
     common: int
@@ -212,17 +215,20 @@ class Agreement:
     only_replayed: int
     first_difference: str = ""
     after_gap: int = 0
+    before_inputs: int = 0
 
 
 def agreement(rows: Array, live: LiveStates) -> Agreement:
     """Compare `state_rows` with what the live filter published."""
     stamps = stamps_ns(rows, "header.stamp")
     replayed = {int(stamp): row for row, stamp in enumerate(stamps)}
-    pairs, only_live, after_gap = [], 0, 0
+    begun_ns = int(stamps[0]) if len(stamps) else 0
+    pairs, only_live, after_gap, before_inputs = [], 0, 0, 0
     gap = False
     for place, (stamp, flags) in enumerate(zip(live.stamps_ns.tolist(), live.values["flags"], strict=True)):
         if stamp not in replayed:
-            only_live, gap = only_live + 1, True
+            only_live, before_inputs = only_live + (stamp >= begun_ns), before_inputs + (stamp < begun_ns)
+            gap = True
             continue
         gap = gap and not flags & BeliefFlag.NO_CONTACT
         if gap:
@@ -246,4 +252,4 @@ def agreement(rows: Array, live: LiveStates) -> Agreement:
         at = int(np.argmin(same))
         first = f"{differing[at]} at {int(stamps[mine[at]])} ns"
     only_replayed = len(rows) - len(pairs) - after_gap
-    return Agreement(len(pairs), int(same.sum()), only_live, only_replayed, first, after_gap)
+    return Agreement(len(pairs), int(same.sum()), only_live, only_replayed, first, after_gap, before_inputs)

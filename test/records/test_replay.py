@@ -367,3 +367,10 @@ def test_bags_of_the_helpers_are_sound():
     settings = FilterSettings(process_noise_translation=1e-6, process_noise_rotation=1e-5)
     nis = [belief.nis for belief in believed(bags.recording(200), settings) if belief.nis_dof]
     assert 0.8 < np.mean(nis) / 6.0 < 1.2
+
+
+def test_live_beliefs_from_before_the_first_input_in_the_bag_are_told_apart(tmp_path):
+    inputs, (run,) = replayed(with_live(recording(touching=lambda k: True)).write(tmp_path / "bag"))
+    found = agreement(run.states[3:], inputs.arms[0].live)
+    assert (found.only_live, found.before_inputs) == (0, 3)
+    assert found.identical == found.common

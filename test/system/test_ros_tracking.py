@@ -49,7 +49,7 @@ def finished(tmp_path_factory, configuration):
         TACTILE_CONFIG_DIR=str(configuration),
     )
     try:
-        launch.wait_for("leader  move")
+        launch.wait_for("periodic leader: move")
         launch.end()
     finally:
         launch.kill()
