@@ -241,7 +241,7 @@ def agreement(rows: Array, live: LiveStates) -> Agreement:
     ]
     same = np.ones(len(pairs), bool)
     differing = np.full(len(pairs), "", object)
-    for name in names:
+    for name in names if pairs else ():
         a = np.ascontiguousarray(rows[name][mine]).reshape(len(pairs), -1).view(np.uint8)
         b = np.ascontiguousarray(live.values[name][theirs]).reshape(len(pairs), -1).view(np.uint8)
         equal = (a == b).all(axis=1) if a.shape == b.shape else np.zeros(len(pairs), bool)
