@@ -49,6 +49,18 @@ def write(folder: Path, definitions, count: int = 5) -> BagWriter:
     return bag
 
 
+def write_twists(bag: BagWriter, start_ns: int, count: int) -> None:
+    for index in range(count):
+        bag.write(TWIST.name, twist(index), start_ns + index, start_ns + index)
+
+
+def overwrite(bag: BagWriter, start: int, damage: bytes) -> None:
+    """Put `damage` in place of as many bytes of the bag's file."""
+    data = bytearray(bag.file.read_bytes())
+    data[start : start + len(damage)] = damage
+    bag.file.write_bytes(data)
+
+
 def test_a_bag_gives_back_what_was_written(tmp_path, definitions):
     write(tmp_path / "run", definitions).close()
     bag = read_bag(tmp_path / "run")
@@ -122,12 +134,9 @@ def test_damaged_data_is_noticed_and_what_came_before_is_kept(tmp_path, definiti
     writer = write(tmp_path / "run", definitions)
     writer.flush()
     good = writer.file.stat().st_size
-    for index in range(50):
-        writer.write(TWIST.name, twist(index), 2000 + index, 2000 + index)
+    write_twists(writer, 2000, 50)
     writer.close()
-    data = bytearray(writer.file.read_bytes())
-    data[good + 60 : good + 90] = bytes(30)
-    writer.file.write_bytes(data)
+    overwrite(writer, good + 60, bytes(30))
     bag = read_bag(tmp_path / "run")
     assert not bag.complete and len(bag.messages) == 5
     assert "damaged near byte" in bag.problem
@@ -139,12 +148,9 @@ def test_a_damaged_chunk_does_not_hide_those_behind_it(tmp_path, definitions):
     for _ in range(2):
         writer.flush()
         sizes.append(writer.file.stat().st_size)
-        for index in range(50):
-            writer.write(TWIST.name, twist(index), 2000 + index, 2000 + index)
+        write_twists(writer, 2000, 50)
     writer.close()
-    data = bytearray(writer.file.read_bytes())
-    data[sizes[0] + 60 : sizes[0] + 90] = bytes(30)
-    writer.file.write_bytes(data)
+    overwrite(writer, sizes[0] + 60, bytes(30))
     bag = read_bag(tmp_path / "run")
     assert not bag.complete and len(bag.messages) == 5 + 50
 
@@ -153,15 +159,11 @@ def test_after_a_damaged_length_the_index_tells_where_to_go_on(tmp_path, definit
     writer = write(tmp_path / "run", definitions)
     writer.flush()
     size = writer.file.stat().st_size
-    for index in range(50):
-        writer.write(TWIST.name, twist(index), 2000 + index, 2000 + index)
+    write_twists(writer, 2000, 50)
     writer.flush()
-    for index in range(7):
-        writer.write(TWIST.name, twist(index), 3000 + index, 3000 + index)
+    write_twists(writer, 3000, 7)
     writer.close()
-    data = bytearray(writer.file.read_bytes())
-    data[size + 1 : size + 9] = b"\xff" * 8
-    writer.file.write_bytes(data)
+    overwrite(writer, size + 1, b"\xff" * 8)
     bag = read_bag(tmp_path / "run")
     assert "no record of MCAP" in bag.problem and len(bag.messages) == 5 + 7
 
@@ -170,8 +172,7 @@ def test_a_chunk_that_damage_turned_into_an_unknown_record_is_missed_in_the_coun
     writer = write(tmp_path / "run", definitions)
     writer.flush()
     size = writer.file.stat().st_size
-    for index in range(7):
-        writer.write(TWIST.name, twist(index), 3000 + index, 3000 + index)
+    write_twists(writer, 3000, 7)
     writer.close()
     data = bytearray(writer.file.read_bytes())
     data[size] |= 0x80  # records of private kinds are passed over
