@@ -49,8 +49,9 @@ _POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 ARM_POSE = Topic("arm/pose", "geometry_msgs/msg/PoseStamped", RELIABLE, "arm")
 ARM_STATUS = Topic("arm/status", "tactile_msgs/msg/ArmStatus", RELIABLE, "arm")
-COMMAND = Topic("command/twist", "geometry_msgs/msg/TwistStamped", RELIABLE, "controller")
+COMMAND = Topic("command/request", "tactile_msgs/msg/ArmCommand", RELIABLE, "controller")
 CONTROLLER_STATUS = Topic("controller/status", "tactile_msgs/msg/ControllerStatus", RELIABLE, "controller")
+EXTERNAL_COMMAND = Topic("command/twist", "geometry_msgs/msg/TwistStamped", RELIABLE, "arm")
 LIMITED_COMMAND = Topic("command/twist_limited", "geometry_msgs/msg/TwistStamped", RELIABLE, "arm")
 
 # ---- of each arm with a sensor ----
@@ -69,6 +70,7 @@ RUN_TASK = "run_task"  # the action of each arm's controller
 
 # ---- of all arms together ----
 
+ESTOP = Topic("/estop", "std_msgs/msg/Bool", RELIABLE)
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", RELIABLE, "every node")
 PARAMETER_EVENTS = Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent", RELIABLE, "every node")
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE, "arm, filter and object")

@@ -231,7 +231,7 @@ def _node(name: str, namespace: str, parameters: Mapping[str, Any]) -> NodeProce
 
 
 def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
-    """What moves arms and exposes sensors: the simulated cell, a process for each driver of a registry."""
+    """What moves arms and exposes sensors: the simulated cell, a process for each other arm and camera."""
     file, nodes = str(scene.path.absolute()), []
     if scene.is_simulated:
         parameters: dict[str, Any] = {"scene": file, "seed": options.seed}
@@ -239,7 +239,7 @@ def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
             parameters["camera_rate"] = float(options.rate)
         nodes.append(_node("sim", "/", parameters))
     for arm in scene.arms.values():
-        if arm.driver not in (SIM, EXTERNAL):
+        if arm.driver != SIM:
             nodes.append(_node("arm", f"/{arm.name}", {"scene": file}))
         if arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL):
             nodes.append(_node("camera", f"/{arm.name}", {"scene": file}))

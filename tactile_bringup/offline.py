@@ -24,6 +24,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_bringup.run_sequence import ArmPlan, RunSequence, arm_plans
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_file import Task, load_task, task_path
+from tactile_drivers.arm import ArmMode
+from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import ContactFilter
@@ -187,6 +189,8 @@ class _OfflineArm:
         self, scene: Scene, task: str, plan: ArmPlan, cell: Cell, options: OfflineOptions, number: int
     ) -> None:
         self.plan, self.cell, self.options = plan, cell, options
+        self.safe = SafeArm(scene.arms[plan.arm], lambda: cell.stamp_ns)
+        self.safe.drive(cell.arm(plan.arm))
         sensor = scene.arms[plan.arm].sensor
         self.perceive = perception(scene, plan.arm, options.model) if sensor is not None else None
         self.filter = ContactFilter(options.filter)
@@ -240,14 +244,23 @@ class _OfflineArm:
 
     def take_pose(self) -> None:
         """What the arm reports at this step; the controller sees it from the next one on."""
-        pose = StampedPose(self.cell.stamp_ns, self.cell.T_base_sensor(self.plan.arm))
+        state = self.safe.take_state(self.cell.status(self.plan.arm))
+        if state is None:
+            raise RuntimeError(
+                f"{self.plan.arm}: the cell gives a state that cannot be: {self.safe.bad_state}"
+            )
+        pose = StampedPose(state.stamp_ns, state.T_base_controlled)
         self.inputs = replace(self.inputs, sensor_pose=pose)
-        self.log.pose(pose, self.cell.status(self.plan.arm).twist)
+        self.log.pose(pose, state.twist)
+        if state.mode is ArmMode.FAULT and self.task is not None:
+            self.task.abort(f"the arm is in fault: {state.reason}")
 
     def control(self, now_ns: int) -> Command | None:
         """Steps of the task for what has become due, or for the time that has passed; the last command."""
         command, due = None, self._due(now_ns)
         for event in due:
+            if event.belief is not None or not event.presence.in_contact:
+                self.safe.take_contact(event.stamp_ns, event.belief.T if event.belief else None)
             self.inputs = replace(
                 self.inputs, belief=event.belief or self.inputs.belief, presence=event.presence
             )
@@ -263,7 +276,7 @@ class _OfflineArm:
         if self.task is None:
             return None
         command = self.task.step(now_ns, self.inputs)
-        self.cell.command(self.plan.arm, now_ns, command.twist)
+        self.safe.command(now_ns, command.twist)
         self.log.command(now_ns, self.goal, command)
         return command
 

@@ -8,9 +8,10 @@ the control rate and sends the twist of the `Command` that comes back. In betwee
     while not (command := task.step(now_ns(), inputs())).done:
         send(command.twist)
 
-Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed. What a task adds is
-one file of tactile_control/tasks: its own phase's name, the reference velocity in it, and when it is done.
-How a task stops and fails is in `phases`.
+Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed. A task that begins in
+a contact, which was not made by it, leaves the surface before. What a task adds is one file of
+tactile_control/tasks: its own phase's name, the reference velocity in it, and when it is done. How a task
+stops and fails is in `phases`.
 """
 
 from __future__ import annotations
@@ -48,13 +49,14 @@ from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailabl
 
 Array = NDArray[np.float64]
 
+LEAVE = "leave"
 APPROACH = "approach"
 SETTLE = "settle"
 LOST_CONTACT = ("reapproach", "fail")
 TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; the work takes the large middle part
-PROGRESS = {GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, RETREAT: 0.97, DONE: 1.0}
+PROGRESS = {LEAVE: 0.0, GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, RETREAT: 0.97, DONE: 1.0}
 WORK_PROGRESS = 0.1
 
 
@@ -136,6 +138,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
 
     def __init__(self, settings: ContactTaskSettings, goal: Goal, start: Array | None = None) -> None:
         handlers = {
+            LEAVE: self._leave,
             GO_TO_START: self._go_to_start,
             APPROACH: self._approach,
             SETTLE: self._settle,
@@ -143,14 +146,15 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
             STOPPING: self._stopping,
             RETREAT: self._retreat,
         }
-        first = APPROACH if start is None else GO_TO_START
-        super().__init__(first, handlers, settings.limiter, settings.watchdog)
+        self._after_leaving = APPROACH if start is None else GO_TO_START
+        super().__init__(self._after_leaving, handlers, settings.limiter, settings.watchdog)
         self.settings = settings
         self.goal = goal
         self.start = None if start is None else se3.checked_pose("start", start)
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
         self._needs = {
+            LEAVE: ("pose", "presence"),
             GO_TO_START: ("pose", "presence"),
             APPROACH: ("pose", "presence"),
             SETTLE: ("pose", "presence", "belief"),
@@ -168,6 +172,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self._touch_position: Array | None = None
         self._settled_ns: int | None = None
         self._reapproaches = 0
+        self._begins = True
         self._progress = 0.0
         self._limited = False
 
@@ -256,7 +261,22 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if self.phase in (SETTLE, self.work) and self._contact_lost():
             self._wanted = self._after_lost_contact()
             return self._wanted, ""
+        if self._begins and self._presence is not None and self._pose is not None:
+            self._begins = False
+            if self._presence.in_contact:
+                self._enter(LEAVE)
         return super()._next_twist(now_ns)
+
+    def _leave(self, now_ns: int) -> Array:
+        """Back out of a contact that was there before the task."""
+        settings = self.settings.contact
+        gone = self._gone_from_phase_start()
+        if gone >= settings.retreat_distance and not self._touching():
+            self._enter(self._after_leaving)
+            return np.zeros(6)
+        if gone >= settings.approach_distance or self._in_phase(now_ns) > settings.retreat_timeout:
+            return self._fail(f"still in contact after backing off by {gone * 1e3:.1f} mm")
+        return along_z(-settings.retreat_speed)
 
     def _go_to_start(self, now_ns: int) -> Array:
         assert self.start is not None

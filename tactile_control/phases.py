@@ -204,6 +204,10 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self.reason = reason or "stopped"
         self._enter(RETREAT if self.phase == RETREAT else STOPPING)
 
+    def abort(self, reason: str) -> None:
+        """End where it is, coming to rest: the arm does not follow."""
+        self._fail_here(reason)
+
     def step(self, now_ns: int, inputs: Inputs) -> Result:
         """Advance to `now_ns` with the latest inputs. Bad inputs do not raise: they fail the task."""
         if self._now_ns is None:

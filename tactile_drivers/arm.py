@@ -15,6 +15,7 @@ none (`ArmScene.controlled_frame`, which stands in the tool at `ArmScene.T_tool_
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -25,7 +26,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.registry import Registry
 from tactile_base.settings import Settings, setting
-from tactile_base.stamps import SECOND_NS
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene
@@ -40,6 +40,7 @@ class ArmMode(IntEnum):
     MOVING = 1
     STOPPING = 2
     FAULT = 3
+    ESTOP = 4
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,72 @@ class ArmLimits(Settings):
         0.1, unit="s", lower=0.001, upper=10.0, doc="age of the last command at which the arm stops by itself"
     )
 
+    def braking_distance(self, speed: float, delay: float = 0.0) -> float:
+        """Way (m) from a speed (m/s) to rest, `delay` (s) of it at that speed still.
+
+        Never less than the way that acceleration and jerk allow: v^2 / 2a + v a / 2j where a is reached,
+        v sqrt(v / j), which is less than that, where it is not.
+        """
+        return speed * (speed / (2.0 * self.linear_acceleration) + self._lead(delay))
+
+    def braking_speed(self, distance: float, delay: float = 0.0) -> float:
+        """The speed (m/s) whose `braking_distance` this is."""
+        a, lead = self.linear_acceleration, self._lead(delay)
+        return a * (math.sqrt(lead * lead + 2.0 * max(distance, 0.0) / a) - lead)
+
+    def _lead(self, delay: float) -> float:
+        return delay + self.linear_acceleration / (2.0 * self.linear_jerk)
+
+
+@dataclass(frozen=True)
+class SafetySettings(Settings):
+    """Where an arm may go, and what it believes of its commands and states."""
+
+    workspace_lower: tuple[float, ...] = setting(
+        (-2.0, -2.0, -2.0), length=3, lower=-20.0, upper=20.0, unit="m",
+        doc="corner x y z of the box, in the arm's base, that the controlled frame's origin stays in",
+    )  # fmt: skip
+    workspace_upper: tuple[float, ...] = setting(
+        (2.0, 2.0, 2.0), length=3, lower=-20.0, upper=20.0, unit="m", doc="the opposite corner"
+    )
+    largest_shear: float = setting(
+        0.012, lower=1e-4, upper=0.1, unit="m", doc="shear of the tip at which the arm shears it no further"
+    )
+    contact_memory: float = setting(
+        0.3, lower=0.0, upper=10.0, unit="s",
+        doc="a belief bounds the motion for this long, carried along with the arm's own motion",
+    )  # fmt: skip
+    reaction_time: float = setting(
+        0.02,
+        lower=0.0,
+        upper=1.0,
+        unit="s",
+        doc="from a state of the arm until its driver follows the answer",
+    )
+    future_tolerance: float = setting(
+        0.02, lower=0.0, upper=1.0, unit="s", doc="a command may be stamped this far ahead of the clock"
+    )
+    owner_timeout: float = setting(
+        0.5, lower=0.01, upper=60.0, unit="s", doc="silence after which the arm is nobody's any more"
+    )
+    jump: float = setting(
+        0.005, lower=1e-4, upper=1.0, unit="m",
+        doc="a state further from the last than the largest speed takes the arm, and this, is refused",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box, in the arm's base, that the tip is kept out of; corners (3,), m."""
+
+    name: str
+    lower: Array
+    upper: Array
+
 
 @dataclass(frozen=True)
 class ArmState:
-    """State of the arm at a stamp.
+    """State of the arm at a stamp; the first five are the driver's, the others the safe command stage's.
 
     Attributes
     ----------
@@ -80,14 +143,14 @@ class ArmState:
         Twist [v (m/s), omega (rad/s)] of the controlled frame, in the controlled frame.
     reason : str
         Why the arm does what it does; empty in normal operation.
+    owner : str
+        Who commands the arm; empty for nobody.
     command_age : float
         Seconds since the stamp of the command in force; -1 while there is none.
     limited : bool
-        True while limits hold back the command.
-    refused, clipped : int
-        Commands that were not followed, and commands shortened to the velocity limit, since the start.
-    last_refusal : str
-        Why the last refused command was refused; empty if none was.
+        True while the arm does less than it is asked for.
+    held_back : str
+        Which bound of depth, shear or workspace, or of speed, makes the command less; empty for none.
     """
 
     stamp_ns: int
@@ -95,29 +158,35 @@ class ArmState:
     twist: Array
     mode: ArmMode
     reason: str = ""
+    owner: str = ""
     command_age: float = -1.0
     limited: bool = False
-    refused: int = 0
-    clipped: int = 0
-    last_refusal: str = ""
+    held_back: str = ""
 
 
 class Arm(Protocol):
-    """A driver that has been opened."""
+    """A driver that has been opened.
 
-    @property
-    def state(self) -> ArmState | None:
-        """The newest state; None before the first."""
+    Attributes
+    ----------
+    keeps_limits : bool
+        Whether it keeps the limits of acceleration and jerk itself. If not, it is given twists that do, one
+        after each of its states.
+    """
 
-    def command(self, stamp_ns: int, twist: ArrayLike) -> bool:
-        """Ask for a twist (6,) of the controlled frame, in that frame, emitted at `stamp_ns`.
+    keeps_limits: bool
 
-        Returns False, and gives the reason in `state.last_refusal`, where the command is refused;
-        `CommandGate` holds what every driver refuses.
+    def command(self, stamp_ns: int, twist: ArrayLike) -> None:
+        """Follow a twist (6,) of the controlled frame, in that frame, emitted at `stamp_ns`.
+
+        It comes from the safe command stage, which has refused what no arm may follow.
         """
 
     def stop(self, reason: str) -> None:
         """Bring the arm to rest within its limits; the next command moves it again."""
+
+    def recover(self) -> None:
+        """Leave a fault, if the arm allows it; `RuntimeError` says why it does not."""
 
     def close(self) -> None:
         """Stop, and let go of the arm; no state is reported after it returns."""
@@ -154,81 +223,11 @@ def open_arm(arm: ArmScene, report: Callable[[ArmState], None]) -> Arm:
     return driver(arm, given.checked(driver.settings_class, given.values), report)
 
 
-class CommandGate:
-    """What every driver asks of a command before it follows it, and counts of those that it did not.
-
-    Attributes
-    ----------
-    in_force_ns : int or None
-        Stamp of the command in force.
-    clipped_now : bool
-        Whether that one was shortened to the velocity limits.
-    refused, clipped, last_refusal
-        As in `ArmState`.
-    """
-
-    def __init__(self, limits: ArmLimits) -> None:
-        self.limits = limits
-        self.in_force_ns: int | None = None
-        self.clipped_now = False
-        self.refused = self.clipped = 0
-        self.last_refusal = ""
-
-    def admit(self, now_ns: int, stamp_ns: int, twist: ArrayLike, fault: str = "") -> Array | None:
-        """The twist (6,) to follow, shortened to the velocity limits in its direction; None: refused.
-
-        Refused is a twist that is not finite or not (6,), one that is older than the one in force or than the
-        command timeout, one from further in the future than that, and any while there is a `fault`.
-        """
-        wanted = np.asarray(twist, dtype=np.float64)
-        refusal = self._refusal(now_ns, int(stamp_ns), wanted, fault)
-        if refusal:
-            self.refused += 1
-            self.last_refusal = refusal
-            return None
-        self.in_force_ns = int(stamp_ns)
-        shortened, self.clipped_now = _shortened(wanted, self.limits)
-        self.clipped += self.clipped_now
-        return shortened
-
-    def drop(self) -> None:
-        """There is no command in force any more."""
-        self.in_force_ns, self.clipped_now = None, False
-
-    def age(self, now_ns: int) -> float:
-        """Age (s) of the command in force; -1 without one."""
-        return (now_ns - self.in_force_ns) / SECOND_NS if self.in_force_ns is not None else -1.0
-
-    def silence(self, now_ns: int) -> str:
-        """Why the command in force is too old to be followed; empty if it is not, or there is none."""
-        age, limit = self.age(now_ns), self.limits.command_timeout
-        if age <= limit:
-            return ""
-        text = f"no command for {age:.3f} s (limit {limit:g} s)"
-        return f"{text}; last refused: {self.last_refusal}" if self.last_refusal else text
-
-    def _refusal(self, now_ns: int, stamp_ns: int, twist: Array, fault: str) -> str:
-        """Why the command cannot be followed; empty if it can."""
-        if fault:
-            return f"the arm is in fault: {fault}"
-        if twist.shape != (6,):
-            return f"a twist has 6 elements, this one has shape {twist.shape}"
-        if not np.isfinite(twist).all():
-            return f"the twist is not finite: {twist.tolist()}"
-        age, limit = (now_ns - stamp_ns) / SECOND_NS, self.limits.command_timeout
-        if abs(age) > limit:
-            return f"the command is {age:.3f} s old (limit {limit:g} s, same into the future)"
-        if self.in_force_ns is not None and stamp_ns < self.in_force_ns:
-            behind = (self.in_force_ns - stamp_ns) / SECOND_NS
-            return f"the command is {behind:.3f} s older than the one in force"
-        return ""
-
-
-def _shortened(twist: Array, limits: ArmLimits) -> tuple[Array, bool]:
-    """The twist with both speeds within limits, directions kept, and whether it changed."""
+def shortened(twist: Array, limits: ArmLimits) -> Array:
+    """The twist (6,) with both speeds within limits, directions kept."""
     out = twist.copy()
     for part, limit in ((slice(0, 3), limits.linear_velocity), (slice(3, 6), limits.angular_velocity)):
         norm = float(np.linalg.norm(out[part]))
         if norm > limit:
             out[part] *= limit / norm
-    return out, bool((out != twist).any())
+    return out

@@ -22,7 +22,7 @@ from tactile_base.config_paths import named_file
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.arm import ARMS, ArmLimits
+from tactile_drivers.arm import ARMS, ArmLimits, Box, SafetySettings
 from tactile_drivers.camera import CAMERAS
 from tactile_drivers.shapes import SHAPES
 from tactile_drivers.shapes.surface import Surface
@@ -93,6 +93,9 @@ class ArmScene:
     T_world_base, T_world_start : ndarray (4, 4)
         The arm's base, and where its controlled frame starts, in the world.
     limits : ArmLimits
+    safety : SafetySettings
+    keep_out : tuple of Box
+        Where the tip must not go, in the arm's base.
     sensor : SensorScene or None
         None for an arm that feels nothing.
     """
@@ -103,6 +106,8 @@ class ArmScene:
     T_world_base: Array
     T_world_start: Array
     limits: ArmLimits
+    safety: SafetySettings
+    keep_out: tuple[Box, ...]
     sensor: SensorScene | None
 
     @property
@@ -283,10 +288,13 @@ def _body(name: str, section: Section, arms: Iterable[str]) -> BodyScene:
 
 
 def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmScene:
-    section.allow("driver", "driver_settings", "base", "start", "limits", "sensor")
+    section.allow("driver", "driver_settings", "base", "start", "limits", "safety", "keep_out", "sensor")
     section.value("start")  # an arm has to start somewhere: there is no default
     driver = _registered(section, "driver", ARMS, (SIM, EXTERNAL), SIM)
     _check_no_settings(section, "driver", driver)
+    safety = section.settings("safety", SafetySettings)
+    if not np.less(safety.workspace_lower, safety.workspace_upper).all():
+        section.fail(f"{section.name}.safety: workspace_lower must be below workspace_upper", "safety")
     return ArmScene(
         name=name,
         driver=driver,
@@ -294,10 +302,20 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
         T_world_base=_pose(section.section("base")),
         T_world_start=_pose(section.section("start")),
         limits=section.settings("limits", ArmLimits),
+        safety=safety,
+        keep_out=tuple(_box(name, box) for name, box in section.sections("keep_out").items()),
         sensor=_sensor(section.section("sensor"), name, driver, bodies)
         if "sensor" in section.values
         else None,
     )
+
+
+def _box(name: str, section: Section) -> Box:
+    section.allow("lower", "upper")
+    lower, upper = (np.array(section.numbers(key, 3)) for key in ("lower", "upper"))
+    if not (lower < upper).all():
+        section.fail(f"{section.name}: lower must be below upper in x, y and z", "lower")
+    return Box(name, lower, upper)
 
 
 def _sensor(section: Section, arm: str, driver: str, bodies: Mapping[str, BodyScene]) -> SensorScene:

@@ -149,6 +149,15 @@ def _headed_layout(message_type: Any, frame_id: str, **texts: str) -> Layout:
     return Layout(example)
 
 
+def command_from_bytes(data: bytes) -> tuple[int, str, str, Array]:
+    """Stamp (ns), frame, source and twist (6,) of a serialized ArmCommand; `MessageError` for cut bytes.
+
+    The twist may be NaN: that is for the safe command stage to refuse.
+    """
+    layout, (sec, nanosec, *twist) = _read_command(data)
+    return sec * SECOND_NS + nanosec, layout.texts[FRAME], layout.texts["source"], np.array(twist)
+
+
 def twist_bytes(stamp_ns: int, frame_id: str, twist: ArrayLike) -> bytes:
     """TwistStamped of [v, omega] (6,) in `frame_id`."""
     return headed_bytes(TwistStamped, stamp_ns, frame_id, *np.asarray(twist, dtype=np.float64).tolist())
@@ -176,7 +185,6 @@ _read_transforms = cdr.MessageReader("tf2_msgs/msg/TFMessage")
 read_gaussian = HeadedReader(PoseWithCovarianceStamped)
 """Stamp (ns), frame and numbers; `conversions.gaussian_from_numbers` checks these and makes a Gaussian."""
 
-read_twist = HeadedReader(TwistStamped)
-"""Stamp (ns), frame and [v, omega] (6 numbers, which may be NaN: that is for the limiter to refuse)."""
+_read_command = cdr.MessageReader("tactile_msgs/msg/ArmCommand")
 IMAGE, PIXELS = "sensor_msgs/msg/Image", "data"
 _read_head = cdr.MessageReader(IMAGE, before=PIXELS)

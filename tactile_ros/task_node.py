@@ -6,13 +6,14 @@ goal the twist is zero, and so is the last one when the node is deactivated or s
 
 from __future__ import annotations
 
+import os
+import platform
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from geometry_msgs.msg import TwistStamped
 from numpy.typing import ArrayLike, NDArray
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.duration import Duration
@@ -22,8 +23,8 @@ from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ControllerStatus
-from tactile_ros.cdr import twist_bytes
+from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
+from tactile_ros.cdr import headed_bytes
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import declare_read_only
@@ -32,6 +33,7 @@ from tactile_ros.transforms import TransformListener
 
 ZERO = np.zeros(6)
 FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
+TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
 LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist has arrived
 
 
@@ -45,6 +47,9 @@ class Task(Protocol):
 
     def stop(self, reason: str) -> None:
         """Come to rest, retreat if in contact, and end, in the steps that follow."""
+
+    def abort(self, reason: str) -> None:
+        """Come to rest where it is, and end, in the steps that follow."""
 
 
 @dataclass
@@ -78,6 +83,8 @@ class TaskNode(ManagedNode, ABC):
         if frame not in FRAMES:
             raise SettingError(f"parameter controlled_frame: {unknown_name(frame, FRAMES)}")
         self.controlled_frame = f"{self.arm}/{frame}"
+        self.source = f"{self.get_fully_qualified_name()}, process {os.getpid()} on {platform.node()}"
+        self.arm_trouble = ""
 
     # What a node fills in.
 
@@ -108,8 +115,9 @@ class TaskNode(ManagedNode, ABC):
 
     def open_task(self, tick_period: float, on_transform: Callable[[], None] | None = None) -> None:
         """Create publishers, the action, and a timer of that period (s) that steps if nothing else has."""
-        self.twist_out = self.publisher(TwistStamped, topics.COMMAND.name, COMMAND)
+        self.twist_out = self.publisher(ArmCommand, topics.COMMAND.name, COMMAND)
         self.status_out = self.publisher(ControllerStatus, topics.CONTROLLER_STATUS.name, STATE)
+        self.subscribe(ArmStatus, topics.ARM_STATUS.name, self._on_arm, STATE)
         self.transforms = TransformListener(self, on_update=on_transform, on_jump=self._jumped)
         self.timer(tick_period, self._tick)
         action = ActionServer(
@@ -124,9 +132,11 @@ class TaskNode(ManagedNode, ABC):
         self.release_later(ActionServer.destroy, action)
 
     def send_twist(self, twist: ArrayLike) -> int:
-        """Publish [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns."""
+        """Ask for [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns."""
         now_ns = self.now_ns()
-        self.twist_out.publish(twist_bytes(now_ns, self.controlled_frame, twist))
+        numbers = np.asarray(twist, dtype=np.float64).tolist()
+        command = headed_bytes(ArmCommand, now_ns, self.controlled_frame, *numbers, source=self.source)
+        self.twist_out.publish(command)
         return now_ns
 
     def sensor_pose(self) -> tuple[int, NDArray[np.float64]] | None:
@@ -157,6 +167,17 @@ class TaskNode(ManagedNode, ABC):
         self.send_twist(ZERO)
         self.twist_out.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
+    def _on_arm(self, status: ArmStatus) -> None:
+        """Fail what runs as soon as the arm does not follow it any more; a new goal has to be asked for."""
+        self.arm_trouble = ""
+        if status.mode in TROUBLE:
+            self.arm_trouble = f"the arm is in {TROUBLE[status.mode]}: {status.reason}"
+        elif status.owner not in ("", self.source):
+            self.arm_trouble = f"the arm is commanded by {status.owner}"
+        if self.run is not None and self.arm_trouble:
+            self.run.task.abort(self.arm_trouble)
+            self.step()
+
     def _tick(self) -> None:
         """The timer: a step if none was made lately."""
         running, idle = self.periods()
@@ -170,7 +191,10 @@ class TaskNode(ManagedNode, ABC):
             self.run.task.stop(f"time jumped back by {seconds:.3f} s")
 
     def _consider(self, goal: RunTask.Goal) -> GoalResponse:
-        reason = self.objection(goal) if self.active else f"the {self.get_name()} is not active"
+        if not self.active:
+            reason = f"the {self.get_name()} is not active"
+        else:
+            reason = self.objection(goal) or self.arm_trouble
         if not reason:
             return GoalResponse.ACCEPT
         self.count("goals refused")

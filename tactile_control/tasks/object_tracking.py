@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
-from tactile_control.contact_task import APPROACH, SETTLE, ContactTask, ContactTaskSettings
+from tactile_control.contact_task import APPROACH, LEAVE, SETTLE, ContactTask, ContactTaskSettings
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
 from tactile_filter import se3
@@ -56,7 +56,7 @@ class ObjectTracking(ContactTask):
     settings_class = ObjectTrackingSettings
     goal_class = TrackingGoal
     work = TRACK
-    phases = (GO_TO_START, APPROACH, SETTLE, TRACK, STOPPING, RETREAT, DONE, FAILED)
+    phases = (LEAVE, GO_TO_START, APPROACH, SETTLE, TRACK, STOPPING, RETREAT, DONE, FAILED)
     endless = True
 
     settings: ObjectTrackingSettings

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_control.contact_task import APPROACH, SETTLE, ContactTask, ContactTaskSettings
+from tactile_control.contact_task import APPROACH, LEAVE, SETTLE, ContactTask, ContactTaskSettings
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
 
@@ -91,7 +91,7 @@ class SurfaceFollowing(ContactTask):
     settings_class = SurfaceFollowingSettings
     goal_class = FollowingGoal
     work = FOLLOW
-    phases = (GO_TO_START, APPROACH, SETTLE, FOLLOW, STOPPING, RETREAT, DONE, FAILED)
+    phases = (LEAVE, GO_TO_START, APPROACH, SETTLE, FOLLOW, STOPPING, RETREAT, DONE, FAILED)
 
     settings: SurfaceFollowingSettings
     goal: FollowingGoal

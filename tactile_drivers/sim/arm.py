@@ -1,8 +1,9 @@
 """SimArm: a robot arm that moves its controlled frame by velocity commands, within limits up to the jerk.
 
-It stands for an arm with a velocity interface such as libfranka's: Ruckig turns each commanded twist into
-the fastest motion that keeps the limits, the pose is the integral of the twist that results, and a watchdog
-brings the arm to rest when commands stop coming::
+It stands for an arm with a velocity interface such as libfranka's: each commanded twist becomes the fastest
+motion that keeps the limits, the pose is the integral of the twist that results, and a watchdog of its own
+brings the arm to rest when commands stop coming. What an arm should not be asked for is not its business but
+that of the safe command stage before it (`tactile_drivers.safety`)::
 
     arm = SimArm(ArmLimits(), T_base_start, stamp_ns=0)
     arm.command(stamp_ns, twist)             # [v (m/s), omega (rad/s)] of the controlled frame, in that frame
@@ -12,20 +13,18 @@ brings the arm to rest when commands stop coming::
 from __future__ import annotations
 
 import numpy as np
-import ruckig
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, CommandGate
+from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
+from tactile_drivers.twist_profile import TwistProfile
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-_SAME_TWIST = 1e-9  # m/s and rad/s: below this, a twist is as commanded
-
 
 class SimArm:
-    """An arm at a pose, with a twist; time is an integer stamp that only `advance` moves on.
+    """An `Arm` at a pose, with a twist; time is an integer stamp that only `advance` moves on.
 
     Parameters
     ----------
@@ -36,21 +35,19 @@ class SimArm:
         Time at the start, ns.
     """
 
+    keeps_limits = True
+
     def __init__(
         self, limits: ArmLimits | None = None, T_base_controlled: Array | None = None, stamp_ns: int = 0
     ) -> None:
         self.limits = limits or ArmLimits()
         self._stamp_ns = int(stamp_ns)
         self._pose = np.eye(4) if T_base_controlled is None else np.array(T_base_controlled, dtype=np.float64)
-        self._twist = np.zeros(6)
-        self._acceleration = np.zeros(6)
+        self._motion = TwistProfile(self.limits)
         self._target = np.zeros(6)
-        self._gate = CommandGate(self.limits)
+        self._command_ns: int | None = None  # stamp of the command in force
         self._mode = ArmMode.RESTING
         self._reason = "no command yet"
-        self._generator = ruckig.Ruckig(6)
-        self._trajectory = ruckig.Trajectory(6)
-        self._input = _ruckig_input(self.limits)
 
     @property
     def stamp_ns(self) -> int:
@@ -65,7 +62,7 @@ class SimArm:
     @property
     def twist(self) -> Array:
         """Twist (6,) of the controlled frame, in that frame."""
-        return self._twist.copy()
+        return self._motion.twist.copy()
 
     @property
     def mode(self) -> ArmMode:
@@ -80,55 +77,34 @@ class SimArm:
     @property
     def state(self) -> ArmState:
         """Where the arm is, what it does, and why."""
-        gate = self._gate
-        return ArmState(
-            stamp_ns=self._stamp_ns,
-            T_base_controlled=self.T_base_controlled,
-            twist=self.twist,
-            mode=self._mode,
-            reason=self._reason,
-            command_age=gate.age(self._stamp_ns),
-            limited=gate.clipped_now or bool(np.abs(self._target - self._twist).max() > _SAME_TWIST),
-            refused=gate.refused,
-            clipped=gate.clipped,
-            last_refusal=gate.last_refusal,
-        )
+        return ArmState(self._stamp_ns, self.T_base_controlled, self.twist, self._mode, self._reason)
 
-    def command(self, stamp_ns: int, twist: ArrayLike) -> bool:
-        """Ask for a twist [v (m/s), omega (rad/s)] of the controlled frame, in that frame.
-
-        Returns False and gives the reason in `state.last_refusal` where `CommandGate.admit` refuses it.
-        """
-        fault = self._reason if self._mode is ArmMode.FAULT else ""
-        target = self._gate.admit(self._stamp_ns, stamp_ns, twist, fault)
-        if target is None:
-            return False
-        self._target = target
-        return True
+    def command(self, stamp_ns: int, twist: ArrayLike) -> None:
+        """Follow a twist [v (m/s), omega (rad/s)] of the controlled frame, in it; not while in fault."""
+        if self._mode is not ArmMode.FAULT:
+            self._target, self._command_ns = np.array(twist, dtype=np.float64), int(stamp_ns)
 
     def stop(self, reason: str) -> None:
         """Come to rest within the limits; the next command moves the arm again."""
-        gate = self._gate
-        if self._mode is ArmMode.FAULT or gate.in_force_ns is None or gate.silence(self._stamp_ns):
+        if self._mode is ArmMode.FAULT or self._command_ns is None or self._silence():
             return
         self._mode, self._reason = ArmMode.STOPPING, reason
-        gate.drop()
         self._halt()
+        self._command_ns = None
 
     def close(self) -> None:
         """Stop; there is nothing to let go of."""
         self.stop("the driver was closed")
 
     def fault(self, reason: str) -> None:
-        """Stop and refuse commands until `clear_fault`."""
+        """Stop and follow nothing until `recover`."""
         self._mode, self._reason = ArmMode.FAULT, reason
         self._halt()
 
-    def clear_fault(self) -> None:
-        """Accept commands again; before a new one arrives the arm stays at rest."""
+    def recover(self) -> None:
+        """Leave a fault; before a new command arrives the arm stays at rest."""
         if self._mode is ArmMode.FAULT:
-            self._mode, self._reason = ArmMode.STOPPING, "fault cleared"
-            self._gate.drop()
+            self._mode, self._reason, self._command_ns = ArmMode.STOPPING, "fault cleared", None
 
     def advance(self, dt: float) -> Array:
         """Move on by `dt` seconds and return T_base_controlled."""
@@ -150,52 +126,37 @@ class SimArm:
 
     def _watch(self) -> None:
         """Decide what this step does: follow the command, or stop because it is too old."""
-        if self._mode is ArmMode.FAULT or self._gate.in_force_ns is None:
+        if self._mode is ArmMode.FAULT or self._command_ns is None:
             return
-        silence = self._gate.silence(self._stamp_ns)
+        silence = self._silence()
         if not silence:
             self._mode, self._reason = ArmMode.MOVING, ""
         elif self._mode is ArmMode.MOVING:
             self._mode, self._reason = ArmMode.STOPPING, silence
             self._halt()
 
+    def _silence(self) -> str:
+        """Why the command in force is too old to be followed; empty if it is not, or there is none."""
+        if self._command_ns is None:
+            return ""
+        age, limit = (self._stamp_ns - self._command_ns) / SECOND_NS, self.limits.command_timeout
+        return f"no command for {age:.3f} s (limit {limit:g} s)" if age > limit else ""
+
     def _halt(self) -> None:
-        self._target, self._gate.clipped_now = np.zeros(6), False
+        self._target = np.zeros(6)
 
     def _integrate(self, dt: float) -> None:
-        """One Ruckig trajectory from the present twist and acceleration towards the target twist."""
-        if not (self._twist.any() or self._target.any() or self._acceleration.any()):
-            return
-        self._input.current_velocity = self._twist
-        self._input.current_acceleration = self._acceleration
-        self._input.target_velocity = self._target
-        result = self._generator.calculate(self._input, self._trajectory)
-        if result < 0:
-            raise RuntimeError(f"Ruckig found no trajectory from {self._twist} to {self._target}: {result}")
-        moved, twist, acceleration = self._trajectory.at_time(dt)
-        self._pose = _orthonormal(self._pose @ se3.exp(np.array(moved)))
-        if dt >= self._trajectory.duration:  # there, exactly: rest is rest
-            self._twist, self._acceleration = self._target.copy(), np.zeros(6)
-        else:
-            self._twist, self._acceleration = np.array(twist), np.array(acceleration)
+        """Move as the profile towards the target twist does."""
+        moved = self._motion.advance(dt, self._target)
+        if moved.any():
+            self._pose = _orthonormal(self._pose @ se3.exp(moved))
 
     def _settle(self) -> None:
         """A stop that has come to its end is rest; so is a command of zero once it is reached."""
-        still = not (self._twist.any() or self._acceleration.any() or self._target.any())
+        motion = self._motion
+        still = not (motion.twist.any() or motion.acceleration.any() or self._target.any())
         if still and self._mode in (ArmMode.STOPPING, ArmMode.MOVING):
             self._mode = ArmMode.RESTING
-
-
-def _ruckig_input(limits: ArmLimits) -> ruckig.InputParameter:
-    """Velocity control with the displacement counted from zero in each step."""
-    inputs = ruckig.InputParameter(6)
-    inputs.control_interface = ruckig.ControlInterface.Velocity
-    inputs.synchronization = ruckig.Synchronization.No
-    inputs.current_position = [0.0] * 6
-    inputs.target_acceleration = [0.0] * 6
-    inputs.max_acceleration = [limits.linear_acceleration] * 3 + [limits.angular_acceleration] * 3
-    inputs.max_jerk = [limits.linear_jerk] * 3 + [limits.angular_jerk] * 3
-    return inputs
 
 
 def _orthonormal(T: Array) -> Array:

@@ -13,7 +13,7 @@ Nothing in it waits: whoever owns the time calls `step`, a loop as fast as it ca
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -171,9 +171,9 @@ class Cell:
         """The simulated arm: an `Arm` whose states the cell's steps make."""
         return self._arm(arm).arm
 
-    def command(self, arm: str, stamp_ns: int, twist: ArrayLike) -> bool:
-        """Command a twist (6,), emitted at `stamp_ns`; False where refused (see `CommandGate.admit`)."""
-        return self._arm(arm).arm.command(stamp_ns, twist)
+    def command(self, arm: str, stamp_ns: int, twist: ArrayLike) -> None:
+        """Command a twist (6,), emitted at `stamp_ns`, past the safe command stage."""
+        self._arm(arm).arm.command(stamp_ns, twist)
 
     def status(self, arm: str) -> ArmState:
         """Where the arm is, what it does, and why."""
@@ -204,10 +204,6 @@ class Cell:
             If the arm has no simulated sensor.
         """
         return self._arm(arm).expose()
-
-    def clear_fault(self, arm: str) -> None:
-        """Let an arm in fault accept commands again."""
-        self._arm(arm).arm.clear_fault()
 
     def _arm(self, name: str) -> _CellArm:
         if name not in self._arms:
@@ -269,17 +265,25 @@ class _Target:
         center = self.sensor_in_body(T_base_sensor)[:3, 3]
         return float(self.body.surface.distance(center[None])[0])
 
-    def depth_if_near(self, T_base_sensor: Array, moved: float, radius: float, limit: float) -> float | None:
-        """Depth (m) of the tip; None while it cannot have come as deep as the limit since the last look.
+    def depth_if_near(
+        self,
+        T_base_sensor: Array,
+        moved: float,
+        radius: float,
+        limit: float,
+        brakes: Callable[[float], float],
+    ) -> float | None:
+        """Depth (m) of the tip; None while it cannot come as deep as the limit, braking now.
 
         No distance changes by more than the sensor moves in the body's frame: by `moved`, if that is fixed.
+        `brakes` says how far an arm goes on (m), at most, that has moved that far (m) in this step.
         """
         if not self.body.fixed:
             center = self.sensor_in_body(T_base_sensor)[:3, 3]
             moved = np.inf if self._center is None else float(np.linalg.norm(center - self._center))
             self._center = center
         self._slack -= moved
-        if self._slack > 0.0:
+        if self._slack > brakes(moved):
             return None
         depth = radius - self.distance(T_base_sensor)
         self._slack = limit - depth
@@ -309,7 +313,7 @@ class _CellArm:
         self._targets: list[_Target] = []
         self._touched: _Target | None = None
         self._sequence = 0
-        self._moved = 0.0
+        self._moved, self._rate = 0.0, scene.simulation.rate
         if arm.sensor is not None and arm.simulated_sensor:
             self.sensor = _Sensor(scene.simulation.sensors[arm.name], seed)
             self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
@@ -332,25 +336,36 @@ class _CellArm:
         self._moved = float(np.linalg.norm(T_base_sensor[:3, 3] - before[:3, 3]))
 
     def protect(self, arms: Mapping[str, _CellArm]) -> None:
-        """Fault this arm if it presses too deep into a body, and those that press the body into it."""
+        """Fault this arm if it came too deep into a body, braking now, and those that press it there."""
         if self.sensor is None:
             return
         T_base_sensor, limit = self.arm.T_base_controlled, self._protective_depth
         for target in self._targets:
-            depth = target.depth_if_near(T_base_sensor, self._moved, self.sensor.radius, limit)
-            if depth is None or depth <= limit:
+            depth = target.depth_if_near(T_base_sensor, self._moved, self.sensor.radius, limit, self._brakes)
+            if depth is None:
                 continue
-            by_sensor, by_body = target.approach(T_base_sensor, self.arm.target[:3])
-            if by_sensor + by_body <= 0.0:
+            now, soon = (
+                target.approach(T_base_sensor, twist[:3]) for twist in (self.arm.twist, self.arm.target)
+            )
+            by_sensor, by_body = max(now, soon, key=sum)
+            closing = by_sensor + by_body
+            if closing <= 0.0 or depth + self._braking_distance(closing) <= limit:
                 continue  # the way out is never barred
             culprits = [self] if by_sensor > 0.0 else []
             if by_body > 0.0:
                 culprits += [arms[name] for name in target.body.motion.carriers if name in arms]
             for culprit in culprits:
                 culprit.fault(
-                    f"protective stop: {1e3 * depth:.1f} mm deep in '{target.body.name}' "
-                    f"(limit {1e3 * limit:g} mm)"
+                    f"protective stop: {1e3 * depth:.1f} mm deep in '{target.body.name}', "
+                    f"{1e3 * closing:.0f} mm/s into it (limit {1e3 * limit:g} mm)"
                 )
+
+    def _brakes(self, moved: float) -> float:
+        return self._braking_distance(moved * self._rate + float(np.linalg.norm(self.arm.target[:3])))
+
+    def _braking_distance(self, speed: float) -> float:
+        """Way (m) from a speed to rest; the next look is a step from now."""
+        return self.arm.limits.braking_distance(speed, 1.0 / self._rate)
 
     def fault(self, reason: str) -> None:
         """Stop the arm, unless it is in fault already."""

@@ -1,10 +1,14 @@
-"""Arm node: one arm of a scene on ROS, whoever drives it.
+"""Arm node: one arm of a scene on ROS, whoever drives it, behind the safe command stage.
 
 Publishes /tf from base to tool at every state of the driver, `arm/pose`, `arm/status` and
-`command/twist_limited`; listens to `command/twist`, in the arm's controlled frame. A driver of the registry
-`ARMS` is opened here, in a process of its own. A simulated arm is given by the process of the simulated cell,
-which runs this node beside its own (`attach`) and publishes /tf of all its arms in one message: that every
-node takes every message of /tf is most of what a second arm costs them.
+`command/twist_limited`; listens to `command/request`, in the arm's controlled frame, to `contact/state`,
+which bounds the motion, and to `/estop`; `arm/estop` and `arm/reset` are its services. What is refused, and
+what is followed, `SafeArm` decides.
+
+A driver of the registry `ARMS` is opened here, in a process of its own; so is the one that speaks to the
+nodes of an external arm. A simulated arm is given by the process of the simulated cell, which runs this node
+beside its own (`attach`) and publishes /tf of all its arms in one message: that every node takes every
+message of /tf is most of what a second arm costs them.
 
 The arm is stopped when commands stop coming, when the driver reports no state any more, and when the node is
 deactivated.
@@ -20,21 +24,27 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
-from numpy.typing import NDArray
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
+from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
-from tactile_msgs.msg import ArmStatus
-from tactile_ros.cdr import Layout, headed_bytes, read_twist, split_stamp, twist_bytes
+from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
+from tactile_ros.cdr import HeadedReader, Layout, command_from_bytes, headed_bytes, split_stamp, twist_bytes
 from tactile_ros.conversions import numbers_from_pose, transform_stamped
+from tactile_ros.external_arm import ExternalArm
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
+
+read_state = HeadedReader(ContactState)
+XI, FLAGS = read_state.place("xi"), read_state.index("flags")
 
 
 @dataclass(frozen=True)
@@ -46,7 +56,7 @@ class ArmNodeSettings(Settings):
         30.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/pose, arm/status and command/twist_limited"
     )
     state_timeout: float = setting(
-        0.25, lower=0.01, upper=10.0, unit="s", doc="silence of the driver at which the arm is stopped"
+        0.1, lower=0.01, upper=10.0, unit="s", doc="silence of the driver at which the arm is stopped"
     )
 
 
@@ -65,13 +75,14 @@ class ArmNode(ManagedNode):
         super().__init__("arm", **kwargs)
         self.settings = SettingsParameters(self, ArmNodeSettings(), read_only=("scene", "status_rate"))
         self.hosted = hosted
-        self.driver: Arm | None = None
+        self.estop = ""  # why; it outlives a deactivation
 
     # ---- lifecycle ----
 
     def configure(self) -> None:
         """Open topics and, unless another node does, the driver."""
-        scene = self.hosted or self._scene()
+        scene = self.scene = self.hosted or self._scene()
+        self.safe = SafeArm(scene, self.now_ns)
         self.frame = f"{self.arm}/{scene.controlled_frame}"
         self.tool_frame = topics.tool_frame(self.arm)
         self.limits = scene.limits
@@ -83,47 +94,56 @@ class ArmNode(ManagedNode):
         self.pose_out = self.publisher(PoseStamped, topics.ARM_POSE.name, STATE)
         self.status_out = self.publisher(ArmStatus, topics.ARM_STATUS.name, STATE)
         self.limited_out = self.publisher(TwistStamped, topics.LIMITED_COMMAND.name, STATE)
-        self.subscribe(TwistStamped, topics.COMMAND.name, self._receive, COMMAND, 0.0, raw=True)
+        self.subscribe(ArmCommand, topics.COMMAND.name, self._receive, COMMAND, 0.0, raw=True)
+        self.subscribe(Bool, topics.ESTOP.name, self._on_estop, STATE, always=True)
+        self.serve(Trigger, "arm/estop", self._serve_estop)
+        self.serve(Trigger, "arm/reset", self._serve_reset)
+        if scene.sensor is not None:
+            self.subscribe(ContactState, topics.STATE.name, self._take_contact, STATE, raw=True)
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self._forget()
         if self.hosted is None:
             self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
             self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
             self.timer(scene.limits.command_timeout / 4, self._watch)
-            try:
-                self.driver = open_arm(scene, self.take_state)
-            except (OSError, RuntimeError) as error:
-                raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
+            self.safe.drive(self._open(scene))
         else:  # a simulated arm watches its commands itself, and every timer costs the cell time
             self.timer(self.settings.value.state_timeout / 2, self._watch)
 
     def activate(self) -> None:
         """Tell what never moves; commands are followed from now on."""
         self._forget()
-        self.tf_static_out.publish(TFMessage(transforms=self.static))
+        if self.scene.driver != EXTERNAL:
+            self.tf_static_out.publish(TFMessage(transforms=self.static))
 
     def deactivate(self) -> None:
         """Bring the arm to rest."""
-        if self.driver is not None:
-            self.driver.stop("the arm's node was deactivated")
+        self.safe.halt("the arm's node was deactivated")
 
     def cleanup(self) -> None:
         """Let go of an arm that was opened here."""
-        if self.driver is not None and self.hosted is None:
-            self.driver.close()
-        self.driver = None
+        if self.hosted is None and hasattr(self, "safe"):
+            self.safe.close()
 
     def attach(self, driver: Arm) -> None:
-        """Drive this arm from now on; whoever gives it calls `take_state` with its states."""
-        self.driver = driver
+        """Drive this arm from now on; whoever gives it has its states `checked` and published."""
+        self.safe.drive(driver)
         self._forget()
+
+    def _open(self, scene: ArmScene) -> Arm:
+        """The driver that the scene names."""
+        if scene.driver == EXTERNAL:
+            return ExternalArm(self, scene, self.take_state)
+        try:
+            return open_arm(scene, self.take_state)
+        except (OSError, RuntimeError) as error:
+            raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, which needs a driver of the registry."""
         arm, file = arm_of_scene(self, self.settings.value.scene)
-        who = {SIM: "is moved by the simulated cell (sim_node)", EXTERNAL: "has a driver that runs already"}
-        if arm.driver in who:
-            raise ConfigurationError(f"{file}: arm '{arm.name}' {who[arm.driver]}")
+        if arm.driver == SIM:
+            raise ConfigurationError(f"{file}: arm '{arm.name}' is moved by the simulated cell (sim_node)")
         return arm
 
     def _forget(self) -> None:
@@ -131,14 +151,27 @@ class ArmNode(ManagedNode):
         self._status_due_ns = 0
         self._commanded_at: float | None = None  # on the steady clock
         self._refused = ""
+        if self.estop:
+            self.safe.estop(self.estop)
 
     # ---- what the arm says ----
 
     def take_state(self, state: ArmState) -> None:
-        """Publish a state of the arm; a driver may call this from its own thread."""
-        if self.active:
-            self.tf_out.publish(self.tf_layout.pack(*self.transform_numbers(state)))
-        self.publish_status(state)
+        """Publish a state of the driver, which may call this from its own thread."""
+        complete = self.checked(state)
+        if complete is None:
+            return
+        if self.active and self.scene.driver != EXTERNAL:  # whose own driver publishes /tf
+            self.tf_out.publish(self.tf_layout.pack(*self.transform_numbers(complete)))
+        self.publish_status(complete)
+
+    def checked(self, state: ArmState) -> ArmState | None:
+        """The state as the safe command stage completes it; None, told and counted, if it cannot be true."""
+        complete = self.safe.take_state(state)
+        if complete is None:
+            self.count("states refused")
+            self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}")
+        return complete
 
     def moving_transform(self) -> TransformStamped:
         """An example of what /tf says of the arm; `transform_numbers` are its numbers."""
@@ -152,63 +185,94 @@ class ArmNode(ManagedNode):
     def publish_status(self, state: ArmState) -> None:
         """Where the controlled frame is, what the arm does and the twist that it makes, if that is due."""
         self.states.seen()
-        first = self._state is None or state.stamp_ns < self._state.stamp_ns
-        self._state = state
+        last, self._state = self._state, state
+        first = last is None or state.stamp_ns < last.stamp_ns or state.mode is not last.mode
         if not self.active or (state.stamp_ns < self._status_due_ns and not first):
             return
         period_ns = int(SECOND_NS / self.settings.value.status_rate)
         due_ns = self._status_due_ns + period_ns
         self._status_due_ns = due_ns if due_ns > state.stamp_ns and not first else state.stamp_ns + period_ns
-        if state.mode is ArmMode.FAULT:
-            self.report.complain("fault", f"{self.arm}: in fault: {state.reason}")
+        if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
+            self.report.complain("fault", f"{self.arm}: {state.mode.name.lower()}: {state.reason}")
         numbers = numbers_from_pose(state.T_base_controlled).tolist()
         self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
-        status = headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, reason=state.reason)
-        self.status_out.publish(status)
+        texts = {"reason": state.reason, "owner": state.owner, "held_back": state.held_back}
+        self.status_out.publish(headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, **texts))
 
     # ---- commands ----
 
     def _receive(self, data: bytes) -> None:
-        """Hand a command to the arm; refused ones are counted and told."""
-        stamp_ns, frame_id, twist = read_twist(data)
-        self._refused = self._refusal(stamp_ns, frame_id, np.array(twist))
+        """Hand a command to the safe command stage; refused ones are counted and told."""
+        stamp_ns, frame_id, source, twist = command_from_bytes(data)
+        refusal = self._silence()
+        if frame_id != self.frame:  # in another frame it would move the arm wrongly
+            refusal = f"frame is '{frame_id}', must be '{self.frame}'"
+        self._refused = refusal or self.safe.command(stamp_ns, twist, source)
         if self._refused:
             self.count("commands refused")
-            self.warn("command", f"{self.arm}: command/twist refused: {self._refused}")
+            self.warn("command", f"{self.arm}: command of {source or 'nobody'} refused: {self._refused}")
         else:
             self._commanded_at = time.monotonic()
 
-    def _refusal(self, stamp_ns: int, frame_id: str, twist: NDArray[np.float64]) -> str:
-        """Why the command is not followed; empty if the driver has taken it."""
-        if frame_id != self.frame:  # in another frame it would move the arm wrongly
-            return f"frame is '{frame_id}', must be '{self.frame}'"
-        if self.driver is None:
-            return "nobody drives the arm yet"
-        silence = self._silence()
-        if silence or self.driver.command(stamp_ns, twist):
-            return silence
-        state = self.driver.state
-        return state.last_refusal if state is not None else "the driver has no state yet"
+    def _take_contact(self, data: bytes) -> None:
+        """What the sensor feels, in whose frame, bounds the motion."""
+        stamp_ns, frame_id, numbers = read_state(data)
+        xi, flags = np.array(numbers[XI]), int(numbers[FLAGS])
+        if flags & ContactState.NO_CONTACT:
+            self.safe.take_contact(stamp_ns, None)
+        elif frame_id == self.frame and not flags & ContactState.INVALID and np.isfinite(xi).all():
+            self.safe.take_contact(stamp_ns, se3.exp(xi))
+
+    def _on_estop(self, message: Bool) -> None:
+        """An emergency stop of all arms; the topic cannot take it back."""
+        if message.data:
+            self._stop_emergency("asked for on /estop")
+
+    def _stop_emergency(self, reason: str) -> None:
+        if not self.estop:
+            self.get_logger().error(f"{self.arm}: emergency stop: {reason}; arm/reset leaves it")
+        self.estop = self.estop or reason
+        self.safe.estop(self.estop)
+
+    def _serve_estop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._stop_emergency("asked for by the service arm/estop")
+        response.success, response.message = True, "the arm comes to rest, and stays there until arm/reset"
+        return response
+
+    def _serve_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            self.safe.reset()
+        except RuntimeError as error:
+            response.success, response.message = False, f"the arm cannot leave its fault: {error}"
+            return response
+        self.estop = ""
+        response.success, response.message = True, "the arm moves again once a command of zero has come"
+        return response
 
     def _silence(self) -> str:
         """Why what the driver says cannot be relied on; empty if it can."""
         age, limit = self.states.age, self.settings.value.state_timeout
-        silent = self._state is not None and age > limit
-        return f"no state from the driver for {age:.3f} s (limit {limit:g} s)" if silent else ""
+        if self._state is None or age <= limit:
+            return ""
+        refused = f"; last refused: {self.safe.bad_state}" if self.safe.bad_state else ""
+        return f"no state from the driver for {age:.3f} s (limit {limit:g} s){refused}"
 
     def _watch(self) -> None:
         """Stop the arm if nobody commands it any more, or its driver says nothing."""
-        if self._commanded_at is None or self.driver is None:
+        if self._commanded_at is None:
             return
-        reason, age = self._silence(), time.monotonic() - self._commanded_at
-        if not reason and age > self.limits.command_timeout:
+        silence, age = self._silence(), time.monotonic() - self._commanded_at
+        if silence:
+            self.safe.halt(silence)
+        elif age > self.limits.command_timeout:
             refused = f"; last refused: {self._refused}" if self._refused else ""
-            reason = f"no command for {age:.3f} s (limit {self.limits.command_timeout:g} s){refused}"
-        if reason:
-            self._commanded_at = None
-            self.driver.stop(reason)
+            limit = self.limits.command_timeout
+            self.safe.stop(f"no command for {age:.3f} s (limit {limit:g} s){refused}")
+        else:
+            return
+        self._commanded_at = None
 
 
 def main() -> int:

@@ -201,7 +201,8 @@ class SimNode(ManagedNode):
     def _step(self, in_time: bool) -> None:
         """One step of all arms, published at its time: images first, since all else waits for them."""
         stamp_ns = self.cell.step()
-        states = [(node, self.cell.status(name)) for name, node in self.arms.items()]
+        raw = [(node, self.cell.status(name)) for name, node in self.arms.items()]
+        states = [(node, node.checked(state) or state) for node, state in raw]
         frames = []
         for outlet in self.outlets:
             if self.cell.exposure_due(outlet.arm) and self._in_time(outlet, in_time):

@@ -7,7 +7,7 @@ import pytest
 from kinematic_plant import MS, Plane, Plant, Sphere, pointing_down, run
 
 from tactile_base.settings import SettingError
-from tactile_control.contact_task import APPROACH, SETTLE
+from tactile_control.contact_task import APPROACH, LEAVE, SETTLE
 from tactile_control.phases import (
     DONE,
     FAILED,
@@ -391,7 +391,7 @@ def test_a_stop_in_the_air_stays_there(settings):
 
 def test_touching_something_on_the_way_to_the_start_backs_off_and_fails(settings):
     surface = Plane()
-    plant = Plant(surface, above(surface, 0.018))
+    plant = Plant(surface, above(surface, 0.03))
     commands = run(SurfaceFollowing(settings, FollowingGoal(), above(surface, 0.0175)), plant)
     assert commands[-1][1].reason == "touched something on the way to the start"
     assert plant.depth < -0.005
@@ -406,11 +406,24 @@ def test_a_clock_that_goes_back_fails_in_place(settings):
     assert command.phase == FAILED and "the clock went back by" in command.reason
 
 
-def test_presence_from_before_the_approach_is_not_contact(settings):
-    task = SurfaceFollowing(settings, FollowingGoal())
-    pose = StampedPose(10**9, np.eye(4))
-    command = task.step(10**9, TaskInputs(presence=StampedPresence(10**9 - 1, True), sensor_pose=pose))
-    assert command.phase == APPROACH
+@pytest.mark.parametrize("start", [True, False], ids=["with a start", "where it stands"])
+def test_a_task_that_begins_in_contact_leaves_the_surface_first(settings, start):
+    surface = Plane()
+    plant = Plant(surface, above(surface, 0.017))
+    task = SurfaceFollowing(settings, FollowingGoal(length=0.01), above(surface, 0.03) if start else None)
+    commands = run(task, plant)
+    expected = [LEAVE, GO_TO_START, APPROACH] if start else [LEAVE, APPROACH]
+    assert phases_of(commands)[: len(expected)] == expected
+    leaving = [entry[1] for entry in commands if entry[1].phase == LEAVE]
+    assert all(command.twist[2] <= 0.0 and not command.twist[:2].any() for command in leaving)
+    assert commands[-1][1].succeeded
+
+
+def test_a_task_that_begins_in_a_contact_that_it_cannot_leave_fails_and_says_so(settings):
+    surface = Plane()
+    plant = Plant(surface, above(surface, -0.1))
+    commands = run(SurfaceFollowing(settings, FollowingGoal(), above(surface, 0.1)), plant)
+    assert "still in contact after backing off by 50." in commands[-1][1].reason
 
 
 def test_the_approach_goes_on_for_the_press_distance(settings):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_base.settings import Settings, setting
-from tactile_drivers.arm import ArmMode, ArmState, CommandGate
+from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.camera import CameraFrame
 from tactile_filter import se3
 
@@ -22,35 +22,33 @@ class BenchArmSettings(Settings):
 
     host: str = setting("here", doc="'nowhere' is not reached")
     states: int = setting(10**9, lower=0, doc="states that are reported before the arm falls silent")
+    jump_after: int = setting(10**9, lower=0, doc="states after which it says that it is somewhere else")
 
 
 class BenchArm:
     """Follows twists exactly, from a thread of its own, with no watchdog; prints what it is told."""
 
     settings_class = BenchArmSettings
+    keeps_limits = False
 
     def __init__(self, arm, settings, report):
         if settings.host == "nowhere":
             raise ConnectionError(f"no answer from {settings.host}")
-        self.gate = CommandGate(arm.limits)
-        self.state = None
         self._pose, self._twist, self._why = arm.T_base_start, np.zeros(6), ""
-        self._report, self._left = report, settings.states
+        self._report, self._left, self._jump = report, settings.states, settings.jump_after
         self._open = True
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
     def command(self, stamp_ns, twist):
-        admitted = self.gate.admit(time.time_ns(), stamp_ns, twist)
-        if admitted is None:
-            return False
-        self._twist, self._why = admitted, ""
-        return True
+        self._twist, self._why = np.array(twist), ""
 
     def stop(self, reason):
         print(f"stop: {reason}", flush=True)
         self._twist, self._why = np.zeros(6), reason
-        self.gate.drop()
+
+    def recover(self):
+        print("recover", flush=True)
 
     def close(self):
         print("close", flush=True)
@@ -63,14 +61,12 @@ class BenchArm:
             twist = self._twist
             self._pose = self._pose @ se3.exp(twist * PERIOD)
             mode = ArmMode.MOVING if twist.any() else ArmMode.RESTING
-            now_ns, gate = time.time_ns(), self.gate
-            self.state = ArmState(
-                now_ns, self._pose, twist, mode, self._why, gate.age(now_ns), False,
-                gate.refused, gate.clipped, gate.last_refusal,
-            )  # fmt: skip
             if self._left > 0:
                 self._left -= 1
-                self._report(self.state)
+                self._jump -= 1
+                if self._jump == 0:
+                    self._pose = self._pose @ se3.exp(np.array([0, 0.3, 0, 0, 0, 0]))
+                self._report(ArmState(time.time_ns(), self._pose, twist, mode, self._why))
 
 
 @dataclass(frozen=True)

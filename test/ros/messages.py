@@ -7,6 +7,7 @@ from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped, Twi
 from sensor_msgs.msg import Image
 
 from tactile_filter.gaussian import PoseGaussian, ros_from_left
+from tactile_msgs.msg import ArmCommand
 from tactile_ros.conversions import MONO8, gaussian_from_numbers, header, pose_from_matrix
 
 
@@ -21,6 +22,12 @@ def twist_stamped(stamp_ns: int, frame_id: str, twist) -> TwistStamped:
     vx, vy, vz, wx, wy, wz = np.asarray(twist, dtype=np.float64).tolist()
     message = Twist(linear=Vector3(x=vx, y=vy, z=vz), angular=Vector3(x=wx, y=wy, z=wz))
     return TwistStamped(header=header(stamp_ns, frame_id), twist=message)
+
+
+def arm_command(stamp_ns: int, frame_id: str, twist, source: str = "/test") -> ArmCommand:
+    """Of [v, omega] (6,)."""
+    numbers = np.asarray(twist, dtype=np.float64)
+    return ArmCommand(header=header(stamp_ns, frame_id), source=source, twist=numbers)
 
 
 def gaussian_from_message(message: PoseWithCovariance) -> PoseGaussian:

@@ -7,15 +7,14 @@ import math
 import cv2
 import numpy as np
 import pytest
-from geometry_msgs.msg import TwistStamped
-from messages import image_message, vector_from_twist
+from messages import image_message
 from sensor_msgs.msg import Image
 
 from tactile_control.collection_geometry import contact_frame
 from tactile_drivers.scene import load_scene
 from tactile_filter import se3
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ContactTruth, ControllerStatus
+from tactile_msgs.msg import ArmCommand, ContactTruth, ControllerStatus
 from tactile_perception.datasets.dataset import read_dataset
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
@@ -63,7 +62,7 @@ class World:
     def __init__(self, graph) -> None:
         self.graph = graph
         self.arm = graph.arm()
-        self.twists = graph.collect(TwistStamped, "command/twist", qos.COMMAND)
+        self.twists = graph.collect(ArmCommand, "command/request", qos.COMMAND)
         self.statuses = graph.collect(ControllerStatus, "controller/status")
         self.image_out = graph.publisher(Image, "tactile/image", qos.IMAGE)
         self.client = graph.action(RunTask, "run_task")
@@ -86,7 +85,7 @@ class World:
         return RADIUS - float(self.T[2, 3])
 
     def twist(self) -> np.ndarray:
-        return vector_from_twist(self.twists[-1].twist)
+        return self.twists[-1].twist
 
     def phase(self) -> str:
         return self.statuses[-1].phase
@@ -116,9 +115,7 @@ class World:
 
     def rest_within(self, seconds: float) -> bool:
         """Whether the last twist other than zero came within so long of the last complete input."""
-        moving = [
-            ns_from_time(m.header.stamp) for m in self.twists if np.any(vector_from_twist(m.twist) != 0.0)
-        ]
+        moving = [ns_from_time(m.header.stamp) for m in self.twists if np.any(m.twist != 0.0)]
         return moving[-1] - self.last_stamp < seconds * SECOND
 
 
@@ -141,7 +138,7 @@ def rows(folder) -> list[dict[str, str]]:
 
 def test_a_goal_gives_a_data_set_whose_labels_are_the_poses_at_the_exposures(world, folder):
     world.graph.spin(0.2)
-    assert all(np.all(vector_from_twist(m.twist) == 0.0) for m in world.twists), "zero without a goal"
+    assert all(np.all(m.twist == 0.0) for m in world.twists), "zero without a goal"
     handle = world.send()
     assert not world.send().accepted, "one collection at a time"
     result = world.result(handle)
@@ -202,7 +199,7 @@ def test_a_pose_that_is_not_a_number_never_moves_the_arm(world):
         world.arm.at(world.graph.now_ns(), bad)
         world.step()
     assert not future.result().result.success
-    assert all(np.isfinite(vector_from_twist(m.twist)).all() for m in world.twists)
+    assert all(np.isfinite(m.twist).all() for m in world.twists)
     assert np.all(world.twist() == 0.0)
 
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
-from messages import twist_stamped, vector_from_twist
+from messages import arm_command, vector_from_twist
 from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 
 from tactile_base.config_paths import config_path
 from tactile_drivers.scene import load_scene
 from tactile_filter import se3
-from tactile_msgs.msg import ArmStatus, ContactPresence, ContactTruth
+from tactile_msgs.msg import ArmCommand, ArmStatus, ContactPresence, ContactTruth
 from tactile_ros import qos
 from tactile_ros.conversions import (
     array_from_image,
@@ -91,7 +91,7 @@ def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the
     statuses = graph.collect(ArmStatus, "arm/status")
     limited = graph.collect(TwistStamped, "command/twist_limited")
     graph.start(SIM, {"scene": ideal_scene}, namespace="")
-    twists = graph.publisher(TwistStamped, "command/twist", qos.COMMAND)
+    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
     assert graph.wait(lambda: bool(poses) and bool(statuses))
     start = matrix_from_pose(poses[-1].pose)
 
@@ -99,7 +99,7 @@ def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the
         return se3.inverse(start) @ matrix_from_pose(poses[-1].pose)
 
     for _ in graph.ticks(0.02):
-        twists.publish(twist_stamped(graph.now_ns(), SENSOR, FORWARD))
+        twists.publish(arm_command(graph.now_ns(), SENSOR, FORWARD))
         if moved()[1, 3] > 0.003:
             break
     assert moved()[1, 3] > 0.003 and abs(moved()[0, 3]) < 1e-9
@@ -117,8 +117,8 @@ def test_a_twist_that_cannot_be_followed_is_refused_counted_and_told(
     graph, ideal_scene, frame, twist, complaint
 ):
     graph.start(SIM, {"scene": ideal_scene}, namespace="")
-    twists = graph.publisher(TwistStamped, "command/twist", qos.COMMAND)
-    twists.publish(twist_stamped(graph.now_ns(), frame, twist))
+    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+    twists.publish(arm_command(graph.now_ns(), frame, twist))
     assert complaint in graph.wait_for_count("arm", "commands refused").message
 
 

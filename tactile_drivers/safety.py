@@ -1,0 +1,365 @@
+"""SafeArm: the safe command stage, which has the last word between every controller and every driver.
+
+    arm = SafeArm(scene.arms["arm"], clock)                       # clock(): now, ns
+    arm.drive(open_arm(scene.arms["arm"], arm.take_state))
+    refusal = arm.command(stamp_ns, twist, "/arm/controller")     # '' where it is followed
+
+A command is refused from anybody but the arm's owner, out of time, not finite, in an emergency stop or a
+fault. What is followed is made less, at each command and again at each state of the driver, so that the arm
+can still come to rest before the sensor is too deep or sheared too far, and before it leaves its workspace or
+enters a box that is kept out (`ArmLimits.braking_speed`). The states, and what leads from one to another, are
+drawn in docs/safety.md.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_base.stamps import SECOND_NS
+from tactile_drivers.arm import Arm, ArmMode, ArmState, Box, shortened
+from tactile_drivers.twist_profile import TwistProfile
+from tactile_filter import se3
+from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
+
+if TYPE_CHECKING:
+    from tactile_drivers.scene import ArmScene
+
+Array = NDArray[np.float64]
+
+_SAME_TWIST = 1e-9  # m/s and rad/s: below this, a twist is as commanded
+_AXES = "xyz"
+_ROUNDS = 4  # a bound that another one has pushed the velocity over is met by going through all of them again
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """The velocity along `direction` (3,), in the controlled frame, is at most `speed` (m/s)."""
+
+    direction: Array
+    speed: float
+    reason: str
+
+
+class SafeArm:
+    """The driver of an arm behind the safe command stage; see the module's text. Any thread may call it.
+
+    Parameters
+    ----------
+    arm : ArmScene
+        Its limits, safety settings, boxes that are kept out, and tip.
+    clock : callable
+        The time now, ns, on the clock of the commands' stamps.
+
+    Attributes
+    ----------
+    driver : Arm or None
+        Who moves the arm; None while nobody does.
+    state : ArmState or None
+        The newest state, completed; None before the first.
+    bad_state : str
+        Why the last state of the driver cannot be true; '' if it can.
+    """
+
+    def __init__(self, arm: ArmScene, clock: Callable[[], int]) -> None:
+        self.limits, self.settings, self.keep_out = arm.limits, arm.safety, arm.keep_out
+        sensor = arm.sensor.settings if arm.sensor is not None else None
+        self.largest_depth = sensor.protective_depth if sensor is not None else np.inf
+        self._radius = sensor.tip_radius if sensor is not None else 0.0
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._estop = ""
+        self._in_force_ns: int | None = None  # stamp of the command in force
+        self._sent_ns: int | None = None
+        self._held_back = ""
+        self._stopping = ""  # why, while a driver that keeps no limits is led to rest
+        self.drive(None)
+
+    def drive(self, driver: Arm | None) -> None:
+        """Have this driver move the arm from now on; an emergency stop stays in force."""
+        with self._lock:
+            self.driver = driver
+            self.state: ArmState | None = None
+            self.bad_state = ""
+            self._owner, self._heard_ns = "", 0
+            self._waits_for_rest = bool(self._estop)
+            self._last_refusal = ""
+            self._contact: tuple[int, Array] | None = None  # stamp, T_base_feature
+            self._track = TransformBuffer(SECOND_NS)
+            self._profile = TwistProfile(self.limits)
+            self._drop()
+
+    # ---- commands ----
+
+    def command(self, stamp_ns: int, twist: ArrayLike, owner: str = "") -> str:
+        """Ask for a twist (6,) of the controlled frame, in that frame, emitted at `stamp_ns` by `owner`.
+
+        Returns why it is refused; '' where it is followed, as far as the bounds allow.
+        """
+        wanted = np.asarray(twist, dtype=np.float64)
+        with self._lock:
+            now_ns = self._clock()
+            refusal = self._refusal(now_ns, int(stamp_ns), wanted, owner)
+            if refusal:
+                self._last_refusal = refusal
+                return refusal
+            if self._in_force_ns is None and not self._stopping and self.state is not None:
+                self._profile.start(self.state.twist)
+            self._stopping = ""
+            self._wanted, self._in_force_ns, self._last_refusal = wanted, int(stamp_ns), ""
+            self._steer(0.0)
+        return ""
+
+    def stop(self, reason: str) -> None:
+        """Bring the arm to rest within its limits; the next command moves it again."""
+        with self._lock:
+            self._drop()
+            if self.driver is None:
+                return
+            if self.driver.keeps_limits or not self._profile.twist.any():
+                self.driver.stop(reason)
+            else:  # its states lead it to rest
+                self._stopping = reason
+
+    def halt(self, reason: str) -> None:
+        """Have the driver stop the arm as it can, whether it still says anything or not."""
+        with self._lock:
+            self._drop()
+            if self.driver is not None:
+                self.driver.stop(reason)
+
+    def estop(self, reason: str) -> None:
+        """Stop the arm at once, and keep it at rest until `reset`."""
+        with self._lock:
+            self._estop = self._estop or reason or "no reason given"
+            self._waits_for_rest = True
+            self.halt(f"emergency stop: {self._estop}")
+
+    @property
+    def estopped(self) -> bool:
+        """Whether an emergency stop is in force."""
+        return bool(self._estop)
+
+    def reset(self) -> None:
+        """Leave an emergency stop and a fault; the arm moves no earlier than commands have been zero once.
+
+        Raises
+        ------
+        RuntimeError
+            If the arm cannot leave its fault, with the reason.
+        """
+        with self._lock:
+            if self.driver is not None and self.state is not None and self.state.mode is ArmMode.FAULT:
+                self.driver.recover()
+            self._estop = ""
+
+    def close(self) -> None:
+        """Stop, and let go of the arm."""
+        driver, self.driver = self.driver, None
+        if driver is not None:
+            driver.close()
+
+    def _refusal(self, now_ns: int, stamp_ns: int, twist: Array, owner: str) -> str:
+        """Why the command is not followed; '' if it is."""
+        if self.driver is None or self.state is None:
+            return "nobody drives the arm yet" if self.driver is None else "the arm has no state yet"
+        if twist.shape != (6,):
+            return f"a twist has 6 elements, this one has shape {twist.shape}"
+        if not np.isfinite(twist).all():
+            return f"the twist is not finite: {twist.tolist()}"
+        quiet = (now_ns - self._heard_ns) / SECOND_NS > self.settings.owner_timeout
+        if self._owner and owner != self._owner and not quiet:
+            return f"the arm is commanded by {self._owner}, not by {owner or 'somebody without a name'}"
+        if reason := self._out_of_time(now_ns, stamp_ns, owner):
+            return reason
+        self._owner, self._heard_ns = owner, now_ns
+        if self._estop:
+            return f"emergency stop: {self._estop}; arm/reset leaves it"
+        if self.state.mode is ArmMode.FAULT:
+            return f"the arm is in fault: {self.state.reason}; arm/reset leaves it"
+        self._waits_for_rest = self._waits_for_rest and not quiet and bool(twist.any())
+        if self._waits_for_rest:
+            return "after a stop by safety the arm waits for a twist of zero"
+        return ""
+
+    def _out_of_time(self, now_ns: int, stamp_ns: int, owner: str) -> str:
+        age = (now_ns - stamp_ns) / SECOND_NS
+        if age > self.limits.command_timeout:
+            return f"the command is {age:.3f} s old (limit {self.limits.command_timeout:g} s)"
+        if age < -self.settings.future_tolerance:
+            limit = self.settings.future_tolerance
+            return f"the command is stamped {-age:.3f} s ahead of the clock (limit {limit:g} s)"
+        if self._in_force_ns is not None and owner == self._owner and stamp_ns < self._in_force_ns:
+            behind = (self._in_force_ns - stamp_ns) / SECOND_NS
+            return f"the command is {behind:.3f} s older than the one in force"
+        return ""
+
+    # ---- what is known of arm and contact ----
+
+    def take_state(self, state: ArmState) -> ArmState | None:
+        """Look at a state of the driver, and at the command in force again; the state completed.
+
+        None for one that cannot be true, which counts as if the driver had said nothing.
+        """
+        with self._lock:
+            self.bad_state = self._implausible(state)
+            if self.bad_state:
+                return None
+            dt = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS if self.state is not None else 0.0
+            self._track.set_transform("base", "controlled", state.stamp_ns, state.T_base_controlled)
+            self.state = state
+            if state.mode is ArmMode.FAULT:
+                self._waits_for_rest = True
+                self._drop()
+            self._steer(dt)
+            self.state = self._completed(state)
+            return self.state
+
+    def take_contact(self, stamp_ns: int, X_sf: Array | None) -> None:
+        """Take what is believed of the contact, X_sf (4, 4) at a stamp; None: there is none."""
+        with self._lock:
+            if X_sf is None:
+                self._contact = None
+                return
+            try:
+                T_base_sensor = self._track.lookup("base", "controlled", stamp_ns)
+            except TransformUnavailable:
+                return  # without the pose then it bounds nothing now; the last one still does for a while
+            self._contact = stamp_ns, T_base_sensor @ X_sf
+
+    def _implausible(self, state: ArmState) -> str:
+        """Why a state cannot be true; '' if it can."""
+        try:
+            se3.checked_pose("pose", state.T_base_controlled)
+        except se3.PoseError as error:
+            return str(error)
+        if not np.isfinite(state.twist).all():
+            return f"twist is not finite: {np.asarray(state.twist).tolist()}"
+        if self.state is None:
+            return ""
+        elapsed = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS
+        if elapsed < 0.0:
+            return f"the state is {-elapsed:.3f} s older than the last one"
+        way = float(np.linalg.norm(state.T_base_controlled[:3, 3] - self.state.T_base_controlled[:3, 3]))
+        # each axis has the limit, and the clock of an arm is not ours
+        if way > self.settings.jump + 2.0 * self.limits.linear_velocity * elapsed:
+            return f"the arm cannot have moved by {way * 1e3:.1f} mm in {elapsed * 1e3:.1f} ms"
+        return ""
+
+    def _completed(self, state: ArmState) -> ArmState:
+        """The driver's state with what the stage knows."""
+        in_force = self._in_force_ns is not None
+        age = (state.stamp_ns - self._in_force_ns) / SECOND_NS if self._in_force_ns is not None else -1.0
+        reason = state.reason
+        if reason and self._last_refusal and state.mode in (ArmMode.STOPPING, ArmMode.RESTING):
+            reason = f"{reason}; last refused: {self._last_refusal}"
+        return replace(
+            state,
+            mode=ArmMode.ESTOP if self._estop else state.mode,
+            reason=f"emergency stop: {self._estop}" if self._estop else reason,
+            owner=self._owner,
+            command_age=age,
+            limited=in_force and bool(np.abs(self._wanted - state.twist).max() > _SAME_TWIST),
+            held_back=self._held_back,
+        )
+
+    # ---- what is passed on ----
+
+    def _drop(self) -> None:
+        """There is no command in force any more."""
+        self._wanted = self._sent = np.zeros(6)
+        self._in_force_ns = self._sent_ns = None
+        self._held_back = self._stopping = ""
+
+    def _steer(self, dt: float) -> None:
+        """Pass on as much of the command in force as the bounds allow, if that is news to the driver."""
+        if self.driver is None or self.state is None or (self._in_force_ns is None and not self._stopping):
+            return
+        target, self._held_back = self._bounded(self._wanted)
+        if not self.driver.keeps_limits:
+            self._profile.advance(dt, target)
+            target = self._profile.twist
+        if self._stopping and not target.any():
+            self.halt(self._stopping)
+        elif self._sent_ns != self._in_force_ns or (target != self._sent).any():
+            self.driver.command(self._in_force_ns or self.state.stamp_ns, target)
+            self._sent, self._sent_ns = target, self._in_force_ns
+
+    def _bounded(self, twist: Array) -> tuple[Array, str]:
+        """The part of a twist that is followed, and what makes it less ('' where nothing does)."""
+        out = shortened(twist, self.limits)
+        reasons = ["speed"] if (out != twist).any() else []
+        bounds = self._bounds()
+        for _ in range(_ROUNDS):
+            passed = [b for b in bounds if float(b.direction @ out[:3]) > b.speed * (1 + 1e-9) + 1e-12]
+            if not passed:
+                break
+            for bound in passed:
+                out[:3] -= max(0.0, float(bound.direction @ out[:3]) - bound.speed) * bound.direction
+                reasons += [bound.reason] if bound.reason not in reasons else []
+        else:
+            out[:3] = 0.0
+        return out, "; ".join(reasons)
+
+    def _bounds(self) -> list[_Bound]:
+        """What bounds the velocity where the arm is now."""
+        assert self.state is not None
+        T = self.state.T_base_controlled
+        R, p = T[:3, :3], T[:3, 3]
+        found = []
+        reach = self.limits.braking_distance(self.limits.linear_velocity, self._delay)
+        for axis, name in enumerate(_AXES):
+            low, high = self.settings.workspace_lower[axis], self.settings.workspace_upper[axis]
+            if high - p[axis] < reach:
+                found.append(self._bound(R[axis], high - p[axis], f"workspace {name} <= {high:g} m"))
+            if p[axis] - low < reach:
+                found.append(self._bound(-R[axis], p[axis] - low, f"workspace {name} >= {low:g} m"))
+        for box in self.keep_out:
+            towards, room = _way_into(box, p)
+            if room - self._radius < reach:
+                found.append(self._bound(R.T @ towards, room - self._radius, f"kept out of {box.name}"))
+        return found + self._contact_bounds(T)
+
+    def _contact_bounds(self, T_base_sensor: Array) -> list[_Bound]:
+        """What the sensor's skin bounds: no deeper and sheared no further, as the contact is now."""
+        assert self.state is not None
+        if self._contact is None:
+            return []
+        stamp_ns, T_base_feature = self._contact
+        if self.state.stamp_ns - stamp_ns > self.settings.contact_memory * SECOND_NS:
+            return []
+        X_fs = se3.inverse(T_base_feature) @ T_base_sensor
+        R_sf, (x, y, depth) = X_fs[:3, :3].T, X_fs[:3, 3]
+        limit, shear = self.settings.largest_shear, float(np.hypot(x, y))
+        found = [self._bound(R_sf[:, 2], self.largest_depth - depth, f"depth {self.largest_depth:g} m")]
+        if shear > 0.0:
+            outward = R_sf @ np.array([x / shear, y / shear, 0.0])
+            found.append(self._bound(outward, limit - shear, f"shear {limit:g} m"))
+        return found
+
+    @property
+    def _delay(self) -> float:
+        """Until the arm brakes (s): it has to hear of it, and may be speeding up still."""
+        return self.settings.reaction_time + self.limits.linear_acceleration / self.limits.linear_jerk
+
+    def _bound(self, direction: Array, room: float, reason: str) -> _Bound:
+        return _Bound(direction, self.limits.braking_speed(room, self._delay) if room > 0.0 else 0.0, reason)
+
+
+def _way_into(box: Box, p: Array) -> tuple[Array, float]:
+    """The direction (3,) in which a point is nearest to a box, and how far; negative inside of it."""
+    nearest = np.clip(p, box.lower, box.upper)
+    way = nearest - p
+    distance = float(np.linalg.norm(way))
+    if distance > 0.0:
+        return way / distance, distance
+    depths = np.concatenate([p - box.lower, box.upper - p])
+    face = int(depths.argmin())
+    inward = np.zeros(3)
+    inward[face % 3] = 1.0 if face < 3 else -1.0
+    return inward, -float(depths[face])
