@@ -116,6 +116,13 @@ class SafetySettings(Settings):
     owner_timeout: float = setting(
         0.5, lower=0.01, upper=60.0, unit="s", doc="silence after which the arm is nobody's any more"
     )
+    singularity_slow: float = setting(
+        0.03, lower=1e-3, upper=1.0, unit="m/rad",
+        doc="smallest singular value of the Jacobian at which the arm begins to slow down",
+    )  # fmt: skip
+    singularity_stop: float = setting(
+        0.01, lower=0.0, upper=1.0, unit="m/rad", doc="at which it comes no nearer; below singularity_slow"
+    )
     jump: float = setting(
         0.005, lower=1e-4, upper=1.0, unit="m",
         doc="a state further from the last than the largest speed takes the arm, and this, is refused",
@@ -133,7 +140,7 @@ class Box:
 
 @dataclass(frozen=True)
 class ArmState:
-    """State of the arm at a stamp; the first five are the driver's, the others the safe command stage's.
+    """State of the arm at a stamp; down to `joints` it is the driver's, the rest the safe command stage's.
 
     Attributes
     ----------
@@ -143,6 +150,8 @@ class ArmState:
         Twist [v (m/s), omega (rad/s)] of the controlled frame, in the controlled frame.
     reason : str
         Why the arm does what it does; empty in normal operation.
+    joints : ndarray (n,) or None
+        Angles of the joints, rad, of an arm whose driver has `kinematics`.
     owner : str
         Who commands the arm; empty for nobody.
     command_age : float
@@ -158,6 +167,7 @@ class ArmState:
     twist: Array
     mode: ArmMode
     reason: str = ""
+    joints: Array | None = None
     owner: str = ""
     command_age: float = -1.0
     limited: bool = False
@@ -172,6 +182,8 @@ class Arm(Protocol):
     keeps_limits : bool
         Whether it keeps the limits of acceleration and jerk itself. If not, it is given twists that do, one
         after each of its states.
+    kinematics : Kinematics, optional
+        Of an arm that has them; then its states tell `joints`, and the stage minds their limits.
     """
 
     keeps_limits: bool

@@ -6,9 +6,9 @@
 
 A command is refused from anybody but the arm's owner, out of time, not finite, in an emergency stop or a
 fault. What is followed is made less, at each command and again at each state of the driver, so that the arm
-can still come to rest before the sensor is too deep or sheared too far, and before it leaves its workspace or
-enters a box that is kept out (`ArmLimits.braking_speed`). The states, and what leads from one to another, are
-drawn in docs/safety.md.
+can still come to rest before the sensor is too deep or sheared too far, before it leaves its workspace or
+enters a box that is kept out (`ArmLimits.braking_speed`), and where its kinematics are known before a joint
+ends or a singularity. The states, and what leads from one to another, are drawn in docs/safety.md.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import Arm, ArmMode, ArmState, Box, shortened
+from tactile_drivers.joint_limits import allowed_part
 from tactile_drivers.twist_profile import TwistProfile
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
@@ -304,7 +305,17 @@ class SafeArm:
                 reasons += [bound.reason] if bound.reason not in reasons else []
         else:
             out[:3] = 0.0
-        return out, "; ".join(reasons)
+        part, reason = self._joints_allow(out)
+        return part * out, "; ".join([*reasons, *([reason] if reason else [])])
+
+    def _joints_allow(self, twist: Array) -> tuple[float, str]:
+        """See `allowed_part`; all of it where nothing is known of the joints."""
+        kinematics = getattr(self.driver, "kinematics", None)
+        assert self.state is not None
+        if kinematics is None or self.state.joints is None:
+            return 1.0, ""
+        slow, stop = self.settings.singularity_slow, self.settings.singularity_stop
+        return allowed_part(kinematics, self.state.joints, twist, self._delay, slow, stop)
 
     def _bounds(self) -> list[_Bound]:
         """What bounds the velocity where the arm is now."""

@@ -295,6 +295,8 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
     safety = section.settings("safety", SafetySettings)
     if not np.less(safety.workspace_lower, safety.workspace_upper).all():
         section.fail(f"{section.name}.safety: workspace_lower must be below workspace_upper", "safety")
+    if not safety.singularity_stop < safety.singularity_slow:
+        section.fail(f"{section.name}.safety: singularity_stop must be below singularity_slow", "safety")
     return ArmScene(
         name=name,
         driver=driver,

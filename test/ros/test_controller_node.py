@@ -9,7 +9,7 @@ from geometry_msgs.msg import Pose, Quaternion
 
 from tactile_filter import se3
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ArmCommand, ContactState, ControllerStatus
+from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState, ControllerStatus
 from tactile_ros import qos
 from tactile_ros.conversions import (
     header,
@@ -138,6 +138,28 @@ def test_without_a_goal_the_twist_is_zero(world):
     assert world.run_until(lambda: len(world.twists) > 5)
     assert all(np.all(m.twist == 0.0) for m in world.twists)
     assert world.phase() == "idle"
+
+
+TROUBLES = {
+    "in fault: protective stop": ArmStatus(mode=ArmStatus.FAULT, reason="protective stop: 9 mm deep"),
+    "in emergency stop: button": ArmStatus(mode=ArmStatus.ESTOP, reason="button"),
+    "commanded by /joystick": ArmStatus(owner="/joystick"),
+}
+
+
+@pytest.mark.parametrize("reason", TROUBLES)
+def test_an_arm_that_does_not_follow_ends_the_task_at_once_with_its_reason(world, reason):
+    handle = world.following()
+    arm = world.graph.publisher(ArmStatus, "arm/status")
+    arm.publish(TROUBLES[reason])
+    result = world.result(handle)
+    assert not result.success and reason in result.reason
+    assert not any(world.twist())
+    refused = world.send()
+    assert not refused.accepted
+    assert reason in world.graph.wait_for_count("controller", "goals refused").message
+    arm.publish(ArmStatus())  # and when it is over, a goal that is asked for again runs
+    assert world.run_until(lambda: world.send().accepted)
 
 
 def test_a_goal_runs_through_all_phases_to_success_with_feedback(world):

@@ -184,7 +184,7 @@ def test_the_bag_is_opened_by_other_readers(finished):
         states = [c for c in reader.connections if c.topic == "/arm/contact/state"]
         _, _, raw = next(reader.messages(states))
         assert len(reader.deserialize(raw, states[0].msgtype).covariance) == 36
-    assert {"/tf", "/tf_static", "/arm/command/twist", "/diagnostics"} <= topics
+    assert {"/tf", "/tf_static", "/arm/command/request", "/diagnostics"} <= topics
     note = json.loads((read_note(launch.folder / "bag"))["parameters"])
     assert note["/arm/controller"]["task.speed"] == 0.01
 
