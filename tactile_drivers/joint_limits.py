@@ -1,4 +1,4 @@
-"""How much of a twist the joints of an arm with known kinematics allow: their ranges, speeds, singularities."""
+"""How much of a twist the joints of an arm with known kinematics allow: ranges, speeds, singularities."""
 
 from __future__ import annotations
 
