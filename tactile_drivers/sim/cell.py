@@ -289,13 +289,12 @@ class _Target:
         self._slack = limit - depth
         return depth
 
-    def approach(self, T_base_sensor: Array, velocity: Array) -> tuple[float, float]:
-        """Speeds (m/s) into contact: of the sensor, moving with `velocity` (3,) in {s}, and of the body."""
+    def facing(self, T_base_sensor: Array) -> tuple[Array, Array, float]:
+        """Sensor's centre and the surface's outward normal (3,), in the world; the body's speed along it."""
         center = self.sensor_in_body(T_base_sensor)[:3, 3]
-        normal = self.body.surface.normal(center[None])[0]
-        outward = self.T_base_body[:3, :3] @ normal
-        sensor = -float(outward @ T_base_sensor[:3, :3] @ velocity)
-        return sensor, float(self.body.T_world_body[:3, :3] @ normal @ self.body.velocity_at(center))
+        R, p = self.body.T_world_body[:3, :3], self.body.T_world_body[:3, 3]
+        normal = R @ self.body.surface.normal(center[None])[0]
+        return R @ center + p, normal, float(normal @ self.body.velocity_at(center))
 
 
 class _CellArm:
@@ -344,21 +343,31 @@ class _CellArm:
             depth = target.depth_if_near(T_base_sensor, self._moved, self.sensor.radius, limit, self._brakes)
             if depth is None:
                 continue
-            now, soon = (
-                target.approach(T_base_sensor, twist[:3]) for twist in (self.arm.twist, self.arm.target)
-            )
-            by_sensor, by_body = max(now, soon, key=sum)
-            closing = by_sensor + by_body
-            if closing <= 0.0 or depth + self._braking_distance(closing) <= limit:
+            center, normal, by_body = target.facing(T_base_sensor)
+            by_sensor = -min(float(normal @ v) for v in self.velocities(center))
+            if by_sensor + by_body <= 0.0:
                 continue  # the way out is never barred
+            carriers = [arms[name] for name in target.body.motion.carriers if name in arms]
+            carried = max(
+                (float(normal @ v) for arm in carriers for v in arm.velocities(center)), default=0.0
+            )
+            closing = by_sensor + min(by_body, carried)  # no arm can brake a body that falls
+            if depth + self._braking_distance(max(closing, 0.0)) <= limit:
+                continue
             culprits = [self] if by_sensor > 0.0 else []
             if by_body > 0.0:
-                culprits += [arms[name] for name in target.body.motion.carriers if name in arms]
+                culprits += carriers
             for culprit in culprits:
                 culprit.fault(
                     f"protective stop: {1e3 * depth:.1f} mm deep in '{target.body.name}', "
                     f"{1e3 * closing:.0f} mm/s into it (limit {1e3 * limit:g} mm)"
                 )
+
+    def velocities(self, point: Array) -> list[Array]:
+        """Of a point (3,) of the world that goes along with the arm, in it: now, and as commanded."""
+        T = self._T_world_base @ self.arm.T_base_controlled
+        R, arm = T[:3, :3], T[:3, :3].T @ (point - T[:3, 3])
+        return [R @ (twist[:3] + np.cross(twist[3:], arm)) for twist in (self.arm.twist, self.arm.target)]
 
     def _brakes(self, moved: float) -> float:
         return self._braking_distance(moved * self._rate + float(np.linalg.norm(self.arm.target[:3])))

@@ -49,11 +49,13 @@ CHAIN = ["/arm/estimator", "/arm/filter", "/arm/controller"]
         ("sim", "bench_camera", ["/sim", "/arm/camera"]),
         ("bench_arm", "bench_camera", ["/arm/arm", "/arm/camera"]),
         ("bench_arm", "external", ["/arm/arm"]),
-        ("external", "bench_camera", ["/arm/camera"]),
-        ("external", "external", []),
+        ("external", "bench_camera", ["/arm/arm", "/arm/camera"]),
+        ("external", "external", ["/arm/arm"]),
     ],
 )
-def test_only_what_does_not_run_already_gets_a_process(graph_of, driver, camera, drivers):
+def test_what_does_not_run_already_gets_a_process_and_an_external_arm_its_stage(
+    graph_of, driver, camera, drivers
+):
     graph = graph_of(driver, camera)
     assert names(graph) == drivers + CHAIN
     for name in drivers:

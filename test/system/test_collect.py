@@ -106,7 +106,7 @@ def test_other_ranges_do_not_mix_into_a_folder(tmp_path, capsys):
         plan("--validation")
 
 
-def test_an_external_arm_is_collected_with_and_not_started(tmp_path):
+def test_with_an_external_arm_only_the_stage_before_it_is_started(tmp_path):
     import argparse
 
     from tactile_bringup.commands.data_collect import make_plan, register
@@ -117,7 +117,7 @@ def test_an_external_arm_is_collected_with_and_not_started(tmp_path):
     parser = argparse.ArgumentParser()
     register(parser.add_subparsers())
     graph = make_plan(parser.parse_args(["collect", str(tmp_path / "data"), "--scene", str(scene)])).graph
-    assert [n.full_name for n in graph.nodes] == ["/arm/collector"]
+    assert [n.full_name for n in graph.nodes] == ["/arm/arm", "/arm/collector"]
 
 
 def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_table():
