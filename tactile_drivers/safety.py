@@ -86,7 +86,7 @@ class SafeArm:
         with self._lock:
             self.driver = driver
             self.state: ArmState | None = None
-            self.bad_state = ""
+            self.bad_state = self._fault = ""
             self._owner, self._heard_ns = "", 0
             self._waits_for_rest = bool(self._estop)
             self._last_refusal = ""
@@ -155,7 +155,7 @@ class SafeArm:
             If the arm cannot leave its fault, with the reason.
         """
         with self._lock:
-            if self.driver is not None and self.state is not None and self.state.mode is ArmMode.FAULT:
+            if self.driver is not None and self._fault:
                 self.driver.recover()
             self._estop = ""
 
@@ -181,8 +181,8 @@ class SafeArm:
         self._owner, self._heard_ns = owner, now_ns
         if self._estop:
             return f"emergency stop: {self._estop}; arm/reset leaves it"
-        if self.state.mode is ArmMode.FAULT:
-            return f"the arm is in fault: {self.state.reason}; arm/reset leaves it"
+        if self._fault:
+            return f"the arm is in fault: {self._fault}; arm/reset leaves it"
         self._waits_for_rest = self._waits_for_rest and not quiet and bool(twist.any())
         if self._waits_for_rest:
             return "after a stop by safety the arm waits for a twist of zero"
@@ -214,7 +214,8 @@ class SafeArm:
             dt = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS if self.state is not None else 0.0
             self._track.set_transform("base", "controlled", state.stamp_ns, state.T_base_controlled)
             self.state = state
-            if state.mode is ArmMode.FAULT:
+            self._fault = (state.reason or "no reason given") if state.mode is ArmMode.FAULT else ""
+            if self._fault:
                 self._waits_for_rest = True
                 self._drop()
             self._steer(dt)

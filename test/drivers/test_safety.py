@@ -198,6 +198,64 @@ def test_a_fault_that_the_arm_does_not_leave_says_why_and_an_emergency_stop_stay
     assert cell.safe.estopped and "emergency stop" in cell.drive(ALONG, 1)
 
 
+def resting(cell):
+    cell.step()
+
+
+def moving(cell):
+    cell.drive(ALONG, 100)
+
+
+def stopping(cell):
+    moving(cell)
+    cell.step(52)
+
+
+def in_fault(cell):
+    moving(cell)
+    cell.arm.fault("pressed too hard")
+    cell.step()
+
+
+STATES = {"RESTING": resting, "MOVING": moving, "STOPPING": stopping, "FAULT": in_fault}
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_an_emergency_stop_is_obeyed_in_every_state(state):
+    cell = Cell()
+    STATES[state](cell)
+    assert cell.safe.state.mode is ArmMode[state]
+    cell.safe.estop("button")
+    assert "emergency stop" in cell.drive(ALONG, 100)
+    assert cell.safe.state.mode is ArmMode.ESTOP and not cell.arm.twist.any()
+    cell.safe.reset()
+    cell.step()
+    assert cell.drive(np.zeros(6), 1) == "" and cell.drive(ALONG, 100) == ""
+
+
+@pytest.mark.parametrize("state", ["RESTING", "MOVING", "STOPPING"])
+def test_a_fault_of_the_arm_is_told_in_every_state(state):
+    cell = Cell()
+    STATES[state](cell)
+    cell.arm.fault("pressed too hard")
+    cell.step()
+    assert cell.safe.state.mode is ArmMode.FAULT
+    assert "in fault: pressed too hard" in cell.drive(ALONG, 1)
+
+
+def test_an_arm_rests_after_a_twist_of_zero_and_after_silence_and_a_stop_gives_way_to_a_command():
+    cell = Cell()
+    moving(cell)
+    cell.drive(np.zeros(6), 100)
+    assert cell.safe.state.mode is ArmMode.RESTING and cell.safe.state.reason == ""
+    stopping(cell)
+    assert "no command for" in cell.safe.state.reason
+    moving(cell)
+    assert cell.safe.state.mode is ArmMode.MOVING and cell.safe.state.reason == ""
+    cell.step(200)
+    assert cell.safe.state.mode is ArmMode.RESTING and "no command for" in cell.safe.state.reason
+
+
 # ---- states that cannot be true ----
 
 
