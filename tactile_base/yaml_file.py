@@ -20,7 +20,7 @@ from typing import Any, NoReturn, TypeVar
 
 import yaml
 
-from tactile_base.settings import SettingError, SettingGroups, Settings, unknown_name
+from tactile_base.settings import SettingError, SettingGroups, Settings, shown, unknown_name
 
 S = TypeVar("S", bound=Settings)
 _MISSING: Any = object()
@@ -74,7 +74,7 @@ class Section:
         """A string."""
         value = self.value(key, default)
         if not isinstance(value, str):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must be a text", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a text", key)
         return value
 
     def choice(self, key: str, choices: list[str] | tuple[str, ...], default: Any = _MISSING) -> str:
@@ -88,23 +88,21 @@ class Section:
         """A finite number."""
         value = self.value(key, default)
         if not _is_number(value):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must be a finite number", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a finite number", key)
         return float(value)
 
     def numbers(self, key: str, length: int, default: Any = _MISSING) -> tuple[float, ...]:
         """A list of finite numbers."""
         value = self.value(key, default)
         if not isinstance(value, list | tuple) or len(value) != length or not all(map(_is_number, value)):
-            self.fail(
-                f"{self._called(key)} = {_shown(value)}: must be a list of {length} finite numbers", key
-            )
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a list of {length} finite numbers", key)
         return tuple(float(element) for element in value)
 
     def names(self, key: str, choices: list[str], default: Any = _MISSING) -> tuple[str, ...]:
         """A list of names, each among the choices."""
         value = self.value(key, default)
         if not isinstance(value, list | tuple):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must be a list of names", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a list of names", key)
         for name in value:
             if name not in choices:
                 self.fail(f"{self._called(key)}: {unknown_name(str(name), choices)}", key)
@@ -116,7 +114,7 @@ class Section:
         if value is None:
             value = Section(self.path, self._lines.get(key, self.line), {}, {})
         if not isinstance(value, Section):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must hold names and values", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must hold names and values", key)
         value.name, value.error = self._called(key), self.error
         return value
 
@@ -160,7 +158,7 @@ def read_yaml(path: str | Path, error: type[SettingError] = SettingError) -> Sec
     except (yaml.YAMLError, UnicodeDecodeError) as problem:
         raise error(f"{path}: not valid YAML: {problem}") from problem
     if not isinstance(root, Section):
-        raise error(f"{path}:1: must hold names and values, holds {_shown(root)}")
+        raise error(f"{path}:1: must hold names and values, holds {shown(root)}")
     root.error = error
     return root
 
@@ -204,11 +202,6 @@ def _is_number(value: Any) -> bool:
     return plain and abs(value) < float("inf")
 
 
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
 def text_of(settings: Settings | SettingGroups | Mapping[str, Any]) -> str:
     """Names and values on one line of YAML, as messages and bags carry them: `{length: 0.1, target: []}`."""
     values = settings if isinstance(settings, Mapping) else dataclasses.asdict(settings)
@@ -232,7 +225,7 @@ def values_of(text: str, what: str) -> dict[str, Any]:
     if values is None:
         return {}
     if not isinstance(values, dict):
-        raise SettingError(f"{what} = {_shown(values)}: must hold names and values, as {{length: 0.1}}")
+        raise SettingError(f"{what} = {shown(values)}: must hold names and values, as {{length: 0.1}}")
     return {str(name): _numbers(value) for name, value in values.items()}
 
 

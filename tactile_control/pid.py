@@ -35,22 +35,31 @@ class ControlInputError(ValueError):
 class PidSettings(Settings):
     """Diagonal gains and limits of a `TangentPid`. Zero gains and no limits by default."""
 
-    kp: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1/s", doc="proportional gains")
-    ki: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1/s^2", doc="integral gains")
-    kd: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1", doc="derivative gains")
+    kp: tuple[float, ...] = setting(
+        [0.0] * 6, length=6, lower=0.0, upper=100.0, unit="1/s", doc="proportional gains"
+    )
+    ki: tuple[float, ...] = setting(
+        [0.0] * 6, length=6, lower=0.0, upper=1000.0, unit="1/s^2", doc="integral gains"
+    )
+    kd: tuple[float, ...] = setting(
+        [0.0] * 6, length=6, lower=0.0, upper=10.0, unit="1", doc="derivative gains"
+    )
     integral_limit: tuple[float, ...] = setting(
         [np.inf] * 6,
         length=6,
         lower=0.0,
+        upper=np.inf,
         unit="m s, rad s",
-        doc="the integral of each error is clipped to +- this, before its gain",
+        doc="the integral of each error is clipped to +- this, before its gain; .inf: it is not",
     )
     output_limit: tuple[float, ...] = setting(
         [np.inf] * 6,
         length=6,
         lower=0.0,
+        upper=np.inf,
         unit="m/s, rad/s",
-        doc="each channel of the feedback is clipped to +- this; its integral does not wind up meanwhile",
+        doc="each channel of the feedback is clipped to +- this; its integral does not wind up meanwhile; "
+        ".inf: it is not",
     )
     ewma_decay: float = setting(
         0.5,

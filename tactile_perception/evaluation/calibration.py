@@ -53,6 +53,7 @@ class CalibrationSettings(Settings):
     stiffness: float = setting(
         20.0,
         lower=0.0,
+        upper=1e6,
         doc="weight, in samples, that holds the logarithms of neighboring knots' factors together",
     )
     margin: tuple[float, ...] = setting(
@@ -66,11 +67,12 @@ class CalibrationSettings(Settings):
     floor: tuple[float, ...] = setting(
         (0.0,) * OUTPUTS,
         lower=0.0,
+        upper=[10.0] * 3 + [1.0] * 3,
         length=OUTPUTS,
         unit="mm, rad",
         doc="standard deviations of what is constant through a session and unknown, added in quadrature",
     )
-    min_samples: int = setting(100, lower=20, doc="refuse to fit fewer samples than this")
+    min_samples: int = setting(100, lower=20, upper=1_000_000, doc="refuse to fit fewer samples than this")
 
 
 @dataclass(frozen=True)

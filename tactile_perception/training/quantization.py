@@ -43,7 +43,10 @@ class QuantizationSettings(Settings):
     """How a network is quantized."""
 
     images: int = setting(
-        200, lower=1, doc="training images, spread over the table, that give the activations' ranges"
+        200,
+        lower=1,
+        upper=100_000,
+        doc="training images, spread over the table, that give the activations' ranges",
     )
     reduce_range: bool = setting(
         True,
