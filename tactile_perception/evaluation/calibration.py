@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.input_file import parse_json
 from tactile_base.settings import Settings, setting
 from tactile_perception.estimating.labels import COMPONENTS
 
@@ -165,9 +166,9 @@ class Calibration:
     def from_json(cls, text: str) -> Calibration:
         """The reverse; `CalibrationError` says what is wrong with the text."""
         try:
-            values: Any = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise CalibrationError(f"calibration: is not JSON: {error}") from error
+            values: Any = parse_json(text)
+        except ValueError as error:
+            raise CalibrationError(f"calibration: cannot be read: {error}") from error
         found = values.pop("format", None) if isinstance(values, dict) else None
         if found != FORMAT:
             raise CalibrationError(f"calibration: format is {found!r}, must be {FORMAT!r}")
