@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -174,8 +175,10 @@ def _difference(found: dict[str, Any], wanted: dict[str, dict[str, Any]]) -> str
 
 
 def _save(path: Path, value: Any) -> None:
+    buffer = io.BytesIO()  # what torch raises where a disk is full says nothing of it
+    torch.save(value, buffer)
     with whole_file(path) as temporary:
-        torch.save(value, temporary)
+        temporary.write_bytes(buffer.getbuffer())
 
 
 def _load(path: Path) -> dict[str, Any]:
