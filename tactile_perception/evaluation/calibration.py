@@ -168,7 +168,7 @@ class Calibration:
         try:
             values: Any = parse_json(text)
         except ValueError as error:
-            raise CalibrationError(f"calibration: cannot be read: {error}") from error
+            raise CalibrationError(f"calibration: is not JSON: {error}") from error
         found = values.pop("format", None) if isinstance(values, dict) else None
         if found != FORMAT:
             raise CalibrationError(f"calibration: format is {found!r}, must be {FORMAT!r}")

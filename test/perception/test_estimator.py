@@ -213,7 +213,7 @@ def test_a_model_without_metadata_is_refused_with_what_is_missing(constant_model
         ("training", '{"members": [2]}', "training.members is 2, must hold names and values"),
         ("training", '{"network": null}', "training.network is None, must hold names and values"),
         ("training", '{"training": {"holdback": null}}', "holdback is None, must be a part of the data"),
-        ("calibration", "[" * 100_000, "calibration: cannot be read: nested too deeply"),
+        ("calibration", "[" * 100_000, "calibration: is not JSON: nested too deeply"),
         ("calibration", "1e999", "calibration: format is None"),
     ],
     ids=lambda text: text[:40],
