@@ -71,12 +71,9 @@ class CameraSettings(Settings):
         0.0653, unit="m", lower=1e-3, upper=1.0, doc="from the pinhole to the dome's centre"
     )
     distortion: tuple[float, ...] = setting(
-        (1.0, 0.0),
-        lower=-100.0,
-        upper=100.0,
-        length=2,
+        (1.0, 0.0), lower=-100.0, upper=100.0, length=2,
         doc="k1, k2 of r = f q (1 + k1 q^2 + k2 q^4), q = tan of the angle to the axis",
-    )
+    )  # fmt: skip
     rotation_deg: float = setting(
         -52.9, lower=-360.0, upper=360.0, unit="deg", doc="{s}'s x axis in the image, from right to down"
     )

@@ -42,11 +42,9 @@ class DetectionSettings(Settings):
         0.3, lower=0.0, upper=1.0, doc="smallest blob that is a marker, in median blobs"
     )
     max_area: float = setting(
-        8.0,
-        lower=1.0,
-        upper=1000.0,
+        8.0, lower=1.0, upper=1000.0,
         doc="largest blob that is split into markers, in median blobs; larger is no marker",
-    )
+    )  # fmt: skip
     split_area: float = setting(
         1.55, lower=1.0, upper=100.0, doc="blobs from here on are merged markers, in median blobs"
     )

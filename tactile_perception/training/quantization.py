@@ -50,11 +50,9 @@ class QuantizationSettings(Settings):
     """How a network is quantized."""
 
     images: int = setting(
-        200,
-        lower=1,
-        upper=100_000,
+        200, lower=1, upper=100_000,
         doc="training images, spread over the table, that give the activations' ranges",
-    )
+    )  # fmt: skip
     reduce_range: bool = setting(
         True,
         doc="weights in 7 of 8 bits: CPUs without VNNI add products in pairs, which 8 bits may overflow",

@@ -27,11 +27,9 @@ class NetworkSettings(Settings):
         1, lower=1, upper=4, doc="stride s of the first convolution, whose kernel is 3s x 3s; the paper's: 1"
     )
     channels: tuple[int, ...] = setting(
-        (16, 32, 64, 128, 256),
-        lower=1,
-        upper=4096,
+        (16, 32, 64, 128, 256), lower=1, upper=4096,
         doc="features of each block: convolution, batch norm, ReLU, max-pool",
-    )
+    )  # fmt: skip
     unpooled_blocks: int = setting(
         0,
         lower=0,
@@ -59,12 +57,9 @@ class NetworkSettings(Settings):
         0.05, lower=0.0, upper=0.99, doc="dropout of what full_gaussian and mixture add to these"
     )
     inverse_sigma_bounds: tuple[float, ...] = setting(
-        (1e-6, 1e6),
-        lower=1e-12,
-        upper=1e12,
-        length=2,
+        (1e-6, 1e6), lower=1e-12, upper=1e12, length=2,
         doc="softbound of the inverse standard deviations (1/mm, 1/rad)",
-    )
+    )  # fmt: skip
     mse_weights: tuple[float, ...] = setting(
         (1.0, 1.0, 1.0, 100.0, 100.0, 100.0),
         lower=0.0,
@@ -178,19 +173,13 @@ class AugmentationSettings(Settings):
         1, lower=1, upper=12, doc="turn by a random multiple of 1/n of a circle; the TacTip's markers: 6"
     )
     symmetry_center: tuple[float, ...] = setting(
-        (),
-        unit="px",
-        lower=0.0,
-        upper=8192.0,
+        (), unit="px", lower=0.0, upper=8192.0,
         doc="x, y of the markers' center in the crop; []: found in the images",
-    )
+    )  # fmt: skip
     symmetry_radius: float = setting(
-        209.0,
-        unit="px",
-        lower=1.0,
-        upper=8192.0,
+        209.0, unit="px", lower=1.0, upper=8192.0,
         doc="only the disk of this radius turns; what is outside stays",
-    )
+    )  # fmt: skip
     symmetry_sense: int = setting(
         1, choices=(-1, 1), doc="1: a turn from x to y in the image is one from x to y of the sensor"
     )
@@ -203,11 +192,9 @@ class AugmentationSettings(Settings):
         doc="axis of the symmetry in {s}: x, y and tilt about x, y; where training starts from",
     )
     symmetry_axis_rate: float = setting(
-        3.0,
-        lower=0.0,
-        upper=1000.0,
+        3.0, lower=0.0, upper=1000.0,
         doc="learning rate of the axis (in mm and 1/50 rad) by that of the weights; 0: fixed",
-    )
+    )  # fmt: skip
     shift: float = setting(0.0, unit="px", lower=0.0, upper=50.0, doc="standard deviation of a shift in x, y")
     turn: float = setting(0.0, unit="deg", lower=0.0, upper=10.0, doc="standard deviation of a small turn")
     marker_dropout: float = setting(
