@@ -14,12 +14,19 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 S = TypeVar("S", bound="Settings")
 G = TypeVar("G", bound="SettingGroups")
+#: Of a number, or of each element of a list of numbers.
+Bound = float | Sequence[float] | None
+#: Bounds of a pose as Euler numbers: in a cell, within 10 m, and no more than a whole turn.
+LARGEST_POSE = (10.0,) * 3 + (2.0 * math.pi,) * 3
+SMALLEST_POSE = tuple(-bound for bound in LARGEST_POSE)
+#: Of every random generator that is used.
+LARGEST_SEED = 2**32 - 1
 
 
 class SettingError(ValueError):
@@ -31,15 +38,18 @@ def setting(
     *,
     doc: str,
     unit: str = "",
-    lower: float | None = None,
-    upper: float | None = None,
+    lower: Bound = None,
+    upper: Bound = None,
     choices: tuple[Any, ...] | None = None,
     length: int | None = None,
 ) -> Any:
     """Declare one field of a `Settings` class.
 
     A list default is stored as a tuple. `lower` and `upper` are inclusive and, like `choices`, hold for every
-    element of a sequence; `length` is the number of its elements.
+    element of a list, or are lists with a bound for each. A number has to be finite; infinity is taken only
+    where `upper` says so by being infinite, and `doc` should say what it means there. `length` is the number
+    of a list's elements. Where units differ among these, `unit` names them in equal parts ("m, rad" of six:
+    three in m, three in rad). An empty default is that of a list of numbers if it has bounds, else of texts.
     """
     if isinstance(default, list):
         default = tuple(default)
@@ -111,7 +121,7 @@ class SettingGroups:
             if name not in self.group_names():
                 raise SettingError(prefix + unknown_name(name, self.group_names()))
             if not isinstance(changes, Mapping):
-                raise SettingError(f"{prefix}{name} must hold names and values, is {changes!r}")
+                raise SettingError(f"{prefix}{name} must hold names and values, is {shown(changes)}")
             group = self.group(name)
             values_now = {**dataclasses.asdict(group), **changes}
             changed[name] = type(group).from_mapping(values_now, f"{prefix}{name}")
@@ -143,15 +153,14 @@ def _coerce(field: dataclasses.Field[Any], value: Any) -> Any:
 
 
 def _coerce_sequence(field: dataclasses.Field[Any], value: Any) -> tuple[Any, ...]:
-    if isinstance(value, str) or not hasattr(value, "__len__"):
-        raise SettingError(f"{field.name} = {value!r}: must be a list")
+    if isinstance(value, str | Mapping) or not hasattr(value, "__len__"):
+        raise SettingError(f"{field.name} = {shown(value)}: must be a list")
     length = field.metadata.get("length")
     if length is not None and len(value) != length:
         raise SettingError(f"{field.name}: must have {length} elements, has {len(value)}")
     default: Any = field.default
-    if not default:
-        return tuple(value)
-    return tuple(_coerce_scalar(field.name, default[0], element) for element in value)
+    kind = default[0] if default else "" if field.metadata.get("lower") is None else 0.0
+    return tuple(_coerce_scalar(f"{field.name}[{k}]", kind, element) for k, element in enumerate(value))
 
 
 def _coerce_scalar(name: str, default: Any, value: Any) -> Any:
@@ -160,23 +169,53 @@ def _coerce_scalar(name: str, default: Any, value: Any) -> Any:
     expected = type(default)
     if expected is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
-    if default is not None and type(value) is not expected:
+    if type(value) is not expected:
         raise SettingError(
-            f"{name} = {value!r}: must be of type {expected.__name__}, is {type(value).__name__}"
+            f"{name} = {shown(value)}: must be of type {expected.__name__}, is {type(value).__name__}"
         )
     if isinstance(value, float) and math.isnan(value):
         raise SettingError(f"{name}: is not a number")
     return value
 
 
+def shown(value: Any) -> str:
+    """A value as messages quote it, in no more than 60 characters."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def bounds_of(metadata: Mapping[str, Any], index: int) -> tuple[float | None, float | None]:
+    """Lower and upper bound of a field's element."""
+    lower, upper = (
+        bound[index] if isinstance(bound, Sequence) else bound
+        for bound in (metadata.get("lower"), metadata.get("upper"))
+    )
+    return lower, upper
+
+
+def range_text(lower: float | None, upper: float | None) -> str:
+    """The range in a message: [0, 1]; infinity itself is outside of [0, inf)."""
+    return ("(-inf, " if lower is None else f"[{lower:g}, ") + ("inf)" if upper is None else f"{upper:g}]")
+
+
 def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
-    lower, upper = field.metadata.get("lower"), field.metadata.get("upper")
     choices = field.metadata.get("choices")
-    unit = f" {field.metadata['unit']}" if field.metadata.get("unit") else ""
-    for element in value if isinstance(value, tuple) else (value,):
+    several = isinstance(value, tuple)
+    for index, element in enumerate(value if several else (value,)):
+        name = f"{field.name}[{index}]" if several else field.name
         if choices is not None and element not in choices:
-            raise SettingError(f"{field.name} = {element!r}: must be one of {', '.join(map(str, choices))}")
-        if (lower is not None and element < lower) or (upper is not None and element > upper):
-            low = "-inf" if lower is None else f"{lower:g}"
-            high = "inf" if upper is None else f"{upper:g}"
-            raise SettingError(f"{field.name} = {element!r}{unit}: must lie in [{low}, {high}]{unit}")
+            raise SettingError(f"{name} = {shown(element)}: must be one of {', '.join(map(str, choices))}")
+        lower, upper = bounds_of(field.metadata, index)
+        below, above = lower is not None and element < lower, upper is not None and element > upper
+        endless = isinstance(element, float) and math.isinf(element) and upper != math.inf
+        if below or above or endless:
+            unit = _unit(field, index)
+            range_ = range_text(lower, upper)
+            raise SettingError(f"{name} = {shown(element)}{unit}: must lie in {range_}{unit}")
+
+
+def _unit(field: dataclasses.Field[Any], index: int) -> str:
+    """The unit of an element, with a blank before it."""
+    parts = (field.metadata.get("unit") or "").split(", ")
+    part = parts[index * len(parts) // (field.metadata.get("length") or 1)] if len(parts) > 1 else parts[0]
+    return f" {part}" if part else ""

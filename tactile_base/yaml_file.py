@@ -20,12 +20,20 @@ from typing import Any, NoReturn, TypeVar
 
 import yaml
 
-from tactile_base.settings import SettingError, SettingGroups, Settings, unknown_name
+from tactile_base.input_file import read_text
+from tactile_base.settings import SettingError, SettingGroups, Settings, shown, unknown_name
 
 S = TypeVar("S", bound=Settings)
 _MISSING: Any = object()
 # what everybody takes for a number, and YAML 1.1 for a text: 1e-3, 2E5
-_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
+_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")
+_TAG = "tag:yaml.org,2002:"
+_SCALARS = tuple(_TAG + name for name in ("null", "bool", "int", "float"))
+_OTHERS = tuple(_TAG + name for name in ("str", "seq", "map"))
+# far more than any file or message has that people write, and little enough to be read at once
+_LONGEST_FILE, _LONGEST_TEXT, _LONGEST_NUMBER = 200_000, 20_000, 40
+_MOST_VALUES, _DEEPEST = 20_000, 50
+_TOO_DEEP = f"nested more than {_DEEPEST} deep"
 
 
 class Section:
@@ -74,7 +82,7 @@ class Section:
         """A string."""
         value = self.value(key, default)
         if not isinstance(value, str):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must be a text", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a text", key)
         return value
 
     def choice(self, key: str, choices: list[str] | tuple[str, ...], default: Any = _MISSING) -> str:
@@ -88,23 +96,21 @@ class Section:
         """A finite number."""
         value = self.value(key, default)
         if not _is_number(value):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must be a finite number", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a finite number", key)
         return float(value)
 
     def numbers(self, key: str, length: int, default: Any = _MISSING) -> tuple[float, ...]:
         """A list of finite numbers."""
         value = self.value(key, default)
         if not isinstance(value, list | tuple) or len(value) != length or not all(map(_is_number, value)):
-            self.fail(
-                f"{self._called(key)} = {_shown(value)}: must be a list of {length} finite numbers", key
-            )
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a list of {length} finite numbers", key)
         return tuple(float(element) for element in value)
 
     def names(self, key: str, choices: list[str], default: Any = _MISSING) -> tuple[str, ...]:
         """A list of names, each among the choices."""
         value = self.value(key, default)
         if not isinstance(value, list | tuple):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must be a list of names", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must be a list of names", key)
         for name in value:
             if name not in choices:
                 self.fail(f"{self._called(key)}: {unknown_name(str(name), choices)}", key)
@@ -116,7 +122,7 @@ class Section:
         if value is None:
             value = Section(self.path, self._lines.get(key, self.line), {}, {})
         if not isinstance(value, Section):
-            self.fail(f"{self._called(key)} = {_shown(value)}: must hold names and values", key)
+            self.fail(f"{self._called(key)} = {shown(value)}: must hold names and values", key)
         value.name, value.error = self._called(key), self.error
         return value
 
@@ -150,25 +156,99 @@ def read_yaml(path: str | Path, error: type[SettingError] = SettingError) -> Sec
     Raises `OSError` where the file cannot be read.
     """
     path = Path(path)
-    loader = _loader(path)
     try:
-        # a safe loader: it makes plain values and sections only
-        root = yaml.load(path.read_text(encoding="utf-8"), Loader=loader)
+        root = _load(read_text(path), _section_loader(path), _LONGEST_FILE)
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark
         raise error(f"{path}:{mark.line + 1 if mark else 1}: not valid YAML: {problem.problem}") from problem
     except (yaml.YAMLError, UnicodeDecodeError) as problem:
         raise error(f"{path}: not valid YAML: {problem}") from problem
     if not isinstance(root, Section):
-        raise error(f"{path}:1: must hold names and values, holds {_shown(root)}")
+        raise error(f"{path}:1: must hold names and values, holds {shown(root)}")
     root.error = error
     return root
 
 
-def _loader(path: Path) -> type[yaml.SafeLoader]:
-    """A safe loader that makes mappings into sections and refuses a name given twice."""
+def _load(text: str, loader: type[_Loader] | None = None, longest: int = _LONGEST_TEXT) -> Any:
+    """The value of a text; `yaml.YAMLError` whatever is wrong with it."""
+    if len(text) > longest:
+        raise yaml.YAMLError(f"has {len(text)} characters, must have no more than {longest}")
+    return yaml.load(text, Loader=loader or _Loader)
 
-    class Loader(yaml.SafeLoader):
+
+class _Loader(yaml.SafeLoader):
+    """Makes plain values: texts, numbers, truth values, lists and mappings of a size that people write."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """The next value of the document; its parts come through here, too."""
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            raise yaml.constructor.ConstructorError(None, None, _TOO_DEEP, self.peek_event().start_mark)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def get_single_node(self) -> yaml.Node | None:
+        """The document, before values are made of it."""
+        root: yaml.Node | None = super().get_single_node()
+        if root is not None:
+            _measure(root, {})
+        return root
+
+
+def _plain_scalar(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> Any:
+    """A number or a truth value."""
+    try:
+        if len(node.value) <= _LONGEST_NUMBER:
+            return yaml.SafeLoader.yaml_constructors[node.tag](loader, node)
+    except (ValueError, KeyError, IndexError):
+        pass
+    problem = f"{shown(node.value)} cannot be read as {node.tag.rpartition(':')[2]}"
+    raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+
+
+_Loader.yaml_constructors = {
+    tag: _plain_scalar if tag in _SCALARS else make
+    for tag, make in yaml.SafeLoader.yaml_constructors.items()
+    if tag is None or tag in _SCALARS or tag in _OTHERS
+}
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, expression) for tag, expression in found if tag != _TAG + "timestamp"]
+    for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(_TAG + "float", _EXPONENT, list("+-0123456789."))
+
+
+def _measure(node: yaml.Node, known: dict[int, tuple[int, int] | None]) -> tuple[int, int]:
+    """Values in a node and its depth, with what its aliases repeat; refuses too many of either."""
+    if id(node) not in known:
+        known[id(node)] = None  # as long as it is under way
+        children = node.value if isinstance(node, yaml.CollectionNode) else []
+        parts = [part for child in children for part in (child if isinstance(child, tuple) else (child,))]
+        sizes = [_measure(part, known) for part in parts]
+        known[id(node)] = (
+            1 + sum(size for size, _ in sizes),
+            1 + max((deep for _, deep in sizes), default=0),
+        )
+    measured = known[id(node)]
+    problem = ""
+    if measured is None:
+        problem = "an alias repeats what it stands in"
+    elif measured[1] > _DEEPEST:
+        problem = _TOO_DEEP
+    elif measured[0] > _MOST_VALUES:
+        problem = f"has more than {_MOST_VALUES} values, counting those that aliases repeat"
+    if measured is None or problem:
+        raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+    return measured
+
+
+def _section_loader(path: Path) -> type[_Loader]:
+    """A loader that makes mappings into sections and refuses a name given twice."""
+
+    class Loader(_Loader):
         pass
 
     def construct(loader: yaml.SafeLoader, node: yaml.MappingNode) -> Section:
@@ -184,7 +264,6 @@ def _loader(path: Path) -> type[yaml.SafeLoader]:
             lines[key] = key_node.start_mark.line + 1
         return Section(path, node.start_mark.line + 1, values, lines)
 
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("+-0123456789."))
     Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, construct)
     return Loader
 
@@ -204,11 +283,6 @@ def _is_number(value: Any) -> bool:
     return plain and abs(value) < float("inf")
 
 
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
 def text_of(settings: Settings | SettingGroups | Mapping[str, Any]) -> str:
     """Names and values on one line of YAML, as messages and bags carry them: `{length: 0.1, target: []}`."""
     values = settings if isinstance(settings, Mapping) else dataclasses.asdict(settings)
@@ -226,14 +300,14 @@ def values_of(text: str, what: str) -> dict[str, Any]:
         If it is not a mapping in YAML; the message begins with `what`.
     """
     try:
-        values = yaml.safe_load(text)
+        values = _load(text)
     except yaml.YAMLError as error:
         raise SettingError(f"{what}: not valid YAML: {' '.join(str(error).split())}") from error
     if values is None:
         return {}
     if not isinstance(values, dict):
-        raise SettingError(f"{what} = {_shown(values)}: must hold names and values, as {{length: 0.1}}")
-    return {str(name): _numbers(value) for name, value in values.items()}
+        raise SettingError(f"{what} = {shown(values)}: must hold names and values, as {{length: 0.1}}")
+    return {str(name): value for name, value in values.items()}
 
 
 def _plain(value: Any) -> Any:
@@ -244,7 +318,7 @@ def _plain(value: Any) -> Any:
 
 
 def name_and_value(change: str, example: str) -> tuple[str, Any]:
-    """Split NAME=VALUE; the value is read as YAML, and 1e-3 as the number that it is.
+    """Split NAME=VALUE; the value is read as YAML.
 
     Raises
     ------
@@ -255,16 +329,7 @@ def name_and_value(change: str, example: str) -> tuple[str, Any]:
     if not equals:
         raise SettingError(f"--set {change}: must have the form NAME=VALUE, as {example}")
     try:
-        value = yaml.safe_load(text)
+        value = _load(text)
     except yaml.YAMLError as error:
         raise SettingError(f"--set {change}: the value cannot be read: {error}") from error
-    return name, _numbers(value)
-
-
-def _numbers(value: Any) -> Any:
-    """The value with 1e-3 as the number that it is; YAML 1.1 takes it for text."""
-    if isinstance(value, dict):
-        return {name: _numbers(item) for name, item in value.items()}
-    if isinstance(value, list):
-        return [_numbers(element) for element in value]
-    return float(value) if isinstance(value, str) and _EXPONENT.fullmatch(value) else value
+    return name, value

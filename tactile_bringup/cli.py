@@ -7,6 +7,8 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from tactile_bringup.commands.changes import in_words
+
 # Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
 COMMANDS = (
     "tactile_bringup.commands.launch",
@@ -37,6 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output (a pager, head) has gone
         sys.stderr.close()
         return 141
+    except OSError as error:  # as of a disk that is full
+        print(f"tactile {parsed.command}: {in_words(error)}", file=sys.stderr)
+        return 1
 
 
 def _parser() -> argparse.ArgumentParser:

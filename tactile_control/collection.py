@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, SettingGroups, Settings, setting
+from tactile_base.settings import LARGEST_SEED, SettingError, SettingGroups, Settings, setting
 from tactile_control.limiter import LimiterSettings
 from tactile_control.motion import TravelSettings
 from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Command, Goal, StampedPose
@@ -188,7 +188,7 @@ class TouchSettings(Settings):
 class CollectionWatchdogSettings(WatchdogSettings):
     """Age limits; collection looks at the sensor's pose and at the image."""
 
-    image_age: float = setting(0.2, lower=0.005, upper=10.0, unit="s", doc="oldest image acted upon")
+    image_age: float = setting(0.2, lower=0.005, upper=2.0, unit="s", doc="oldest image acted upon")
     start_timeout: float = setting(
         5.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
     )
@@ -208,6 +208,10 @@ class DataCollectionSettings(SettingGroups):
 class CollectionGoal(Goal):
     """Which samples a data folder is to hold when the goal is done; those that it holds already are kept."""
 
-    samples: int = setting(6000, lower=1, doc="how many")
-    seed: int = setting(0, lower=0, doc="of the poses; a sample's pose depends on seed and number only")
-    first: int = setting(0, lower=0, doc="index of the folder's first sample in the seed's sequence")
+    samples: int = setting(6000, lower=1, upper=10_000_000, doc="how many")
+    seed: int = setting(
+        0, lower=0, upper=LARGEST_SEED, doc="of the poses; a sample's pose depends on seed and number only"
+    )
+    first: int = setting(
+        0, lower=0, upper=1_000_000_000, doc="index of the folder's first sample in the seed's sequence"
+    )

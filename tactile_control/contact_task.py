@@ -65,24 +65,24 @@ class ContactSettings(Settings):
     """Speeds, tolerances and time limits of the phases that tasks in contact share."""
 
     approach_speed: float = setting(
-        0.004, lower=1e-4, upper=0.1, unit="m/s", doc="speed along the sensor's z until contact"
+        0.004, lower=1e-4, upper=0.02, unit="m/s", doc="speed along the sensor's z until contact"
     )
     press_distance: float = setting(
         0.0007,
         lower=0.0,
-        upper=0.02,
+        upper=0.005,
         unit="m",
         doc="the approach goes on for this much after the first touch, where images say little yet",
     )
     approach_distance: float = setting(
-        0.05, lower=1e-3, upper=1.0, unit="m", doc="without contact within this the task fails"
+        0.05, lower=1e-3, upper=0.5, unit="m", doc="without contact within this the task fails"
     )
     approach_timeout: float = setting(20.0, lower=0.1, upper=600.0, unit="s", doc="longest approach")
     settle_depth_tolerance: float = setting(
-        0.00025, lower=1e-6, upper=0.02, unit="m", doc="settled when the error along z stays below this"
+        0.00025, lower=1e-6, upper=0.005, unit="m", doc="settled when the error along z stays below this"
     )
     settle_angle_tolerance: float = setting(
-        0.03, lower=1e-4, upper=1.0, unit="rad", doc="and the tilt error (phi_x, phi_y) below this"
+        0.03, lower=1e-4, upper=0.5, unit="rad", doc="and the tilt error (phi_x, phi_y) below this"
     )
     settle_time: float = setting(0.3, lower=0.0, upper=60.0, unit="s", doc="for this long")
     settle_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest settling")
@@ -94,9 +94,9 @@ class ContactSettings(Settings):
     )
     reapproaches: int = setting(3, lower=0, upper=100, doc="fail when contact is lost more often than this")
     retreat_distance: float = setting(
-        0.015, lower=0.0, upper=1.0, unit="m", doc="way back along the sensor's -z"
+        0.015, lower=0.0, upper=0.3, unit="m", doc="way back along the sensor's -z"
     )
-    retreat_speed: float = setting(0.03, lower=1e-3, upper=1.0, unit="m/s", doc="speed of the retreat")
+    retreat_speed: float = setting(0.03, lower=1e-3, upper=0.5, unit="m/s", doc="speed of the retreat")
     retreat_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest retreat")
     pose_step: float = setting(
         0.0002,

@@ -25,32 +25,43 @@ Array = NDArray[np.float64]
 
 CHANNELS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
 SPACES = ("local", "global")
+#: Beyond this (m, rad, m/s, rad/s) is no error and no velocity, but a fault; with any gains all stays finite.
+LARGEST_INPUT = 1e3
 
 
 class ControlInputError(ValueError):
-    """A number or a stamp that no controller can use: NaN, infinite, of the wrong shape, or not later."""
+    """A number or a stamp that no controller can use: NaN, too large, of the wrong shape, or not later."""
 
 
 @dataclass(frozen=True)
 class PidSettings(Settings):
     """Diagonal gains and limits of a `TangentPid`. Zero gains and no limits by default."""
 
-    kp: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1/s", doc="proportional gains")
-    ki: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1/s^2", doc="integral gains")
-    kd: tuple[float, ...] = setting([0.0] * 6, length=6, lower=0.0, unit="1", doc="derivative gains")
+    kp: tuple[float, ...] = setting(
+        [0.0] * 6, length=6, lower=0.0, upper=100.0, unit="1/s", doc="proportional gains"
+    )
+    ki: tuple[float, ...] = setting(
+        [0.0] * 6, length=6, lower=0.0, upper=1000.0, unit="1/s^2", doc="integral gains"
+    )
+    kd: tuple[float, ...] = setting(
+        [0.0] * 6, length=6, lower=0.0, upper=10.0, unit="1", doc="derivative gains"
+    )
     integral_limit: tuple[float, ...] = setting(
         [np.inf] * 6,
         length=6,
         lower=0.0,
+        upper=np.inf,
         unit="m s, rad s",
-        doc="the integral of each error is clipped to +- this, before its gain",
+        doc="the integral of each error is clipped to +- this, before its gain; .inf: it is not",
     )
     output_limit: tuple[float, ...] = setting(
         [np.inf] * 6,
         length=6,
         lower=0.0,
+        upper=np.inf,
         unit="m/s, rad/s",
-        doc="each channel of the feedback is clipped to +- this; its integral does not wind up meanwhile",
+        doc="each channel of the feedback is clipped to +- this; its integral does not wind up meanwhile; "
+        ".inf: it is not",
     )
     ewma_decay: float = setting(
         0.5,
@@ -145,7 +156,8 @@ class TangentPid:
         Raises
         ------
         ControlInputError
-            The error is not six finite numbers, or the stamp is not later. The state stays as it was.
+            The error is not six numbers within `LARGEST_INPUT`, or the stamp is not later. The state stays as
+            it was.
         """
         error = checked_vector("error", error)
         dt, gap = self._elapsed(stamp_ns)
@@ -208,14 +220,14 @@ class TangentPid:
 
 
 def checked_vector(name: str, value: ArrayLike) -> Array:
-    """The value as a new (6,) float array; `ControlInputError` names the channels that are not finite."""
+    """The value as a new (6,) float array; `ControlInputError` names the channels beyond `LARGEST_INPUT`."""
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (6,):
         raise ControlInputError(f"{name}: shape {vector.shape}, must be (6,)")
     named = zip(CHANNELS, vector, strict=True)
-    bad = [f"{channel} = {number}" for channel, number in named if not np.isfinite(number)]
+    bad = [f"{channel} = {number}" for channel, number in named if not abs(number) <= LARGEST_INPUT]
     if bad:
-        raise ControlInputError(f"{name} is not finite: {', '.join(bad)}")
+        raise ControlInputError(f"{name} is no number within {LARGEST_INPUT:g}: {', '.join(bad)}")
     return vector
 
 

@@ -37,8 +37,8 @@ class ServoingSettings(Settings):
     reference: tuple[float, ...] = setting(
         [0.0, 0.0, 0.003, 0.0, 0.0, 0.0],
         length=6,
-        lower=-3.2,
-        upper=3.2,
+        lower=[-0.01, -0.01, 0.0, -0.8, -0.8, -0.8],
+        upper=[0.01, 0.01, 0.01, 0.8, 0.8, 0.8],
         unit="m, rad",
         doc="feedback reference contact pose: Euler (x, y, z, alpha, beta, gamma) of X_fs'",
     )

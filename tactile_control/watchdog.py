@@ -19,13 +19,13 @@ from tactile_base.stamps import NANOSECOND
 class WatchdogSettings(Settings):
     """Age limits by input. An age is the time of the step less the input's stamp (an image's exposure)."""
 
-    belief_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest belief acted upon")
+    belief_age: float = setting(0.1, lower=0.005, upper=1.0, unit="s", doc="oldest belief acted upon")
     presence_age: float = setting(
-        0.1, lower=0.005, upper=10.0, unit="s", doc="oldest contact presence acted upon"
+        0.1, lower=0.005, upper=1.0, unit="s", doc="oldest contact presence acted upon"
     )
-    pose_age: float = setting(0.1, lower=0.005, upper=10.0, unit="s", doc="oldest sensor pose acted upon")
+    pose_age: float = setting(0.1, lower=0.005, upper=1.0, unit="s", doc="oldest sensor pose acted upon")
     ramp_time: float = setting(
-        0.08, lower=0.0, upper=5.0, unit="s", doc="time in which the last twist goes to zero, linearly"
+        0.08, lower=0.0, upper=1.0, unit="s", doc="time in which the last twist goes to zero, linearly"
     )
     patience: float = setting(
         1.0,
@@ -35,7 +35,7 @@ class WatchdogSettings(Settings):
         doc="an input that stays too old for this long has failed; until then the arm rests and waits for it",
     )
     future_tolerance: float = setting(
-        0.02, lower=0.0, upper=10.0, unit="s", doc="a stamp may lie this far ahead of the clock"
+        0.02, lower=0.0, upper=1.0, unit="s", doc="a stamp may lie this far ahead of the clock"
     )
     start_timeout: float = setting(
         2.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"

@@ -65,7 +65,7 @@ class ArmLimits(Settings):
         500.0, unit="rad/s^3", lower=1e-1, upper=1e5, doc="largest angular jerk about each axis"
     )
     command_timeout: float = setting(
-        0.1, unit="s", lower=0.001, upper=10.0, doc="age of the last command at which the arm stops by itself"
+        0.1, unit="s", lower=0.001, upper=1.0, doc="age of the last command at which the arm stops by itself"
     )
 
     def braking_distance(self, speed: float, delay: float = 0.0) -> float:

@@ -26,10 +26,10 @@ class SamplingSettings(Settings):
     """Ranges of the samples; the defaults are the paper's ("Data Collection")."""
 
     disk_radius: float = setting(
-        5e-3, unit="m", lower=0.0, upper=0.05, doc="of the disk that shear displacements fill"
+        5e-3, unit="m", lower=0.0, upper=0.02, doc="of the disk that shear displacements fill"
     )
     depth: tuple[float, ...] = setting(
-        (0.5e-3, 6e-3), unit="m", lower=0.0, upper=0.05, length=2, doc="least and largest depth"
+        (0.5e-3, 6e-3), unit="m", lower=0.0, upper=0.02, length=2, doc="least and largest depth"
     )
     cap_angle: float = setting(
         math.radians(25.0), unit="rad", lower=0.0, upper=1.2, doc="of the cap of contacts"

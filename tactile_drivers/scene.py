@@ -55,7 +55,7 @@ class SensorSettings(Settings):
         (), doc="bodies that it can touch; empty: all but what its arm carries"
     )
     protective_depth: float = setting(
-        0.010, unit="m", lower=1e-4, upper=0.1, doc="depth of the tip at which the arm stops in fault"
+        0.010, unit="m", lower=1e-4, upper=0.03, doc="depth of the tip at which the arm stops in fault"
     )
 
 

@@ -35,10 +35,10 @@ class FilterSettings(Settings):
         doc="order of the inverse Jacobian; 'mode' takes the mode's",
     )
     process_noise_translation: float = setting(
-        5e-4, lower=0.0, upper=1.0, unit="m", doc="standard deviation that a step adds to each translation"
+        5e-4, lower=0.0, upper=0.05, unit="m", doc="standard deviation that a step adds to each translation"
     )
     process_noise_rotation: float = setting(
-        math.radians(0.5), lower=0.0, upper=math.pi, unit="rad",
+        math.radians(0.5), lower=0.0, upper=1.0, unit="rad",
         doc="standard deviation that a step adds to each rotation",
     )  # fmt: skip
     process_noise_interval: float = setting(
@@ -54,7 +54,7 @@ class FilterSettings(Settings):
     reinitialize_after: int = setting(
         5,
         lower=1,
-        upper=10000,
+        upper=1000,
         doc="after this many measurements refused in a row the next starts a new belief",
     )
     robust: str = setting(
@@ -67,11 +67,11 @@ class FilterSettings(Settings):
         6.0, lower=2.1, upper=1e6, doc="robust student_t: degrees of freedom of the estimate's errors"
     )
     huber_threshold: float = setting(
-        3.55, lower=0.1, upper=1e3,
+        3.55, lower=0.1, upper=100.0,
         doc="robust huber: Mahalanobis distance (6 dimensions) from which on an estimate counts as unlikely",
     )  # fmt: skip
     max_prediction_age: float = setting(
-        0.5, lower=0.001, upper=3600.0, unit="s",
+        0.5, lower=0.001, upper=60.0, unit="s",
         doc="a belief that was not corrected for longer is given up: nothing is predicted from it",
     )  # fmt: skip
     backward_jump: float = setting(

@@ -123,7 +123,10 @@ def fuse(
 
 
 def check_gaussian(mean: ArrayLike, cov: ArrayLike, name: str) -> None:
-    """Raise FusionError, naming the Gaussian, if `fuse` would not take this mean and covariance."""
+    """Raise FusionError, naming the Gaussian, if a filter cannot take this mean and covariance.
+
+    That is what `fuse` would not take, and what further steps may overflow with.
+    """
     code = _fusion.check(mean, cov)
     if code:
         raise FusionError(_fault(code, (mean, cov), (f"{name}, mean", f"{name}, covariance")))
@@ -160,6 +163,10 @@ def _fault(code: int, inputs: tuple[ArrayLike, ...], names: tuple[str, ...] = _I
             "separation of the means in standard deviations, is too large"
         )
     name, matrix = names[index], np.asarray(inputs[index], dtype=np.float64)
+    if lack == 6 and index % 2 == 0:
+        return f"{name}: is further away than 1e9 m: {matrix[:3, 3].tolist()}"
+    if lack == 6:
+        return f"{name}: has variances outside [1e-30, 1e18]: {matrix.diagonal().tolist()}"
     return f"{name}: {_covariance_fault(matrix) if lack == 4 else _pose_fault(matrix)}"
 
 
@@ -176,14 +183,16 @@ def _pose_fault(mean: Array) -> str:
 def _covariance_fault(cov: Array) -> str:
     if not np.isfinite(cov).all():
         return f"is not finite: {cov.tolist()}"
-    eigenvalues = np.linalg.eigvalsh(0.5 * (cov + cov.T))
+    size = np.abs(cov).max() or 1.0
+    cov = cov / size  # what overflows would have no eigenvalues
+    eigenvalues = size * np.linalg.eigvalsh(0.5 * (cov + cov.T))
     smallest = f"smallest eigenvalue {eigenvalues[0]:.6g}, largest {eigenvalues[-1]:.6g}"
     row, column = np.unravel_index(np.abs(cov - cov.T).argmax(), cov.shape)
     difference = abs(cov[row, column] - cov[column, row])
     if difference > 1e-8 * np.sqrt(abs(cov[row, row] * cov[column, column])):
         return (
-            f"is not symmetric: elements [{row}, {column}] and [{column}, {row}] differ by {difference:.3g}; "
-            f"of its symmetric part the {smallest}"
+            f"is not symmetric: elements [{row}, {column}] and [{column}, {row}] differ by "
+            f"{size * difference:.3g}; of its symmetric part the {smallest}"
         )
     return f"is not positive definite: {smallest}"
 

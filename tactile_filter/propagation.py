@@ -75,5 +75,5 @@ def innovation(mean_1: ArrayLike, cov_1: ArrayLike, mean_2: ArrayLike, cov_2: Ar
 
 
 def usable_pose(T: object) -> Array | None:
-    """T as an orthonormal pose (4, 4), as it is if it is one to rounding; None if it is no pose at all."""
+    """T as an orthonormal pose (4, 4), as it is if one to rounding; None if it is none, or is 1e9 m away."""
     return _fusion.usable_pose(T)

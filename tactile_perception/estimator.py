@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,11 +25,16 @@ from tactile_perception.estimating.model_metadata import (
     RUN_MODELS,
     MetadataError,
     ModelMetadata,
+    check_sum,
 )
 from tactile_perception.estimating.preprocessing import Preprocessor
 
 Array = NDArray[np.float64]
 _WARM_UP_RUNS = 5
+_UNSUMMED = (
+    "has no checksum, so that damage to its weights would not show; `tactile train`, `tactile calibrate` and "
+    "`tactile quantize` write one"
+)
 
 
 class ModelError(ValueError):
@@ -90,7 +96,7 @@ class Estimator:
         self._session = _open_session(self.path, threads)
         try:
             self.metadata = ModelMetadata.from_properties(self._session.get_modelmeta().custom_metadata_map)
-        except MetadataError as error:
+        except (MetadataError, UnicodeDecodeError) as error:
             raise ModelError(f"{self.path}: {error}") from error
         side = self.metadata.preprocessing.size
         _check_tensors(self.path, "input", self._session.get_inputs(), {INPUT_NAME: (1, side, side)})
@@ -217,9 +223,15 @@ def _model_file(path: Path) -> Path:
 
 
 def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
+    """Of a file that is as it was written, or that cannot tell, which is said."""
     if not path.is_file():
         hint = " (`make model` trains it)" if path == shipped_model() else ""
         raise ModelError(f"{path}: there is no such model file{hint}")
+    data = path.read_bytes()
+    try:
+        whole = check_sum(data)
+    except MetadataError as error:
+        raise ModelError(f"{path}: {error}") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -227,9 +239,12 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     # Waiting threads that spin would take the cores from the other nodes.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions share no base class of their own
         raise ModelError(f"{path}: is not a usable ONNX model: {error}") from error
+    if not whole:
+        warnings.warn(f"{path}: {_UNSUMMED}", stacklevel=3)
+    return session
 
 
 def _check_tensors(path: Path, kind: str, tensors: list, expected: dict[str, tuple[int, ...]]) -> None:

@@ -8,7 +8,6 @@ effect between two steps and never within one.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -17,13 +16,10 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tactile_base.settings import SettingError, SettingGroups, Settings
+from tactile_base.settings import SettingError, SettingGroups, Settings, bounds_of, range_text
 
 G = TypeVar("G", bound=SettingGroups)
 S = TypeVar("S", bound=Settings)
-
-_LARGEST_INTEGER = 2**63 - 1
-_LARGEST_DOUBLE = 1.7976931348623157e308
 
 
 class SettingsParameters(Generic[S]):
@@ -169,16 +165,13 @@ def _descriptor(field: dataclasses.Field[Any], default: Any) -> ParameterDescrip
     descriptor = ParameterDescriptor(description=f"{meta.get('doc', '')}{unit}")
     descriptor.additional_constraints = _constraints(meta)
     lower, upper = meta.get("lower"), meta.get("upper")
-    if isinstance(default, bool) or (lower is None and upper is None):
+    if lower is None or upper is None:  # an open side cannot be said here; `Settings` checks it
         return descriptor
     if isinstance(default, int):
-        low = -_LARGEST_INTEGER if lower is None else math.ceil(lower)
-        high = _LARGEST_INTEGER if upper is None else math.floor(upper)
-        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
-    elif isinstance(default, float) and math.isfinite(default):
-        low_f = -_LARGEST_DOUBLE if lower is None else float(lower)
-        high_f = _LARGEST_DOUBLE if upper is None else float(upper)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low_f, to_value=high_f, step=0.0)]
+        descriptor.integer_range = [IntegerRange(from_value=int(lower), to_value=int(upper), step=0)]
+    elif isinstance(default, float):
+        ends = {"from_value": float(lower), "to_value": float(upper)}
+        descriptor.floating_point_range = [FloatingPointRange(**ends, step=0.0)]
     return descriptor
 
 
@@ -188,8 +181,7 @@ def _constraints(meta: Any) -> str:
         parts.append(f"one of {', '.join(map(str, meta['choices']))}")
     if meta.get("length") is not None:
         parts.append(f"{meta['length']} elements")
-    if meta.get("lower") is not None or meta.get("upper") is not None:
-        low = "-inf" if meta.get("lower") is None else f"{meta['lower']:g}"
-        high = "inf" if meta.get("upper") is None else f"{meta['upper']:g}"
-        parts.append(f"in [{low}, {high}]")
+    ranges = [range_text(*bounds_of(meta, index)) for index in range(meta.get("length") or 1)]
+    if ranges[0] != range_text(None, None):
+        parts.append(f"in {', '.join(ranges if len(set(ranges)) > 1 else ranges[:1])}")
     return "; ".join(parts)

@@ -46,6 +46,13 @@ def _whole(text: str, least: int) -> int:
     return value
 
 
+def in_words(error: Exception) -> str:
+    """What an error says; of one of the system the file and the reason, without its number."""
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
 def refusing(command: str, *others: type[Exception], status: int = 1) -> Callable[[Run], Run]:
     """Decorator of what runs a command: wrong input becomes a message and the exit status of that.
 
@@ -66,10 +73,7 @@ def refusing(command: str, *others: type[Exception], status: int = 1) -> Callabl
                 say(console, f"tactile {command} needs {error.name}: pip install 'tactile_servoing[train]'")
                 return 2
             except wrong as error:
-                text = str(error)
-                if isinstance(error, OSError) and error.filename is not None:  # without the system's number
-                    text = f"{error.filename}: {error.strerror}"
-                say(console, f"tactile {command}: {text}", "red")
+                say(console, f"tactile {command}: {in_words(error)}", "red")
                 return status
 
         return refused

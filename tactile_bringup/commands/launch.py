@@ -105,11 +105,13 @@ def launch(
 ) -> Outcome | None:
     """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong."""
     from tactile_base.settings import SettingError
+    from tactile_base.whole_file import check_folder
     from tactile_bringup.graph import load_graph
 
     try:
         graph = load_graph(task, scene, options)
         _check(options)
+        check_folder(folder)
     except (SettingError, ValueError, OSError) as error:
         _refuse(str(error))
         return None

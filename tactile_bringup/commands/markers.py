@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tactile_base.whole_file import check_file
+from tactile_base.whole_file import check_file, whole_file
 from tactile_bringup.commands.changes import refusing
 
 
@@ -58,8 +58,8 @@ def run_markers(arguments: argparse.Namespace) -> int:
             f"{change.values.max():.2f}",
         ]
     out.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(out), picture):
-        raise OSError(f"{out}: cannot be written")
+    with whole_file(out) as temporary:
+        temporary.write_bytes(cv2.imencode(out.suffix, picture)[1].tobytes())
     lines.append(f"picture: {out}")
     if arguments.csv is not None:
         rows = zip(markers.centers, markers.areas, markers.merged, strict=True)

@@ -59,12 +59,12 @@ class FollowingGoal(Goal):
         doc="direction of motion in the xy-plane of the reference frame {s'}, from x towards y",
     )
     length: float = setting(
-        0.1, lower=1e-4, upper=100.0, unit="m", doc="way of the sensor's centre after which the path is done"
+        0.1, lower=1e-4, upper=10.0, unit="m", doc="way of the sensor's centre after which the path is done"
     )
     target: tuple[float, ...] = setting(
         (),
-        lower=-100.0,
-        upper=100.0,
+        lower=-10.0,
+        upper=10.0,
         unit="m",
         doc="position in the base where the path is done, 3 numbers or none; arriving nowhere near it within "
         "the length is then a failure",
@@ -72,7 +72,7 @@ class FollowingGoal(Goal):
     target_radius: float = setting(
         0.002,
         lower=1e-6,
-        upper=1.0,
+        upper=0.05,
         unit="m",
         doc="the target is reached within this",
     )
@@ -81,8 +81,6 @@ class FollowingGoal(Goal):
         super().__post_init__()
         if len(self.target) not in (0, 3):
             raise SettingError(f"target: must have 0 or 3 elements, has {len(self.target)}")
-        if not np.isfinite(np.array(self.target, dtype=np.float64)).all():
-            raise SettingError(f"target = {self.target}: must be finite numbers, m")
 
 
 class SurfaceFollowing(ContactTask):

@@ -59,9 +59,11 @@ class TrajectoryTaskSettings(SettingGroups):
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
 
 
-def _six(doc: str, upper: float) -> tuple[float, ...]:
+def _six(doc: str) -> tuple[float, ...]:
     """A setting of six numbers: x, y, z (m), then about x, y, z (deg)."""
-    value: tuple[float, ...] = setting([0.0] * 6, length=6, lower=-upper, upper=upper, unit="m, deg", doc=doc)
+    upper = [2.0] * 3 + [360.0] * 3
+    lower = [-bound for bound in upper]
+    value: tuple[float, ...] = setting([0.0] * 6, length=6, lower=lower, upper=upper, unit="m, deg", doc=doc)
     return value
 
 
@@ -74,12 +76,12 @@ class TrajectoryGoal(Goal):
     angular velocity where the three rotational phases are equal, as they are in the paper.
     """
 
-    displacement: tuple[float, ...] = _six("x, y, z (m) and turn about x, y, z (deg) at the end", 360.0)
+    displacement: tuple[float, ...] = _six("x, y, z (m) and turn about x, y, z (deg) at the end")
     speed: float = setting(0.015, lower=1e-5, upper=1.0, unit="m/s", doc="speed of the displacement")
     angular_speed_deg: float = setting(
         5.0, lower=1e-2, upper=180.0, unit="deg/s", doc="speed of its turn; the slower of both determines it"
     )
-    amplitude: tuple[float, ...] = _six("b of the oscillation", 360.0)
+    amplitude: tuple[float, ...] = _six("b of the oscillation")
     phase_deg: tuple[float, ...] = setting(
         [0.0] * 6, length=6, lower=-360.0, upper=360.0, unit="deg", doc="phi of the oscillation"
     )

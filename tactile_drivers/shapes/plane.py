@@ -14,8 +14,8 @@ from tactile_drivers.shapes.surface import Array, Surface
 class PlaneSettings(Settings):
     """A plane; the size is only that of its picture."""
 
-    width: float = setting(0.1, unit="m", lower=0.0, doc="extent of the drawn part along x")
-    length: float = setting(0.2, unit="m", lower=0.0, doc="extent of the drawn part along y")
+    width: float = setting(0.1, unit="m", lower=0.0, upper=10.0, doc="extent of the drawn part along x")
+    length: float = setting(0.2, unit="m", lower=0.0, upper=10.0, doc="extent of the drawn part along y")
 
 
 class Plane(Surface):

@@ -24,8 +24,12 @@ class RampSettings(Settings):
         0.03, unit="m", lower=0.0, upper=1.0, doc="height of the high part over the low part"
     )
     length: float = setting(0.14, unit="m", lower=0.01, upper=10.0, doc="length of the slope along y")
-    flat: float = setting(0.04, unit="m", lower=0.0, doc="drawn length of each flat part (they have no end)")
-    width: float = setting(0.08, unit="m", lower=0.0, doc="drawn width along x (the ramp has no side)")
+    flat: float = setting(
+        0.04, unit="m", lower=0.0, upper=10.0, doc="drawn length of each flat part (they have no end)"
+    )
+    width: float = setting(
+        0.08, unit="m", lower=0.0, upper=10.0, doc="drawn width along x (the ramp has no side)"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -48,13 +48,17 @@ _SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
 class CollectionSettings(SamplingSettings):
     """Ranges of the samples, and what differs between them that no label tells."""
 
-    friction: tuple[float, ...] = setting((0.6, 1.2), lower=0.0, length=2, doc="least and largest friction")
+    friction: tuple[float, ...] = setting(
+        (0.6, 1.2), lower=0.0, upper=5.0, length=2, doc="least and largest friction"
+    )
     curvature: tuple[float, ...] = setting(
         (0.0, 0.0), unit="1/m", lower=-20.0, upper=40.0, length=2,
         doc="least and largest curvature of the surface, a sphere: positive is convex, 0 the paper's plane",
     )  # fmt: skip
-    position_noise: float = setting(5e-5, unit="m", lower=0.0, doc="of the arm, per axis (1 sigma)")
-    angle_noise: float = setting(2e-3, unit="rad", lower=0.0, doc="of the arm, per axis (1 sigma)")
+    position_noise: float = setting(
+        5e-5, unit="m", lower=0.0, upper=0.01, doc="of the arm, per axis (1 sigma)"
+    )
+    angle_noise: float = setting(2e-3, unit="rad", lower=0.0, upper=0.2, doc="of the arm, per axis (1 sigma)")
     depth_offset: float = setting(
         0.0, unit="m", lower=-5e-3, upper=5e-3, doc="of the true depth over the label's: a zero set by hand"
     )
@@ -66,8 +70,8 @@ class CollectionSettings(SamplingSettings):
         (0.0, 0.0, 0.0), unit="m", lower=-0.02, upper=0.02, length=3,
         doc="of the tool centre point, about which the arm turns, from the dome's centre, in {s}",
     )  # fmt: skip
-    clearance: float = setting(1e-3, unit="m", lower=0.0, doc="gap from which the sensor starts")
-    max_step: float = setting(2.5e-4, unit="m", lower=1e-6, doc="longest step of the motion")
+    clearance: float = setting(1e-3, unit="m", lower=0.0, upper=0.05, doc="gap from which the sensor starts")
+    max_step: float = setting(2.5e-4, unit="m", lower=1e-6, upper=0.002, doc="longest step of the motion")
 
     def __post_init__(self) -> None:
         super().__post_init__()

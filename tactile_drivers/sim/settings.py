@@ -50,7 +50,9 @@ class MarkerSettings(Settings):
 
     rings: int = setting(10, lower=1, upper=13, doc="rings about the central marker; 10 make 331 markers")
     pitch_deg: float = setting(6.32, unit="deg", lower=1.0, upper=8.0, doc="polar angle between rings")
-    azimuth_deg: float = setting(51.8, unit="deg", doc="of each ring's first marker about z of {s}")
+    azimuth_deg: float = setting(
+        51.8, lower=-360.0, upper=360.0, unit="deg", doc="of each ring's first marker about z of {s}"
+    )
     pin_length: float = setting(0.002, unit="m", lower=0.0, upper=0.01, doc="from the skin to the marker")
 
 
@@ -60,15 +62,22 @@ class CameraSettings(Settings):
 
     width: int = setting(640, unit="px", lower=16, upper=4096, doc="image width")
     height: int = setting(480, unit="px", lower=16, upper=4096, doc="image height")
-    center_column: float = setting(330.4, unit="px", doc="column of the optical axis")
-    center_row: float = setting(241.6, unit="px", doc="row of the optical axis")
-    focal_length: float = setting(896.0, unit="px", lower=1.0, doc="focal length")
-    distance: float = setting(0.0653, unit="m", lower=1e-3, doc="from the pinhole to the dome's centre")
-    distortion: tuple[float, ...] = setting(
-        (1.0, 0.0), length=2, doc="k1, k2 of r = f q (1 + k1 q^2 + k2 q^4), q = tan of the angle to the axis"
+    center_column: float = setting(
+        330.4, lower=-4096.0, upper=8192.0, unit="px", doc="column of the optical axis"
     )
-    rotation_deg: float = setting(-52.9, unit="deg", doc="{s}'s x axis in the image, from right to down")
-    marker_radius: float = setting(0.0005, unit="m", lower=0.0, doc="radius of a marker")
+    center_row: float = setting(241.6, lower=-4096.0, upper=8192.0, unit="px", doc="row of the optical axis")
+    focal_length: float = setting(896.0, unit="px", lower=1.0, upper=100000.0, doc="focal length")
+    distance: float = setting(
+        0.0653, unit="m", lower=1e-3, upper=1.0, doc="from the pinhole to the dome's centre"
+    )
+    distortion: tuple[float, ...] = setting(
+        (1.0, 0.0), lower=-100.0, upper=100.0, length=2,
+        doc="k1, k2 of r = f q (1 + k1 q^2 + k2 q^4), q = tan of the angle to the axis",
+    )  # fmt: skip
+    rotation_deg: float = setting(
+        -52.9, lower=-360.0, upper=360.0, unit="deg", doc="{s}'s x axis in the image, from right to down"
+    )
+    marker_radius: float = setting(0.0005, unit="m", lower=0.0, upper=0.005, doc="radius of a marker")
     marker_perspective: float = setting(
         1.0, lower=0.0, upper=1.0, doc="exponent of a marker's size over its scale: 1 as seen, 0 all alike"
     )

@@ -42,8 +42,9 @@ class VariationSettings(Settings):
     )
     reflections: int = setting(10, lower=0, upper=100, doc="most bright spots outside the markers' circle")
     reflection_radius: tuple[float, ...] = setting(
-        (205.0, 245.0), unit="px", lower=0.0, length=2, doc="where they are, from the middle of the image"
-    )
+        (205.0, 245.0), unit="px", lower=0.0, upper=4096.0, length=2,
+        doc="where they are, from the middle of the image",
+    )  # fmt: skip
 
 
 def varied(image: Image, settings: VariationSettings, depth: float, rng: np.random.Generator) -> Image:

@@ -13,12 +13,18 @@ enum { FUSION_CONVERGED = 0, FUSION_NOT_CONVERGED = 1, FUSION_STALLED = 2 };
 enum {
   FUSION_NO_POSE = 3,        // not finite, last row not 0 0 0 1, or rotation not orthonormal
   FUSION_NO_COVARIANCE = 4,  // not finite, asymmetric or not positive definite
-  FUSION_NO_INFORMATION = 5  // the two together are out of the range of doubles
+  FUSION_NO_INFORMATION = 5, // the two together are out of the range of doubles
+  FUSION_OUT_OF_RANGE = 6    // of `check` alone: what is made of it may overflow
 };
 
 // as in fusion.py and se3.py
 #define CONVERGED_STEP 1e-3
 #define ROTATION_TOLERANCE 1e-6
+
+// what a filter takes: far more than any arm reaches, and all that is made of it stays finite (m, m^2, rad^2)
+#define LARGEST_POSITION 1e9
+#define LARGEST_VARIANCE 1e18
+#define SMALLEST_VARIANCE 1e-30
 
 // below this fraction of its diagonal element a pivot asks for twice the precision
 #define POOR_PIVOT 1e-7

@@ -345,7 +345,8 @@ static PyObject* module_usable_pose(PyObject* module, PyObject* arg) {
   se3_from_matrix(&pose, mat);
   double error = se3_rotation_error(pose.rot);
   if (mat[12] != 0 || mat[13] != 0 || mat[14] != 0 || mat[15] != 1 || !(error <= ROTATION_TOLERANCE)
-      || !(se3_determinant(pose.rot) > 0) || !isfinite(mat[3]) || !isfinite(mat[7]) || !isfinite(mat[11])) {
+      || !(se3_determinant(pose.rot) > 0) || !(fabs(mat[3]) <= LARGEST_POSITION)
+      || !(fabs(mat[7]) <= LARGEST_POSITION) || !(fabs(mat[11]) <= LARGEST_POSITION)) {
     Py_RETURN_NONE;
   }
   if (error > ORTHONORMAL) {

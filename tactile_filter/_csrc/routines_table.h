@@ -32,11 +32,26 @@
 #include "fusion_exact.h"
 
 
-static int fuse(FusionOutput* res, const FusionInput input[2], int iterations, int order) {
-  if (order == TO_CONVERGENCE) {
-    return fuse_exactly(res, input, iterations);
+// whether every number is finite; that of a covariance's element follows from its diagonal's
+static int is_finite(const FusionOutput* res) {
+  double sum = 0;
+  for (int i = 0; i < 16; i++) {
+    sum += 0*res->mean[i];
   }
-  return pair_fixed(res, input, iterations, order) ? 0 : robust_fixed(res, input, iterations, order);
+  for (int i = 0; i < 6; i++) {
+    sum += 0*res->cov[7*i];
+  }
+  return sum == 0;
+}
+
+
+static int fuse(FusionOutput* res, const FusionInput input[2], int iterations, int order) {
+  if (order != TO_CONVERGENCE && pair_fixed(res, input, iterations, order)) {
+    return 0;  // its pivots have been looked at
+  }
+  int fault = order == TO_CONVERGENCE ? fuse_exactly(res, input, iterations)
+                                      : robust_fixed(res, input, iterations, order);
+  return !fault && !is_finite(res) ? FUSION_NO_INFORMATION : fault;
 }
 
 
@@ -44,6 +59,14 @@ static int check(const FusionInput* input) {
   int lack = fusion_lack(input->mean, input->cov);
   if (lack) {
     return lack == FUSION_NO_POSE ? lack : 16 + lack;
+  }
+  for (int i = 0; i < 6; i++) {
+    if (i < 3 && fabs(input->mean[4*i+3]) > LARGEST_POSITION) {
+      return FUSION_OUT_OF_RANGE;
+    }
+    if (input->cov[7*i] > LARGEST_VARIANCE || (input->cov[7*i] > 0 && input->cov[7*i] < SMALLEST_VARIANCE)) {
+      return 16 + FUSION_OUT_OF_RANGE;
+    }
   }
   V full[36], packed[21];
   FactorPair factor;

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_base.settings import SettingError, Settings, setting, unknown_name
+from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, Settings, setting, unknown_name
 from tactile_base.yaml_file import Section, read_yaml
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
@@ -32,11 +32,11 @@ class TrackerSettings(ObjectSettings):
         doc="a contact whose last belief is older than this, at the stamp of the object's, is left out",
     )  # fmt: skip
     object_speed: float = setting(
-        0.02, lower=0.0, upper=10.0, unit="m/s",
+        0.02, lower=0.0, upper=1.0, unit="m/s",
         doc="standard deviation of the object's velocity: what a belief of an earlier stamp says less of",
     )  # fmt: skip
     object_turn_rate: float = setting(
-        0.2, lower=0.0, upper=100.0, unit="rad/s", doc="standard deviation of the object's angular velocity"
+        0.2, lower=0.0, upper=10.0, unit="rad/s", doc="standard deviation of the object's angular velocity"
     )
     forget_after: float = setting(
         0.5, lower=0.0, upper=3600.0, unit="s",
@@ -48,7 +48,7 @@ class TrackerSettings(ObjectSettings):
         "what the others know; a place that is given stays",
     )  # fmt: skip
     slide_shear: float = setting(
-        0.5, lower=0.0, upper=100.0,
+        0.5, lower=0.0, upper=10.0,
         doc="a contact sheared by clearly more than this part of its depth may slide: it is left out, and "
         "its place is forgotten, a given one too; 0: contacts never slide",
     )  # fmt: skip
@@ -70,13 +70,12 @@ class PlaceSettings(Settings):
         False, doc="whether pose says where the contact is on the object; otherwise that is found by touch"
     )
     pose: tuple[float, ...] = setting(
-        (0.0,) * 6, length=6, lower=-1e3, upper=1e3,
-        doc="of the contact's feature frame in the object's: x, y, z (m), alpha, beta, gamma (rad), "
-        "extrinsic xyz",
+        (0.0,) * 6, length=6, lower=SMALLEST_POSE, upper=LARGEST_POSE, unit="m, rad",
+        doc="of the contact's feature frame in the object's: x, y, z, alpha, beta, gamma, extrinsic xyz",
     )  # fmt: skip
     sigma: tuple[float, ...] = setting(
-        (0.0,) * 6, length=6, lower=0.0, upper=1e3,
-        doc="standard deviations of that along (m) and about (rad) the feature frame's own x, y, z",
+        (0.0,) * 6, length=6, lower=0.0, upper=[1.0] * 3 + [math.pi] * 3, unit="m, rad",
+        doc="standard deviations of that along and about the feature frame's own x, y, z",
     )  # fmt: skip
 
     def place(self) -> PoseGaussian | None:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.input_file import read_text
 from tactile_base.settings import SettingError
 from tactile_perception.datasets import layout, lenient_json
 from tactile_perception.datasets.layout import DatasetError, DatasetReport
@@ -262,8 +263,8 @@ def _read_parameters(folder: Path, report: DatasetReport) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
     for path in sorted(folder.glob("*.json")):
         try:
-            parameters[path.name], repairs = lenient_json.loads(path.read_text(), path.name)
-        except (lenient_json.JsonError, UnicodeDecodeError) as error:
+            parameters[path.name], repairs = lenient_json.loads(read_text(path), path.name)
+        except (lenient_json.JsonError, UnicodeDecodeError, OSError) as error:
             report.add("unreadable JSON file (ignored)", f"{path.name}: {error}")
             continue
         report.notes += repairs

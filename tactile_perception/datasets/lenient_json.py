@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from tactile_base.input_file import parse_json
+
+_MOST_REPAIRS = 20  # of a file with more, nobody knows what it was to say
 _CLOSING = {"}": "{", "]": "["}
 
 
@@ -32,15 +35,17 @@ def loads(text: str, name: str) -> tuple[Any, list[str]]:
         If the text does not parse even with its brackets balanced.
     """
     try:
-        return json.loads(text), []
+        return parse_json(text), []
     except json.JSONDecodeError as error:
         repaired, repairs = _balanced(text)
         try:
-            value = json.loads(repaired)
-        except json.JSONDecodeError:
+            value = parse_json(repaired)
+        except ValueError:
             where = f"line {error.lineno}, column {error.colno}"
             raise JsonError(f"{name}: malformed JSON at {where} ({error.msg}); not repairable") from error
         return value, [f"{name}: malformed JSON; {repair}" for repair in repairs]
+    except ValueError as error:
+        raise JsonError(f"{name}: {error}") from error
 
 
 def _balanced(text: str) -> tuple[str, list[str]]:
@@ -61,6 +66,8 @@ def _balanced(text: str) -> tuple[str, list[str]]:
             if not opened or opened[-1] != _CLOSING[character]:
                 before = text[:position]
                 where = f"line {before.count(chr(10)) + 1}, column {position - before.rfind(chr(10))}"
+                if len(repairs) == _MOST_REPAIRS:
+                    return text, []
                 repairs.append(f"dropped a surplus '{character}' at {where}")
                 continue
             opened.pop()

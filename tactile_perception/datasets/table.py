@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import itertools
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.input_file import parse_json, read_text
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_perception.datasets.layout import (
     AXES,
@@ -72,7 +72,7 @@ def read_conventions(folder: Path, report: DatasetReport) -> ConventionSettings:
     if not path.exists():
         return ConventionSettings()
     try:
-        values = json.loads(path.read_text())
+        values = parse_json(read_text(path))
         if not isinstance(values, dict):
             raise SettingError("must hold names and values")
         conventions = ConventionSettings.from_mapping(values)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from tactile_base.input_file import check_regular
 
 Image = NDArray[np.uint8]
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
@@ -47,6 +50,7 @@ def read_image(path: Path) -> Image:
         If the file cannot be read, is cut short, or is no image.
     """
     try:
+        check_regular(path)
         data = path.read_bytes()
     except OSError as error:
         raise ImageError(f"{path}: cannot be read: {error}") from error
@@ -64,7 +68,8 @@ def read_image(path: Path) -> Image:
 
 def list_images(folder: Path) -> set[str]:
     """Names of the image files in a folder."""
-    return {path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
+    with os.scandir(folder) as entries:
+        return {entry.name for entry in entries if entry.name.lower().endswith(SUFFIXES) and entry.is_file()}
 
 
 def resolve(image_folder: Path, name: str, present: set[str]) -> str | None:

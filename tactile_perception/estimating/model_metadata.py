@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError
+from tactile_base.input_file import parse_json
+from tactile_base.settings import shown
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
-from tactile_perception.evaluation.calibration import Calibration, CalibrationError
+from tactile_perception.evaluation.calibration import Calibration
 
 FORMAT = "tactile_servoing.gdn/1"
 INPUT_NAME = "image"
@@ -28,6 +31,12 @@ FRAMES = (
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
     "sensor just touches; inverse_sigma or covariance: of the components of xi around mu"
 )
+#: Entry with the SHA-256 of the whole file as it is with `UNSUMMED` in the entry's place.
+CHECKSUM = "file_sha256"
+UNSUMMED = "-" * 64
+#: As protobuf writes it: the key, the number of the value's field, its length, the value.
+_SUM_ENTRY = re.compile(CHECKSUM.encode() + rb"\x12\x40(.{64})", re.DOTALL)
+_SECTIONS = ("network", "training", "augmentation", "calibration")
 _REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
 
 
@@ -74,7 +83,7 @@ class ModelMetadata:
         values["preprocessing"] = dataclasses.asdict(self.preprocessing)
         calibration = values.pop("calibration")
         texts = {name: json.dumps(value) for name, value in values.items()}
-        return {"format": FORMAT, **texts, "calibration": calibration.to_json()}
+        return {"format": FORMAT, **texts, "calibration": calibration.to_json(), CHECKSUM: UNSUMMED}
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str]) -> ModelMetadata:
@@ -87,20 +96,69 @@ class ModelMetadata:
         if properties["format"] != FORMAT:
             raise MetadataError(f"format is '{properties['format']}', must be '{FORMAT}'")
         try:
-            values = {name: json.loads(properties[name]) for name in _JSON_NAMES if name in properties}
+            values = {name: parse_json(properties[name]) for name in _JSON_NAMES if name in properties}
             values["preprocessing"] = PreprocessingSettings.from_mapping(values["preprocessing"])
             if "calibration" in properties:
                 values["calibration"] = Calibration.from_json(properties["calibration"])
-        except (json.JSONDecodeError, SettingError, CalibrationError, TypeError) as error:
+        except (ValueError, TypeError) as error:
             raise MetadataError(f"unreadable metadata: {error}") from error
         for name, expected in (("units", NETWORK_UNITS), ("components", COMPONENTS)):
-            values[name] = tuple(values[name])
-            if values[name] != expected:
-                raise MetadataError(f"{name} are {values[name]}, must be {expected}")
+            if values[name] != list(expected):
+                raise MetadataError(f"{name} are {shown(values[name])}, must be {list(expected)}")
+            values[name] = expected
+        _check_facts(values)
         return cls(**values)
 
 
 _JSON_NAMES = tuple(item.name for item in dataclasses.fields(ModelMetadata) if item.name != "calibration")
+
+
+def _check_facts(values: Mapping[str, Any]) -> None:
+    """`MetadataError` unless what the file says of its training has the form in which it is looked at."""
+    _mapping("validation", values["validation"])
+    training = _mapping("training", values.get("training", {}))
+    members = training.get("members", [training])
+    if not isinstance(members, list):
+        raise MetadataError(f"training.members is {shown(members)}, must be a list")
+    for run in members:
+        for section in _SECTIONS:
+            _mapping(f"training.{section}", _mapping("training.members", run).get(section, {}))
+        _check_holdback(run.get("training", {}))
+    data = _mapping("training_data", values["training_data"])
+    while "start" in data:
+        data = _mapping("training_data.start", data["start"])
+        _check_holdback(data)
+
+
+def _mapping(name: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise MetadataError(f"{name} is {shown(value)}, must hold names and values")
+    return value
+
+
+def _check_holdback(values: Mapping[str, Any]) -> None:
+    part = values.get("holdback", 0.0)
+    if not isinstance(part, int | float) or not 0.0 <= part < 1.0:
+        raise MetadataError(f"holdback is {shown(part)}, must be a part of the data, 0 to 1")
+
+
+def summed(data: bytes) -> bytes:
+    """A model file, made with `UNSUMMED` as its `CHECKSUM`, with the checksum in that place."""
+    return data.replace(UNSUMMED.encode(), hashlib.sha256(data).hexdigest().encode(), 1)
+
+
+def check_sum(data: bytes) -> bool:
+    """`MetadataError` if a model file is not as it was written; False if it has no checksum that would tell.
+
+    It looks at the bytes alone, so that nothing is made of a damaged file.
+    """
+    entry = _SUM_ENTRY.search(data)
+    if entry is None or entry[1] == UNSUMMED.encode():
+        return False
+    unsummed = data[: entry.start(1)] + UNSUMMED.encode() + data[entry.end(1) :]
+    if hashlib.sha256(unsummed).hexdigest().encode() != entry[1]:
+        raise MetadataError(f"is damaged: its contents do not fit the checksum in it, {CHECKSUM}")
+    return True
 
 
 def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

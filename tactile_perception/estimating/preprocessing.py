@@ -33,13 +33,16 @@ class PreprocessingSettings(Settings):
     The defaults are those of the published TacTip data on the Franka arm (`processed_image_params.json`).
     """
 
-    raw_width: int = setting(640, unit="px", lower=16, doc="width of the camera's image")
-    raw_height: int = setting(480, unit="px", lower=16, doc="height of the camera's image")
+    raw_width: int = setting(640, unit="px", lower=16, upper=8192, doc="width of the camera's image")
+    raw_height: int = setting(480, unit="px", lower=16, upper=8192, doc="height of the camera's image")
     bbox: tuple[int, ...] = setting(
-        (105, 20, 550, 460), unit="px", lower=0, length=4, doc="crop x0, y0, x1, y1; the ends are exclusive"
-    )
+        (105, 20, 550, 460), unit="px", lower=0, upper=8192, length=4,
+        doc="crop x0, y0, x1, y1; the ends are exclusive",
+    )  # fmt: skip
     median: int = setting(5, unit="px", choices=(0, 3, 5), doc="side of the median filter; 0: none")
-    threshold_block: int = setting(61, unit="px", lower=3, doc="side of the threshold's neighborhood, odd")
+    threshold_block: int = setting(
+        61, unit="px", lower=3, upper=1001, doc="side of the threshold's neighborhood, odd"
+    )
     threshold_offset: float = setting(
         5.0,
         lower=-255.0,
@@ -48,8 +51,9 @@ class PreprocessingSettings(Settings):
     )
     threshold_method: str = setting("mean", choices=("mean", "gaussian"), doc="weights of the neighborhood")
     circle_mask_radius: int = setting(
-        230, unit="px", lower=0, doc="black outside this circle around the crop's center; 0: no mask"
-    )
+        230, unit="px", lower=0, upper=8192,
+        doc="black outside this circle around the crop's center; 0: no mask",
+    )  # fmt: skip
     redraw_radius: float = setting(
         0.0,
         unit="px",

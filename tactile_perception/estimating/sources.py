@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.input_file import check_regular
 from tactile_base.stamps import SECOND_NS
 from tactile_perception.datasets.dataset import DatasetError, TactileFolder
 from tactile_perception.estimating.image import Image, ImageError
@@ -106,6 +107,7 @@ def read_poses(path: Path) -> list[NDArray[np.float64]]:
     """
     poses = []
     try:
+        check_regular(path)
         with path.open(newline="") as file:
             reader = csv.DictReader(file)
             missing = [name for name in EULER_COLUMNS if name not in (reader.fieldnames or [])]

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.input_file import parse_json
 from tactile_base.settings import Settings, setting
 from tactile_perception.estimating.labels import COMPONENTS
 
@@ -53,6 +54,7 @@ class CalibrationSettings(Settings):
     stiffness: float = setting(
         20.0,
         lower=0.0,
+        upper=1e6,
         doc="weight, in samples, that holds the logarithms of neighboring knots' factors together",
     )
     margin: tuple[float, ...] = setting(
@@ -66,11 +68,12 @@ class CalibrationSettings(Settings):
     floor: tuple[float, ...] = setting(
         (0.0,) * OUTPUTS,
         lower=0.0,
+        upper=[10.0] * 3 + [1.0] * 3,
         length=OUTPUTS,
         unit="mm, rad",
         doc="standard deviations of what is constant through a session and unknown, added in quadrature",
     )
-    min_samples: int = setting(100, lower=20, doc="refuse to fit fewer samples than this")
+    min_samples: int = setting(100, lower=20, upper=1_000_000, doc="refuse to fit fewer samples than this")
 
 
 @dataclass(frozen=True)
@@ -163,8 +166,8 @@ class Calibration:
     def from_json(cls, text: str) -> Calibration:
         """The reverse; `CalibrationError` says what is wrong with the text."""
         try:
-            values: Any = json.loads(text)
-        except json.JSONDecodeError as error:
+            values: Any = parse_json(text)
+        except ValueError as error:
             raise CalibrationError(f"calibration: is not JSON: {error}") from error
         found = values.pop("format", None) if isinstance(values, dict) else None
         if found != FORMAT:

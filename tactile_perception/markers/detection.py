@@ -31,7 +31,7 @@ class DetectionSettings(Settings):
 
     median: int = setting(5, unit="px", choices=(0, 3, 5), doc="side of the median filter; 0: none")
     neighborhood: int = setting(
-        61, unit="px", lower=3, doc="side of the square whose mean is the ground, odd"
+        61, unit="px", lower=3, upper=1001, doc="side of the square whose mean is the ground, odd"
     )
     contrast: float = setting(
         0.25, lower=0.01, upper=0.99,
@@ -42,9 +42,12 @@ class DetectionSettings(Settings):
         0.3, lower=0.0, upper=1.0, doc="smallest blob that is a marker, in median blobs"
     )
     max_area: float = setting(
-        8.0, lower=1.0, doc="largest blob that is split into markers, in median blobs; larger is no marker"
+        8.0, lower=1.0, upper=1000.0,
+        doc="largest blob that is split into markers, in median blobs; larger is no marker",
+    )  # fmt: skip
+    split_area: float = setting(
+        1.55, lower=1.0, upper=100.0, doc="blobs from here on are merged markers, in median blobs"
     )
-    split_area: float = setting(1.55, lower=1.0, doc="blobs from here on are merged markers, in median blobs")
     fill: float = setting(
         0.55, lower=0.0, upper=1.0, doc="least part of its enclosing ellipse that a single marker fills"
     )

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import Settings, setting
+from tactile_base.settings import LARGEST_SEED, Settings, setting
 from tactile_perception.datasets.dataset import TactileFolder
 from tactile_perception.estimating.image import Image, ImageError
 from tactile_perception.estimating.preprocessing import Preprocessor
@@ -44,7 +44,7 @@ class FlowSettings(Settings):
     """What of a data set is looked at."""
 
     samples: int = setting(500, lower=60, upper=100000, doc="images, chosen at random")
-    seed: int = setting(0, lower=0, doc="of the choice")
+    seed: int = setting(0, lower=0, upper=LARGEST_SEED, doc="of the choice")
     inner: float = setting(0.5, lower=0.05, upper=1.0, doc="markers within this part of the radius count")
     ring: tuple[float, ...] = setting(
         (0.3, 0.7), lower=0.0, upper=1.0, length=2, doc="and for rotation those between these parts"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from tactile_base.input_file import parse_json, read_text
 from tactile_base.settings import SettingError
 from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset, training_part
 from tactile_perception.estimating.image import Image
@@ -201,7 +201,7 @@ def load_start(run: Path | str, network: NetworkSettings) -> Start:
             raise SettingError(
                 f"training.start = {run}: its network has {name} = {theirs}, this one {ours}; they must agree"
             )
-    facts = json.loads(folder.file(FACTS_NAME).read_text())
+    facts = parse_json(read_text(folder.file(FACTS_NAME)))
     facts["holdback"] = config.training.holdback
     facts["weights_sha256"] = hashlib.sha256(folder.file(BEST_NAME).read_bytes()).hexdigest()
     weights = folder.load_best()

@@ -19,6 +19,7 @@ from tactile_perception.estimating.model_metadata import (
     MEAN,
     OUTPUT_SHAPES,
     ModelMetadata,
+    summed,
 )
 from tactile_perception.training.heads import COMPONENTS_OF_MIXTURE, LOWER, OUTPUTS
 from tactile_perception.training.network import ConvBlock, PoseNetwork
@@ -67,7 +68,7 @@ def save_model(model: onnx.ModelProto, path: Path | str, metadata: ModelMetadata
     del model.metadata_props[:]
     helper.set_model_props(model, metadata.to_properties())
     with whole_file(path) as temporary:
-        onnx.save_model(model, str(temporary))
+        temporary.write_bytes(summed(model.SerializeToString()))
     return path
 
 

@@ -25,7 +25,14 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 
 from tactile_base.settings import Settings, setting
 from tactile_base.whole_file import whole_file
-from tactile_perception.estimating.model_metadata import INPUT_NAME, MetadataError, ModelMetadata
+from tactile_perception.estimating.model_metadata import (
+    CHECKSUM,
+    INPUT_NAME,
+    UNSUMMED,
+    MetadataError,
+    ModelMetadata,
+    summed,
+)
 from tactile_perception.estimating.preprocessing import as_input
 
 _BATCH = 20
@@ -43,8 +50,9 @@ class QuantizationSettings(Settings):
     """How a network is quantized."""
 
     images: int = setting(
-        200, lower=1, doc="training images, spread over the table, that give the activations' ranges"
-    )
+        200, lower=1, upper=100_000,
+        doc="training images, spread over the table, that give the activations' ranges",
+    )  # fmt: skip
     reduce_range: bool = setting(
         True,
         doc="weights in 7 of 8 bits: CPUs without VNNI add products in pairs, which 8 bits may overflow",
@@ -97,7 +105,7 @@ def quantize(
     _correct_head(result, model, images)
     _note(result, settings, len(images))
     with whole_file(out_path) as temporary:
-        onnx.save_model(result, str(temporary))
+        temporary.write_bytes(summed(result.SerializeToString()))
     return Path(out_path)
 
 
@@ -218,6 +226,7 @@ def _note(model: onnx.ModelProto, settings: QuantizationSettings, images: int) -
     types = {"activations": "uint8", "weights": "int8"}
     training["quantization"] = {**asdict(settings), "images": images, **types}
     properties["training"] = json.dumps(training)
+    properties[CHECKSUM] = UNSUMMED
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, properties)
     model.producer_name = "tactile_servoing"

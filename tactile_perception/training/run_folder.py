@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,9 @@ import torch
 import yaml
 from numpy.typing import NDArray
 
+from tactile_base.input_file import check_regular, parse_json, read_text
 from tactile_base.whole_file import check_folder, whole_file, write_csv
+from tactile_base.yaml_file import values_of
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_COLUMNS
 from tactile_perception.training.config import TrainConfig
 
@@ -105,13 +107,12 @@ class RunFolder:
         The calibration is fitted when training has ended, so its settings may be others.
         """
         wanted, difference = config.plain(), "an unreadable configuration"
-        with contextlib.suppress(yaml.YAMLError):
-            found = yaml.safe_load(self.file(CONFIG_NAME).read_text())
-            if isinstance(found, dict):
-                found["calibration"] = wanted["calibration"]
-                if data is not None:
-                    found["data"], wanted["data"] = json.loads(self.file(FACTS_NAME).read_text()), data
-                difference = _difference(found, wanted)
+        with contextlib.suppress(ValueError):
+            found = values_of(read_text(self.file(CONFIG_NAME)), CONFIG_NAME)
+            found["calibration"] = wanted["calibration"]
+            if data is not None:
+                found["data"], wanted["data"] = parse_json(read_text(self.file(FACTS_NAME))), data
+            difference = _difference(found, wanted)
         if difference:
             raise FileExistsError(
                 f"{self.path}: holds another run that was started with {difference}; "
@@ -123,13 +124,13 @@ class RunFolder:
         _save(self.file(STATE_NAME), state)
 
     def load_state(self) -> dict[str, Any]:
-        return _load(self.file(STATE_NAME), weights_only=False)
+        return _load(self.file(STATE_NAME))
 
     def save_best(self, weights: dict[str, torch.Tensor]) -> None:
         _save(self.file(BEST_NAME), weights)
 
     def load_best(self) -> dict[str, torch.Tensor]:
-        return _load(self.file(BEST_NAME), weights_only=True)
+        return _load(self.file(BEST_NAME))
 
     def write_epochs(self, epochs: list[Epoch], loss_name: str) -> None:
         """`epochs.csv`: one line an epoch."""
@@ -158,14 +159,15 @@ class RunFolder:
 
     def result(self) -> dict[str, Any]:
         """`result.json` of a finished run."""
-        values: dict[str, Any] = json.loads(self.file(RESULT_NAME).read_text())
+        values: dict[str, Any] = parse_json(read_text(self.file(RESULT_NAME)))
         return values
 
 
 def _difference(found: dict[str, Any], wanted: dict[str, dict[str, Any]]) -> str:
     """The first value that differs, in words; empty if none does."""
     for section, values in wanted.items():
-        old = found.get(section) or {}
+        part = found.get(section)
+        old = part if isinstance(part, dict) else {}
         for name in sorted({*old, *values} - _NO_RESULT):
             if old.get(name) != values.get(name):
                 return f"{section}.{name} = {old.get(name)}, not {values.get(name)}"
@@ -173,16 +175,21 @@ def _difference(found: dict[str, Any], wanted: dict[str, dict[str, Any]]) -> str
 
 
 def _save(path: Path, value: Any) -> None:
+    buffer = io.BytesIO()  # what torch raises where a disk is full says nothing of it
+    torch.save(value, buffer)
     with whole_file(path) as temporary:
-        torch.save(value, temporary)
+        temporary.write_bytes(buffer.getbuffer())
 
 
-def _load(path: Path, weights_only: bool) -> dict[str, Any]:
+def _load(path: Path) -> dict[str, Any]:
+    """Plain values and tensors: nothing in the file is run."""
+    check_regular(path)
     try:
-        values: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=weights_only)
-    except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        values: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # what a damaged file raises has no base class of its own
+        first = str(error).partition("\n")[0]
         raise ValueError(
-            f"{path}: cannot be read ({error}); remove {path.parent} to train from the start"
+            f"{path}: cannot be read ({first}); remove {path.parent} to train from the start"
         ) from error
     return values
 

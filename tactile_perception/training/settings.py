@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.settings import LARGEST_SEED, SettingError, Settings, setting
 
 HEADS = ("mse", "gaussian", "full_gaussian", "mixture")
 
@@ -27,11 +27,13 @@ class NetworkSettings(Settings):
         1, lower=1, upper=4, doc="stride s of the first convolution, whose kernel is 3s x 3s; the paper's: 1"
     )
     channels: tuple[int, ...] = setting(
-        (16, 32, 64, 128, 256), lower=1, doc="features of each block: convolution, batch norm, ReLU, max-pool"
-    )
+        (16, 32, 64, 128, 256), lower=1, upper=4096,
+        doc="features of each block: convolution, batch norm, ReLU, max-pool",
+    )  # fmt: skip
     unpooled_blocks: int = setting(
         0,
         lower=0,
+        upper=10,
         doc="so many of the last blocks have no max-pool, which leaves a larger map; the paper's: 0",
     )
     batch_norm_momentum: float = setting(
@@ -55,11 +57,13 @@ class NetworkSettings(Settings):
         0.05, lower=0.0, upper=0.99, doc="dropout of what full_gaussian and mixture add to these"
     )
     inverse_sigma_bounds: tuple[float, ...] = setting(
-        (1e-6, 1e6), lower=1e-12, length=2, doc="softbound of the inverse standard deviations (1/mm, 1/rad)"
-    )
+        (1e-6, 1e6), lower=1e-12, upper=1e12, length=2,
+        doc="softbound of the inverse standard deviations (1/mm, 1/rad)",
+    )  # fmt: skip
     mse_weights: tuple[float, ...] = setting(
         (1.0, 1.0, 1.0, 100.0, 100.0, 100.0),
         lower=0.0,
+        upper=1e6,
         length=6,
         doc="weights of the components in the loss of the head mse (paper, eq. mse_loss_def)",
     )
@@ -98,18 +102,26 @@ class NetworkSettings(Settings):
 class TrainingSettings(Settings):
     """Optimizer, schedule and stopping of the paper; what concerns speed rather than result comes last."""
 
-    batch_size: int = setting(16, lower=1, doc="samples a step")
-    learning_rate_start: float = setting(1e-5, lower=0.0, doc="first learning rate of the linear rise")
-    learning_rate_peak: float = setting(1e-3, lower=0.0, doc="learning rate after the rise")
-    learning_rate_end: float = setting(1e-7, lower=0.0, doc="learning rate at the end of the decay")
-    rise_epochs: float = setting(3.0, lower=0.0, doc="length of the linear rise")
-    hold_epochs: float = setting(1.0, lower=0.0, doc="time at the peak")
-    decay_epochs: float = setting(50.0, lower=0.0, doc="length of the decay")
+    batch_size: int = setting(16, lower=1, upper=65536, doc="samples a step")
+    learning_rate_start: float = setting(
+        1e-5, lower=0.0, upper=1.0, doc="first learning rate of the linear rise"
+    )
+    learning_rate_peak: float = setting(1e-3, lower=0.0, upper=1.0, doc="learning rate after the rise")
+    learning_rate_end: float = setting(
+        1e-7, lower=0.0, upper=1.0, doc="learning rate at the end of the decay"
+    )
+    rise_epochs: float = setting(3.0, lower=0.0, upper=10000.0, doc="length of the linear rise")
+    hold_epochs: float = setting(1.0, lower=0.0, upper=10000.0, doc="time at the peak")
+    decay_epochs: float = setting(50.0, lower=0.0, upper=10000.0, doc="length of the decay")
     decay: str = setting(
         "polynomial", choices=("polynomial", "cosine"), doc="form of the decay; the paper's: polynomial"
     )
-    decay_power: float = setting(0.5, lower=0.0, doc="exponent of (1 - e / decay_epochs), if polynomial")
-    patience: int = setting(25, lower=1, doc="epochs without a better validation loss before stopping early")
+    decay_power: float = setting(
+        0.5, lower=0.0, upper=10.0, doc="exponent of (1 - e / decay_epochs), if polynomial"
+    )
+    patience: int = setting(
+        25, lower=1, upper=10000, doc="epochs without a better validation loss before stopping early"
+    )
     average_decay: float = setting(
         0.0,
         lower=0.0,
@@ -126,13 +138,16 @@ class TrainingSettings(Settings):
         "",
         doc="folder of a finished run, as one on simulated images, to start from its network; '': random",
     )
-    seed: int = setting(0, lower=0, doc="seed of weights, shuffling, dropout and augmentation")
+    seed: int = setting(
+        0, lower=0, upper=LARGEST_SEED, doc="seed of weights, shuffling, dropout and augmentation"
+    )
     precision: str = setting("bf16", choices=("fp32", "bf16"), doc="arithmetic of the convolutional base")
     channels_last: bool = setting(True, doc="memory layout that CPU kernels prefer")
-    threads: int = setting(0, lower=0, doc="CPU threads; 0: PyTorch's choice")
+    threads: int = setting(0, lower=0, upper=1024, doc="CPU threads; 0: PyTorch's choice")
     max_minutes: float = setting(
         0.0,
         lower=0.0,
+        upper=100000.0,
         doc="stop in good order after this time; 0: no limit. For machines on loan, not for results",
     )
 
@@ -158,22 +173,28 @@ class AugmentationSettings(Settings):
         1, lower=1, upper=12, doc="turn by a random multiple of 1/n of a circle; the TacTip's markers: 6"
     )
     symmetry_center: tuple[float, ...] = setting(
-        (), unit="px", lower=0.0, doc="x, y of the markers' center in the crop; []: found in the images"
-    )
+        (), unit="px", lower=0.0, upper=8192.0,
+        doc="x, y of the markers' center in the crop; []: found in the images",
+    )  # fmt: skip
     symmetry_radius: float = setting(
-        209.0, unit="px", lower=1.0, doc="only the disk of this radius turns; what is outside stays"
-    )
+        209.0, unit="px", lower=1.0, upper=8192.0,
+        doc="only the disk of this radius turns; what is outside stays",
+    )  # fmt: skip
     symmetry_sense: int = setting(
         1, choices=(-1, 1), doc="1: a turn from x to y in the image is one from x to y of the sensor"
     )
     symmetry_axis: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 0.0),
+        lower=[-20.0] * 2 + [-0.5] * 2,
+        upper=[20.0] * 2 + [0.5] * 2,
         length=4,
-        doc="axis of the symmetry in {s}: x, y (mm) and tilt about x, y (rad); where training starts from",
+        unit="mm, rad",
+        doc="axis of the symmetry in {s}: x, y and tilt about x, y; where training starts from",
     )
     symmetry_axis_rate: float = setting(
-        3.0, lower=0.0, doc="learning rate of the axis (in mm and 1/50 rad) by that of the weights; 0: fixed"
-    )
+        3.0, lower=0.0, upper=1000.0,
+        doc="learning rate of the axis (in mm and 1/50 rad) by that of the weights; 0: fixed",
+    )  # fmt: skip
     shift: float = setting(0.0, unit="px", lower=0.0, upper=50.0, doc="standard deviation of a shift in x, y")
     turn: float = setting(0.0, unit="deg", lower=0.0, upper=10.0, doc="standard deviation of a small turn")
     marker_dropout: float = setting(
@@ -185,7 +206,7 @@ class AugmentationSettings(Settings):
         upper=1.0,
         doc="probability that markers grow or shrink, as with brightness",
     )
-    plain_epochs: float = setting(0.0, lower=0.0, doc="last epochs without any of this")
+    plain_epochs: float = setting(0.0, lower=0.0, upper=10000.0, doc="last epochs without any of this")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -294,13 +294,16 @@ class _Run:
         return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 
     def state(self, history: _History) -> dict[str, Any]:
-        """All that decides how the run goes on."""
+        """All that decides how the run goes on, in plain values and tensors."""
         return {
             "network": self.network.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "average": self.average.state(),
             "axis": self.axis.state_dict() if self.axis is not None else None,
-            "epochs": [dataclasses.asdict(epoch) for epoch in history.epochs],
+            "epochs": [
+                {name: np.asarray(value).tolist() for name, value in dataclasses.asdict(epoch).items()}
+                for epoch in history.epochs
+            ],
             "stopped": history.stopped,
         }
 
@@ -311,7 +314,7 @@ class _Run:
         self.average.restore(state["average"])
         if self.axis is not None:
             self.axis.load_state_dict(state["axis"])
-        epochs = [Epoch(**epoch) for epoch in state["epochs"]]
+        epochs = [Epoch(**{**epoch, "mae": np.array(epoch["mae"])}) for epoch in state["epochs"]]
         best = next((epoch for epoch in reversed(epochs) if epoch.best), None)
         return _History(epochs, best, state["stopped"])
 

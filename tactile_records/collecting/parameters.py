@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from tactile_base.input_file import parse_json, read_text
 from tactile_base.whole_file import whole_file
 from tactile_perception.datasets.layout import DatasetError
 
@@ -24,7 +25,7 @@ def check_same_run(folder: Path, parameters: dict[str, Any]) -> None:
     parameters = json.loads(json.dumps(parameters))
     if path.exists():
         try:
-            found = json.loads(path.read_text())
+            found = parse_json(read_text(path))
         except ValueError as error:
             raise DatasetError(f"{path}: cannot be read ({error}); remove the folder or this file") from error
         if found != parameters:

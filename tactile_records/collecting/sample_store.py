@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.input_file import parse_json, read_text
 from tactile_control.collection import Capture
 from tactile_filter import se3
 from tactile_perception.datasets.layout import AXES, DatasetError
@@ -76,7 +77,7 @@ class SampleStore:
         if not path.exists():
             return None
         try:
-            frame = np.array(json.loads(path.read_text())["frame"], dtype=np.float64)
+            frame = np.array(parse_json(read_text(path))["frame"], dtype=np.float64)
             if frame.shape != (6,) or not np.isfinite(frame).all():
                 raise ValueError("frame must be six finite numbers")
         except (ValueError, KeyError, TypeError) as error:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
-from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, Settings, setting
 from tactile_base.topics import IMAGE as IMAGE_TOPIC
 from tactile_control.collection import (
     REFERENCE,
@@ -62,7 +62,7 @@ class CollectorSettings(Settings):
         "both", choices=IMAGE_KINDS, doc="processed (cropped, thresholded), raw (camera images), or both"
     )
     frame: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), length=6, lower=-10.0, upper=10.0, unit="m, rad",
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), length=6, lower=SMALLEST_POSE, upper=LARGEST_POSE, unit="m, rad",
         doc="contact frame {f} in the arm's base, Euler (x, y, z, alpha, beta, gamma): z into the surface, "
         "origin where the sensor's centre is at first touch",
     )  # fmt: skip

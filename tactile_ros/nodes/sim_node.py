@@ -27,7 +27,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tactile_base import topics
-from tactile_base.settings import Settings, setting
+from tactile_base.settings import LARGEST_SEED, Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmState
 from tactile_drivers.camera import CameraFrame
@@ -55,7 +55,7 @@ class SimSettings(Settings):
     """What is simulated, and how it keeps up with real time."""
 
     scene: str = setting("ramp", doc="scene: the name of a packaged one, or the path of a .yaml file")
-    seed: int = setting(0, lower=0, doc="seed of all noise in the cell")
+    seed: int = setting(0, lower=0, upper=LARGEST_SEED, doc="seed of all noise in the cell")
     camera_rate: float = setting(
         0.0, lower=0.0, upper=240.0, unit="Hz", doc="rate of all simulated cameras; 0: as the scene says"
     )

@@ -15,6 +15,13 @@ class ExampleSettings(Settings):
     mode: str = setting("paper", choices=("paper", "fast"), doc="a choice")
     count: int = setting(3, lower=1, doc="a count")
     enabled: bool = setting(True, doc="a switch")
+    pose: tuple[float, ...] = setting(
+        [0.0] * 4, length=4, lower=[-0.01, 0.0, -3.0, -3.0], upper=[0.01, 0.01, 3.0, 3.0],
+        unit="m, rad", doc="two lengths and two angles",
+    )  # fmt: skip
+    limits: tuple[float, ...] = setting([1.0], lower=0.0, upper=float("inf"), doc="inf: no limit")
+    target: tuple[float, ...] = setting((), lower=-10.0, upper=10.0, doc="a place, or none")
+    names: tuple[str, ...] = setting((), doc="names, or none")
 
 
 def test_integers_and_arrays_become_the_declared_types():
@@ -31,7 +38,17 @@ def test_integers_and_arrays_become_the_declared_types():
         ({"probability": float("nan")}, "is not a number"),
         ({"gains": [1.0]}, "must have 2 elements, has 1"),
         ({"gains": 1.0}, "must be a list"),
-        ({"gains": [1.0, -1.0]}, r"gains = -1.0: must lie in \[0, inf\]"),
+        ({"gains": [1.0, -1.0]}, r"gains\[1\] = -1.0: must lie in \[0, inf\)"),
+        ({"gains": [1.0, float("inf")]}, r"gains\[1\] = inf: must lie in \[0, inf\)"),
+        ({"pose": [0, 3, 0, 0]}, r"pose\[1\] = 3.0 m: must lie in \[0, 0.01\] m"),
+        ({"pose": [0, 0, 0, -4]}, r"pose\[3\] = -4.0 rad: must lie in \[-3, 3\] rad"),
+        ({"pose": [0, 0, float("nan"), 0]}, r"pose\[2\]: is not a number"),
+        ({"limits": [-1.0]}, r"limits\[0\] = -1.0: must lie in \[0, inf\]"),
+        ({"target": [1.0, "a"]}, r"target\[1\] = 'a': must be of type float, is str"),
+        ({"target": [float("nan")]}, r"target\[0\]: is not a number"),
+        ({"target": [11.0]}, r"target\[0\] = 11.0: must lie in \[-10, 10\]"),
+        ({"target": {"x": 1.0}}, "target = {'x': 1.0}: must be a list"),
+        ({"names": [1.0]}, r"names\[0\] = 1.0: must be of type str, is float"),
         ({"mode": "slow"}, "must be one of paper, fast"),
         ({"count": 1.5}, "must be of type int, is float"),
         ({"count": True}, "must be of type int, is bool"),
@@ -41,6 +58,10 @@ def test_integers_and_arrays_become_the_declared_types():
 def test_a_bad_value_is_refused_with_name_value_and_range(values, message):
     with pytest.raises(SettingError, match=message):
         ExampleSettings(**values)
+
+
+def test_infinity_is_taken_only_where_the_declaration_says_so():
+    assert ExampleSettings(limits=[float("inf")]).limits == (float("inf"),)
 
 
 def test_an_unknown_name_lists_the_valid_ones_and_the_nearest():

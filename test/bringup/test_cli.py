@@ -1,5 +1,6 @@
 """The command line: what it offers, and what it says when something is wrong."""
 
+import resource
 import subprocess
 import sys
 
@@ -84,3 +85,24 @@ def test_doctor_names_what_is_missing(capsys, monkeypatch):
     assert cli.main(["doctor"]) == 1
     shown = capsys.readouterr().out
     assert "MISSING  thing: no such thing; build it" in shown and "1 of 2 checks failed" in shown
+
+
+SHORT = "simulate --scene plane --fidelity ideal --set follower.task.timeout=0.1"
+
+
+@pytest.mark.parametrize("words", [SHORT, "launch surface_following", "demo"])
+def test_a_place_that_cannot_be_written_to_ends_a_command_with_a_sentence(capsys, words):
+    assert cli.main([*words.split(), "--out", "/sys/out"]) in (1, 2)
+    shown = capsys.readouterr().err
+    assert shown.startswith(f"tactile {words.split()[0]}: ") and "/sys" in shown
+
+
+def test_a_disk_that_is_full_at_the_end_of_a_simulation_is_told(tmp_path, capsys):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        status = cli.main([*SHORT.split(), "--out", str(tmp_path)])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert status == 2
+    assert "File too large" in capsys.readouterr().err

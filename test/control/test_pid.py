@@ -1,5 +1,8 @@
 """The tangent-space PID against sums and differences written out by hand, and at the edges of its inputs."""
 
+import contextlib
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -94,13 +97,13 @@ def test_a_stamp_that_is_not_later_is_refused_and_changes_nothing(stamp):
     assert pid.stamp_ns == 100 and not pid.integral.any()
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_number_that_is_not_finite_is_refused_by_channel_and_changes_nothing(bad):
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e308, -2e3])
+def test_a_number_that_is_no_error_is_refused_by_channel_and_changes_nothing(bad):
     pid = TangentPid(PidSettings(**GAINS))
     pid.update(0, np.ones(6))
     error = np.ones(6)
     error[4] = bad
-    with pytest.raises(ControlInputError, match="error is not finite: phi_y"):
+    with pytest.raises(ControlInputError, match="error is no number within 1000: phi_y"):
         pid.update(STEP, error)
     np.testing.assert_allclose(pid.update(STEP, np.ones(6)).integral, 0.7 * DT)
 
@@ -141,11 +144,40 @@ def test_reset_forgets_everything():
 
 
 @pytest.mark.parametrize(
-    "values", [{"kp": [1.0] * 5}, {"kp": [-1.0] * 6}, {"ewma_decay": 1.0}, {"ki": [float("nan")] * 6}]
+    "values",
+    [
+        {"kp": [1.0] * 5},
+        {"kp": [-1.0] * 6},
+        {"ewma_decay": 1.0},
+        {"ki": [np.nan] * 6},
+        {"kp": [np.inf] * 6},
+        {"kd": [1e308] * 6},
+    ],
 )
 def test_settings_that_make_no_sense_are_refused(values):
     with pytest.raises(SettingError):
         PidSettings(**values)
+
+
+numbers = st.floats() | st.sampled_from([np.nan, np.inf, -np.inf, 1e308, -1e308, 0.0, 1e-3])
+sixes = st.lists(numbers, min_size=6, max_size=6)
+gains = st.fixed_dictionaries(
+    {}, optional=dict.fromkeys(("kp", "ki", "kd", "integral_limit", "output_limit"), sixes)
+)
+
+
+@given(st.lists(st.tuples(sixes, gains, st.integers(-1, 10**12)), max_size=20))
+def test_no_input_and_no_gain_leaves_anything_behind_that_is_not_finite(steps):
+    pid, stamp = TangentPid(PidSettings(**GAINS)), 0
+    for error, changes, elapsed in steps:
+        with contextlib.suppress(SettingError):
+            pid.configure(PidSettings(**changes))
+        with contextlib.suppress(ControlInputError):
+            assert np.isfinite(pid.update(stamp + elapsed, error).feedback).all()
+            stamp += elapsed
+    pid.configure(PidSettings(**GAINS))
+    out = pid.update(stamp + 10**12, errors(1)[0])
+    assert all(np.isfinite(part).all() for part in dataclasses.astuple(out))
 
 
 tangents = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)

@@ -110,7 +110,7 @@ def test_roles_say_who_does_what_after_whom_and_whose_end_is_that_of_the_run(wri
         ("      task:\n", "      tusk:\n", 6, "unknown name 'tusk'"),
         ("controller: surf", "controller: srf", 4, "did you mean 'surface_following'"),
         ("length:", "lenght:", 13, "did you mean 'length'"),
-        ("length: 0.1", "length: -1", 13, r"length = -1.0 m: must lie in \[0.0001, 100\] m"),
+        ("length: 0.1", "length: -1", 13, r"length = -1.0 m: must lie in \[0.0001, 10\] m"),
         ("name: up", "name: up, start: [0, 0, 0]", 13, "goal 0"),
         ("task: surface_following\n", "task: surface_folowing\n", 3, "did you mean 'surface_following'"),
         (

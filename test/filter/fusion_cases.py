@@ -133,3 +133,32 @@ def exact_error(pair, fused, draws=2):
 def tolerance(rounding_cost):
     """What the error of mode "exact" has to be within, in standard deviations."""
     return 4e-15 + 32.0 * rounding_cost
+
+
+def extreme_covariance(rng) -> np.ndarray:
+    """One of the covariances, and of the matrices that are none, at the ends of what a double holds."""
+    sizes, A = 10.0 ** rng.uniform(-320, 308, 6), rng.standard_normal((6, 6))
+    spoilt = np.eye(6)
+    spoilt[tuple(rng.integers(6, size=2))] = rng.choice([np.nan, np.inf, 1e308, -1e308, 0.0, 1e-320])
+    kinds = [
+        np.diag(sizes),
+        A @ A.T * 10.0 ** rng.uniform(-300, 300),
+        A * 10.0 ** rng.uniform(-300, 307),
+        1.7e308 * rng.choice([-1.0, 1.0], (6, 6)),
+        np.sqrt(np.outer(sizes, sizes)) * (A @ A.T),
+        spoilt,
+    ]
+    return kinds[rng.integers(len(kinds))]
+
+
+def extreme_mean(rng) -> np.ndarray:
+    """The same of a pose."""
+    X = se3.exp(0.5 * rng.standard_normal(6))
+    kind = rng.integers(4)
+    if kind == 1:
+        X[:3, 3] *= 10.0 ** rng.uniform(-300, 300)
+    elif kind == 2:
+        X[:3, 3] = 1.7e308 * rng.choice([-1.0, 1.0], 3)
+    elif kind == 3:
+        X[tuple(rng.integers(4, size=2))] = rng.choice([np.nan, np.inf, 1e308, 1e200])
+    return X

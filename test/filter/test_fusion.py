@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import se3_oracle as oracle
-from fusion_cases import in_sigmas, random_pair
+from fusion_cases import extreme_covariance, extreme_mean, in_sigmas, random_pair
 from fusion_reference import fuse_exact, fuse_fixed
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -275,3 +275,30 @@ def test_errors_of_fused_poses_are_as_large_as_their_covariances_claim(mode):
     # standard normal: the mean square of 20000 is 1 within 1 %, correlations vanish
     np.testing.assert_allclose(whitened.T @ whitened / count, np.eye(6), atol=0.045)
     assert (whitened**2).sum(axis=1).mean() == pytest.approx(6.0, abs=0.1)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # the numbers in a refusal may be infinite
+@pytest.mark.parametrize("mode", MODES)
+def test_whatever_the_matrices_the_answer_is_finite_or_a_refusal(mode):
+    rng, answers = np.random.default_rng(5), 0
+    for _ in range(3000):
+        try:
+            fused = fuse(*(make(rng) for make in 2 * (extreme_mean, extreme_covariance)), mode)
+        except FusionError:
+            continue
+        answers += 1
+        assert all(np.isfinite(part).all() for part in (fused.mean, fused.cov, fused.factor))
+    assert answers > 20
+
+
+@pytest.mark.parametrize(
+    ("distance", "variance", "complaint"),
+    [
+        (2e9, 1.0, r"estimate, mean: is further away than 1e9 m"),
+        (0.0, 1e20, r"estimate, covariance: has variances outside \[1e-30, 1e18\]"),
+        (0.0, 1e-40, r"estimate, covariance: has variances outside \[1e-30, 1e18\]"),
+    ],
+)
+def test_a_filter_takes_nothing_that_further_steps_may_overflow_with(distance, variance, complaint):
+    with pytest.raises(FusionError, match=complaint):
+        check_gaussian(se3.exp([distance, 0, 0, 0, 0, 0]), variance * np.eye(6), "estimate")

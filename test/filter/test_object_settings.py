@@ -53,7 +53,7 @@ def test_an_empty_file_has_defaults(load):
         ("places: {lefft: {}}", "1: places: unknown name 'lefft' .did you mean 'left'.*left, right"),
         ("places:\n  left: {positon: [0, 0, 0]}", "2: places.left: unknown name 'positon'"),
         ("places:\n  left: {position: [0, 0]}", "2: places.left.position = .*3 finite numbers"),
-        ("places:\n  left: {sigma_position: [0, 0, -1]}", "places.left: sigma = -1.0: must lie in"),
+        ("places:\n  left: {sigma_position: [0, 0, -1]}", r"places.left: sigma\[2\] = -1.0 m: must lie in"),
         ("settings: {max_age: -1}", "1: settings: max_age = -1.0 s: must lie in"),
         ("settings: {max_age: 1.0}", "max_age = 1 s: must not be longer than forget_after = 0.5 s"),
         ("objects: {}", "unknown name 'objects'"),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fusion_cases import extreme_covariance, extreme_mean
 from scipy.stats import chi2
 
 from tactile_base.settings import SettingError
@@ -502,3 +503,22 @@ def test_other_settings_hold_from_the_next_step_and_contacts_stay():
 def test_settings_that_contradict_each_other_are_refused():
     with pytest.raises(SettingError, match=r"max_age = 1 s: must not be longer than forget_after = 0\.5 s"):
         TrackerSettings(max_age=1.0)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_whatever_the_contacts_say_the_object_is_somewhere_finite_or_not_known(share):
+    rng, known = np.random.default_rng(8), 0
+    for _ in range(100):
+        tracker = tracker_of("left", "right", correlated_share=share)
+        for k in range(6):
+            updates = {name: update(name) for name in ("left", "right")}
+            for name in updates:
+                if rng.random() < 0.5:
+                    belief = PoseGaussian(extreme_mean(rng), extreme_covariance(rng))
+                    updates[name] = ContactUpdate(belief, extreme_mean(rng))
+            found = tracker.step(START + k * 10_000_000, updates)
+            if found is not None and found.belief.pose is not None:
+                known += 1
+                assert np.isfinite(found.belief.pose.mean).all() and np.isfinite(found.belief.pose.cov).all()
+    assert known > 100

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -433,3 +434,35 @@ def test_image_settings_of_the_wrong_kind_are_an_error(folder):
     (folder / "processed_image_params.json").write_text(json.dumps({"thresh": 61}))
     with pytest.raises(DatasetError, match="thresh = 61: must be a block and an offset"):
         open_folder(folder)
+
+
+def test_a_pipe_among_the_images_is_a_missing_image(folder):
+    image = folder / "processed_images" / table(folder)[1]["sensor_image"]
+    image.unlink()
+    os.mkfifo(image)
+    assert len(open_folder(folder).names) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "complaint"),
+    [("targets_images.csv", "has no targets_images.csv"), ("conventions.json", "is a pipe")],
+)
+def test_a_pipe_in_place_of_a_file_that_is_needed_is_refused(folder, name, complaint):
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+    with pytest.raises(DatasetError, match=complaint):
+        open_folder(folder)
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"flip": ' + "9" * 5000 + "}", "3", "\udcff"])
+def test_conventions_that_cannot_be_used_are_refused(folder, content):
+    (folder / "conventions.json").write_bytes(content.encode(errors="surrogateescape"))
+    with pytest.raises(DatasetError, match=r"conventions\.json: "):
+        open_folder(folder)
+
+
+def test_a_description_that_cannot_be_read_is_named_and_left_out(folder):
+    (folder / "deep.json").write_text("[" * 100_000)
+    os.mkfifo(folder / "pipe.json")
+    report = "\n".join(open_folder(folder).report.lines())
+    assert "deep.json" in report and "pipe.json: is a pipe" in report

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import time
 
 import numpy as np
@@ -198,12 +199,56 @@ def test_a_model_without_metadata_is_refused_with_what_is_missing(constant_model
         ("format", "other/2", "format is 'other/2', must be"),
         ("preprocessing", json.dumps({"bbox": [0, 0, 1, 9999]}), "bbox"),
         ("preprocessing", "{", "unreadable metadata"),
+        ("preprocessing", "3", "unreadable metadata"),
+        ("preprocessing", "[" * 100_000, "unreadable metadata: nested too deeply"),
+        ("preprocessing", '{"size": ' + "9" * 5000 + "}", "unreadable metadata: size = inf"),
+        ("units", "null", "units are None, must be"),
+        ("components", "1", "components are 1, must be"),
+        ("training_data", "null", "training_data is None, must hold names and values"),
+        ("training_data", '{"start": 1}', "training_data.start is 1, must hold names and values"),
+        ("training_data", '{"start": {"holdback": "much"}}', "holdback is 'much', must be a part"),
+        ("validation", "[]", r"validation is \[\], must hold names and values"),
+        ("training", "7", "training is 7, must hold names and values"),
+        ("training", '{"members": 2}', "training.members is 2, must be a list"),
+        ("training", '{"members": [2]}', "training.members is 2, must hold names and values"),
+        ("training", '{"network": null}', "training.network is None, must hold names and values"),
+        ("training", '{"training": {"holdback": null}}', "holdback is None, must be a part of the data"),
+        ("calibration", "[" * 100_000, "calibration: is not JSON: nested too deeply"),
+        ("calibration", "1e999", "calibration: format is None"),
     ],
+    ids=lambda text: text[:40],
 )
 def test_metadata_of_another_convention_is_refused(constant_model, model_metadata, name, value, message):
     properties = model_metadata().to_properties() | {name: value}
     with pytest.raises(ModelError, match=message):
         Estimator(constant_model(properties=properties))
+
+
+def test_a_file_in_which_a_bit_was_flipped_is_refused_before_anything_is_made_of_it(constant_model):
+    path = constant_model()
+    whole = path.read_bytes()
+    key = range(whole.index(b"file_sha256"), whole.index(b"file_sha256") + len("file_sha256") + 2)
+    for position in np.random.default_rng(0).permutation(len(whole))[:300]:
+        if position in key:  # then it is a file without a checksum
+            continue
+        damaged = bytearray(whole)
+        damaged[position] ^= 1 << (position % 8)
+        path.write_bytes(damaged)
+        with pytest.raises(ModelError, match=r"constant\.onnx: is damaged"):
+            Estimator(path)
+
+
+def test_a_file_without_a_checksum_is_used_and_the_user_told(constant_model):
+    path = constant_model()
+    path.write_bytes(path.read_bytes().replace(b"file_sha256", b"file_sha255"))
+    with pytest.warns(UserWarning, match=r"constant\.onnx: has no checksum.*`tactile calibrate`"):
+        assert Estimator(path).estimate(IMAGE).cov.shape == (6, 6)
+
+
+def test_a_pipe_as_a_model_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.onnx")
+    with pytest.raises(ModelError, match=r"pipe\.onnx: there is no such model file"):
+        Estimator(tmp_path / "pipe.onnx")
 
 
 def test_metadata_survives_the_way_through_a_model_file(constant_model, model_metadata):

@@ -34,3 +34,18 @@ def test_infinity_is_read_as_python_writes_it():
 def test_what_cannot_be_repaired_is_an_error_with_its_place():
     with pytest.raises(lenient_json.JsonError, match=r"x\.json: malformed JSON at line 2, column 3"):
         lenient_json.loads('{"a": 1,\n  b}', "x.json")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "[" * 100_000 + "1" + "]" * 100_000, '{"a": ' * 50_000])
+def test_nesting_without_an_end_is_an_error(text):
+    with pytest.raises(lenient_json.JsonError, match=r"nested too deeply|not repairable"):
+        lenient_json.loads(text, "x.json")
+
+
+def test_a_text_of_brackets_alone_is_given_up_at_once():
+    with pytest.raises(lenient_json.JsonError, match="not repairable"):
+        lenient_json.loads("]" * 5_000_000, "x.json")
+
+
+def test_a_number_of_5000_digits_is_no_error_of_the_parser():
+    assert lenient_json.loads(f'{{"a": {"9" * 5000}}}', "x.json")[0] == {"a": float("inf")}

@@ -292,11 +292,13 @@ def test_a_network_that_runs_away_is_given_up_and_its_best_epoch_kept(training_d
     assert np.isfinite(RunFolder(tmp_path / "run").result()["validation_loss"])
 
 
-def test_a_network_that_never_was_finite_is_an_error_also_when_it_is_resumed(training_data, tmp_path):
-    config = QUICK.replaced("training", learning_rate_start=1e30, learning_rate_peak=1e30)
+def test_a_network_that_never_was_finite_is_an_error_also_when_it_is_resumed(
+    training_data, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("tactile_perception.training.train.learning_rate", lambda *_: 1e30)
     for _ in range(2):
         with pytest.raises(FloatingPointError, match="never finite: lower the learning rate"):
-            train(training_data, tmp_path / "run", config, limit=16)
+            train(training_data, tmp_path / "run", QUICK, limit=16)
     assert len((tmp_path / "run" / "epochs.csv").read_text().splitlines()) < 4  # given up at once
 
 
@@ -309,15 +311,34 @@ def test_a_run_folder_that_was_damaged_is_named(training_data, tmp_path, name):
         train(training_data, tmp_path / "run", short(), limit=16)
 
 
-def test_an_export_that_was_interrupted_is_made_again(training_data, tmp_path, monkeypatch):
-    import onnx
+class Evil:
+    """Runs code where it is unpickled."""
 
-    def half(model, path):
-        Path(path).write_bytes(model.SerializeToString()[:500])
+    def __reduce__(self):
+        return Path.touch, (Path("unpickled"),)
+
+
+@pytest.mark.parametrize("name", ["state.pt", "best.pt"])
+def test_nothing_in_the_files_of_a_run_is_executed(training_data, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(Killed):
+        train(training_data, tmp_path / "run", short(), limit=16, progress=KilledAfter(0))
+    torch.save({"epochs": Evil()}, tmp_path / "run" / name)
+    with pytest.raises(ValueError, match=rf"{name}: cannot be read"):
+        RunFolder(tmp_path / "run").load_best() if name == "best.pt" else train(
+            training_data, tmp_path / "run", short(), limit=16
+        )
+    assert not (tmp_path / "unpickled").exists()
+
+
+def test_an_export_that_was_interrupted_is_made_again(training_data, tmp_path, monkeypatch):
+    def half(path, data):
+        with path.open("wb") as file:
+            file.write(data[:500])
         raise Killed
 
     with monkeypatch.context() as patched:
-        patched.setattr(onnx, "save_model", half)
+        patched.setattr(Path, "write_bytes", half)
         with pytest.raises(Killed):
             train(training_data, tmp_path / "run", short(), limit=16)
     assert not list((tmp_path / "run").glob("model.onnx*"))

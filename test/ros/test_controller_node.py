@@ -238,6 +238,12 @@ def test_a_second_goal_is_refused_while_one_runs(world):
         ({"task": "object_tracking"}, "this controller was started for it"),
         ({"goal": "{direction_deg: 400.0}"}, "direction_deg = 400.0 deg: must lie in [-360, 360] deg"),
         ({"goal": "{length: -1.0}"}, "length = -1.0"),
+        ({"goal": "{target_radius: .inf}"}, "target_radius = inf m: must lie in [1e-06, 0.05] m"),
+        ({"goal": "{target_radius: .nan}"}, "target_radius: is not a number"),
+        ({"goal": "{target_radius: -1}"}, "target_radius = -1.0 m: must lie in"),
+        ({"goal": "{target: [.inf, 0, 0]}"}, "target[0] = inf m: must lie in [-10, 10] m"),
+        ({"goal": "{target: [0, 0, .nan]}"}, "target[2]: is not a number"),
+        ({"settings": "{servoing: {reference: [0, 0, 3.2, 0, 0, 0]}}"}, "reference[2] = 3.2 m: must lie in"),
         ({"goal": "{lenght: 0.1}"}, "did you mean 'length'"),
         ({"goal": "0.1"}, "must hold names and values"),
         ({"goal": "{length: ["}, "goal: not valid YAML"),
@@ -258,11 +264,26 @@ def test_a_parameter_out_of_range_is_refused_with_its_range_and_the_old_value_st
     assert world.graph.get_parameter("controller", "task.speed") == 0.01
 
 
-def test_gains_of_the_wrong_length_are_refused_and_the_old_ones_stay(world):
-    old = world.graph.get_parameter("controller", "pid.kp")
-    answer = world.graph.set_parameter("controller", "pid.kp", [1.0, 2.0])
-    assert not answer.successful and "6 elements" in answer.reason
-    assert world.graph.get_parameter("controller", "pid.kp") == old
+@pytest.mark.parametrize(
+    ("name", "value", "complaint"),
+    [
+        ("pid.kp", [1.0, 2.0], "6 elements"),
+        ("pid.kp", [0.0, 0.0, math.inf, 0.0, 0.0, 0.0], "kp[2] = inf 1/s: must lie in [0, 100] 1/s"),
+        ("pid.kp", [0.0, 0.0, 1e308, 0.0, 0.0, 0.0], "kp[2] = 1e+308 1/s: must lie in [0, 100] 1/s"),
+        (
+            "servoing.reference",
+            [0.0, 0.0, 3.2, 0.0, 0.0, 0.0],
+            "reference[2] = 3.2 m: must lie in [0, 0.01] m",
+        ),
+    ],
+)
+def test_a_list_with_a_wrong_number_is_refused_by_its_element_and_the_old_one_stays(
+    world, name, value, complaint
+):
+    old = world.graph.get_parameter("controller", name)
+    answer = world.graph.set_parameter("controller", name, value)
+    assert not answer.successful and complaint in answer.reason
+    assert world.graph.get_parameter("controller", name) == old
 
 
 def test_a_parameter_set_in_mid_run_takes_effect(world):
