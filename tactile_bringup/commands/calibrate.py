@@ -21,9 +21,10 @@ def register(subparsers: Any) -> None:
         "samples of today's session (100 at least, better 500), as a session should begin; or on what was "
         "held back of its training data, with the margin and floor of its training for other sessions.",
     )
-    parser.add_argument("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
-    parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
+    add = parser.add_argument
+    add("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
+    add("--data", type=Path, required=True, help="labelled folder of the public layout")
+    add("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
     add_set_option(parser, "change a setting of the calibration, as margin=[1.1,1.1,1.1,1,1,1]")
     parser.set_defaults(run=run_calibrate)
 

@@ -33,29 +33,24 @@ def register(commands: Any) -> None:
     parser = commands.add_parser(
         "collect", help="labelled images with an arm", description=DESCRIPTION, epilog=EXIT_CODES
     )
-    parser.add_argument("out", type=Path, help="data folder")
-    parser.add_argument("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
-    parser.add_argument(
-        "--samples", type=positive_int, default=6000, metavar="N", help="samples in the folder (6000)"
-    )
-    parser.add_argument("--seed", type=natural_int, default=0, help="of the poses (0)")
-    parser.add_argument(
-        "--validation", action="store_true", help="other poses than the training data of the same seed"
-    )
-    parser.add_argument("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
-    parser.add_argument("--surface", metavar="NAME", help="which surface (default: the only plane)")
-    parser.add_argument(
-        "--touch", type=natural_int, default=0, metavar="N",
-        help="find the surface first: 1 touch for its height, 3 and more for its tilt too (0)",
-    )  # fmt: skip
-    parser.add_argument("--images", default="both", help="keep processed images, raw ones, or both (both)")
-    parser.add_argument("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
+    add = parser.add_argument
+    add("out", type=Path, help="data folder")
+    add("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
+    add("--samples", type=positive_int, default=6000, metavar="N", help="samples in the folder (6000)")
+    add("--seed", type=natural_int, default=0, help="of the poses (0)")
+    add("--validation", action="store_true", help="other poses than the training data of the same seed")
+    add("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
+    add("--surface", metavar="NAME", help="which surface (default: the only plane)")
+    add("--touch", type=natural_int, default=0, metavar="N",
+        help="find the surface first: 1 touch for its height, 3 and more for its tilt too (0)")  # fmt: skip
+    add("--images", default="both", help="keep processed images, raw ones, or both (both)")
+    add("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
     add_set_option(parser, "one of them", "SECTION.NAME=VALUE")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="simulated exposures a second")
-    parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
-    parser.add_argument("--record-images", action="store_true", help="with images")
-    parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
-    parser.add_argument("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
+    add("--rate", type=float, metavar="HZ", help="simulated exposures a second")
+    add("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
+    add("--record-images", action="store_true", help="with images")
+    add("--headless", action="store_true", help="plain lines in place of the live display")
+    add("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
     parser.set_defaults(run=run)
 
 

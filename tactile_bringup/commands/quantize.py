@@ -29,16 +29,14 @@ def register(subparsers: Any) -> None:
         description="Write a trained network in 8-bit integers, which takes less than half the time, and "
         "compare both on the validation data (needs onnx, of the extra 'train').",
     )
-    parser.add_argument("model", type=Path, help="run folder of `tactile train`, or an ONNX file")
-    parser.add_argument(
-        "--data", type=Path, required=True,
+    add = parser.add_argument
+    add("model", type=Path, help="run folder of `tactile train`, or an ONNX file")
+    add("--data", type=Path, required=True,
         help="training data, which give the ranges of the activations: a folder, or one with train/ in it",
     )  # fmt: skip
-    parser.add_argument("--val", type=Path, help="data to compare both networks on (default: DATA/val)")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model"
-    )
-    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
+    add("--val", type=Path, help="data to compare both networks on (default: DATA/val)")
+    add("--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model")
+    add("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
     add_set_option(parser, "change one setting")
     parser.set_defaults(run=run_quantize)
 
