@@ -45,24 +45,15 @@ class OfflineOptions:
 
     Attributes
     ----------
-    fidelity : str or None
-        "image" (skin, camera image, network) or "ideal" (noisy truth); None: as the scene says.
-    model : Path or None
-        ONNX model for images; None: that of each sensor in the scene.
-    latency : float
-        From exposure to command emission, s.
-    jitter : float
-        Uniform part added to each latency, s.
-    control_period : float
-        A controller also steps when nothing arrived for this long, s.
-    arm : str or None
-        Only this arm runs; None: all that have a role.
-    goals : tuple of str
-        Names of the goals to run; empty: all.
-    time_limit : float
-        A goal that takes longer than this on the cell's clock is given up, s.
-    sensor : dict
-        Settings of the sensor's model that replace the scene's.
+    fidelity : "image" (skin, camera image, network) or "ideal" (noisy truth); None: as the scene says
+    model : ONNX model for images; None: that of each sensor in the scene
+    latency : from exposure to command emission, s
+    jitter : uniform part added to each latency, s
+    control_period : a controller also steps when nothing arrived for this long, s
+    arm : only this arm runs; None: all that have a role
+    goals : names of the goals to run; empty: all
+    time_limit : a goal that takes longer than this on the cell's clock is given up, s
+    sensor : settings of the sensor's model that replace the scene's
     """
 
     fidelity: str | None = None
@@ -109,8 +100,7 @@ def run_arms_offline(
     ----------
     scene, task
         Loaded, or by name (config/scenes, config/tasks).
-    progress : callable
-        Called with arm, goal and command after each step of a controller.
+    progress : called with arm, goal and command after each step of a controller
 
     Raises
     ------

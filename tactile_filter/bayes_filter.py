@@ -149,12 +149,9 @@ class ContactFilter:
 
         Parameters
         ----------
-        stamp_ns : int
-            Of the exposure.
-        estimate : PoseGaussian or None
-            Estimate of X_sf; None: there is no contact.
-        T_base_sensor : (4, 4) or None
-            As for `step`; not needed without contact.
+        stamp_ns : of the exposure
+        estimate : estimate of X_sf; None: there is no contact
+        T_base_sensor : (4, 4) or None, as for `step`; not needed without contact
 
         Returns
         -------
@@ -180,16 +177,14 @@ class ContactFilter:
 
         Parameters
         ----------
-        stamp_ns : int
-            Exposure of the image that the measurement was made from.
+        stamp_ns : exposure of the image that the measurement was made from
         measurement : PoseGaussian
             Estimate of X_sf. One that is not finite or has no positive definite covariance is refused; the
             step then only predicts.
         T_base_sensor : (4, 4)
             The sensor's pose in a frame in which the surface stands still, at that stamp. A measurement
             whose pose is none is refused, and the belief stays what it is.
-        source, sequence : str, int
-            Order of measurements of the same stamp (of which the first is fused).
+        source, sequence : order of measurements of the same stamp (of which the first is fused)
 
         Returns
         -------

@@ -61,11 +61,9 @@ class FusionResult(NamedTuple):
     mean : (4, 4) pose
     cov : (6, 6) left covariance, equal to ``factor @ factor.T`` and thus symmetric and never indefinite
     factor : (6, 6) lower triangular
-    iterations : int
-        Steps taken.
+    iterations : steps taken
     status : FusionStatus
-    step : float
-        Length of the last step in posterior standard deviations: how far from converged it is.
+    step : length of the last step in posterior standard deviations: how far from converged it is
     """
 
     mean: Array
@@ -96,10 +94,8 @@ def fuse(
         "paper": 5 iterations with the inverse Jacobian of order 2, and the covariance as it was before the
         last update, as published. "fast": 3 iterations with the exact Jacobian. "exact": to convergence with
         the exact Jacobian and a line search, the covariance at the answer.
-    iterations : int, optional
-        Another number of iterations than the mode's; in mode "exact" the most it may take.
-    jacobian_order : {2, 4, "exact"}, optional
-        Another order than the mode's.
+    iterations : another number of iterations than the mode's; in mode "exact" the most it may take
+    jacobian_order : {2, 4, "exact"}, another order than the mode's
 
     Returns
     -------

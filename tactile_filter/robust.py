@@ -41,15 +41,12 @@ class Spectrum:
     Parameters
     ----------
     measurement : PoseGaussian
-    mean, cov : (4, 4) and (6, 6)
-        The prediction.
+    mean, cov : (4, 4) and (6, 6), the prediction
 
     Attributes
     ----------
-    squares : list of 6
-        z^2 along the generalized eigenvectors; floats, since NumPy takes longer for so few.
-    ratio : list of 6
-        The prediction's variances along these, lambda.
+    squares : z^2 along the generalized eigenvectors; floats, since NumPy takes longer for so few
+    ratio : the prediction's variances along these, lambda
 
     Raises
     ------

@@ -131,10 +131,7 @@ def interpolate(T0: ArrayLike, T1: ArrayLike, s: float) -> Array:
 def orthonormalized(T: ArrayLike) -> Array:
     """The pose (4, 4) with its rotation replaced by the nearest one (to rounding).
 
-    Raises
-    ------
-    ValueError
-        If the upper left block is further than `ROTATION_TOLERANCE` from a rotation.
+    Raises `ValueError` if the upper left block is further than `ROTATION_TOLERANCE` from a rotation.
     """
     return _fusion.orthonormalized(T)
 

@@ -50,8 +50,7 @@ class TransformBuffer:
 
     Parameters
     ----------
-    history_ns : int
-        How far back from its newest transform a link's history reaches (ns).
+    history_ns : how far back from its newest transform a link's history reaches (ns)
     jump_ns : int
         A transform older than the newest of its link by more than this means that time jumped back (a bag
         that starts again, a simulation that was reset): everything but the static transforms is forgotten.
@@ -79,15 +78,12 @@ class TransformBuffer:
     ) -> int:
         """Add a transform (4, 4); its rotation may be off orthonormal by `se3.ROTATION_TOLERANCE`.
 
+        Raises `ValueError` if the matrix is no pose, a name is empty, or the link would close a loop.
+
         Returns
         -------
         int
             By how much (ns) time had jumped back, as the stamp showed; the history was then cleared. Else 0.
-
-        Raises
-        ------
-        ValueError
-            If the matrix is no pose, a name is empty, or the link would close a loop.
         """
         T = self._checked(parent, child, T_parent_child)
         link = self._links.get(child)
@@ -108,9 +104,7 @@ class TransformBuffer:
         """T_target_source (4, 4) at a stamp, interpolated along screw motions between the stamps of each
         link.
 
-        Raises
-        ------
-        TransformDisconnected, TransformInFuture, TransformInPast
+        Raises `TransformDisconnected`, `TransformInFuture` or `TransformInPast`.
         """
         up, down = self._chains(target, source)
         T_common_source = self._compose(down, stamp_ns)
@@ -134,9 +128,7 @@ class TransformBuffer:
     def latest_stamp(self, target: str, source: str) -> int | None:
         """The newest stamp (ns) at which every moving link between the frames is known; None if none moves.
 
-        Raises
-        ------
-        TransformDisconnected
+        Raises `TransformDisconnected`.
         """
         up, down = self._chains(target, source)
         moving = [self._links[child] for child in (*up, *down) if not self._links[child].static]

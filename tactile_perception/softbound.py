@@ -14,6 +14,8 @@ def softbound(x: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> NDArray[np.fl
     "A numerically stable implementation of the softbound function") subtracts x from a sum of its size and
     so loses its bounds for large |x|; here nothing larger than the bounds is ever formed.
 
+    Raises `ValueError` if a bound is not finite or lower > upper.
+
     Parameters
     ----------
     x : array_like
@@ -24,11 +26,6 @@ def softbound(x: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> NDArray[np.fl
     Returns
     -------
     ndarray, float64, of the broadcast shape.
-
-    Raises
-    ------
-    ValueError
-        If a bound is not finite or lower > upper.
     """
     x, lower, upper = (np.asarray(value, dtype=np.float64) for value in (x, lower, upper))
     if not (np.all(np.isfinite(lower)) and np.all(np.isfinite(upper)) and np.all(lower <= upper)):

@@ -102,10 +102,7 @@ def _contents(folder: Path) -> list[str]:
 def make_plan(arguments: argparse.Namespace) -> Plan:
     """Check everything that can be checked before a node is started.
 
-    Raises
-    ------
-    SettingError, ValueError, OSError
-        With what is wrong and what would be right.
+    Raises `SettingError`, `ValueError` or `OSError` with what is wrong and what would be right.
     """
     from tactile_base.whole_file import check_folder
     from tactile_bringup.commands.launch import graph_options

@@ -46,10 +46,8 @@ class SplitGaussian:
     Attributes
     ----------
     mean : (4, 4) pose
-    independent : (6, 6)
-        Of errors that no other Gaussian shares.
-    correlated : (6, 6)
-        Of errors that others may share, with a correlation that is not known.
+    independent : (6, 6) of errors that no other Gaussian shares
+    correlated : (6, 6) of errors that others may share, with a correlation that is not known
     """
 
     mean: Array
@@ -77,8 +75,7 @@ class Contact:
 
     Attributes
     ----------
-    belief : PoseGaussian
-        X_sf.
+    belief : X_sf
     T_world_sensor : (4, 4)
     T_object_feature : PoseGaussian
         Where on the object the contact is. A known place has covariance zero.
@@ -111,12 +108,9 @@ class ObjectBelief:
 
     Attributes
     ----------
-    pose : SplitGaussian or None
-        None if there was no contact.
-    used : tuple of str
-        The contacts that went into it.
-    refused : dict
-        Contacts that disagreed, by name, with their NIS against the others.
+    pose : None if there was no contact
+    used : the contacts that went into it
+    refused : contacts that disagreed, by name, with their NIS against the others
     """
 
     pose: SplitGaussian | None
@@ -129,10 +123,7 @@ def object_belief(contacts: Mapping[str, Contact], settings: ObjectSettings | No
 
     Two contacts that disagree do not show which is right: the less certain one is refused, and named.
 
-    Raises
-    ------
-    FusionError
-        If a contact is no Gaussian.
+    Raises `FusionError` if a contact is no Gaussian.
     """
     settings = ObjectSettings() if settings is None else settings
     known = {name: object_from_contact(c, settings.correlated_share) for name, c in contacts.items()}

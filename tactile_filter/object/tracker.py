@@ -70,16 +70,11 @@ class TrackedObject:
     Attributes
     ----------
     stamp_ns : int
-    belief : ObjectBelief
-        Its pose is None where it follows from no contact; `reason` says why.
-    stale : dict
-        Contacts left out because of their belief's age, by name, in s.
-    sliding : dict
-        Contacts left out because they may slide, by name, with their shear over their depth.
-    unplaced : tuple of str
-        Contacts left out because their place on the object was not known at this stamp.
-    reason : str
-        Why there is no pose; empty where there is one.
+    belief : its pose is None where it follows from no contact; `reason` says why
+    stale : contacts left out because of their belief's age, by name, in s
+    sliding : contacts left out because they may slide, by name, with their shear over their depth
+    unplaced : contacts left out because their place on the object was not known at this stamp
+    reason : why there is no pose; empty where there is one
     """
 
     stamp_ns: int
@@ -122,8 +117,7 @@ class ObjectTracker:
 
     Parameters
     ----------
-    names : sequence of str
-        Of the sensors.
+    names : of the sensors
     places : mapping, optional
         Where on the object the contacts of some of them are, T_object_feature; those of the others are found
         by touch.
@@ -133,8 +127,7 @@ class ObjectTracker:
     refused : Counter
         Updates that could not be used since the last reset, by reason: "not usable", "sensor pose",
         "out of order".
-    resets : Counter
-        By reason, since construction.
+    resets : by reason, since construction
     """
 
     def __init__(
@@ -182,8 +175,7 @@ class ObjectTracker:
 
         Parameters
         ----------
-        updates : mapping
-            By sensor; None: it has no contact.
+        updates : by sensor; None: it has no contact
         """
         for name in sorted(updates):
             self._check_name(name)
@@ -356,10 +348,8 @@ def may_slide(belief: PoseGaussian, limit: float, slides: bool) -> bool:
 
     Parameters
     ----------
-    limit : float
-        0: no contact slides.
-    slides : bool
-        Whether it did so far; then it sticks again only when its shear is clearly below the limit.
+    limit : 0: no contact slides
+    slides : whether it did so far; then it sticks again only when its shear is clearly below the limit
     """
     if limit == 0.0:
         return False

@@ -114,18 +114,14 @@ class TactileDataset:
 def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None = None) -> TactileFolder:
     """Read a folder's labels and settings, match rows with images, and report what does not match.
 
+    Raises `DatasetError` if the folder, its table or its images are not there, or no row is usable.
+
     Parameters
     ----------
-    folder : path
-        Holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw).
+    folder : holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw)
     preprocessing : PreprocessingSettings, optional
         Overrides what `processed_image_params.json` says, as with those of a model; where they differ, the
         report says in what. Processed images may have any one size.
-
-    Raises
-    ------
-    DatasetError
-        If the folder, its table or its images are not there, or no row is usable.
     """
     folder = Path(folder)
     report = DatasetReport(folder)
@@ -173,14 +169,10 @@ def read_dataset(
 
     Parameters
     ----------
-    preprocessing : PreprocessingSettings, optional
-        If not those that the folder states.
-    changes : mapping, optional
-        Settings of the pre-processing that are to be others, as the size.
-    limit : int, optional
-        Take this many samples, spread evenly over the rows (published tables are sorted by depth).
-    progress : callable, optional
-        Called with (done, total).
+    preprocessing : if not those that the folder states
+    changes : settings of the pre-processing that are to be others, as the size
+    limit : take this many samples, spread evenly over the rows (published tables are sorted by depth)
+    progress : called with (done, total)
     """
     source = open_folder(folder, preprocessing)
     source.preprocessing = source.preprocessing.replaced(**(changes or {}))

@@ -63,10 +63,7 @@ class ConventionSettings(Settings):
 def read_conventions(folder: Path, report: DatasetReport) -> ConventionSettings:
     """What `conventions.json` says, the paper's conventions where there is none.
 
-    Raises
-    ------
-    DatasetError
-        If the file is there and cannot be used: labels would be wrong without it.
+    Raises `DatasetError` if the file is there and cannot be used: labels would be wrong without it.
     """
     path = folder / CONVENTIONS_NAME
     if not path.exists():
@@ -92,10 +89,7 @@ Row = tuple[str, NDArray[np.float64]]
 def read_table(path: Path, conventions: ConventionSettings, report: DatasetReport) -> list[Row]:
     """(image name, Euler pose in mm and degrees) of each row with usable labels; the rest is reported.
 
-    Raises
-    ------
-    DatasetError
-        If the columns of image and pose are not there.
+    Raises `DatasetError` if the columns of image and pose are not there.
     """
     rows: list[Row] = []
     parts: list[NDArray[np.float64]] = []

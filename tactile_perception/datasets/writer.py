@@ -37,14 +37,10 @@ class DatasetWriter:
 
     Parameters
     ----------
-    folder : path
-        Is made if it is not there; one process at a time may write to it.
-    preprocessing : PreprocessingSettings
-        Crops and thresholds camera images, and is kept with them.
-    images : str
-        Which images to keep: processed (`processed_images/`), raw (camera images in `images/`), or both.
-    extra : sequence of str
-        Further columns of the table, whose values `add` takes; readers of the layout ignore them.
+    folder : is made if it is not there; one process at a time may write to it
+    preprocessing : crops and thresholds camera images, and is kept with them
+    images : which images to keep: processed (`processed_images/`), raw (camera images in `images/`), or both
+    extra : further columns of the table, whose values `add` takes; readers of the layout ignore them
     durable : bool
         Whether each sample is on the disk itself, not only in the system's memory, before `add` returns: it
         then survives a loss of power too.

@@ -25,12 +25,9 @@ class Percept:
     ----------
     in_contact : bool or None
         None while the reference of the contact presence is being captured, and where presence is not asked.
-    score : float
-        Of the contact presence; NaN where `in_contact` is None.
-    estimate : PoseGaussian or None
-        Gaussian over X_sf (SI, left perturbation); None without contact, and where the network failed.
-    fault : str
-        Why there is no estimate although one was due; else empty.
+    score : of the contact presence; NaN where `in_contact` is None
+    estimate : Gaussian over X_sf (SI, left perturbation); None without contact, and where the network failed
+    fault : why there is no estimate although one was due; else empty
     """
 
     in_contact: bool | None
@@ -55,10 +52,7 @@ class Perceiver:
     def __call__(self, image: Image, processed: bool = False) -> Percept:
         """The percept of one camera image, or of one that is already cropped and thresholded.
 
-        Raises
-        ------
-        ImageError
-            If the image has the wrong size or type.
+        Raises `ImageError` if the image has the wrong size or type.
         """
         if self.presence is None:
             make = self.estimator.estimate_processed if processed else self.estimator.estimate

@@ -96,10 +96,8 @@ def load_data(
 
     Of training data only what was held back is taken.
 
-    Raises
-    ------
-    DatasetError
-        If the folder has no labels, no images, or nothing usable, or a model was trained on all of it.
+    Raises `DatasetError` if the folder has no labels, no images, or nothing usable, or a model was trained on
+    all of it.
     """
     folder = Path(folder)
     _check_folder(folder)
@@ -137,10 +135,7 @@ def _rows_to_use(
 ) -> tuple[NDArray[np.int64], list[str]]:
     """Rows that no model was trained on, and what a reader of the results should know about them.
 
-    Raises
-    ------
-    DatasetError
-        If there are none: results on them would be flattered.
+    Raises `DatasetError` if there are none: results on them would be flattered.
     """
     rows, notes = np.arange(len(data)), []
     for model in models:
@@ -171,10 +166,8 @@ def evaluate(
 
     Parameters
     ----------
-    ensemble : bool
-        Also evaluate the moment-matched mixture of all models with, and of all without uncertainty.
-    calibration_data : EvaluationData, optional
-        Calibrate on these instead of using the calibration in the model files.
+    ensemble : also evaluate the moment-matched mixture of all models with, and of all without uncertainty
+    calibration_data : calibrate on these instead of using the calibration in the model files
     """
     if calibration_data is not None and calibration_data.sha256 == data.sha256:
         data.notes.append("calibrated on the data evaluated, each half on the other: as of the same session")

@@ -151,10 +151,8 @@ def run_filter(
     Parameters
     ----------
     measurements : Gaussians over X_sf of all samples of the data set, in the data set's order
-    sigma_phi : float
-        Noise of the motion that the filter assumes, in mm and degrees.
-    settings : FilterSettings, optional
-        Everything else; default: the paper's, without a gate.
+    sigma_phi : noise of the motion that the filter assumes, in mm and degrees
+    settings : everything else; default: the paper's, without a gate
     """
     contact_filter = motion_filter(sigma_phi, settings)
     means, covs, nis = [], [], []

@@ -65,10 +65,7 @@ class Model:
     ) -> Predictions:
         """Predictions for pre-processed images, uint8 (N, size, size), as the network gives them.
 
-        Raises
-        ------
-        ModelError
-            If an answer is not finite, or has no positive definite covariance.
+        Raises `ModelError` if an answer is not finite, or has no positive definite covariance.
         """
         mean, cov = predict_all(self.estimator, images, progress)
         self._check(mean, "mu")
@@ -103,15 +100,11 @@ def predict_all(
 def open_models(runs: Sequence[Path | str], threads: int = 0) -> list[Model]:
     """Models of run folders (of `tactile train`), of folders of such folders, or of ONNX files.
 
+    `ModelError` names the file or folder, what is wrong and what would be right.
+
     Parameters
     ----------
-    threads : int
-        CPU threads of an inference; 0: as many as there are cores.
-
-    Raises
-    ------
-    ModelError
-        Naming the file or folder, what is wrong and what would be right.
+    threads : CPU threads of an inference; 0: as many as there are cores
     """
     paths = [path for run in runs for path in _model_paths(Path(run))]
     opened = [Estimator(path, threads or os.cpu_count() or 1) for path in paths]

@@ -65,12 +65,9 @@ class DetectedMarkers:
 
     Attributes
     ----------
-    centers : (n, 2) px
-        Column and row, sub-pixel; the middle of the first pixel is (0, 0).
-    areas : (n,) px^2
-        Of the markers' blobs; of a merged blob the equal parts.
-    merged : (n,) bool
-        Whether the marker was split off a blob of several, so that its place is less certain.
+    centers : (n, 2) px, column and row, sub-pixel; the middle of the first pixel is (0, 0)
+    areas : (n,) px^2, of the markers' blobs; of a merged blob the equal parts
+    merged : (n,) bool, whether the marker was split off a blob of several, so that its place is less certain
     """
 
     centers: Array
@@ -81,13 +78,7 @@ class DetectedMarkers:
         return len(self.centers)
 
     def spacing(self) -> float:
-        """Mean distance of a marker to the one next to it, px.
-
-        Raises
-        ------
-        ImageError
-            With fewer than two markers.
-        """
+        """Mean distance of a marker to the one next to it, px; `ImageError` with fewer than two markers."""
         if len(self) < 2:
             raise ImageError(
                 f"{len(self)} markers found: at least two are needed for the distance between them"
@@ -104,8 +95,7 @@ class DensityChange:
     ----------
     values : (rows, columns)
         Markers per squared spacing, less those of the reference: negative where markers have parted.
-    columns, rows : (columns,), (rows,) px
-        Where in the image the grid's values stand.
+    columns, rows : (columns,), (rows,) px, where in the image the grid's values stand
     spacing : float, px
         Kernel width (standard deviation): mean distance between adjacent markers of the reference.
     """
@@ -121,15 +111,12 @@ def detect(image: Image, settings: DetectionSettings | None = None) -> DetectedM
 
     Of a camera image the centers are weighted by brightness; of a binary image they are the blobs' centroids.
 
+    Raises `ImageError` if the image is not a gray image of 8 bits.
+
     Parameters
     ----------
     image : uint8 (rows, columns)
         Bright markers on a dark ground. With no other values than 0 and 255 it is taken as pre-processed.
-
-    Raises
-    ------
-    ImageError
-        If the image is not a gray image of 8 bits.
     """
     settings = settings or DetectionSettings()
     gray = _checked(image)
@@ -172,19 +159,14 @@ def density_change(
 ) -> DensityChange:
     """Marker density against that of the state without contact, as in the paper's figure.
 
+    Raises `ImageError` if the reference holds fewer than two markers.
+
     Parameters
     ----------
     markers, reference
         Of the image, and of one without contact; both of the same crop.
-    shape : (rows, columns) px
-        Of the images.
-    step : int, px
-        Of the grid on which the density is computed.
-
-    Raises
-    ------
-    ImageError
-        If the reference holds fewer than two markers.
+    shape : (rows, columns) px, of the images
+    step : px, of the grid on which the density is computed
     """
     spacing = reference.spacing()
     rows, columns = (np.arange((step - 1) / 2, size, step) for size in shape)

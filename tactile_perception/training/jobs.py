@@ -98,10 +98,7 @@ def run_cluster(jobs: list[Job], scheduler: str, report: Callable[[Job, str], No
 
     Data and project have to be at the same paths on every machine.
 
-    Raises
-    ------
-    JobError
-        If Dask is not installed or the scheduler does not answer.
+    Raises `JobError` if Dask is not installed or the scheduler does not answer.
     """
     try:
         from distributed import Client, as_completed

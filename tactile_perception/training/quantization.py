@@ -59,14 +59,11 @@ def quantize(
 ) -> Path:
     """Write the model at `model_path` in 8-bit integers to `out_path`.
 
+    `QuantizationError` says which file or images, what is wrong, and what would be right.
+
     Parameters
     ----------
     images : (N, size, size) prepared images (`Preprocessor.resized`), such as the network was trained on.
-
-    Raises
-    ------
-    QuantizationError
-        Saying which file or images, what is wrong, and what would be right.
     """
     settings = settings or QuantizationSettings()
     model = _load(Path(model_path))

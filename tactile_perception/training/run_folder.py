@@ -83,10 +83,7 @@ class RunFolder:
 
         `data` are the facts that have to agree, `report` what else was found in the data folders.
 
-        Raises
-        ------
-        FileExistsError
-            If it holds a finished run, or one that was started differently.
+        Raises `FileExistsError` if it holds a finished run, or one that was started differently.
         """
         self.check_free()
         self.path.mkdir(parents=True, exist_ok=True)

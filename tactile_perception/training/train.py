@@ -46,15 +46,12 @@ def train(
 
     Parameters
     ----------
-    data_dir : path
-        Training data, or a folder that holds `train/` and `val/`.
+    data_dir : training data, or a folder that holds `train/` and `val/`
     out_dir : path
         Gets `config.yaml`, `data.txt` (what was found in the folders) and `data.json` (their hashes),
         `epochs.csv`, `curves.png`, `best.pt`, `model.onnx` and, at the very end, `result.json`.
-    validation_dir : path, optional
-        Validation data; required unless `data_dir` holds `val/`.
-    limit : int, optional
-        Use this many training samples only.
+    validation_dir : validation data; required unless `data_dir` holds `val/`
+    limit : use this many training samples only
 
     Returns
     -------

@@ -67,10 +67,7 @@ class SampleStore:
     def surface(self) -> Array | None:
         """The contact frame (4, 4) that touches have found before, if they have.
 
-        Raises
-        ------
-        DatasetError
-            If the file that holds it cannot be read.
+        Raises `DatasetError` if the file that holds it cannot be read.
         """
         path = self.folder / SURFACE_NAME
         if not path.exists():

@@ -32,10 +32,8 @@ def read_run(folder: Path, arm: str | None = None) -> RunRecord:
 
     Parameters
     ----------
-    folder : Path
-        The bag.
-    arm : str, optional
-        Name of the arm; by default the only one with a belief in the bag.
+    folder : the bag
+    arm : name of the arm; by default the only one with a belief in the bag
 
     Returns
     -------

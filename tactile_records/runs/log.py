@@ -25,8 +25,7 @@ class RunLog:
 
     Parameters
     ----------
-    record : RunRecord
-        With what is known beforehand; `finish` fills in the rest.
+    record : with what is known beforehand; `finish` fills in the rest
     """
 
     def __init__(self, record: RunRecord) -> None:

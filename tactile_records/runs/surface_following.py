@@ -53,10 +53,8 @@ class _Track:
 
     Attributes
     ----------
-    distance : ndarray (N,)
-        Arc length at each pose, m.
-    depth, angle : ndarray (M,)
-        True depth (m) and angle to the normal (rad), at `truth_distance` (M,).
+    distance : ndarray (N,) arc length at each pose, m
+    depth, angle : ndarray (M,) true depth (m) and angle to the normal (rad), at `truth_distance` (M,)
     """
 
     name: str
