@@ -58,7 +58,7 @@ def innovation(mean_1: ArrayLike, cov_1: ArrayLike, mean_2: ArrayLike, cov_2: Ar
     J(nu) nu = nu, no Jacobian is needed: nu^T S^-1 nu = nu^T M^-1 nu with
     M = cov_1 + Ad(D) cov_2 Ad(D)^T, D = X_1 X_2^-1. M = L L^T whitens: L^-1 nu.
 
-    Raises `ValueError` if an argument has the wrong shape or is not finite, or a mean is no homogeneous matrix.
+    Raises `ValueError` if an argument has the wrong shape or is not finite, or a mean is no pose matrix.
     """
     return Innovation(*_fusion.innovation(mean_1, cov_1, mean_2, cov_2))
 

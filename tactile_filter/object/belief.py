@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 
-from tactile_base.settings import Settings, setting
 from tactile_filter import se3
 from tactile_filter.filter_settings import gate_threshold
 from tactile_filter.fusion import FusionError, fuse
@@ -87,22 +86,6 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class ObjectSettings(Settings):
-    """How contacts are fused into a belief over the object."""
-
-    correlated_share: float = setting(
-        0.0, lower=0.0, upper=1.0,
-        doc="share of each contact belief's covariance that others may have in common: 0 where the contacts "
-        "err independently, 1 where nothing is known of it",
-    )  # fmt: skip
-    gate_probability: float = setting(
-        0.999999, lower=0.5, upper=1.0,
-        doc="a contact is refused if it disagrees with those before it by more than this quantile of "
-        "chi-square; 1 refuses none",
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class ObjectBelief:
     """The object's pose T_wo.
 
@@ -118,20 +101,13 @@ class ObjectBelief:
     refused: dict[str, float]
 
 
-def object_belief(contacts: Mapping[str, Contact], settings: ObjectSettings | None = None) -> ObjectBelief:
-    """Fuse all contacts, the most certain first.
+def fuse_contacts(known: Mapping[str, SplitGaussian], gate_probability: float = 1.0) -> ObjectBelief:
+    """Fuse what each contact knows of the object's pose T_wo, the most certain first.
 
     Two contacts that disagree do not show which is right: the less certain one is refused, and named.
 
     Raises `FusionError` if a contact is no Gaussian.
     """
-    settings = ObjectSettings() if settings is None else settings
-    known = {name: object_from_contact(c, settings.correlated_share) for name, c in contacts.items()}
-    return fuse_contacts(known, settings.gate_probability)
-
-
-def fuse_contacts(known: Mapping[str, SplitGaussian], gate_probability: float = 1.0) -> ObjectBelief:
-    """The same, of what each contact knows of the object's pose T_wo."""
     gate = gate_threshold(gate_probability)
     order = sorted(known, key=lambda name: (_log_determinant(known[name].cov), name))
     pose: SplitGaussian | None = None

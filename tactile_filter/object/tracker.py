@@ -1,6 +1,6 @@
 """Follows one object by the contacts of several sensors, from stamp to stamp.
 
-`object_belief` fuses what contacts know at one stamp. Here is what has to be known between stamps: which
+`fuse_contacts` fuses what contacts know at one stamp. Here is what has to be known between stamps: which
 contacts there are, how old their beliefs are, and where on the object each of them is. A contact's place is
 given, or found by touch: by the object's belief at the moment when the contact began, or, where no place is
 given and no other contact holds the object, by definition: then the object's frame is this contact's feature

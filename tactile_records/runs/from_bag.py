@@ -27,31 +27,18 @@ STAGES = ("camera", "estimator", "filter", "controller", "arm")
 GATED, PREDICTED_ONLY, INVALID = 4, 2, 32  # flags of tactile_msgs/ContactState
 
 
-def read_run(folder: Path, arm: str | None = None) -> RunRecord:
-    """Read one arm's run.
+def read_arms(folder: Path) -> dict[str, RunRecord]:
+    """The runs of all arms in a bag, by name.
 
-    Parameters
-    ----------
-    folder : the bag
-    arm : name of the arm; by default the only one with a belief in the bag
-
-    Returns
-    -------
-    RunRecord
-        `result` also holds "bag_complete" and, for a bag that ends early or is damaged, "bag_problem".
+    `result` of each also holds "bag_complete" and, for a bag that ends early or is damaged, "bag_problem".
 
     Raises
     ------
     BagError
         There is no bag, or nothing in it can be read.
     ValueError
-        The bag has no such arm, or several and none was named.
+        No arm of the bag has a controller.
     """
-    return run_from_bag(read_bag(folder), arm)
-
-
-def read_arms(folder: Path) -> dict[str, RunRecord]:
-    """The runs of all arms in a bag, by name. Raises `BagError` and `ValueError` as `read_run` does."""
     bag = read_bag(folder)
     arms = arms_of(bag)
     if not arms:
@@ -59,9 +46,8 @@ def read_arms(folder: Path) -> dict[str, RunRecord]:
     return {arm: run_from_bag(bag, arm) for arm in arms}
 
 
-def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
-    """The same from a bag that was read before."""
-    arm = _arm_of(bag, arm)
+def run_from_bag(bag: Bag, arm: str) -> RunRecord:
+    """The run of one arm, from a bag that was read before."""
     rows = _Rows(bag, arm)
     role = json.loads(bag.note.get("roles", "{}")).get(arm, {})
     task = role.get("task", "surface_following")
@@ -240,15 +226,3 @@ def arms_of(bag: Bag) -> list[str]:
         return sorted(roles)
     suffix = "/controller/status"
     return sorted({topic[1 : -len(suffix)] for topic in bag.topics if topic.endswith(suffix)})
-
-
-def _arm_of(bag: Bag, arm: str | None) -> str:
-    arms = arms_of(bag)
-    if arm is None and len(arms) == 1:
-        return arms[0]
-    if arm is None or arm not in arms:
-        wanted = "name one" if arm is None else f"no arm '{arm}'"
-        raise ValueError(
-            f"{bag.folder}: {wanted}; arms with a controller in this bag: {', '.join(arms) or 'none'}"
-        )
-    return arm
