@@ -26,13 +26,7 @@ from tactile_filter.history import Entry, History, Key
 from tactile_filter.propagation import Innovation, innovation, predict, usable_pose
 from tactile_filter.robust import Spectrum, huber_inflation, student_t_inflation
 
-__all__ = [
-    "Belief",
-    "BeliefFlag",
-    "ContactFilter",
-    "FilterSettings",
-    "gate_threshold",
-]
+__all__ = ["Belief", "BeliefFlag", "ContactFilter", "FilterSettings", "gate_threshold"]
 
 Array = NDArray[np.float64]
 
@@ -347,12 +341,7 @@ class ContactFilter:
         return self._invalid(stamp_ns, text)
 
     def _refuse_predicted(
-        self,
-        reason: str,
-        text: str,
-        predicted: _State,
-        flags: BeliefFlag,
-        surprise: Innovation | None = None,
+        self, reason: str, text: str, predicted: _State, flags: BeliefFlag, surprise: Innovation | None = None
     ) -> Belief:
         """Count the measurement as refused and believe what was predicted."""
         self._count_refused(reason)

@@ -130,9 +130,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         "frame": se3.euler_from_pose(frame_on(scene, surface, arm)).tolist(),
     }
     goal = CollectionGoal(
-        samples=arguments.samples,
-        seed=arguments.seed,
-        first=VALIDATION_START if arguments.validation else 0,
+        samples=arguments.samples, seed=arguments.seed, first=VALIDATION_START if arguments.validation else 0
     )
     what: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
     what |= {name: collector[name] for name in ("images", "frame")}
@@ -191,11 +189,7 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_control.collection import (
-        CollectionMotionSettings,
-        CollectionWatchdogSettings,
-        TouchSettings,
-    )
+    from tactile_control.collection import CollectionMotionSettings, CollectionWatchdogSettings, TouchSettings
     from tactile_control.limiter import LimiterSettings
     from tactile_drivers.sampling import SamplingSettings
     from tactile_perception.estimating.preprocessing import PreprocessingSettings

@@ -13,8 +13,9 @@ from rich.console import Console
 from tactile_base.console import number_table, say
 from tactile_base.whole_file import check_file, write_csv
 from tactile_bringup.commands.changes import add_set_option, positive_int, refusing
-from tactile_bringup.commands.quantize import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
+from tactile_bringup.commands.quantize import install, quantize_run
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS, errors_in_words
+from tactile_perception.estimating.model_metadata import MODEL_NAME, QUANTIZED_NAME
 from tactile_perception.training.config import profile
 
 

@@ -28,6 +28,7 @@ from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.image import (
     Image,
     ImageError,
+    check_image,
     common_shape,
     list_images,
     read_image,
@@ -66,12 +67,8 @@ class TactileFolder:
     def image(self, index: int) -> Image:
         """Image `index` as stored, gray; `ImageError` if it cannot be read or has the wrong size."""
         path = self.image_folder / self.names[index]
-        image = read_image(path)
         expected = self.preprocessing.crop_shape if self.processed else self.preprocessing.raw_shape
-        if image.shape != expected:
-            found, right = f"{image.shape[1]}x{image.shape[0]}", f"{expected[1]}x{expected[0]}"
-            raise ImageError(f"{path}: is {found}, must be {right}")
-        return image
+        return check_image(read_image(path), expected, str(path))
 
     def reference(self) -> Image | None:
         """The image without contact, which tools keep as number 0; None where there is no usable one."""

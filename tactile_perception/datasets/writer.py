@@ -111,10 +111,7 @@ class DatasetWriter:
             _write_png(path, image, self._durable)
 
     def add_row(
-        self,
-        number: int,
-        euler_mm_deg: Iterable[float],
-        extra: Mapping[str, float | int] | None = None,
+        self, number: int, euler_mm_deg: Iterable[float], extra: Mapping[str, float | int] | None = None
     ) -> None:
         """Store the label of an image that is already written."""
         x, y, z, alpha, beta, gamma = (repr(float(value)) for value in euler_mm_deg)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ MEAN, INVERSE_SIGMA, COVARIANCE = "mu", "inverse_sigma", "covariance"
 #: Shapes after the batch axis. A model has `mu` and one of the other two.
 OUTPUT_SHAPES = {MEAN: (6,), INVERSE_SIGMA: (6,), COVARIANCE: (6, 6)}
 #: Models in a run folder, the one to take first.
-RUN_MODELS = ("model_int8.onnx", "model.onnx")
+RUN_MODELS = QUANTIZED_NAME, MODEL_NAME = "model_int8.onnx", "model.onnx"
 FRAMES = (
     "xi = [rho, phi] = ln(X_sf): the surface feature frame {f} in the sensor frame {s}. {s}: origin at the "
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
@@ -101,6 +102,11 @@ class ModelMetadata:
 
 
 _JSON_NAMES = tuple(item.name for item in dataclasses.fields(ModelMetadata) if item.name != "calibration")
+
+
+def trained_model(run: Path) -> Path:
+    """The model of a run folder as it was trained; a model file stands for itself."""
+    return run / MODEL_NAME if run.is_dir() else run
 
 
 def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

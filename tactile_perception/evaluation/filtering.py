@@ -45,10 +45,7 @@ def motion_filter(sigma: float, settings: FilterSettings | None = None) -> Conta
     `settings` give the rest; without them nothing is gated, as in the paper.
     """
     settings = settings or FilterSettings(gate_probability=1.0)
-    noise = {
-        "process_noise_translation": sigma * 1e-3,
-        "process_noise_rotation": float(np.radians(sigma)),
-    }
+    noise = {"process_noise_translation": sigma * 1e-3, "process_noise_rotation": float(np.radians(sigma))}
     return ContactFilter(settings.replaced(**noise))
 
 

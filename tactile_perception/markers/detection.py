@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.image import Image, ImageError, check_image
 
 Array = NDArray[np.float64]
 _LARGEST_SHARE = 0.02  # of the image, from which a blob is no marker
@@ -119,7 +119,7 @@ def detect(image: Image, settings: DetectionSettings | None = None) -> DetectedM
         Bright markers on a dark ground. With no other values than 0 and 255 it is taken as pre-processed.
     """
     settings = settings or DetectionSettings()
-    gray = _checked(image)
+    gray = np.ascontiguousarray(check_image(image, None, "image with markers"))
     smooth = np.asarray(cv2.medianBlur(gray, settings.median) if settings.median else gray, np.uint8)
     white, weight = (smooth, None) if is_binary(gray) else _bright(smooth, settings)
     found = cv2.connectedComponentsWithStats(white, connectivity=4, ltype=cv2.CV_32S)
@@ -174,17 +174,6 @@ def density_change(
         reference.centers, columns, rows, spacing
     )
     return DensityChange(values * spacing**2, columns, rows, spacing)
-
-
-def _checked(image: Image) -> Image:
-    if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
-        kind = f"of {image.dtype}" if isinstance(image, np.ndarray) else f"a {type(image).__name__}"
-        raise ImageError(f"markers are sought in 8-bit images (uint8), this is {kind}")
-    if image.ndim == 3 and image.shape[2] == 1:
-        image = image[:, :, 0]
-    if image.ndim != 2:
-        raise ImageError(f"markers are sought in gray images (mono8), this has the shape {image.shape}")
-    return np.ascontiguousarray(image)
 
 
 def _bright(smooth: Image, settings: DetectionSettings) -> tuple[Image, Image]:

@@ -33,11 +33,7 @@ class Augmenter:
     """
 
     def __init__(
-        self,
-        images: Image,
-        depth: Array,
-        crop_shape: tuple[int, int],
-        settings: AugmentationSettings,
+        self, images: Image, depth: Array, crop_shape: tuple[int, int], settings: AugmentationSettings
     ) -> None:
         """Find the markers' center; `AugmentationError` if they do not have the symmetry that settings name.
 

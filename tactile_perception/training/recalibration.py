@@ -68,10 +68,7 @@ def recalibrate(
 
 
 def fit_on(
-    estimator: Estimator,
-    samples: TactileDataset,
-    rows: NDArray[np.int64],
-    settings: CalibrationSettings,
+    estimator: Estimator, samples: TactileDataset, rows: NDArray[np.int64], settings: CalibrationSettings
 ) -> Calibration:
     """Fitted to the network's own answers to some rows of a data set."""
     mean, cov = predict_all(estimator, samples.images[rows])

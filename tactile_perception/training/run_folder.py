@@ -25,7 +25,6 @@ EPOCHS_NAME = "epochs.csv"
 CURVES_NAME = "curves.png"
 BEST_NAME = "best.pt"
 STATE_NAME = "state.pt"
-MODEL_NAME = "model.onnx"
 RESULT_NAME = "result.json"
 #: Settings that may change when a run is resumed; what a start is, the facts about the data tell.
 _NO_RESULT = {"threads", "max_minutes", "start"}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tactile_perception.estimating.labels import COMPONENTS
-from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.config import TrainConfig
@@ -23,7 +23,7 @@ from tactile_perception.training.data import RunData, Samples, check_samples, lo
 from tactile_perception.training.export import export_onnx
 from tactile_perception.training.network import PoseNetwork, WeightAverage
 from tactile_perception.training.progress import TimeLeft, TrainingProgress
-from tactile_perception.training.run_folder import MODEL_NAME, Epoch, RunFolder, TrainResult
+from tactile_perception.training.run_folder import Epoch, RunFolder, TrainResult
 from tactile_perception.training.settings import learning_rate
 from tactile_perception.training.symmetry import SymmetryAxis
 
@@ -252,10 +252,7 @@ class _Run:
         """Export the best epoch's network, calibrated on what was held back; its facts on validation data."""
         self.network.load_state_dict(folder.load_best())
         loss, mae = self.evaluate(self.data.validation)
-        validation = {
-            "validation_loss": loss,
-            "mae": dict(zip(COMPONENTS, mae.tolist(), strict=True)),
-        }
+        validation = {"validation_loss": loss, "mae": dict(zip(COMPONENTS, mae.tolist(), strict=True))}
         training: dict[str, Any] = self.config.plain()
         if self.axis is not None:
             training["symmetry_axis_found"] = self.axis.parameters_of_axis()

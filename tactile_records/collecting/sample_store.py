@@ -20,11 +20,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SURFACE_NAME = "surface.json"
-EXTRA_COLUMNS = (
-    "stamp_ns",
-    *(f"target_{axis}" for axis in AXES),
-    *(f"base_sensor_{axis}" for axis in AXES),
-)
+EXTRA_COLUMNS = ("stamp_ns", *(f"target_{axis}" for axis in AXES), *(f"base_sensor_{axis}" for axis in AXES))
 
 
 class SampleStore:

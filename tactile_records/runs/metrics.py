@@ -261,11 +261,7 @@ def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:
     X_fs, T_fs = inverses(series.mean[mine]), record.truth.T_fs[true]
     depth_mm = (depth_of(X_fs) - depth_of(T_fs)) * 1e3
     angle_deg = np.degrees(_angle_between(X_fs[:, 2, :3], T_fs[:, 2, :3]))
-    return {
-        "depth_rms_mm": rms(depth_mm),
-        "depth_bias_mm": mean(depth_mm),
-        "normal_rms_deg": rms(angle_deg),
-    }
+    return {"depth_rms_mm": rms(depth_mm), "depth_bias_mm": mean(depth_mm), "normal_rms_deg": rms(angle_deg)}
 
 
 def _consistency(record: RunRecord) -> dict[str, float | int]:

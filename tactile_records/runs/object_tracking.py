@@ -84,10 +84,7 @@ def _speeds(track: Tracking) -> tuple[float, float]:
 
 def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first."""
-    rows = [
-        task_row(values),
-        ("contact kept", percent(values["contact_fraction"]), "100 %"),
-    ]
+    rows = [task_row(values), ("contact kept", percent(values["contact_fraction"]), "100 %")]
     track = values["tracking"]
     if track["leader"] is not None:
         for name in COMPONENTS:
