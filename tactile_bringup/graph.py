@@ -88,9 +88,8 @@ class GraphOptions:
     record_images : whether images go into the bag, compressed without loss
     marker_view : whether each sensor with images gets a node that publishes a picture of its markers
     object_belief : whether the contacts of all arms are fused into one belief over the object that they touch
-    object_file : str
-        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object.settings`);
-        empty: that is found by touch.
+    object_file : where they touch it: the name of one of config/objects or a path
+        (`tactile_filter.object.settings`); empty: that is found by touch
     """
 
     rate: float | None = None

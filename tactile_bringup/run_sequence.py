@@ -41,10 +41,8 @@ def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence
 
     Parameters
     ----------
-    only : str, optional
-        Leave out all arms but this one.
-    goals : sequence of str
-        Leave out all goals but these, in roles that have any of them.
+    only : leave out all arms but this one
+    goals : leave out all goals but these, in roles that have any of them
 
     Raises
     ------
@@ -124,8 +122,7 @@ class RunSequence:
 
     Attributes
     ----------
-    failure : str
-        Why the run failed; '' as long as it has not.
+    failure : why the run failed; '' as long as it has not
     """
 
     def __init__(self, plans: Sequence[ArmPlan]) -> None:

@@ -65,9 +65,8 @@ class ContactFilter:
 
     Attributes
     ----------
-    late : Counter
-        With a `history`: measurements that came late since the last reset, by what became of them: "put in
-        place" or "too late".
+    late : with a `history`: measurements that came late since the last reset, by what became of them: "put in
+        place" or "too late"
     """
 
     def __init__(self, settings: FilterSettings | None = None) -> None:
@@ -141,16 +140,13 @@ class ContactFilter:
     ) -> Belief:
         """Take the result of one exposure: `step` with its estimate; without contact, forget the belief.
 
+        The belief that is returned without contact has the flags NO_CONTACT and INVALID.
+
         Parameters
         ----------
         stamp_ns : of the exposure
         estimate : estimate of X_sf; None: there is no contact
         T_base_sensor : (4, 4) or None, as for `step`; not needed without contact
-
-        Returns
-        -------
-        Belief
-            Without contact one with the flags NO_CONTACT and INVALID.
         """
         if estimate is not None:
             return self.step(stamp_ns, estimate, T_base_sensor)
@@ -169,21 +165,16 @@ class ContactFilter:
     ) -> Belief:
         """Predict to the measurement's stamp and fuse it; put it in its place if it comes late.
 
+        The belief is of `stamp_ns`, or of the stamp of the last step if this one is not later.
+
         Parameters
         ----------
         stamp_ns : exposure of the image that the measurement was made from
-        measurement : PoseGaussian
-            Estimate of X_sf. One that is not finite or has no positive definite covariance is refused; the
-            step then only predicts.
-        T_base_sensor : (4, 4)
-            The sensor's pose in a frame in which the surface stands still, at that stamp. A measurement
-            whose pose is none is refused, and the belief stays what it is.
+        measurement : estimate of X_sf. One that is not finite or has no positive definite covariance is
+            refused; the step then only predicts.
+        T_base_sensor : (4, 4) the sensor's pose in a frame in which the surface stands still, at that stamp.
+            A measurement whose pose is none is refused, and the belief stays what it is.
         source, sequence : order of measurements of the same stamp (of which the first is fused)
-
-        Returns
-        -------
-        Belief
-            At `stamp_ns`; at the stamp of the last step if this one is not later.
         """
         stamp_ns = int(stamp_ns)
         sensor = usable_pose(T_base_sensor)

@@ -39,9 +39,8 @@ class Belief:
     flags : BeliefFlag
     reason : why a measurement was not fused or the belief was restarted; empty in the regular case
     rejected : measurements refused since the last reset
-    innovation : (6,) or None
-        Whitened innovation: standard normal and independent from step to step if the filter's assumptions
-        hold. Its squared length is nis; None where nis is NaN.
+    innovation : (6,) or None, whitened innovation: standard normal and independent from step to step if the
+        filter's assumptions hold. Its squared length is nis; None where nis is NaN.
     inflation : factor on the measurement's covariance by which it was fused (setting `robust`)
     """
 

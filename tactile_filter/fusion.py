@@ -86,6 +86,8 @@ def fuse(
 ) -> FusionResult:
     """Normalized product of two Gaussians over poses, approximated by one.
 
+    A fusion that has not converged is an answer, too: see its `status`.
+
     Parameters
     ----------
     mean_1, mean_2 : (4, 4) poses
@@ -96,11 +98,6 @@ def fuse(
         the exact Jacobian and a line search, the covariance at the answer.
     iterations : another number of iterations than the mode's; in mode "exact" the most it may take
     jacobian_order : {2, 4, "exact"}, another order than the mode's
-
-    Returns
-    -------
-    FusionResult
-        With `status`: a fusion that has not converged is an answer, too.
 
     Raises
     ------

@@ -32,6 +32,7 @@ def predict(
 ) -> tuple[Array, Array]:
     """The algorithm's prediction: X <- T_k X, Sigma <- Ad(T_k) Sigma Ad(T_k)^T + Q, T_k = now^-1 before.
 
+    Rounding is taken out of the mean's rotation, and the covariance is exactly symmetric.
     Raises `ValueError` if an argument has the wrong shape, is not finite, or is no pose.
 
     Parameters
@@ -40,11 +41,6 @@ def predict(
         Belief over X_sf before; left covariance, symmetric (its lower half is read).
     T_before, T_now : (4, 4) pose of the sensor then and now, in a frame in which the surface stands still
     variances : (6,) diagonal of the process noise's covariance
-
-    Returns
-    -------
-    tuple of (4, 4) and (6, 6)
-        The mean with rounding taken out of its rotation, and an exactly symmetric covariance.
     """
     return _fusion.predict(mean, cov, T_before, T_now, variances)
 

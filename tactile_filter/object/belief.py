@@ -2,14 +2,11 @@
 
 Each contact knows where the object is: T_wo = T_ws X_sf T_of^-1, from its sensor's pose in a common frame
 {w}, its belief X_sf and the constant place {f} of its contact feature on the object {o}, known or estimated.
-What it knows is not independent of what the others know: a place that was estimated from the object's pose
-carries the error of that, and whatever disturbs all contacts alike (the object gives way, one network errs
-alike on all arms) is in each of them. Added as if independent, they would claim too much. So each Gaussian
-keeps its covariance in two parts, `independent` and `correlated`, and the fusion is the split covariance
-intersection of Julier and Uhlmann: the correlated parts, whatever their correlation, are inflated by 1 / w
-and 1 / (1 - w), with w for the smallest determinant of the result. With nothing correlated it is plain
-fusion, with nothing independent covariance intersection; in between and on both ends the covariance does not
-claim more than is known.
+What it knows is not independent of what the others know (docs/filter.md). So each Gaussian keeps its
+covariance in two parts, `independent` and `correlated`, and the fusion is the split covariance intersection
+of Julier and Uhlmann: the correlated parts, whatever their correlation, are inflated by 1 / w and
+1 / (1 - w), with w for the smallest determinant of the result. With nothing correlated it is plain fusion,
+with nothing independent covariance intersection.
 
 The object's belief has no memory: the contacts' filters have it. So nothing is counted twice over time, if
 all contacts are predicted to one stamp (`ContactFilter.predict_to`).
@@ -76,8 +73,7 @@ class Contact:
     ----------
     belief : X_sf
     T_world_sensor : (4, 4)
-    T_object_feature : PoseGaussian
-        Where on the object the contact is. A known place has covariance zero.
+    T_object_feature : where on the object the contact is. A known place has covariance zero.
     """
 
     belief: PoseGaussian

@@ -37,9 +37,8 @@ class EventMerge:
     Attributes
     ----------
     out_of_order : events refused because their source had given one of that stamp or a later one before
-    overtaken : int
-        Groups handed out after one of a later stamp: their deadline, or their source's silence, had let that
-        one pass.
+    overtaken : groups handed out after one of a later stamp: their deadline, or their source's silence, had
+        let that one pass
     """
 
     def __init__(self, sources: Sequence[str]) -> None:

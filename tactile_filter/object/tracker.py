@@ -10,10 +10,8 @@ All contacts are taken to one stamp, that of the newest belief: added up as they
 the object back to where it was. Until then the object is taken to stand still, within what `object_speed` and
 `object_turn_rate` say. Such motion is common to all contacts that are older, and counts as correlated.
 
-A contact that slides says nothing of where the object is: its feature frame is dragged along with the sensor,
-as if the object moved. One sensor cannot distinguish the two, but a contact slides only at the limit of
-friction: one that is sheared by more than `slide_shear` of its depth is left out, its place is forgotten, and
-only when its shear has gone back it is given a new one by what the others know.
+A contact that slides drags its feature frame along, as if the object moved: one that is sheared by more than
+`slide_shear` of its depth is left out, and given a new place only when its shear has gone back.
 
 Who repeats whom: a place that was found carries the errors that the contacts used for it had then, and those
 have them still, for nobody knows how fast such errors fade. So as long as the place is in use all that these
@@ -118,15 +116,13 @@ class ObjectTracker:
     Parameters
     ----------
     names : of the sensors
-    places : mapping, optional
-        Where on the object the contacts of some of them are, T_object_feature; those of the others are found
-        by touch.
+    places : where on the object the contacts of some of them are, T_object_feature; those of the others are
+        found by touch
 
     Attributes
     ----------
-    refused : Counter
-        Updates that could not be used since the last reset, by reason: "not usable", "sensor pose",
-        "out of order".
+    refused : updates that could not be used since the last reset, by reason: "not usable", "sensor pose",
+        "out of order"
     resets : by reason, since construction
     """
 

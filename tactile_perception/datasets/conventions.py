@@ -59,9 +59,8 @@ class Conventions:
     Attributes
     ----------
     depth_flipped : whether z falls as contacts get deeper; None where images do not tell
-    explanations : list of Explanation
-        The simplest ones that make labels and images fit, all of one cost; empty where none does, or where
-        images do not tell.
+    explanations : the simplest ones that make labels and images fit, all of one cost; empty where none does,
+        or where images do not tell
     uncertain : what images do not tell
     camera_deg : angle of the sensor's x-axis in the image, from columns to rows
     length_unit, angle_unit : "mm", "m", "deg", "rad", or "" where images do not tell

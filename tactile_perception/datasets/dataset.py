@@ -116,9 +116,8 @@ def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None 
     Parameters
     ----------
     folder : holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw)
-    preprocessing : PreprocessingSettings, optional
-        Overrides what `processed_image_params.json` says, as with those of a model; where they differ, the
-        report says in what. Processed images may have any one size.
+    preprocessing : overrides what `processed_image_params.json` says, as with those of a model; where they
+        differ, the report says in what. Processed images may have any one size.
     """
     folder = Path(folder)
     report = DatasetReport(folder)

@@ -41,9 +41,8 @@ class DatasetWriter:
     preprocessing : crops and thresholds camera images, and is kept with them
     images : which images to keep: processed (`processed_images/`), raw (camera images in `images/`), or both
     extra : further columns of the table, whose values `add` takes; readers of the layout ignore them
-    durable : bool
-        Whether each sample is on the disk itself, not only in the system's memory, before `add` returns: it
-        then survives a loss of power too.
+    durable : whether each sample is on the disk itself, not only in the system's memory, before `add`
+        returns: it then survives a loss of power too
 
     Raises
     ------

@@ -119,14 +119,11 @@ def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[
 def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.int64]:
     """Rows of a data set that a model (of an ensemble: every member) was not trained on.
 
+    All of them for other data than its training data; none where nothing was held back of those.
+
     Parameters
     ----------
     sha256, count : of the data set, as `dataset.read_dataset` finds them
-
-    Returns
-    -------
-    array of int
-        All rows of data that are not the training data; empty where nothing was held back of those.
     """
     used = _parts_held_back(metadata, sha256)
     # The held-back samples of a smaller part are among those of a larger one.

@@ -96,8 +96,7 @@ class DensityChange:
     values : (rows, columns)
         Markers per squared spacing, less those of the reference: negative where markers have parted.
     columns, rows : (columns,), (rows,) px, where in the image the grid's values stand
-    spacing : float, px
-        Kernel width (standard deviation): mean distance between adjacent markers of the reference.
+    spacing : px, kernel width (standard deviation): mean distance between adjacent markers of the reference
     """
 
     values: Array

@@ -35,8 +35,7 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
 
     Parameters
     ----------
-    data : path, optional
-        The training data of the runs; the ensemble is calibrated on what all of them held back. Without it
+    data : the training data of the runs; the ensemble is calibrated on what all of them held back. Without it
         the ensemble has no calibration: those of its members do not hold for their mixture.
 
     Raises

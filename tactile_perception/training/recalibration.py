@@ -37,8 +37,7 @@ def recalibrate(
 
     Parameters
     ----------
-    data : path
-        A labelled folder. Of the folder that the model was trained on, only what it held back is used.
+    data : a labelled folder. Of the folder that the model was trained on, only what it held back is used.
     changes : settings of the calibration that are to be others
 
     Returns

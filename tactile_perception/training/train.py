@@ -47,15 +47,10 @@ def train(
     Parameters
     ----------
     data_dir : training data, or a folder that holds `train/` and `val/`
-    out_dir : path
-        Gets `config.yaml`, `data.txt` (what was found in the folders) and `data.json` (their hashes),
-        `epochs.csv`, `curves.png`, `best.pt`, `model.onnx` and, at the very end, `result.json`.
+    out_dir : gets `config.yaml`, `data.txt` (what was found in the folders) and `data.json` (their hashes),
+        `epochs.csv`, `curves.png`, `best.pt`, `model.onnx` and, at the very end, `result.json`
     validation_dir : validation data; required unless `data_dir` holds `val/`
     limit : use this many training samples only
-
-    Returns
-    -------
-    TrainResult
 
     Raises
     ------
