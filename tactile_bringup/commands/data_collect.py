@@ -189,18 +189,15 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_control.collection import CollectionMotionSettings, CollectionWatchdogSettings, TouchSettings
-    from tactile_control.limiter import LimiterSettings
+    from tactile_control.collection import DataCollectionSettings
     from tactile_drivers.sampling import SamplingSettings
     from tactile_perception.estimating.preprocessing import PreprocessingSettings
     from tactile_perception.estimating.presence import PresenceSettings
 
+    task = DataCollectionSettings().replaced(touch__points=touches)
     groups: dict[str, Settings] = {
         "sampling": SamplingSettings(),
-        "motion": CollectionMotionSettings(),
-        "touch": TouchSettings(points=touches),
-        "limiter": LimiterSettings(),
-        "watchdog": CollectionWatchdogSettings(),
+        **{name: task.group(name) for name in task.group_names()},
         "preprocessing": PreprocessingSettings(),
         "presence": PresenceSettings(),
     }

@@ -79,11 +79,11 @@ def _config(arguments: argparse.Namespace) -> Any:
 
     if arguments.profile:
         chosen = profile(arguments.profile)
-        config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
+        config = TrainConfig.from_file(chosen.config).merged({"network": chosen.network})
     else:
         config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
     if arguments.start:
-        config = config.replaced("training", start=str(arguments.start.absolute()))
+        config = config.replaced(training__start=str(arguments.start.absolute()))
     return config.changed(arguments.changes)
 
 
