@@ -77,10 +77,7 @@ def run_offline(
 ) -> RunRecord:
     """Run a task in which one arm has a role, and return what happened (see `run_arms_offline`).
 
-    Raises
-    ------
-    SettingError
-        Also where several arms have a role and the options do not say which.
+    Raises `SettingError` also where several arms have a role and the options do not say which.
     """
     records = run_arms_offline(scene, task, options, progress)
     if len(records) > 1:

@@ -127,10 +127,7 @@ class ContactFilter:
     def reset(self, reason: str, stamp_ns: int | None = None) -> None:
         """Forget the belief and the counts of refused measurements.
 
-        Parameters
-        ----------
-        stamp_ns : int, optional
-            With a `history`: measurements of this stamp and earlier ones that are still to come are too late.
+        With a `history`, measurements of `stamp_ns` and earlier ones that are still to come are too late.
         """
         self._forget(reason)
         self._history.clear(stamp_ns)

@@ -146,15 +146,7 @@ class ConsistencyMonitor:
         if self.settings.warn_of == "harmful":
             warnings = tuple(text for text in problems if text.startswith(HARMFUL))
         return Consistency(
-            count,
-            nis,
-            self.nis_bounds,
-            whiteness,
-            self.whiteness_bound,
-            lag_one,
-            rejected,
-            problems,
-            warnings,
+            count, nis, (low, high), whiteness, self.whiteness_bound, lag_one, rejected, problems, warnings
         )
 
     def _lasting(self, outside: dict[str, tuple[bool, str]]) -> tuple[str, ...]:

@@ -38,6 +38,8 @@ _STEPS = 1000  # rarely more than 20; near a double fixed point the way to it is
 class Spectrum:
     """An innovation in the basis in which the measurement's covariance is the identity.
 
+    `FusionError` if the two covariances have no such basis in double precision.
+
     Parameters
     ----------
     measurement : PoseGaussian
@@ -47,11 +49,6 @@ class Spectrum:
     ----------
     squares : z^2 along the generalized eigenvectors; floats, since NumPy takes longer for so few
     ratio : the prediction's variances along these, lambda
-
-    Raises
-    ------
-    FusionError
-        If the two covariances have no such basis in double precision.
     """
 
     def __init__(self, measurement: PoseGaussian, mean: Array, cov: Array) -> None:

@@ -109,12 +109,7 @@ class TransformBuffer:
     def newest(self, target: str, source: str) -> tuple[int, Array]:
         """The newest stamp at which T_target_source is known, and T_target_source there.
 
-        For who asks where things are and heeds the age.
-
-        Raises
-        ------
-        TransformUnavailable
-            Also where nothing moves between the frames.
+        For who asks where things are and heeds the age. `TransformUnavailable` also where nothing moves.
         """
         stamp_ns = self.latest_stamp(target, source)
         if stamp_ns is None:

@@ -49,7 +49,7 @@ def register(subparsers: Any) -> None:
     add(
         "--paper",
         action="store_true",
-        help="set the paper's results beside (in the filter's tables in brackets, + where reached)",
+        help="the paper's results, too (filter: in brackets, + if reached)",
     )
     _register_filter(parser.add_argument_group("filter"))
     parser.set_defaults(run=run_evaluate)

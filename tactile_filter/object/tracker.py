@@ -167,11 +167,8 @@ class ObjectTracker:
         """Take what is new of some contacts at a stamp, and say what is known of the object then.
 
         For a stamp that is not later than the last one the answer is None: what is new counts from the next
-        step on, and nothing is answered twice or backwards.
-
-        Parameters
-        ----------
-        updates : by sensor; None: it has no contact
+        step on, and nothing is answered twice or backwards. `updates` are by sensor,
+        None for one that has no contact.
         """
         for name in sorted(updates):
             self._check_name(name)

@@ -15,16 +15,12 @@ class JsonError(ValueError):
 def loads(text: str, name: str) -> tuple[Any, list[str]]:
     """Parse JSON, dropping brackets that close nothing and adding those that are missing at the end.
 
-    Raises `JsonError` if the text does not parse even with its brackets balanced.
+    Gives the value and one sentence for each repair; raises `JsonError` if the text does not parse even then.
 
     Parameters
     ----------
     text : contents of the file; `Infinity` and `NaN` are accepted, as Python writes them
     name : what to call the file in messages
-
-    Returns
-    -------
-    value, repairs : the parsed value and one sentence for each repair (empty for a well-formed file).
     """
     try:
         return json.loads(text), []

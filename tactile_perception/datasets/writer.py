@@ -33,7 +33,7 @@ _COLUMNS = ("sensor_image", *layout.POSE_COLUMNS, *layout.SHEAR_COLUMNS)
 
 
 class DatasetWriter:
-    """See the module's text.
+    """See the module's text; `DatasetError` if another process is writing to the folder.
 
     Parameters
     ----------
@@ -43,11 +43,6 @@ class DatasetWriter:
     extra : further columns of the table, whose values `add` takes; readers of the layout ignore them
     durable : whether each sample is on the disk itself, not only in the system's memory, before `add`
         returns: it then survives a loss of power too
-
-    Raises
-    ------
-    DatasetError
-        If another process is writing to the folder.
     """
 
     def __init__(

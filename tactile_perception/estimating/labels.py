@@ -91,9 +91,7 @@ def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
 
     Raises `EstimateError` if the covariance is not positive definite.
 
-    Parameters
-    ----------
-    mean, covariance : (6,) xi_sf and (6, 6), in mm and rad.
+    `mean` is xi_sf (6,) and `covariance` (6, 6), in mm and rad.
     """
     scale = np.sqrt(np.abs(np.diagonal(covariance)))
     try:

@@ -119,11 +119,8 @@ def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[
 def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.int64]:
     """Rows of a data set that a model (of an ensemble: every member) was not trained on.
 
-    All of them for other data than its training data; none where nothing was held back of those.
-
-    Parameters
-    ----------
-    sha256, count : of the data set, as `dataset.read_dataset` finds them
+    All of them for other data than its training data; none where nothing was held back of those. `sha256` and
+    `count` are those of the data set, as `dataset.read_dataset` finds them.
     """
     used = _parts_held_back(metadata, sha256)
     # The held-back samples of a smaller part are among those of a larger one.

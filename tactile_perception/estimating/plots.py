@@ -31,9 +31,7 @@ def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
 def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
     """The paper's figure: predicted against actual, colored by precision, one row of plots for each entry.
 
-    Parameters
-    ----------
-    rows : sequence of (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad
+    A row is (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad.
     """
     figure, grid = plot_grid(len(rows), 6, 3.4)
     for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):

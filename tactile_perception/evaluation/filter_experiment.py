@@ -162,9 +162,7 @@ def _mean_result(
 def filter_tables(found: Sequence[FilterResult], goal: dict[float, Array] | None = None) -> list[Table]:
     """The paper's table for each kind of model, state and choice of sigma_phi.
 
-    Parameters
-    ----------
-    goal : MAE (6,) by sigma_psi; shown in brackets with + where it is reached, else -
+    `goal` is the MAE (6,) by sigma_psi, shown in brackets with + where it is reached, else -.
     """
     keys = dict.fromkeys((entry.kind, entry.state, entry.noise) for entry in found)
     tables = []

@@ -99,11 +99,8 @@ def predict_all(
 def open_models(runs: Sequence[Path | str], threads: int = 0) -> list[Model]:
     """Models of run folders (of `tactile train`), of folders of such folders, or of ONNX files.
 
-    `ModelError` names the file or folder, what is wrong and what would be right.
-
-    Parameters
-    ----------
-    threads : CPU threads of an inference; 0: as many as there are cores
+    An inference takes so many CPU `threads`, or 0 for as many as there are cores. `ModelError` names the file
+    or folder, what is wrong and what would be right.
     """
     paths = [path for run in runs for path in _model_paths(Path(run))]
     opened = [Estimator(path, threads or os.cpu_count() or 1) for path in paths]

@@ -33,15 +33,9 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
 
     mean = average of the means; covariance = average of the covariances + covariance of the means.
 
-    Parameters
-    ----------
-    data : the training data of the runs; the ensemble is calibrated on what all of them held back. Without it
-        the ensemble has no calibration: those of its members do not hold for their mixture.
-
-    Raises
-    ------
-    EnsembleError, ModelError
-        Fewer than two networks, or networks of other sizes, pre-processing or data.
+    With `data`, the training data of the runs, the ensemble is calibrated on what all held back; without
+    it has no calibration: those of its members do not hold for their mixture. `EnsembleError` or `ModelError`
+    for fewer than two networks, or networks of other sizes, pre-processing or data.
     """
     files = [trained_model(Path(run)) for run in runs]
     if len(files) < 2:

@@ -61,9 +61,7 @@ def quantize(
 
     `QuantizationError` says which file or images, what is wrong, and what would be right.
 
-    Parameters
-    ----------
-    images : (N, size, size) prepared images (`Preprocessor.resized`), such as the network was trained on.
+    The images (N, size, size) are prepared (`Preprocessor.resized`), such as the network was trained on.
     """
     settings = settings or QuantizationSettings()
     model = _load(Path(model_path))

@@ -23,9 +23,7 @@ S = TypeVar("S", bound=Series)
 class RunLog:
     """The rows of each stream of a record that is being made.
 
-    Parameters
-    ----------
-    record : with what is known beforehand; `finish` fills in the rest
+    The record comes with what is known beforehand; `finish` fills in the rest.
     """
 
     def __init__(self, record: RunRecord) -> None:
