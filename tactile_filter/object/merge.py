@@ -10,25 +10,13 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 from tactile_base.settings import unknown_name
+from tactile_filter.events import Event
 
-
-@dataclass
-class EventGroup:
-    """The events of one stamp.
-
-    Attributes
-    ----------
-    parts : by source, in the order of their names
-    received_ns : when the first of them came (steady clock)
-    """
-
-    stamp_ns: int
-    received_ns: int
-    parts: dict[str, Any] = field(default_factory=dict)
+#: The events of one stamp, by source in the order of their names.
+EventGroup = Event
 
 
 class EventMerge:

@@ -268,9 +268,8 @@ def _preprocessing(
         report.notes.append(f"no {layout.IMAGE_PARAMS_NAME}: assumed the default crop and threshold")
         return PreprocessingSettings()
     params = parameters[name]
-    values: dict[str, Any] = {}
-    if params.get("bbox") is not None:
-        values["bbox"] = params["bbox"]
+    values = {key: params[key] for key in ("bbox", "circle_mask_radius") if params.get(key) is not None}
+    values |= {key: params[key] for key in ("median", "threshold_method") if key in params}
     if params.get("thresh") is not None:
         block_and_offset = params["thresh"]
         if not isinstance(block_and_offset, list) or len(block_and_offset) != 2:
@@ -278,9 +277,6 @@ def _preprocessing(
                 f"{report.folder}: {name}: thresh = {block_and_offset!r}: must be a block and an offset"
             )
         values["threshold_block"], values["threshold_offset"] = block_and_offset
-    if params.get("circle_mask_radius") is not None:
-        values["circle_mask_radius"] = params["circle_mask_radius"]
-    values.update({key: params[key] for key in ("median", "threshold_method") if key in params})
     try:
         return PreprocessingSettings.from_mapping(values, where=name)
     except SettingError as error:
