@@ -50,10 +50,12 @@ class TransformBuffer:
 
     Parameters
     ----------
-    history_ns : how far back from its newest transform a link's history reaches (ns)
-    jump_ns : a transform older than the newest of its link by more than this means that time jumped back (a
-        bag that starts again, a simulation that was reset): everything but the static transforms is
-        forgotten. One that is older by less has been overtaken on the way and is put in its place.
+    history_ns : int
+        How far back from its newest transform a link's history reaches (ns).
+    jump_ns : int
+        A transform older than the newest of its link by more than this means that time jumped back (a bag
+        that starts again, a simulation that was reset): everything but the static transforms is forgotten.
+        One that is older by less has been overtaken on the way and is put in its place.
 
     Notes
     -----
@@ -77,9 +79,15 @@ class TransformBuffer:
     ) -> int:
         """Add a transform (4, 4); its rotation may be off orthonormal by `se3.ROTATION_TOLERANCE`.
 
-        Returned is by how much (ns) time had jumped back, as the stamp showed and for which the history was
-        cleared; else 0.
-        Raises `ValueError` if the matrix is no pose, a name is empty, or the link would close a loop.
+        Returns
+        -------
+        int
+            By how much (ns) time had jumped back, as the stamp showed; the history was then cleared. Else 0.
+
+        Raises
+        ------
+        ValueError
+            If the matrix is no pose, a name is empty, or the link would close a loop.
         """
         T = self._checked(parent, child, T_parent_child)
         link = self._links.get(child)

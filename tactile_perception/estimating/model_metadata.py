@@ -32,6 +32,11 @@ FRAMES = (
 _REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
 
 
+def trained_model(run: Path) -> Path:
+    """The model of a run folder as it was trained; a model file stands for itself."""
+    return run / MODEL_NAME if run.is_dir() else run
+
+
 class MetadataError(ValueError):
     """A model file without the entries that its use needs, or with entries of another convention."""
 
@@ -102,11 +107,6 @@ class ModelMetadata:
 
 
 _JSON_NAMES = tuple(item.name for item in dataclasses.fields(ModelMetadata) if item.name != "calibration")
-
-
-def trained_model(run: Path) -> Path:
-    """The model of a run folder as it was trained; a model file stands for itself."""
-    return run / MODEL_NAME if run.is_dir() else run
 
 
 def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

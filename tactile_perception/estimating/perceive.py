@@ -25,9 +25,12 @@ class Percept:
     ----------
     in_contact : bool or None
         None while the reference of the contact presence is being captured, and where presence is not asked.
-    score : of the contact presence; NaN where `in_contact` is None
-    estimate : Gaussian over X_sf (SI, left perturbation); None without contact, and where the network failed
-    fault : why there is no estimate although one was due; else empty
+    score : float
+        Of the contact presence; NaN where `in_contact` is None.
+    estimate : PoseGaussian or None
+        Gaussian over X_sf (SI, left perturbation); None without contact, and where the network failed.
+    fault : str
+        Why there is no estimate although one was due; else empty.
     """
 
     in_contact: bool | None
