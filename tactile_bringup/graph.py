@@ -137,14 +137,8 @@ class Graph:
 def load_graph(task: str, scene: str | None = None, options: GraphOptions | None = None) -> Graph:
     """The graph of a task on a scene, each the name of a packaged one or the path of a file.
 
-    Without a scene it is the first that the task names.
-
-    Raises
-    ------
-    SettingError
-        A file holds something wrong; the message names file, line and valid choices.
-    FileNotFoundError
-        There is no such task or scene; the message lists those that there are.
+    Without a scene it is the first that the task names. `SettingError` names file, line and valid choices
+    where a file holds something wrong; `FileNotFoundError` lists the tasks or scenes that there are.
     """
     options = options or GraphOptions()
     path = task_path(task)

@@ -93,16 +93,13 @@ def run_arms_offline(
 ) -> dict[str, RunRecord]:
     """Run all goals of a task on a scene and return what happened to each arm.
 
+    `SettingError` or `FileNotFoundError` for scenes, tasks, arms and goals that are not there or are wrong.
+
     Parameters
     ----------
     scene, task
         Loaded, or by name (config/scenes, config/tasks).
     progress : called with arm, goal and command after each step of a controller
-
-    Raises
-    ------
-    SettingError, FileNotFoundError
-        For scenes, tasks, arms and goals that do not exist or hold something wrong.
     """
     options = options or OfflineOptions()
     scene = load_scene(scene) if isinstance(scene, str) else scene

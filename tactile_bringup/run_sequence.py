@@ -39,16 +39,13 @@ class ArmPlan:
 def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
     """What each arm of the scene does.
 
+    `SettingError` if a role names an arm that is not there or cannot run its task, two roles have the same
+    arm, or nothing is left to do.
+
     Parameters
     ----------
     only : leave out all arms but this one
     goals : leave out all goals but these, in roles that have any of them
-
-    Raises
-    ------
-    SettingError
-        A role names an arm that is not there or cannot run its task, two roles have the same arm, or
-        nothing is left to do.
     """
     plans: dict[str, ArmPlan] = {}
     for role in task.roles:

@@ -86,7 +86,9 @@ def fuse(
 ) -> FusionResult:
     """Normalized product of two Gaussians over poses, approximated by one.
 
-    A fusion that has not converged is an answer, too: see its `status`.
+    A fusion that has not converged is an answer, too: see its `status`. `FusionError` if an input is no pose or
+    no covariance, or the two cannot be fused in double precision; `ValueError` if an array has the wrong shape or
+    an option is unknown.
 
     Parameters
     ----------
@@ -98,13 +100,6 @@ def fuse(
         the exact Jacobian and a line search, the covariance at the answer.
     iterations : another number of iterations than the mode's; in mode "exact" the most it may take
     jacobian_order : {2, 4, "exact"}, another order than the mode's
-
-    Raises
-    ------
-    FusionError
-        If an input is no pose or no covariance, or the two cannot be fused in double precision.
-    ValueError
-        If an array has the wrong shape or an option is unknown.
     """
     # Tens of nanoseconds count: the usual call goes straight to C, which knows the modes and calls `_refuse`.
     if iterations is None and jacobian_order is None:

@@ -103,12 +103,8 @@ _NONE = (0.0, 0.0, 0.0)
 def load_object(path: str | Path, arms: Sequence[str]) -> tuple[TrackerSettings, dict[str, PlaceSettings]]:
     """Settings, and the places that are given, by arm.
 
-    Raises
-    ------
-    SettingError
-        With file, line and valid choices; also where a place is that of none of the arms.
-    OSError
-        Where the file cannot be read.
+    `SettingError` names file, line and valid choices, also where a place is that of none of the arms;
+    `OSError` where the file cannot be read.
     """
     root = read_yaml(path)
     root.allow("settings", "places")

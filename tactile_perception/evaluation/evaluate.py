@@ -12,20 +12,9 @@ from numpy.typing import NDArray
 from tactile_perception.datasets.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
 from tactile_perception.estimating.model_metadata import unseen_rows
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.evaluation import metrics
 from tactile_perception.evaluation.calibration import fit_calibration
-from tactile_perception.evaluation.metrics import (
-    Accuracy,
-    Bins,
-    Consistency,
-    Predictions,
-    accuracy,
-    binned,
-    by_predicted_sigma,
-    consistency,
-    depth_edges,
-    moment_matched,
-    shear_of,
-)
+from tactile_perception.evaluation.metrics import Accuracy, Bins, Consistency, Predictions
 from tactile_perception.evaluation.models import Model
 
 Array = NDArray[np.float64]
@@ -189,11 +178,10 @@ def evaluate(
         chosen = [index for index, model in enumerate(models) if model.has_uncertainty is uncertain]
         if len(chosen) < 2:
             continue
-        mixture = moment_matched([predictions[index] for index in chosen])
+        mixture = metrics.moment_matched([predictions[index] for index in chosen])
         if calibration_data is not None:
-            better = _fitted(
-                data, calibration_data, mixture, moment_matched([held_back[index] for index in chosen])
-            )
+            held_mixture = metrics.moment_matched([held_back[index] for index in chosen])
+            better = _fitted(data, calibration_data, mixture, held_mixture)
         else:
             better = _of_calibrated_members([calibrated[index][0] for index in chosen])
         kinds = list(dict.fromkeys(models[index].kind for index in chosen))
@@ -235,7 +223,7 @@ def _of_calibrated_members(members: Sequence[Predictions | None]) -> Calibrated:
     known = [member for member in members if member is not None]
     if len(known) < len(members):
         return None, ""
-    return moment_matched(known), "calibrated members"
+    return metrics.moment_matched(known), "calibrated members"
 
 
 def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:
@@ -256,7 +244,7 @@ def assess(
     return ModelResult(
         name=name,
         kind=kind,
-        accuracy=accuracy(data.labels, data.euler_mm_deg, predictions),
+        accuracy=metrics.accuracy(data.labels, data.euler_mm_deg, predictions),
         raw=_assessment(data, predictions),
         calibrated=None if calibrated is None else _assessment(data, calibrated),
         calibration_source=source,
@@ -265,12 +253,12 @@ def assess(
 
 
 def _assessment(data: EvaluationData, predictions: Predictions) -> Assessment:
-    depth, shear = data.euler_mm_deg[:, 2], shear_of(data.euler_mm_deg)
+    depth, shear = data.euler_mm_deg[:, 2], metrics.shear_of(data.euler_mm_deg)
     uncertain = predictions.cov is not None
     return Assessment(
         predictions=predictions,
-        consistency=consistency(data.labels, predictions) if uncertain else None,
-        by_sigma=by_predicted_sigma(data.labels, predictions) if uncertain else None,
-        by_depth=binned(data.labels, predictions, depth, depth_edges(depth)),
-        by_shear=binned(data.labels, predictions, shear, depth_edges(shear)),
+        consistency=metrics.consistency(data.labels, predictions) if uncertain else None,
+        by_sigma=metrics.by_predicted_sigma(data.labels, predictions) if uncertain else None,
+        by_depth=metrics.binned(data.labels, predictions, depth, metrics.depth_edges(depth)),
+        by_shear=metrics.binned(data.labels, predictions, shear, metrics.depth_edges(shear)),
     )

@@ -42,7 +42,9 @@ def train(
     """Train on a folder of the public layout and leave everything about the run in `out_dir`.
 
     A run that was interrupted goes on where its last whole epoch ended, when it is asked for again with the
-    same configuration and data, and ends as it would have without the interruption.
+    same configuration and data, and ends as it would have without the interruption. `FileExistsError` if
+    `out_dir` holds a finished run, or one with another configuration or other data; `DatasetError`,
+    `SettingError`, `AugmentationError` or `CalibrationError` for unusable data or configuration.
 
     Parameters
     ----------
@@ -51,13 +53,6 @@ def train(
         `epochs.csv`, `curves.png`, `best.pt`, `model.onnx` and, at the very end, `result.json`
     validation_dir : validation data; required unless `data_dir` holds `val/`
     limit : use this many training samples only
-
-    Raises
-    ------
-    DatasetError, SettingError, AugmentationError, CalibrationError
-        Unusable data or configuration.
-    FileExistsError
-        If `out_dir` holds a finished run, or one with another configuration or other data.
     """
     config = config or TrainConfig()
     progress = progress or TrainingProgress()

@@ -31,13 +31,7 @@ def read_arms(folder: Path) -> dict[str, RunRecord]:
     """The runs of all arms in a bag, by name.
 
     `result` of each also holds "bag_complete" and, for a bag that ends early or is damaged, "bag_problem".
-
-    Raises
-    ------
-    BagError
-        There is no bag, or nothing in it can be read.
-    ValueError
-        No arm of the bag has a controller.
+    `BagError` if there is no bag or nothing in it can be read; `ValueError` if no arm of it has a controller.
     """
     bag = read_bag(folder)
     arms = arms_of(bag)

@@ -11,18 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_records.runs import metrics
-from tactile_records.runs.figures import (
-    AXES,
-    BELIEF,
-    CONTACT_PICTURES,
-    REFERENCE,
-    SURFACE,
-    TRUTH,
-    message,
-    of_one_arm,
-    reference_of,
-)
+from tactile_records.runs import figures, metrics
+from tactile_records.runs.figures import AXES, BELIEF, REFERENCE, SURFACE, TRUTH, reference_of
 from tactile_records.runs.metrics import loop_rows, normal_angle, percent, task_row, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import TaskReport
@@ -71,7 +61,7 @@ def trajectory(record: RunRecord) -> Figure:
     """The sensor over the true surface: from the side for one path, in three dimensions for several."""
     tracks = list(_tracks(record))
     if not tracks:
-        return message("the run did not come to following: there is no path to show")
+        return figures.message("the run did not come to following: there is no path to show")
     return _side_view(record, tracks[0]) if len(tracks) == 1 else _three_dimensional(record, tracks)
 
 
@@ -242,5 +232,5 @@ REPORT = TaskReport(
     fields=metrics.REPORT_FIELDS,
     numbers=lambda record, run: metrics.report(record),
     summary=summary_rows,
-    pictures={"trajectory.png": of_one_arm(trajectory), **CONTACT_PICTURES},
+    pictures={"trajectory.png": figures.of_one_arm(trajectory), **figures.CONTACT_PICTURES},
 )
