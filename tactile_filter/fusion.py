@@ -86,9 +86,9 @@ def fuse(
 ) -> FusionResult:
     """Normalized product of two Gaussians over poses, approximated by one.
 
-    A fusion that has not converged is an answer, too: see its `status`. `FusionError` if an input is no pose or
-    no covariance, or the two cannot be fused in double precision; `ValueError` if an array has the wrong shape or
-    an option is unknown.
+    A fusion that has not converged is an answer, too: see its `status`. `FusionError` if an input is no pose
+    or no covariance, or the two cannot be fused in double precision; `ValueError` if an array has the wrong
+    shape or an option is unknown.
 
     Parameters
     ----------
