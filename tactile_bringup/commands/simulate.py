@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_base.progress import Progress
-from tactile_bringup.commands.changes import refusing
 from tactile_bringup.commands.launch import TASK_HELP, add_task_options
 
 if TYPE_CHECKING:
@@ -32,31 +32,34 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=_simulate)
 
 
-@refusing("simulate", status=2)
 def _simulate(arguments: argparse.Namespace) -> int:
     from tactile_bringup.offline import OfflineOptions, run_arms_offline
     from tactile_control.task_file import default_scene, load_task, task_path
     from tactile_drivers.scene import load_scene
     from tactile_filter.filter_settings import load_filter_settings
 
-    path = task_path(arguments.task)
-    scene = load_scene(arguments.scene or default_scene(path))
-    task = load_task(path, scene.name, controller=arguments.controller, changes=arguments.changes)
-    options = OfflineOptions(
-        fidelity=arguments.fidelity,
-        model=arguments.model,
-        seed=arguments.seed,
-        latency=arguments.latency * 1e-3,
-        arm=arguments.arm,
-        goals=tuple(arguments.goals),
-        filter=load_filter_settings(arguments.filter),
-    )
-    with Progress() as progress:
+    try:
+        path = task_path(arguments.task)
+        scene = load_scene(arguments.scene or default_scene(path))
+        task = load_task(path, scene.name, controller=arguments.controller, changes=arguments.changes)
+        options = OfflineOptions(
+            fidelity=arguments.fidelity,
+            model=arguments.model,
+            seed=arguments.seed,
+            latency=arguments.latency * 1e-3,
+            arm=arguments.arm,
+            goals=tuple(arguments.goals),
+            filter=load_filter_settings(arguments.filter),
+        )
+        with Progress() as progress:
 
-        def show(arm: str, goal: str, command: Command) -> None:
-            progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
+            def show(arm: str, goal: str, command: Command) -> None:
+                progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
 
-        run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
+            run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
+    except (FileNotFoundError, ValueError) as error:  # settings, scenes, models: all say what is wrong
+        print(f"tactile simulate: {error}", file=sys.stderr)
+        return 2
     return _deliver(run, arguments.out or Path("out") / "simulate")
 
 

@@ -59,7 +59,10 @@ def report_of(record: RunRecord) -> TaskReport:
 def write_reports(run: Run, folder: Path) -> dict[str, dict[str, Any]]:
     """Write report.json and pictures of each arm, into the folder or with several arms into one each in it.
 
-    The numbers of each arm are returned; NaN is None, as it is null in the file.
+    Returns
+    -------
+    dict
+        The numbers of each arm; NaN is None, as it is null in the file.
     """
     values = {}
     for arm, place in places(run, folder).items():
