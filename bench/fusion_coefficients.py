@@ -6,6 +6,7 @@ python bench/fusion_coefficients.py > tactile_filter/_csrc/coefficients.h
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 
 import mpmath as mp
@@ -16,12 +17,17 @@ REGULAR_VERSINE = 0.3  # of the largest angle of the polynomials, 1 - cos t
 
 def split(value: mp.mpf) -> str:
     high = float(value)
-    return f"{{{high!r}, {float(value - mp.mpf(high))!r}}}"
+    return f"{{{high!r},\xa0{float(value - mp.mpf(high))!r}}}"
 
 
-def array(name: str, text: str, values: list[mp.mpf]) -> str:
-    rows = "".join(f"  {split(value)},\n" for value in values)
-    return f"// {text}\nstatic const Dd {name}[{len(values)}] = {{\n{rows}}};\n"
+def array(kind: str, name: str, text: str, values: list[str]) -> str:
+    wrapped = textwrap.TextWrapper(100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+    rows = wrapped.fill(", ".join(values)).replace("\xa0", " ")
+    return f"// {text}\nstatic const {kind} {name}[{len(values)}] = {{\n{rows}\n}};\n"
+
+
+def series(name: str, text: str, values: list[mp.mpf]) -> str:
+    return array("Dd", name, text, [split(value) for value in values])
 
 
 def tail(power: int) -> mp.mpf:
@@ -35,8 +41,7 @@ def fit(name: str, text: str, function: Callable[[mp.mpf], mp.mpf], end: mp.mpf,
         lambda x: function(mp.sqrt(max(x, mp.mpf(10) ** -30))), [0, end], degree + 1, error=True
     )
     assert error < 4e-16 * abs(function(mp.mpf(10) ** -15))
-    rows = "".join(f"  {float(value)!r},\n" for value in reversed(values))
-    return f"// {text}\nstatic const double {name}[{degree + 1}] = {{\n{rows}}};\n"
+    return array("double", name, text, [repr(float(value)) for value in reversed(values)])
 
 
 def fits() -> list[str]:
@@ -69,18 +74,18 @@ def main() -> None:
     """Print the header."""
     mp.mp.dps = 90
     blocks = [
-        array(
+        series(
             "SIN",
             "sin(t)/t in powers of t^2",
             [(-1) ** k / mp.factorial(2 * k + 1) for k in range(COUNT + 2)],
         ),
-        array("COS", "(1 - cos t)/t^2", [(-1) ** k / mp.factorial(2 * k + 2) for k in range(COUNT + 1)]),
-        array(
+        series("COS", "(1 - cos t)/t^2", [(-1) ** k / mp.factorial(2 * k + 2) for k in range(COUNT + 1)]),
+        series(
             "COT",
             "what the poles from n = 3 on add to (1 - (t/2) cot(t/2))/t^2",
             [2 * tail(2 * k + 2) for k in range(COUNT + 1)],
         ),
-        array("FIRST_POLE", "4 pi^2, 16 pi^2", [4 * mp.pi**2, 16 * mp.pi**2]),
+        series("FIRST_POLE", "4 pi^2, 16 pi^2", [4 * mp.pi**2, 16 * mp.pi**2]),
     ]
     print("// Written by bench/fusion_coefficients.py. Series in powers of t^2, each a sum of two doubles.")
     print('#ifndef TACTILE_COEFFICIENTS_H_\n#define TACTILE_COEFFICIENTS_H_\n\n#include "dd.h"\n')

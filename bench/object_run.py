@@ -208,7 +208,7 @@ def errors_of(beliefs: list[Believed], truths: list[Array]) -> list[str]:
         return ["", "", ""]
     pairs = list(zip(beliefs, truths, strict=True))
     off = [each.mean[:3, 3] - truth[:3, 3] for each, truth in pairs]
-    turned = [se3.rotation_vector(each.mean[:3, :3] @ truth[:3, :3].T) for each, truth in pairs]
+    turned = [se3.log(each.mean @ se3.inverse(truth))[3:] for each, truth in pairs]
     position, rotation = (float(np.sqrt(np.mean(np.sum(np.square(v), axis=1)))) for v in (off, turned))
     honest = np.mean([nees(truth, each.mean, each.cov) for each, truth in pairs]) / 6.0
     return [f"{1e3 * position:.2f}", f"{np.degrees(rotation):.2f}", f"{honest:.2f}"]

@@ -36,14 +36,10 @@ class NodeProcess:
 
     Attributes
     ----------
-    name, namespace : str
-        Of the node; the namespace is "/" or "/<arm>".
-    module : str
-        Python module whose `main` runs the node.
-    executable : str
-        Its name for `ros2 run tactile_servoing`.
-    parameters : mapping
-        Parameter name -> value.
+    name, namespace : of the node; the namespace is "/" or "/<arm>"
+    module : Python module whose `main` runs the node
+    executable : its name for `ros2 run tactile_servoing`
+    parameters : parameter name -> value
     """
 
     name: str
@@ -81,31 +77,19 @@ class GraphOptions:
 
     Attributes
     ----------
-    rate : float or None
-        Exposures a second; None for the scene's own.
-    seed : int
-        Of the simulated cell.
-    model : Path or None
-        Of all estimators; None: the one that the scene names for each sensor, else the shipped one.
-    filter : str
-        One of config/filters, or a path; empty: config/filter.yaml.
-    controller : str or None
-        One of config/controllers in place of those that the task names.
-    changes : tuple of str
-        Settings on top of all files, each as ROLE.GROUP.NAME=VALUE.
-    goals : tuple of str
-        Names of the goals to run; empty: all.
-    record : Path or None
-        The bag to write.
-    record_images : bool
-        Whether images go into the bag, compressed without loss.
-    marker_view : bool
-        Whether each sensor with images gets a node that publishes a picture of its markers.
-    object_belief : bool
-        Whether the contacts of all arms are fused into one belief over the object that they touch.
-    object_file : str
-        Where they touch it: the name of one of config/objects or a path (`tactile_filter.object.settings`);
-        empty: that is found by touch.
+    rate : exposures a second; None for the scene's own
+    seed : of the simulated cell
+    model : of all estimators; None: the one that the scene names for each sensor, else the shipped one
+    filter : one of config/filters, or a path; empty: config/filter.yaml
+    controller : one of config/controllers in place of those that the task names
+    changes : settings on top of all files, each as ROLE.GROUP.NAME=VALUE
+    goals : names of the goals to run; empty: all
+    record : the bag to write
+    record_images : whether images go into the bag, compressed without loss
+    marker_view : whether each sensor with images gets a node that publishes a picture of its markers
+    object_belief : whether the contacts of all arms are fused into one belief over the object that they touch
+    object_file : where they touch it: the name of one of config/objects or a path
+        (`tactile_filter.object.settings`); empty: that is found by touch
     """
 
     rate: float | None = None
@@ -128,10 +112,8 @@ class Graph:
 
     Attributes
     ----------
-    task, scene : str
-        Names, for people.
-    arms : tuple of str
-        Arms that run something.
+    task, scene : names, for people
+    arms : arms that run something
     plans : tuple of ArmPlan
         What each of them does.
     """
@@ -155,14 +137,8 @@ class Graph:
 def load_graph(task: str, scene: str | None = None, options: GraphOptions | None = None) -> Graph:
     """The graph of a task on a scene, each the name of a packaged one or the path of a file.
 
-    Without a scene it is the first that the task names.
-
-    Raises
-    ------
-    SettingError
-        A file holds something wrong; the message names file, line and valid choices.
-    FileNotFoundError
-        There is no such task or scene; the message lists those that there are.
+    Without a scene it is the first that the task names. `SettingError` names file, line and valid choices
+    where a file holds something wrong; `FileNotFoundError` lists the tasks or scenes that there are.
     """
     options = options or GraphOptions()
     path = task_path(task)
@@ -205,8 +181,7 @@ def build_collection_graph(
     ----------
     goal : NamedGoal
         Of data collection.
-    collector : mapping
-        Parameter -> value, for the collector.
+    collector : parameter -> value, for the collector
     """
     options = options or GraphOptions()
     nodes = _drivers(scene, options)

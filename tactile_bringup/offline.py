@@ -47,24 +47,15 @@ class OfflineOptions:
 
     Attributes
     ----------
-    fidelity : str or None
-        "image" (skin, camera image, network) or "ideal" (noisy truth); None: as the scene says.
-    model : Path or None
-        ONNX model for images; None: that of each sensor in the scene.
-    latency : float
-        From exposure to command emission, s.
-    jitter : float
-        Uniform part added to each latency, s.
-    control_period : float
-        A controller also steps when nothing arrived for this long, s.
-    arm : str or None
-        Only this arm runs; None: all that have a role.
-    goals : tuple of str
-        Names of the goals to run; empty: all.
-    time_limit : float
-        A goal that takes longer than this on the cell's clock is given up, s.
-    sensor : dict
-        Settings of the sensor's model that replace the scene's.
+    fidelity : "image" (skin, camera image, network) or "ideal" (noisy truth); None: as the scene says
+    model : ONNX model for images; None: that of each sensor in the scene
+    latency : from exposure to command emission, s
+    jitter : uniform part added to each latency, s
+    control_period : a controller also steps when nothing arrived for this long, s
+    arm : only this arm runs; None: all that have a role
+    goals : names of the goals to run; empty: all
+    time_limit : a goal that takes longer than this on the cell's clock is given up, s
+    sensor : settings of the sensor's model that replace the scene's
     """
 
     fidelity: str | None = None
@@ -88,10 +79,7 @@ def run_offline(
 ) -> RunRecord:
     """Run a task in which one arm has a role, and return what happened (see `run_arms_offline`).
 
-    Raises
-    ------
-    SettingError
-        Also where several arms have a role and the options do not say which.
+    Raises `SettingError` also where several arms have a role and the options do not say which.
     """
     records = run_arms_offline(scene, task, options, progress)
     if len(records) > 1:
@@ -107,17 +95,13 @@ def run_arms_offline(
 ) -> dict[str, RunRecord]:
     """Run all goals of a task on a scene and return what happened to each arm.
 
+    `SettingError` or `FileNotFoundError` for scenes, tasks, arms and goals that are not there or are wrong.
+
     Parameters
     ----------
     scene, task
         Loaded, or by name (config/scenes, config/tasks).
-    progress : callable
-        Called with arm, goal and command after each step of a controller.
-
-    Raises
-    ------
-    SettingError, FileNotFoundError
-        For scenes, tasks, arms and goals that do not exist or hold something wrong.
+    progress : called with arm, goal and command after each step of a controller
     """
     options = options or OfflineOptions()
     scene = load_scene(scene) if isinstance(scene, str) else scene

@@ -39,18 +39,13 @@ class ArmPlan:
 def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
     """What each arm of the scene does.
 
+    `SettingError` if a role names an arm that is not there or cannot run its task, two roles have the same
+    arm, or nothing is left to do.
+
     Parameters
     ----------
-    only : str, optional
-        Leave out all arms but this one.
-    goals : sequence of str
-        Leave out all goals but these, in roles that have any of them.
-
-    Raises
-    ------
-    SettingError
-        A role names an arm that is not there or cannot run its task, two roles have the same arm, or
-        nothing is left to do.
+    only : leave out all arms but this one
+    goals : leave out all goals but these, in roles that have any of them
     """
     plans: dict[str, ArmPlan] = {}
     for role in task.roles:
@@ -124,8 +119,7 @@ class RunSequence:
 
     Attributes
     ----------
-    failure : str
-        Why the run failed; '' as long as it has not.
+    failure : why the run failed; '' as long as it has not
     """
 
     def __init__(self, plans: Sequence[ArmPlan]) -> None:

@@ -26,13 +26,7 @@ from tactile_filter.history import Entry, History, Key
 from tactile_filter.propagation import Innovation, innovation, predict, usable_pose
 from tactile_filter.robust import Spectrum, huber_inflation, student_t_inflation
 
-__all__ = [
-    "Belief",
-    "BeliefFlag",
-    "ContactFilter",
-    "FilterSettings",
-    "gate_threshold",
-]
+__all__ = ["Belief", "BeliefFlag", "ContactFilter", "FilterSettings", "gate_threshold"]
 
 Array = NDArray[np.float64]
 
@@ -71,9 +65,8 @@ class ContactFilter:
 
     Attributes
     ----------
-    late : Counter
-        With a `history`: measurements that came late since the last reset, by what became of them: "put in
-        place" or "too late".
+    late : with a `history`: measurements that came late since the last reset, by what became of them: "put in
+        place" or "too late"
     """
 
     def __init__(self, settings: FilterSettings | None = None) -> None:
@@ -134,10 +127,7 @@ class ContactFilter:
     def reset(self, reason: str, stamp_ns: int | None = None) -> None:
         """Forget the belief and the counts of refused measurements.
 
-        Parameters
-        ----------
-        stamp_ns : int, optional
-            With a `history`: measurements of this stamp and earlier ones that are still to come are too late.
+        With a `history`, measurements of `stamp_ns` and earlier ones that are still to come are too late.
         """
         self._forget(reason)
         self._history.clear(stamp_ns)
@@ -147,19 +137,13 @@ class ContactFilter:
     ) -> Belief:
         """Take the result of one exposure: `step` with its estimate; without contact, forget the belief.
 
+        The belief that is returned without contact has the flags NO_CONTACT and INVALID.
+
         Parameters
         ----------
-        stamp_ns : int
-            Of the exposure.
-        estimate : PoseGaussian or None
-            Estimate of X_sf; None: there is no contact.
-        T_base_sensor : (4, 4) or None
-            As for `step`; not needed without contact.
-
-        Returns
-        -------
-        Belief
-            Without contact one with the flags NO_CONTACT and INVALID.
+        stamp_ns : of the exposure
+        estimate : estimate of X_sf; None: there is no contact
+        T_base_sensor : (4, 4) or None, as for `step`; not needed without contact
         """
         if estimate is not None:
             return self.step(stamp_ns, estimate, T_base_sensor)
@@ -178,23 +162,16 @@ class ContactFilter:
     ) -> Belief:
         """Predict to the measurement's stamp and fuse it; put it in its place if it comes late.
 
+        The belief is of `stamp_ns`, or of the stamp of the last step if this one is not later.
+
         Parameters
         ----------
-        stamp_ns : int
-            Exposure of the image that the measurement was made from.
-        measurement : PoseGaussian
-            Estimate of X_sf. One that is not finite or has no positive definite covariance is refused; the
-            step then only predicts.
-        T_base_sensor : (4, 4)
-            The sensor's pose in a frame in which the surface stands still, at that stamp. A measurement
-            whose pose is none is refused, and the belief stays what it is.
-        source, sequence : str, int
-            Order of measurements of the same stamp (of which the first is fused).
-
-        Returns
-        -------
-        Belief
-            At `stamp_ns`; at the stamp of the last step if this one is not later.
+        stamp_ns : exposure of the image that the measurement was made from
+        measurement : estimate of X_sf. One that is not finite or has no positive definite covariance is
+            refused; the step then only predicts.
+        T_base_sensor : (4, 4) the sensor's pose in a frame in which the surface stands still, at that stamp.
+            A measurement whose pose is none is refused, and the belief stays what it is.
+        source, sequence : order of measurements of the same stamp (of which the first is fused)
         """
         stamp_ns = int(stamp_ns)
         sensor = usable_pose(T_base_sensor)
@@ -352,12 +329,7 @@ class ContactFilter:
         return self._invalid(stamp_ns, text)
 
     def _refuse_predicted(
-        self,
-        reason: str,
-        text: str,
-        predicted: _State,
-        flags: BeliefFlag,
-        surprise: Innovation | None = None,
+        self, reason: str, text: str, predicted: _State, flags: BeliefFlag, surprise: Innovation | None = None
     ) -> Belief:
         """Count the measurement as refused and believe what was predicted."""
         self._count_refused(reason)

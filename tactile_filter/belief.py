@@ -32,23 +32,16 @@ class Belief:
 
     Attributes
     ----------
-    stamp_ns : int
-        When it holds.
+    stamp_ns : when it holds
     mean, cov : (4, 4) pose and (6, 6) left covariance in m and rad; NaN where flags has INVALID
-    nis : float
-        Normalized innovation squared of the measurement against the prediction; NaN without both.
-    nis_dof : int
-        Its degrees of freedom: 6, or 0 where nis is NaN.
+    nis : normalized innovation squared of the measurement against the prediction; NaN without both
+    nis_dof : its degrees of freedom: 6, or 0 where nis is NaN
     flags : BeliefFlag
-    reason : str
-        Why a measurement was not fused or the belief was restarted; empty in the regular case.
-    rejected : int
-        Measurements refused since the last reset.
-    innovation : (6,) or None
-        Whitened innovation: standard normal and independent from step to step if the filter's assumptions
-        hold. Its squared length is nis; None where nis is NaN.
-    inflation : float
-        Factor on the measurement's covariance by which it was fused (setting `robust`).
+    reason : why a measurement was not fused or the belief was restarted; empty in the regular case
+    rejected : measurements refused since the last reset
+    innovation : (6,) or None, whitened innovation: standard normal and independent from step to step if the
+        filter's assumptions hold. Its squared length is nis; None where nis is NaN.
+    inflation : factor on the measurement's covariance by which it was fused (setting `robust`)
     """
 
     stamp_ns: int

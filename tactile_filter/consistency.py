@@ -60,22 +60,15 @@ class Consistency:
 
     Attributes
     ----------
-    count : int
-        Innovations in the window; the statistics are NaN until it is full.
-    nis : float
-        Mean NIS over its degrees of freedom: 1 if consistent, larger if overconfident.
+    count : innovations in the window; the statistics are NaN until it is full
+    nis : mean NIS over its degrees of freedom: 1 if consistent, larger if overconfident
     nis_bounds : (float, float)
-    whiteness : float
-        N sum r_i^2 over its degrees of freedom: 1 if consistent.
+    whiteness : N sum r_i^2 over its degrees of freedom: 1 if consistent
     whiteness_bound : float
-    lag_one : (6,)
-        Correlation of each whitened component with itself one step later.
-    rejected : float
-        Share of measurements that the gate refused.
-    problems : tuple of str
-        What is wrong, in words; empty if nothing is, or not for long enough.
-    warnings : tuple of str
-        Those of the problems to warn of, by the setting `warn_of`.
+    lag_one : (6,) correlation of each whitened component with itself one step later
+    rejected : share of measurements that the gate refused
+    problems : what is wrong, in words; empty if nothing is, or not for long enough
+    warnings : those of the problems to warn of, by the setting `warn_of`
     """
 
     count: int
@@ -153,15 +146,7 @@ class ConsistencyMonitor:
         if self.settings.warn_of == "harmful":
             warnings = tuple(text for text in problems if text.startswith(HARMFUL))
         return Consistency(
-            count,
-            nis,
-            self.nis_bounds,
-            whiteness,
-            self.whiteness_bound,
-            lag_one,
-            rejected,
-            problems,
-            warnings,
+            count, nis, (low, high), whiteness, self.whiteness_bound, lag_one, rejected, problems, warnings
         )
 
     def _lasting(self, outside: dict[str, tuple[bool, str]]) -> tuple[str, ...]:

@@ -61,11 +61,9 @@ class FusionResult(NamedTuple):
     mean : (4, 4) pose
     cov : (6, 6) left covariance, equal to ``factor @ factor.T`` and thus symmetric and never indefinite
     factor : (6, 6) lower triangular
-    iterations : int
-        Steps taken.
+    iterations : steps taken
     status : FusionStatus
-    step : float
-        Length of the last step in posterior standard deviations: how far from converged it is.
+    step : length of the last step in posterior standard deviations: how far from converged it is
     """
 
     mean: Array
@@ -88,6 +86,10 @@ def fuse(
 ) -> FusionResult:
     """Normalized product of two Gaussians over poses, approximated by one.
 
+    A fusion that has not converged is an answer, too: see its `status`. `FusionError` if an input is no pose
+    or no covariance, or the two cannot be fused in double precision; `ValueError` if an array has the wrong
+    shape or an option is unknown.
+
     Parameters
     ----------
     mean_1, mean_2 : (4, 4) poses
@@ -96,22 +98,8 @@ def fuse(
         "paper": 5 iterations with the inverse Jacobian of order 2, and the covariance as it was before the
         last update, as published. "fast": 3 iterations with the exact Jacobian. "exact": to convergence with
         the exact Jacobian and a line search, the covariance at the answer.
-    iterations : int, optional
-        Another number of iterations than the mode's; in mode "exact" the most it may take.
-    jacobian_order : {2, 4, "exact"}, optional
-        Another order than the mode's.
-
-    Returns
-    -------
-    FusionResult
-        With `status`: a fusion that has not converged is an answer, too.
-
-    Raises
-    ------
-    FusionError
-        If an input is no pose or no covariance, or the two cannot be fused in double precision.
-    ValueError
-        If an array has the wrong shape or an option is unknown.
+    iterations : another number of iterations than the mode's; in mode "exact" the most it may take
+    jacobian_order : {2, 4, "exact"}, another order than the mode's
     """
     # Tens of nanoseconds count: the usual call goes straight to C, which knows the modes and calls `_refuse`.
     if iterations is None and jacobian_order is None:

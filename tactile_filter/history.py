@@ -39,10 +39,8 @@ class Entry:
 class History:
     """Entries by key, not older than the newest by more than `span_ns`, and at most `CAPACITY` of them.
 
-    Attributes
-    ----------
-    floor_ns : int or None
-        Nothing of this stamp or an earlier one may be put in any more; None before anything was forgotten.
+    Nothing of the stamp `floor_ns` or an earlier one may be put in any more; it is None before anything was
+    forgotten.
     """
 
     def __init__(self, span_ns: int) -> None:

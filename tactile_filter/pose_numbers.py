@@ -34,10 +34,8 @@ def are_poses(numbers: ArrayLike) -> NDArray[np.bool_]:
 def pose_from_numbers(numbers: ArrayLike) -> Array:
     """T (..., 4, 4) of poses (..., 7); small deviations of a quaternion's norm are divided out.
 
-    Raises
-    ------
-    MessageError
-        If a number is not finite, or a quaternion's norm is off 1 by more than `QUATERNION_TOLERANCE`.
+    Raises `MessageError` if a number is not finite, or a quaternion's norm is off 1 by more than
+    `QUATERNION_TOLERANCE`.
     """
     array = np.asarray(numbers, dtype=np.float64)
     usable = are_poses(array)
@@ -59,10 +57,8 @@ def numbers_from_pose(T: ArrayLike) -> Array:
 def gaussian_from_numbers(numbers: Sequence[float]) -> PoseGaussian:
     """Gaussian with left covariance of 43 numbers.
 
-    Raises
-    ------
-    MessageError
-        If a number is not finite, the quaternion's norm is not 1, or a variance is negative.
+    Raises `MessageError` if a number is not finite, the quaternion's norm is not 1, or a variance is
+    negative.
     """
     array = np.array(numbers, dtype=np.float64)
     mean, cov = pose_from_numbers(array[:7]), array[7:].reshape(6, 6)

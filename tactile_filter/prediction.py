@@ -42,8 +42,7 @@ class ContactPredictor:
 
     Attributes
     ----------
-    twist : (6,)
-        Of the feature relative to the base, in the feature's frame, m/s and rad/s.
+    twist : (6,) of the feature relative to the base, in the feature's frame, m/s and rad/s
     """
 
     def __init__(self, settings: PredictionSettings | None = None) -> None:

@@ -17,12 +17,9 @@ class Innovation(NamedTuple):
 
     Attributes
     ----------
-    nis : float
-        Its squared Mahalanobis distance; infinite where the covariances allow none.
-    whitened : (6,)
-        Standard normal if both Gaussians are true; its squared length is `nis`.
-    dof : int
-        Degrees of freedom of `nis`.
+    nis : its squared Mahalanobis distance; infinite where the covariances allow none
+    whitened : (6,) standard normal if both Gaussians are true; its squared length is `nis`
+    dof : degrees of freedom of `nis`
     """
 
     nis: float
@@ -35,24 +32,15 @@ def predict(
 ) -> tuple[Array, Array]:
     """The algorithm's prediction: X <- T_k X, Sigma <- Ad(T_k) Sigma Ad(T_k)^T + Q, T_k = now^-1 before.
 
+    Rounding is taken out of the mean's rotation, and the covariance is exactly symmetric.
+    Raises `ValueError` if an argument has the wrong shape, is not finite, or is no pose.
+
     Parameters
     ----------
     mean, cov : (4, 4) and (6, 6)
         Belief over X_sf before; left covariance, symmetric (its lower half is read).
-    T_before, T_now : (4, 4)
-        Pose of the sensor then and now, in a frame in which the surface stands still.
-    variances : (6,)
-        Diagonal of the process noise's covariance.
-
-    Returns
-    -------
-    tuple of (4, 4) and (6, 6)
-        The mean with rounding taken out of its rotation, and an exactly symmetric covariance.
-
-    Raises
-    ------
-    ValueError
-        If an argument has the wrong shape, is not finite, or is no pose.
+    T_before, T_now : (4, 4) pose of the sensor then and now, in a frame in which the surface stands still
+    variances : (6,) diagonal of the process noise's covariance
     """
     return _fusion.predict(mean, cov, T_before, T_now, variances)
 
@@ -66,10 +54,7 @@ def innovation(mean_1: ArrayLike, cov_1: ArrayLike, mean_2: ArrayLike, cov_2: Ar
     J(nu) nu = nu, no Jacobian is needed: nu^T S^-1 nu = nu^T M^-1 nu with
     M = cov_1 + Ad(D) cov_2 Ad(D)^T, D = X_1 X_2^-1. M = L L^T whitens: L^-1 nu.
 
-    Raises
-    ------
-    ValueError
-        If an argument has the wrong shape, is not finite, or a mean's last row is not [0, 0, 0, 1].
+    Raises `ValueError` if an argument has the wrong shape or is not finite, or a mean is no pose matrix.
     """
     return Innovation(*_fusion.innovation(mean_1, cov_1, mean_2, cov_2))
 

@@ -38,23 +38,17 @@ _STEPS = 1000  # rarely more than 20; near a double fixed point the way to it is
 class Spectrum:
     """An innovation in the basis in which the measurement's covariance is the identity.
 
+    `FusionError` if the two covariances have no such basis in double precision.
+
     Parameters
     ----------
     measurement : PoseGaussian
-    mean, cov : (4, 4) and (6, 6)
-        The prediction.
+    mean, cov : (4, 4) and (6, 6), the prediction
 
     Attributes
     ----------
-    squares : list of 6
-        z^2 along the generalized eigenvectors; floats, since NumPy takes longer for so few.
-    ratio : list of 6
-        The prediction's variances along these, lambda.
-
-    Raises
-    ------
-    FusionError
-        If the two covariances have no such basis in double precision.
+    squares : z^2 along the generalized eigenvectors; floats, since NumPy takes longer for so few
+    ratio : the prediction's variances along these, lambda
     """
 
     def __init__(self, measurement: PoseGaussian, mean: Array, cov: Array) -> None:

@@ -39,34 +39,6 @@ class PoseError(ValueError):
     """What should be a pose is none; the text says what it is of, and what is wrong with it."""
 
 
-def hat(xi: ArrayLike) -> Array:
-    """Matrix (4, 4) of a tangent vector (6,), or (3, 3) of a rotation vector (3,): the paper's wedge."""
-    v = np.asarray(xi, dtype=np.float64)
-    if v.shape == (3,):
-        return _skew(_checked(v, (3,), "phi").tolist())
-    x = _checked(v, (6,), "xi")
-    result = np.zeros((4, 4))
-    result[:3, :3] = _skew(x[3:].tolist())
-    result[:3, 3] = x[:3]
-    return result
-
-
-def vee(matrix: ArrayLike) -> Array:
-    """The vector of which `matrix` is the hat: (6,) of (4, 4), (3,) of (3, 3); the inverse of `hat`."""
-    m = np.asarray(matrix, dtype=np.float64)
-    if m.shape == (3, 3):
-        _checked(m, (3, 3), "matrix")
-        return 0.5 * np.array((m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]))
-    _checked(m, (4, 4), "matrix")
-    return np.concatenate((m[:3, 3], vee(m[:3, :3])))
-
-
-def curly_hat(xi: ArrayLike) -> Array:
-    """The algebra's adjoint ad(xi) (6, 6) = [[phi^, rho^], [0, phi^]] (paper's curly hat)."""
-    v = _checked(xi, (6,), "xi").tolist()
-    return _upper_block(_skew(v[3:]), _skew(v[:3]))
-
-
 def exp(xi: ArrayLike) -> Array:
     """Pose (4, 4) = exp(xi^) of a tangent vector (6,), in closed form (paper's exponential map)."""
     return _fusion.exp(xi)
@@ -80,13 +52,6 @@ def log(T: ArrayLike) -> Array:
     nearest one; that it is no further off is not checked.
     """
     return _fusion.log(T)
-
-
-def rotation_vector(R: ArrayLike) -> Array:
-    """Rotation vector phi (3,) of a rotation (3, 3), |phi| <= pi, through its quaternion."""
-    T = np.eye(4)
-    T[:3, :3] = _checked(R, (3, 3), "R")
-    return _fusion.log(T)[3:]
 
 
 def inverse(T: ArrayLike) -> Array:
@@ -113,16 +78,6 @@ def inverse_left_jacobian(xi: ArrayLike) -> Array:
     return _fusion.inverse_left_jacobian(xi)
 
 
-def inverse_left_jacobian_series(xi: ArrayLike, order: int) -> Array:
-    """The series of the inverse left Jacobian (6, 6) up to `order` (2 or 4); the paper takes order 2."""
-    if order not in (2, 4):
-        raise ValueError(f"order = {order!r}: must be 2 or 4")
-    ad = curly_hat(xi)
-    squared = ad @ ad
-    result = np.eye(6) - 0.5 * ad + squared / 12.0
-    return result if order == 2 else result - squared @ squared / 720.0
-
-
 def interpolate(T0: ArrayLike, T1: ArrayLike, s: float) -> Array:
     """Pose (4, 4) at the fraction s of the screw motion from T0 to T1; exactly T0 at 0 and T1 at 1."""
     return _fusion.interpolate(T0, T1, s)
@@ -131,10 +86,7 @@ def interpolate(T0: ArrayLike, T1: ArrayLike, s: float) -> Array:
 def orthonormalized(T: ArrayLike) -> Array:
     """The pose (4, 4) with its rotation replaced by the nearest one (to rounding).
 
-    Raises
-    ------
-    ValueError
-        If the upper left block is further than `ROTATION_TOLERANCE` from a rotation.
+    Raises `ValueError` if the upper left block is further than `ROTATION_TOLERANCE` from a rotation.
     """
     return _fusion.orthonormalized(T)
 
@@ -253,25 +205,6 @@ def _stacked(value: ArrayLike, shape: Shape, name: str) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.shape[-len(shape) :] != shape:
         raise ValueError(f"{name}: must have shape {shape}, or that behind others, has {array.shape}")
-    return _finite(array, name)
-
-
-def _skew(v: Vector) -> Array:
-    x, y, z = v
-    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
-
-
-def _upper_block(block: Array, corner: Array) -> Array:
-    result = np.zeros((6, 6))
-    result[:3, :3] = result[3:, 3:] = block
-    result[:3, 3:] = corner
-    return result
-
-
-def _checked(value: ArrayLike, shape: Shape, name: str) -> Array:
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"{name}: must have shape {shape}, has {array.shape}")
     return _finite(array, name)
 
 

@@ -30,28 +30,17 @@ _IDENTITY = np.eye(6)
 def smooth(
     beliefs: Sequence[Belief], poses: Sequence[ArrayLike], settings: FilterSettings | None = None
 ) -> list[Belief]:
-    """Smooth the beliefs of a run of the filter.
+    """Smooth the beliefs of a run of the filter: other means and covariances, all else as it was.
+
+    A belief that did not advance in time is that of the step before it; one that is not valid stays as it is.
+    Nothing is carried back over a restart of the filter.
+    Raises `ValueError` if the numbers of beliefs and poses differ, or a belief's covariance is none.
 
     Parameters
     ----------
-    beliefs : sequence of Belief
-        What `ContactFilter.step` answered, in that order.
-    poses : sequence of (4, 4)
-        T_base_sensor of each step.
-    settings : FilterSettings
-        Those of the filter: the process noise is taken from them.
-
-    Returns
-    -------
-    list of Belief
-        With smoothed mean and cov, all else as it was. A belief that did not advance in time is that of the
-        step before it; one that is not valid stays as it is. Nothing is carried back over a restart of the
-        filter.
-
-    Raises
-    ------
-    ValueError
-        If the numbers of beliefs and poses differ, or a belief's covariance is none.
+    beliefs : what `ContactFilter.step` answered, in that order
+    poses : sequence of (4, 4) T_base_sensor of each step
+    settings : those of the filter: the process noise is taken from them
     """
     if len(beliefs) != len(poses):
         raise ValueError(f"{len(beliefs)} beliefs and {len(poses)} poses: must be as many")

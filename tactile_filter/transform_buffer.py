@@ -108,9 +108,7 @@ class TransformBuffer:
         """T_target_source (4, 4) at a stamp, interpolated along screw motions between the stamps of each
         link.
 
-        Raises
-        ------
-        TransformDisconnected, TransformInFuture, TransformInPast
+        Raises `TransformDisconnected`, `TransformInFuture` or `TransformInPast`.
         """
         up, down = self._chains(target, source)
         T_common_source = self._compose(down, stamp_ns)
@@ -119,12 +117,7 @@ class TransformBuffer:
     def newest(self, target: str, source: str) -> tuple[int, Array]:
         """The newest stamp at which T_target_source is known, and T_target_source there.
 
-        For who asks where things are and heeds the age.
-
-        Raises
-        ------
-        TransformUnavailable
-            Also where nothing moves between the frames.
+        For who asks where things are and heeds the age. `TransformUnavailable` also where nothing moves.
         """
         stamp_ns = self.latest_stamp(target, source)
         if stamp_ns is None:
@@ -134,9 +127,7 @@ class TransformBuffer:
     def latest_stamp(self, target: str, source: str) -> int | None:
         """The newest stamp (ns) at which every moving link between the frames is known; None if none moves.
 
-        Raises
-        ------
-        TransformDisconnected
+        Raises `TransformDisconnected`.
         """
         up, down = self._chains(target, source)
         moving = [self._links[child] for child in (*up, *down) if not self._links[child].static]

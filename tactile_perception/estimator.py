@@ -76,21 +76,16 @@ class Estimator:
 
     Attributes
     ----------
-    metadata : ModelMetadata
-        What the model file says about itself.
+    metadata : what the model file says about itself
     preprocessor : Preprocessor
         Made from the settings in the metadata, so that images are prepared as they were in training.
-    times : StageTimes
-        Of the last estimate.
+    times : of the last estimate
     """
 
     def __init__(self, model_path: Path | str = "", threads: int = 1) -> None:
         """Load and check a model, and run it a few times so that the first real image is not slow.
 
-        Raises
-        ------
-        ModelError
-            Saying which file, what is wrong with it, and what would be right.
+        `ModelError` says which file, what is wrong with it, and what would be right.
         """
         self.path = _model_file(Path(model_path)) if str(model_path) else shipped_model()
         self._session = _open_session(self.path, threads)

@@ -98,9 +98,9 @@ def dial_configs(epochs: int | None = None) -> dict[str, TrainConfig]:
     if epochs is not None:
         training = base.training
         before = training.rise_epochs + training.hold_epochs
-        base = base.replaced("training", decay_epochs=epochs - before)
+        base = base.replaced(training__decay_epochs=epochs - before)
     networks = root.sections("networks")
-    return {name: base.replaced("network", **network.values) for name, network in networks.items()}
+    return {name: base.merged({"network": network.values}) for name, network in networks.items()}
 
 
 def _write(config: TrainConfig, file: Path) -> Path:

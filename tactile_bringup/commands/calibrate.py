@@ -9,8 +9,6 @@ from typing import Any
 from tactile_base.whole_file import check_file
 from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
 
-MODEL_NAME = "model.onnx"
-
 
 def register(subparsers: Any) -> None:
     """Add `calibrate` to argparse subparsers; sets `run`, a callable of the arguments."""
@@ -21,9 +19,10 @@ def register(subparsers: Any) -> None:
         "samples of today's session (100 at least, better 500), as a session should begin; or on what was "
         "held back of its training data, with the margin and floor of its training for other sessions.",
     )
-    parser.add_argument("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
-    parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
+    add = parser.add_argument
+    add("model", type=Path, metavar="RUN", help="run folder of `tactile train`, or ONNX file")
+    add("--data", type=Path, required=True, help="labelled folder of the public layout")
+    add("--out", type=Path, required=True, metavar="FILE", help="where the copy goes (.onnx)")
     add_set_option(parser, "change a setting of the calibration, as margin=[1.1,1.1,1.1,1,1,1]")
     parser.set_defaults(run=run_calibrate)
 
@@ -31,11 +30,11 @@ def register(subparsers: Any) -> None:
 @refusing("calibrate")
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """`tactile calibrate`: returns the exit status."""
+    from tactile_perception.estimating.model_metadata import trained_model
     from tactile_perception.training.recalibration import recalibrate
 
-    model = arguments.model / MODEL_NAME if arguments.model.is_dir() else arguments.model
     check_file(arguments.out)
-    changes = changed_settings(arguments.changes, "sigma_knots=3")
+    model, changes = trained_model(arguments.model), changed_settings(arguments.changes, "sigma_knots=3")
     calibration, own_session = recalibrate(model, arguments.data, arguments.out, changes)
     source = "held back in training, for other sessions" if own_session else "of this session, for it"
     print(

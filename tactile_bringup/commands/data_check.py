@@ -32,15 +32,13 @@ def register(commands: Any) -> None:
         "check", help="ranges, coverage, signs and frames of a data set", description=__doc__,
         epilog=EXIT_CODES,
     )  # fmt: skip
-    parser.add_argument("folder", type=Path, help="data folder")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write pictures and check.json there")
-    parser.add_argument(
-        "--samples", type=int, default=1000, metavar="N", help="images in which markers are followed (1000)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of their choice")
-    parser.add_argument("--strict", action="store_true", help="end with exit code 1 for warnings too")
-    parser.add_argument(
-        "--write-conventions", action="store_true",
+    add = parser.add_argument
+    add("folder", type=Path, help="data folder")
+    add("--out", type=Path, metavar="DIR", help="write pictures and check.json there")
+    add("--samples", type=int, default=1000, metavar="N", help="images in which markers are followed (1000)")
+    add("--seed", type=int, default=0, help="of their choice")
+    add("--strict", action="store_true", help="end with exit code 1 for warnings too")
+    add("--write-conventions", action="store_true",
         help="where signs or units are others and there is one way to correct them, write conventions.json",
     )  # fmt: skip
     parser.set_defaults(run=run)

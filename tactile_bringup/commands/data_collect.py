@@ -33,29 +33,24 @@ def register(commands: Any) -> None:
     parser = commands.add_parser(
         "collect", help="labelled images with an arm", description=DESCRIPTION, epilog=EXIT_CODES
     )
-    parser.add_argument("out", type=Path, help="data folder")
-    parser.add_argument("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
-    parser.add_argument(
-        "--samples", type=positive_int, default=6000, metavar="N", help="samples in the folder (6000)"
-    )
-    parser.add_argument("--seed", type=natural_int, default=0, help="of the poses (0)")
-    parser.add_argument(
-        "--validation", action="store_true", help="other poses than the training data of the same seed"
-    )
-    parser.add_argument("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
-    parser.add_argument("--surface", metavar="NAME", help="which surface (default: the only plane)")
-    parser.add_argument(
-        "--touch", type=natural_int, default=0, metavar="N",
-        help="find the surface first: 1 touch for its height, 3 and more for its tilt too (0)",
-    )  # fmt: skip
-    parser.add_argument("--images", default="both", help="keep processed images, raw ones, or both (both)")
-    parser.add_argument("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
+    add = parser.add_argument
+    add("out", type=Path, help="data folder")
+    add("--scene", default="plane", metavar="NAME", help="scene, or a scene file (plane)")
+    add("--samples", type=positive_int, default=6000, metavar="N", help="samples in the folder (6000)")
+    add("--seed", type=natural_int, default=0, help="of the poses (0)")
+    add("--validation", action="store_true", help="other poses than the training data of the same seed")
+    add("--arm", metavar="NAME", help="which arm (default: the one with a camera)")
+    add("--surface", metavar="NAME", help="which surface (default: the only plane)")
+    add("--touch", type=natural_int, default=0, metavar="N",
+        help="find the surface first: 1 touch for its height, 3 and more for its tilt too (0)")  # fmt: skip
+    add("--images", default="both", help="keep processed images, raw ones, or both (both)")
+    add("--config", type=Path, help="YAML file with sections of settings (docs/data.md)")
     add_set_option(parser, "one of them", "SECTION.NAME=VALUE")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="simulated exposures a second")
-    parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
-    parser.add_argument("--record-images", action="store_true", help="with images")
-    parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
-    parser.add_argument("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
+    add("--rate", type=float, metavar="HZ", help="simulated exposures a second")
+    add("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
+    add("--record-images", action="store_true", help="with images")
+    add("--headless", action="store_true", help="plain lines in place of the live display")
+    add("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
     parser.set_defaults(run=run)
 
 
@@ -107,10 +102,7 @@ def _contents(folder: Path) -> list[str]:
 def make_plan(arguments: argparse.Namespace) -> Plan:
     """Check everything that can be checked before a node is started.
 
-    Raises
-    ------
-    SettingError, ValueError, OSError
-        With what is wrong and what would be right.
+    Raises `SettingError`, `ValueError` or `OSError` with what is wrong and what would be right.
     """
     from tactile_base.whole_file import check_folder
     from tactile_bringup.commands.launch import graph_options
@@ -138,9 +130,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
         "frame": se3.euler_from_pose(frame_on(scene, surface, arm)).tolist(),
     }
     goal = CollectionGoal(
-        samples=arguments.samples,
-        seed=arguments.seed,
-        first=VALIDATION_START if arguments.validation else 0,
+        samples=arguments.samples, seed=arguments.seed, first=VALIDATION_START if arguments.validation else 0
     )
     what: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
     what |= {name: collector[name] for name in ("images", "frame")}
@@ -199,22 +189,15 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_control.collection import (
-        CollectionMotionSettings,
-        CollectionWatchdogSettings,
-        TouchSettings,
-    )
-    from tactile_control.limiter import LimiterSettings
+    from tactile_control.collection import DataCollectionSettings
     from tactile_drivers.sampling import SamplingSettings
     from tactile_perception.estimating.preprocessing import PreprocessingSettings
     from tactile_perception.estimating.presence import PresenceSettings
 
+    task = DataCollectionSettings().replaced(touch__points=touches)
     groups: dict[str, Settings] = {
         "sampling": SamplingSettings(),
-        "motion": CollectionMotionSettings(),
-        "touch": TouchSettings(points=touches),
-        "limiter": LimiterSettings(),
-        "watchdog": CollectionWatchdogSettings(),
+        **{name: task.group(name) for name in task.group_names()},
         "preprocessing": PreprocessingSettings(),
         "presence": PresenceSettings(),
     }

@@ -38,27 +38,15 @@ def register(commands: Any) -> None:
         description="Press and shear the simulated TacTip as the paper does; write OUT/train and OUT/val. "
         "The same command goes on after an interruption; a sample depends on seed and number only.",
     )
-    parser.add_argument("out", type=Path, help="folder for train/ and val/")
-    parser.add_argument(
-        "--train", type=natural_int, default=6000, metavar="N", help="training samples (6000)"
-    )
-    parser.add_argument(
-        "--val", type=natural_int, default=2000, metavar="N", help="validation samples (2000)"
-    )
-    parser.add_argument("--seed", type=natural_int, default=0)
+    add = parser.add_argument
+    add("out", type=Path, help="folder for train/ and val/")
+    add("--train", type=natural_int, default=6000, metavar="N", help="training samples (6000)")
+    add("--val", type=natural_int, default=2000, metavar="N", help="validation samples (2000)")
+    add("--seed", type=natural_int, default=0)
     cores = len(os.sched_getaffinity(0))
-    parser.add_argument(
-        "--processes",
-        type=positive_int,
-        default=cores,
-        help=f"processes to spread over (as many as cores: {cores})",
-    )
-    parser.add_argument(
-        "--sensor",
-        metavar="NAME",
-        help="sensor of config/sensors, or a sensor file (default: the built-in one)",
-    )
-    parser.add_argument("--config", type=Path, help="YAML file with collection settings (SI)")
+    add("--processes", type=positive_int, default=cores, help=f"processes (as many as cores: {cores})")
+    add("--sensor", metavar="NAME", help="one of config/sensors, or a file (default: the built-in sensor)")
+    add("--config", type=Path, help="YAML file with collection settings (SI)")
     add_set_option(parser, "change one of them")
     parser.set_defaults(run=run_generate)
 

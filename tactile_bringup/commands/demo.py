@@ -24,11 +24,10 @@ def register(subparsers: Any) -> None:
     doc = "follow a curved ramp in simulation, with pictures"
     parser = subparsers.add_parser("demo", help=doc, description=__doc__, epilog=EXIT_CODES)
     add_scene_options(parser)
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="(default: out/demo)"
-    )
-    parser.add_argument("--record-images", action="store_true", help="images into the bag as well")
-    parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="(default: out/demo)")
+    add("--record-images", action="store_true", help="images into the bag as well")
+    add("--headless", action="store_true", help="plain lines in place of the live display")
     parser.set_defaults(run=run)
 
 

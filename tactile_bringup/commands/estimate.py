@@ -24,25 +24,19 @@ def register(subparsers: Any) -> None:
         help="run images through estimator and filter, without ROS",
         description="Estimate a data folder, a video or a camera (by index); write a table and a picture.",
     )
-    parser.add_argument("source", help="data folder, video file, or index of a camera")
-    parser.add_argument("--model", type=Path, default=None, help="ONNX model (default: the shipped one)")
-    parser.add_argument("--out", type=Path, default=Path("out/estimate"), help="folder for table and picture")
-    parser.add_argument(
-        "--poses", type=Path, help="table with the sensor's pose in the base for each video frame"
-    )
-    parser.add_argument("--limit", type=positive_int, metavar="N", help="stop after N images")
-    parser.add_argument("--no-filter", action="store_true", help="estimator only")
-    parser.add_argument(
-        "--smooth", action="store_true", help="let what is filtered know what came later, too"
-    )
-    parser.add_argument(
-        "--motion-sigma", type=float, default=1.0, metavar="S",
+    add = parser.add_argument
+    add("source", help="data folder, video file, or index of a camera")
+    add("--model", type=Path, default=None, help="ONNX model (default: the shipped one)")
+    add("--out", type=Path, default=Path("out/estimate"), help="folder for table and picture")
+    add("--poses", type=Path, help="table with the sensor's pose in the base for each video frame")
+    add("--limit", type=positive_int, metavar="N", help="stop after N images")
+    add("--no-filter", action="store_true", help="estimator only")
+    add("--smooth", action="store_true", help="let what is filtered know what came later, too")
+    add("--motion-sigma", type=float, default=1.0, metavar="S",
         help="noise of the motion between a folder's images, in mm and degrees, added and assumed",
     )  # fmt: skip
-    parser.add_argument(
-        "--seed", type=natural_int, default=0, help="order of a folder's images, and the motion's noise"
-    )
-    parser.add_argument("--threads", type=positive_int, default=1, help="CPU threads of the estimator")
+    add("--seed", type=natural_int, default=0, help="order of a folder's images, and the motion's noise")
+    add("--threads", type=positive_int, default=1, help="CPU threads of the estimator")
     parser.set_defaults(run=run_estimate)
 
 

@@ -32,52 +32,37 @@ def register(subparsers: Any) -> None:
         description="Measure trained networks on a labelled data folder: the paper's tables and figures, "
         "and how honest their uncertainty is. `tactile evaluate filter` runs the paper's filter experiment.",
     )
-    parser.add_argument("mode", nargs="?", choices=MODES, default="network", help="what to measure (network)")
-    parser.add_argument("--data", type=Path, required=True, help="labelled folder of the public layout")
-    parser.add_argument(
-        "--model", type=Path, nargs="+", required=True, metavar="RUN",
-        help="run folders of `tactile train`, folders of such folders, or ONNX files",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, help="folder for tables and figures (out/evaluate)")
-    parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
-    parser.add_argument(
-        "--ensemble", action="store_true", help="also all of these models together, moment-matched"
-    )
-    parser.add_argument(
-        "--calibrate", type=Path, metavar="DIR",
+    add = parser.add_argument
+    add("mode", nargs="?", choices=MODES, default="network", help="what to measure (network)")
+    add("--data", type=Path, required=True, help="labelled folder of the public layout")
+    add("--model", type=Path, nargs="+", required=True, metavar="RUN",
+        help="run folders of `tactile train`, folders of such folders, or ONNX files")  # fmt: skip
+    add("--out", type=Path, help="folder for tables and figures (out/evaluate)")
+    add("--json", action="store_true", help="print the results as JSON instead of tables")
+    add("--ensemble", action="store_true", help="also all of these models together, moment-matched")
+    add("--calibrate", type=Path, metavar="DIR",
         help="calibrate on this labelled folder, which no model was trained on, not as the model files say",
     )  # fmt: skip
-    parser.add_argument(
-        "--limit", type=positive_int, metavar="N", help="use only N samples, spread over the table"
-    )
-    parser.add_argument(
-        "--threads", type=natural_int, default=0, help="CPU threads of an inference (0: all cores)"
-    )
-    parser.add_argument("--no-figures", action="store_true", help="tables only")
-    parser.add_argument(
+    add("--limit", type=positive_int, metavar="N", help="use only N samples, spread over the table")
+    add("--threads", type=natural_int, default=0, help="CPU threads of an inference (0: all cores)")
+    add("--no-figures", action="store_true", help="tables only")
+    add(
         "--paper",
         action="store_true",
-        help="set the paper's results beside (in the filter's tables in brackets, + where reached)",
+        help="the paper's results, too (filter: in brackets, + if reached)",
     )
     _register_filter(parser.add_argument_group("filter"))
     parser.set_defaults(run=run_evaluate)
 
 
 def _register_filter(group: Any) -> None:
-    group.add_argument(
-        "--sigma", type=float, nargs="+", metavar="S",
-        help="noises sigma_psi of the motion in mm and degrees (inf 10 1 0.1 0.01)",
-    )  # fmt: skip
-    group.add_argument(
-        "--seed", type=natural_int, default=0, help="order of the samples and noise of the motion (0)"
-    )
-    group.add_argument(
-        "--repeat", type=positive_int, default=1, metavar="N", help="mean over N orders, from --seed on"
-    )
-    group.add_argument(
-        "--estimate-noise", action="store_true",
-        help="also with sigma_phi estimated from the innovations of the first 500 samples",
-    )  # fmt: skip
+    add = group.add_argument
+    add("--sigma", type=float, nargs="+", metavar="S",
+        help="noises sigma_psi of the motion in mm and degrees (inf 10 1 0.1 0.01)")  # fmt: skip
+    add("--seed", type=natural_int, default=0, help="order of the samples and noise of the motion (0)")
+    add("--repeat", type=positive_int, default=1, metavar="N", help="mean over N orders, from --seed on")
+    add("--estimate-noise", action="store_true",
+        help="also with sigma_phi estimated from the innovations of the first 500 samples")  # fmt: skip
     add_set_option(group, "change a setting of the filter (the paper's, without a gate)")
 
 

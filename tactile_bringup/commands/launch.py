@@ -27,22 +27,18 @@ def register(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "launch", help="start a task's nodes and run it", description=__doc__, epilog=EXIT_CODES
     )
-    parser.add_argument("task", help=TASK_HELP)
+    add = parser.add_argument
+    add("task", help=TASK_HELP)
     add_scene_options(parser)
-    parser.add_argument("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
-    parser.add_argument("--record-images", action="store_true", help="with images, compressed without loss")
-    parser.add_argument(
-        "--marker-view", action="store_true", help="publish a picture of the markers (tactile/marker_view)"
-    )
-    parser.add_argument(
-        "--object-belief", nargs="?", const=FOUND, metavar="NAME",
+    add("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
+    add("--record-images", action="store_true", help="with images, compressed without loss")
+    add("--marker-view", action="store_true", help="publish a picture of the markers (tactile/marker_view)")
+    add("--object-belief", nargs="?", const=FOUND, metavar="NAME",
         help="fuse the contacts of all arms into one belief over the object that they touch (object/belief); "
         "NAME: one of config/objects, or a file, that says where they touch it (default: found by touch)",
     )  # fmt: skip
-    parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes"
-    )
+    add("--headless", action="store_true", help="plain lines in place of the live display")
+    add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
     parser.set_defaults(run=run)
 
 
@@ -54,19 +50,14 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 
 def add_task_options(parser: argparse.ArgumentParser) -> None:
     """Options that every command which runs a task has, with ROS or without."""
-    parser.add_argument(
-        "--scene", metavar="NAME", help="scene, or a scene file (default: the first that the task names)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated cell (default: 0)")
-    parser.add_argument(
-        "--model", type=Path, metavar="FILE", help="of all estimators (default: each sensor's in the scene)"
-    )
-    parser.add_argument("--filter", default="", metavar="NAME", help="one of config/filters, or a file")
-    parser.add_argument(
-        "--controller", metavar="NAME", help="one of config/controllers in place of the task's"
-    )
+    add = parser.add_argument
+    add("--scene", metavar="NAME", help="scene, or a scene file (default: the first that the task names)")
+    add("--seed", type=int, default=0, help="seed of the simulated cell (default: 0)")
+    add("--model", type=Path, metavar="FILE", help="of all estimators (default: each sensor's in the scene)")
+    add("--filter", default="", metavar="NAME", help="one of config/filters, or a file")
+    add("--controller", metavar="NAME", help="one of config/controllers in place of the task's")
     add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
-    parser.add_argument("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
+    add("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
 
 
 def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:

@@ -18,10 +18,11 @@ def register(subparsers: Any) -> None:
         description="Find the markers of a camera image or of a pre-processed one. Against a reference image "
         "without contact, show where they have parted (blue) and where they are closer (red).",
     )
-    parser.add_argument("image", type=Path, help="image file")
-    parser.add_argument("--reference", type=Path, help="image without contact, of the same crop")
-    parser.add_argument("--out", type=Path, help="picture to write (default: out/IMAGE.markers.png)")
-    parser.add_argument("--csv", type=Path, help="table of the centers to write")
+    add = parser.add_argument
+    add("image", type=Path, help="image file")
+    add("--reference", type=Path, help="image without contact, of the same crop")
+    add("--out", type=Path, help="picture to write (default: out/IMAGE.markers.png)")
+    add("--csv", type=Path, help="table of the centers to write")
     parser.set_defaults(run=run_markers)
 
 

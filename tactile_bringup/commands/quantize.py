@@ -15,9 +15,8 @@ from tactile_base.console import number_table
 from tactile_base.whole_file import check_file, whole_file
 from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
-from tactile_perception.estimating.model_metadata import RUN_MODELS
+from tactile_perception.estimating.model_metadata import QUANTIZED_NAME, trained_model
 
-QUANTIZED_NAME, MODEL_NAME = RUN_MODELS
 _TIMED_RUNS = 200
 
 
@@ -29,16 +28,14 @@ def register(subparsers: Any) -> None:
         description="Write a trained network in 8-bit integers, which takes less than half the time, and "
         "compare both on the validation data (needs onnx, of the extra 'train').",
     )
-    parser.add_argument("model", type=Path, help="run folder of `tactile train`, or an ONNX file")
-    parser.add_argument(
-        "--data", type=Path, required=True,
+    add = parser.add_argument
+    add("model", type=Path, help="run folder of `tactile train`, or an ONNX file")
+    add("--data", type=Path, required=True,
         help="training data, which give the ranges of the activations: a folder, or one with train/ in it",
     )  # fmt: skip
-    parser.add_argument("--val", type=Path, help="data to compare both networks on (default: DATA/val)")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model"
-    )
-    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
+    add("--val", type=Path, help="data to compare both networks on (default: DATA/val)")
+    add("--out", type=Path, metavar="FILE", help=f"default: {QUANTIZED_NAME} beside the model")
+    add("--install", type=Path, metavar="FILE", help="copy the quantized model to FILE")
     add_set_option(parser, "change one setting")
     parser.set_defaults(run=run_quantize)
 
@@ -92,7 +89,7 @@ def _validation(data: Path, given: Path | None) -> Path | None:
 
 
 def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:
-    source = model / MODEL_NAME if model.is_dir() else model
+    source = trained_model(model)
     out = out or source.with_name(QUANTIZED_NAME)
     if out.resolve() == source.resolve():
         raise ValueError(f"{out}: is the model itself; --out must name another file")
@@ -104,23 +101,11 @@ def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
 
     Fewer where the folder has fewer or some of these cannot be read.
     """
-    from tactile_perception.datasets.dataset import DatasetError, open_folder, training_part
-    from tactile_perception.estimating.image import ImageError
-    from tactile_perception.estimating.preprocessing import Preprocessor
+    from tactile_perception.datasets.dataset import read_dataset, training_part
     from tactile_perception.estimator import Estimator
 
     preprocessing = Estimator(model).metadata.preprocessing
-    folder = training_part(folder)
-    data, preprocessor = open_folder(folder, preprocessing), Preprocessor(preprocessing)
-    found = []
-    for index in np.unique(np.linspace(0, len(data) - 1, count).round().astype(int)):
-        try:
-            found.append(data.resized(int(index), preprocessor))
-        except ImageError:
-            continue  # training has left it out, too, and named it
-    if not found:
-        raise DatasetError(f"{folder}: no readable image")
-    return np.array(found)
+    return read_dataset(training_part(folder), preprocessing, limit=count).images
 
 
 def _compare(paths: Sequence[Path], validation: Path | None) -> None:

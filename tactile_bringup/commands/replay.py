@@ -36,43 +36,24 @@ def register(subparsers: Any) -> None:
         "through the filter and writes a bag, a table and a picture that compares the runs.",
         epilog="Exit codes: 0 done, 1 with --check where beliefs are not the recorded ones, 2 nothing done.",
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a bag, or one of its files")
+    add = parser.add_argument
+    add("bag", type=Path, metavar="BAG", help="folder of a bag, or one of its files")
     add_set_option(parser, "change a setting of the filter")
-    parser.add_argument(
-        "--sweep", action="append", default=[], metavar="NAME=A,B,C", help="one run for each value; more "
-        "than once: for each combination",
-    )  # fmt: skip
-    parser.add_argument(
-        "--profile",
-        metavar="NAME|FILE",
-        help="settings of the filter from a file, in place of the recorded ones",
-    )
-    parser.add_argument(
-        "--from", dest="source", choices=("estimates", "images"), default="estimates",
+    add("--sweep", action="append", default=[], metavar="NAME=A,B,C",
+        help="one run for each value; given again: for each combination")  # fmt: skip
+    add("--profile", metavar="NAME|FILE", help="filter settings from a file, in place of the recorded ones")
+    add("--from", dest="source", choices=("estimates", "images"), default="estimates",
         help="what the filter takes: the recorded estimates, or new ones from the recorded images",
     )  # fmt: skip
-    parser.add_argument(
-        "--model",
-        type=Path,
-        help="with --from images: ONNX model (default: the recorded one, else the shipped)",
-    )
-    parser.add_argument(
-        "--base",
-        default="",
-        metavar="FRAME",
-        help="frame in which the surface stands still (default: ARM/base)",
-    )
-    parser.add_argument("--out", type=Path, help="folder for the results (default: out/replay/BAG)")
-    parser.add_argument("--smooth", action="store_true", help="add beliefs that know what came later")
-    parser.add_argument(
-        "--all-events", action="store_true", help="take what the live filter had dropped, too"
-    )
-    parser.add_argument(
-        "--copy", choices=("inputs", "all"), help="put the filter's inputs, or all topics, into the new bag"
-    )
-    parser.add_argument("--check", action="store_true", help="fail unless the beliefs are the recorded ones")
-    parser.add_argument("--jobs", type=int, default=0, help="processes for a sweep (default: one a core)")
-    parser.add_argument("--no-plot", action="store_true", help="draw no pictures")
+    add("--model", type=Path, help="with --from images: model (default: the recorded one, else the shipped)")
+    add("--base", default="", metavar="FRAME", help="frame in which the surface rests (default: ARM/base)")
+    add("--out", type=Path, help="folder for the results (default: out/replay/BAG)")
+    add("--smooth", action="store_true", help="add beliefs that know what came later")
+    add("--all-events", action="store_true", help="take what the live filter had dropped, too")
+    add("--copy", choices=("inputs", "all"), help="put the filter's inputs, or all topics, into the new bag")
+    add("--check", action="store_true", help="fail unless the beliefs are the recorded ones")
+    add("--jobs", type=int, default=0, help="processes for a sweep (default: one a core)")
+    add("--no-plot", action="store_true", help="draw no pictures")
     parser.set_defaults(run=run)
 
 

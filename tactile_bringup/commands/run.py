@@ -19,10 +19,11 @@ def register(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "run", help="run a task on nodes that are up already", description=__doc__, epilog=EXIT_CODES
     )
-    parser.add_argument("task", help=TASK_HELP)
-    parser.add_argument("--scene", metavar="NAME", help="(default: the first that the task names)")
-    parser.add_argument("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
-    parser.add_argument("--headless", action="store_true", help="plain lines in place of the live display")
+    add = parser.add_argument
+    add("task", help=TASK_HELP)
+    add("--scene", metavar="NAME", help="(default: the first that the task names)")
+    add("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
+    add("--headless", action="store_true", help="plain lines in place of the live display")
     parser.set_defaults(run=run)
 
 

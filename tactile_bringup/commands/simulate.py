@@ -23,16 +23,13 @@ def register(subparsers: Any) -> None:
         help="run a task on a simulated scene in one process, without ROS, as fast as it goes",
         description="Runs a task in a simulated scene in one process; writes report.json, pictures, record.",
     )
-    parser.add_argument("task", nargs="?", default="surface_following", help=TASK_HELP)
+    add = parser.add_argument
+    add("task", nargs="?", default="surface_following", help=TASK_HELP)
     add_task_options(parser)
-    parser.add_argument(
-        "--fidelity", choices=("image", "ideal"), help="image or ideal sensor (default: the scene's)"
-    )
-    parser.add_argument("--arm", metavar="NAME", help="run this arm only (default: all with a role)")
-    parser.add_argument("--latency", type=float, default=10.0, help="exposure to command in ms (default: 10)")
-    parser.add_argument(
-        "--out", type=Path, help="folder for report, pictures and record (default: out/simulate)"
-    )
+    add("--fidelity", choices=("image", "ideal"), help="image or ideal sensor (default: the scene's)")
+    add("--arm", metavar="NAME", help="run this arm only (default: all with a role)")
+    add("--latency", type=float, default=10.0, help="exposure to command in ms (default: 10)")
+    add("--out", type=Path, help="folder for report, pictures and record (default: out/simulate)")
     parser.set_defaults(run=_simulate)
 
 

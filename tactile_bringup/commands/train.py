@@ -13,8 +13,9 @@ from rich.console import Console
 from tactile_base.console import number_table, say
 from tactile_base.whole_file import check_file, write_csv
 from tactile_bringup.commands.changes import add_set_option, positive_int, refusing
-from tactile_bringup.commands.quantize import MODEL_NAME, QUANTIZED_NAME, install, quantize_run
+from tactile_bringup.commands.quantize import install, quantize_run
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS, errors_in_words
+from tactile_perception.estimating.model_metadata import MODEL_NAME, QUANTIZED_NAME
 from tactile_perception.training.config import profile
 
 
@@ -26,9 +27,10 @@ def register(subparsers: Any) -> None:
         description="Train a pose network (needs PyTorch, the extra 'train'). A run that was interrupted "
         "goes on when the same command is given again.",
     )
-    parser.add_argument("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
-    parser.add_argument("--val", type=Path, help="validation data folder (default: DATA/val)")
-    parser.add_argument("--out", type=Path, required=True, help="new folder for the run")
+    add = parser.add_argument
+    add("data", type=Path, help="data folder, or a folder with train/ and val/ in it")
+    add("--val", type=Path, help="validation data folder (default: DATA/val)")
+    add("--out", type=Path, required=True, help="new folder for the run")
     choice = parser.add_mutually_exclusive_group()
     choice.add_argument(
         "--config", type=Path, help="YAML file with the sections network, training and augmentation"
@@ -39,24 +41,15 @@ def register(subparsers: Any) -> None:
         f"integers is written beside the trained one, as {QUANTIZED_NAME}",
     )  # fmt: skip
     add_set_option(parser, "change one setting", "SECTION.NAME=VALUE")
-    parser.add_argument(
-        "--start", type=Path, metavar="RUN",
-        help="start from the network of a finished run, as one trained on simulated images",
-    )  # fmt: skip
-    parser.add_argument("--limit", type=positive_int, metavar="N", help="use only N training samples")
-    parser.add_argument("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
-    parser.add_argument(
-        "--repeat",
-        type=positive_int,
-        metavar="N",
-        help="train N networks from different seeds, in OUT/seed_0 and on",
+    add("--start", type=Path, metavar="RUN",
+        help="start from the network of a finished run, as one trained on simulated images")  # fmt: skip
+    add("--limit", type=positive_int, metavar="N", help="use only N training samples")
+    add("--install", type=Path, metavar="FILE", help="copy the exported model to FILE")
+    add(
+        "--repeat", type=positive_int, metavar="N", help="N networks of different seeds, in OUT/seed_0 and on"
     )
-    parser.add_argument(
-        "--processes", type=positive_int, default=1, metavar="P", help="with --repeat: so many runs at a time"
-    )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="with --repeat: run on the workers of this Dask scheduler"
-    )
+    add("--processes", type=positive_int, default=1, metavar="P", help="with --repeat: runs at a time")
+    add("--scheduler", metavar="ADDRESS", help="with --repeat: run on the workers of this Dask scheduler")
     parser.set_defaults(run=run_train)
     _register_ensemble(subparsers)
 
@@ -68,11 +61,10 @@ def _register_ensemble(subparsers: Any) -> None:
         description="Write one ONNX model that gives the mean and covariance of the mixture of several "
         "networks. It costs as much time as all of them.",
     )
-    parser.add_argument("runs", nargs="+", type=Path, help="run folders of `tactile train`, or ONNX files")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the ONNX file to write")
-    parser.add_argument(
-        "--data", type=Path, help="training data (as of the runs): calibrate on what the runs held back"
-    )
+    add = parser.add_argument
+    add("runs", nargs="+", type=Path, help="run folders of `tactile train`, or ONNX files")
+    add("--out", type=Path, required=True, metavar="FILE", help="the ONNX file to write")
+    add("--data", type=Path, help="training data (as of the runs): calibrate on what the runs held back")
     parser.set_defaults(run=run_ensemble)
 
 
@@ -87,11 +79,11 @@ def _config(arguments: argparse.Namespace) -> Any:
 
     if arguments.profile:
         chosen = profile(arguments.profile)
-        config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
+        config = TrainConfig.from_file(chosen.config).merged({"network": chosen.network})
     else:
         config = TrainConfig.from_file(arguments.config) if arguments.config else TrainConfig()
     if arguments.start:
-        config = config.replaced("training", start=str(arguments.start.absolute()))
+        config = config.replaced(training__start=str(arguments.start.absolute()))
     return config.changed(arguments.changes)
 
 

@@ -3,20 +3,22 @@
 #include <math.h>
 
 
-// res = a * b * a' for a = [[diag, corner], [0, diag]] and symmetric b; the lower half, by blocks
-static void conjugate(double res[36], const double diag[9], const double corner[9], const double b[36]) {
-  double a[36] = {0}, product[36];
-  for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      a[6*i+j] = a[6*(3+i)+3+j] = diag[3*i+j];
-      a[6*i+3+j] = corner[3*i+j];
+// res = Ad(pose) * cov * Ad(pose)', the lower half, by blocks
+static void transport(double res[36], const Pose* pose, const double cov[36]) {
+  const double *r = pose->rot, *p = pose->pos;
+  double ad[36] = {0}, product[36];
+  for (int j = 0; j < 3; j++) {
+    for (int i = 0; i < 3; i++) {
+      int k = (i + 1) % 3, l = (i + 2) % 3;
+      ad[6*i+j] = ad[6*(3+i)+3+j] = r[3*i+j];
+      ad[6*i+3+j] = p[k]*r[3*l+j] - p[l]*r[3*k+j];
     }
   }
   for (int i = 0; i < 6; i++) {
     for (int j = 0; j < 6; j++) {
       double sum = 0;
       for (int k = i < 3 ? 0 : 3; k < 6; k++) {
-        sum += a[6*i+k] * b[6*k+j];
+        sum += ad[6*i+k] * cov[6*k+j];
       }
       product[6*i+j] = sum;
     }
@@ -25,24 +27,11 @@ static void conjugate(double res[36], const double diag[9], const double corner[
     for (int j = 0; j <= i; j++) {
       double sum = 0;
       for (int k = j < 3 ? 0 : 3; k < 6; k++) {
-        sum += product[6*i+k] * a[6*j+k];
+        sum += product[6*i+k] * ad[6*j+k];
       }
       res[6*i+j] = sum;
     }
   }
-}
-
-
-// res = Ad(pose) * cov * Ad(pose)', the lower half
-static void transport(double res[36], const Pose* pose, const double cov[36]) {
-  const double *r = pose->rot, *p = pose->pos;
-  double corner[9];
-  for (int j = 0; j < 3; j++) {
-    corner[j] = p[1]*r[6+j] - p[2]*r[3+j];
-    corner[3+j] = p[2]*r[j] - p[0]*r[6+j];
-    corner[6+j] = p[0]*r[3+j] - p[1]*r[j];
-  }
-  conjugate(res, r, corner, cov);
 }
 
 

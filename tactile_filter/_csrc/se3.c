@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "coefficients.h"
+
 #define PI_SQUARED 9.869604401089358618834490999876151135
 
 // below this theta^2 the coefficients of exp come from their power series
@@ -30,25 +32,23 @@ static void cross3(double res[3], const double a[3], const double b[3]) {
 }
 
 
-void se3_exp_coefficients(double res[3], double x) {
-  static const double a[] = {
-    1, -1.0/6, 1.0/120, -1.0/5040, 1.0/362880, -1.0/39916800, 1.0/6227020800,
-    -1.0/1307674368000, 1.0/355687428096000};
-  static const double b[] = {
-    0.5, -1.0/24, 1.0/720, -1.0/40320, 1.0/3628800, -1.0/479001600, 1.0/87178291200,
-    -1.0/20922789888000, 1.0/6402373705728000};
-  static const double c[] = {
-    1.0/6, -1.0/120, 1.0/5040, -1.0/362880, 1.0/39916800, -1.0/6227020800,
-    1.0/1307674368000, -1.0/355687428096000, 1.0/121645100408832000,
-    -1.9572941063391263e-20, 3.868170170630684e-23, -6.446950284384474e-26,
-    9.183689863795546e-29, -1.1309962886447716e-31, 1.2161250415535179e-34};
+// the first n terms of a series of coefficients.h, in doubles
+static double series(const Dd* coef, int n, double x) {
+  double res = coef[n-1].hi;
+  for (int i = n - 2; i >= 0; i--) {
+    res = res * x + coef[i].hi;
+  }
+  return res;
+}
 
+
+void se3_exp_coefficients(double res[3], double x) {
   if (x <= SERIES_LIMIT) {
     // so many terms reach the last digit
     int n = x <= 0.02 ? 5 : 9;
-    res[0] = polynomial(a, n, x);
-    res[1] = polynomial(b, n, x);
-    res[2] = polynomial(c, n, x);
+    res[0] = series(SIN, n, x);
+    res[1] = series(COS, n, x);
+    res[2] = -series(SIN + 1, n, x);
     return;
   }
 
@@ -57,7 +57,7 @@ void se3_exp_coefficients(double res[3], double x) {
   double half = sin(0.5*t) / t;
   res[0] = sin(t) / t;
   res[1] = 2*half*half;
-  res[2] = x <= PI_SQUARED ? polynomial(c, 15, x) : (1 - res[0]) / x;
+  res[2] = x <= PI_SQUARED ? -series(SIN + 1, 15, x) : (1 - res[0]) / x;
 }
 
 
@@ -90,21 +90,15 @@ void se3_rotation_vector(double res[3], const double r[9]) {
     q[1] = r[2] - r[6];
     q[2] = r[3] - r[1];
     q[3] = 1 + trace;
-  } else if (r[0] >= r[4] && r[0] >= r[8]) {
-    q[0] = 1 + r[0] - r[4] - r[8];
-    q[1] = r[1] + r[3];
-    q[2] = r[2] + r[6];
-    q[3] = r[7] - r[5];
-  } else if (r[4] >= r[8]) {
-    q[0] = r[1] + r[3];
-    q[1] = 1 - r[0] + r[4] - r[8];
-    q[2] = r[5] + r[7];
-    q[3] = r[2] - r[6];
   } else {
-    q[0] = r[2] + r[6];
-    q[1] = r[5] + r[7];
-    q[2] = 1 - r[0] - r[4] + r[8];
-    q[3] = r[3] - r[1];
+    int i = r[0] >= r[4] && r[0] >= r[8] ? 0 : r[4] >= r[8] ? 1 : 2, j = (i + 1) % 3, k = (i + 2) % 3;
+    q[i] = 1;
+    for (int n = 0; n < 3; n++) {
+      q[i] += n == i ? r[4*n] : -r[4*n];
+    }
+    q[j] = r[3*j+i] + r[3*i+j];
+    q[k] = r[3*k+i] + r[3*i+k];
+    q[3] = r[3*k+j] - r[3*j+k];
   }
 
   // q and -q are one rotation: w >= 0, at w = 0 the first other component that is not zero is positive

@@ -2,14 +2,11 @@
 
 Each contact knows where the object is: T_wo = T_ws X_sf T_of^-1, from its sensor's pose in a common frame
 {w}, its belief X_sf and the constant place {f} of its contact feature on the object {o}, known or estimated.
-What it knows is not independent of what the others know: a place that was estimated from the object's pose
-carries the error of that, and whatever disturbs all contacts alike (the object gives way, one network errs
-alike on all arms) is in each of them. Added as if independent, they would claim too much. So each Gaussian
-keeps its covariance in two parts, `independent` and `correlated`, and the fusion is the split covariance
-intersection of Julier and Uhlmann: the correlated parts, whatever their correlation, are inflated by 1 / w
-and 1 / (1 - w), with w for the smallest determinant of the result. With nothing correlated it is plain
-fusion, with nothing independent covariance intersection; in between and on both ends the covariance does not
-claim more than is known.
+What it knows is not independent of what the others know (docs/filter.md). So each Gaussian keeps its
+covariance in two parts, `independent` and `correlated`, and the fusion is the split covariance intersection
+of Julier and Uhlmann: the correlated parts, whatever their correlation, are inflated by 1 / w and
+1 / (1 - w), with w for the smallest determinant of the result. With nothing correlated it is plain fusion,
+with nothing independent covariance intersection.
 
 The object's belief has no memory: the contacts' filters have it. So nothing is counted twice over time, if
 all contacts are predicted to one stamp (`ContactFilter.predict_to`).
@@ -25,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 
-from tactile_base.settings import Settings, setting
 from tactile_filter import se3
 from tactile_filter.filter_settings import gate_threshold
 from tactile_filter.fusion import FusionError, fuse
@@ -46,10 +42,8 @@ class SplitGaussian:
     Attributes
     ----------
     mean : (4, 4) pose
-    independent : (6, 6)
-        Of errors that no other Gaussian shares.
-    correlated : (6, 6)
-        Of errors that others may share, with a correlation that is not known.
+    independent : (6, 6) of errors that no other Gaussian shares
+    correlated : (6, 6) of errors that others may share, with a correlation that is not known
     """
 
     mean: Array
@@ -77,11 +71,9 @@ class Contact:
 
     Attributes
     ----------
-    belief : PoseGaussian
-        X_sf.
+    belief : X_sf
     T_world_sensor : (4, 4)
-    T_object_feature : PoseGaussian
-        Where on the object the contact is. A known place has covariance zero.
+    T_object_feature : where on the object the contact is. A known place has covariance zero.
     """
 
     belief: PoseGaussian
@@ -90,33 +82,14 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class ObjectSettings(Settings):
-    """How contacts are fused into a belief over the object."""
-
-    correlated_share: float = setting(
-        0.0, lower=0.0, upper=1.0,
-        doc="share of each contact belief's covariance that others may have in common: 0 where the contacts "
-        "err independently, 1 where nothing is known of it",
-    )  # fmt: skip
-    gate_probability: float = setting(
-        0.999999, lower=0.5, upper=1.0,
-        doc="a contact is refused if it disagrees with those before it by more than this quantile of "
-        "chi-square; 1 refuses none",
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class ObjectBelief:
     """The object's pose T_wo.
 
     Attributes
     ----------
-    pose : SplitGaussian or None
-        None if there was no contact.
-    used : tuple of str
-        The contacts that went into it.
-    refused : dict
-        Contacts that disagreed, by name, with their NIS against the others.
+    pose : None if there was no contact
+    used : the contacts that went into it
+    refused : contacts that disagreed, by name, with their NIS against the others
     """
 
     pose: SplitGaussian | None
@@ -124,23 +97,13 @@ class ObjectBelief:
     refused: dict[str, float]
 
 
-def object_belief(contacts: Mapping[str, Contact], settings: ObjectSettings | None = None) -> ObjectBelief:
-    """Fuse all contacts, the most certain first.
+def fuse_contacts(known: Mapping[str, SplitGaussian], gate_probability: float = 1.0) -> ObjectBelief:
+    """Fuse what each contact knows of the object's pose T_wo, the most certain first.
 
     Two contacts that disagree do not show which is right: the less certain one is refused, and named.
 
-    Raises
-    ------
-    FusionError
-        If a contact is no Gaussian.
+    Raises `FusionError` if a contact is no Gaussian.
     """
-    settings = ObjectSettings() if settings is None else settings
-    known = {name: object_from_contact(c, settings.correlated_share) for name, c in contacts.items()}
-    return fuse_contacts(known, settings.gate_probability)
-
-
-def fuse_contacts(known: Mapping[str, SplitGaussian], gate_probability: float = 1.0) -> ObjectBelief:
-    """The same, of what each contact knows of the object's pose T_wo."""
     gate = gate_threshold(gate_probability)
     order = sorted(known, key=lambda name: (_log_determinant(known[name].cov), name))
     pose: SplitGaussian | None = None

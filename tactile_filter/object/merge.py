@@ -10,27 +10,13 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 from tactile_base.settings import unknown_name
+from tactile_filter.events import Event
 
-
-@dataclass
-class EventGroup:
-    """The events of one stamp.
-
-    Attributes
-    ----------
-    parts : dict
-        By source, in the order of their names.
-    received_ns : int
-        When the first of them came (steady clock).
-    """
-
-    stamp_ns: int
-    received_ns: int
-    parts: dict[str, Any] = field(default_factory=dict)
+#: The events of one stamp, by source in the order of their names.
+EventGroup = Event
 
 
 class EventMerge:
@@ -38,11 +24,9 @@ class EventMerge:
 
     Attributes
     ----------
-    out_of_order : int
-        Events refused because their source had given one of that stamp or a later one before.
-    overtaken : int
-        Groups handed out after one of a later stamp: their deadline, or their source's silence, had let that
-        one pass.
+    out_of_order : events refused because their source had given one of that stamp or a later one before
+    overtaken : groups handed out after one of a later stamp: their deadline, or their source's silence, had
+        let that one pass
     """
 
     def __init__(self, sources: Sequence[str]) -> None:
@@ -64,10 +48,7 @@ class EventMerge:
     def add(self, source: str, stamp_ns: int, content: Any, now_ns: int) -> bool:
         """Take an event; False (and counted) unless it is later than its source's last one.
 
-        Raises
-        ------
-        KeyError
-            If there is no such source; the message lists those there are.
+        Raises `KeyError` if there is no such source; the message lists those there are.
         """
         if source not in self.sources:
             raise KeyError(unknown_name(source, self.sources))
@@ -86,10 +67,8 @@ class EventMerge:
 
         Parameters
         ----------
-        wait_ns : int
-            A group waits no longer than this for other sources.
-        silence_ns : int
-            A source of which nothing has come for longer is not waited for.
+        wait_ns : a group waits no longer than this for other sources
+        silence_ns : a source of which nothing has come for longer is not waited for
         """
         speaking = [s for s in self.sources if s in self._heard and now_ns - self._heard[s] <= silence_ns]
         complete_ns = min((self._newest[source] for source in speaking), default=None)

@@ -20,13 +20,23 @@ from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, Set
 from tactile_base.yaml_file import Section, read_yaml
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.object.belief import ObjectSettings, moved_covariance
+from tactile_filter.object.belief import moved_covariance
 
 
 @dataclass(frozen=True)
-class TrackerSettings(ObjectSettings):
+class TrackerSettings(Settings):
     """How the contacts of several sensors become one belief over the object, and for how long each counts."""
 
+    correlated_share: float = setting(
+        0.0, lower=0.0, upper=1.0,
+        doc="share of each contact belief's covariance that others may have in common: 0 where the contacts "
+        "err independently, 1 where nothing is known of it",
+    )  # fmt: skip
+    gate_probability: float = setting(
+        0.999999, lower=0.5, upper=1.0,
+        doc="a contact is refused if it disagrees with those before it by more than this quantile of "
+        "chi-square; 1 refuses none",
+    )  # fmt: skip
     max_age: float = setting(
         0.05, lower=0.0, upper=10.0, unit="s",
         doc="a contact whose last belief is older than this, at the stamp of the object's, is left out",
@@ -92,12 +102,8 @@ _NONE = (0.0, 0.0, 0.0)
 def load_object(path: str | Path, arms: Sequence[str]) -> tuple[TrackerSettings, dict[str, PlaceSettings]]:
     """Settings, and the places that are given, by arm.
 
-    Raises
-    ------
-    SettingError
-        With file, line and valid choices; also where a place is that of none of the arms.
-    OSError
-        Where the file cannot be read.
+    `SettingError` names file, line and valid choices, also where a place is that of none of the arms;
+    `OSError` where the file cannot be read.
     """
     root = read_yaml(path)
     root.allow("settings", "places")

@@ -1,6 +1,6 @@
 """Follows one object by the contacts of several sensors, from stamp to stamp.
 
-`object_belief` fuses what contacts know at one stamp. Here is what has to be known between stamps: which
+`fuse_contacts` fuses what contacts know at one stamp. Here is what has to be known between stamps: which
 contacts there are, how old their beliefs are, and where on the object each of them is. A contact's place is
 given, or found by touch: by the object's belief at the moment when the contact began, or, where no place is
 given and no other contact holds the object, by definition: then the object's frame is this contact's feature
@@ -10,10 +10,8 @@ All contacts are taken to one stamp, that of the newest belief: added up as they
 the object back to where it was. Until then the object is taken to stand still, within what `object_speed` and
 `object_turn_rate` say. Such motion is common to all contacts that are older, and counts as correlated.
 
-A contact that slides says nothing of where the object is: its feature frame is dragged along with the sensor,
-as if the object moved. One sensor cannot distinguish the two, but a contact slides only at the limit of
-friction: one that is sheared by more than `slide_shear` of its depth is left out, its place is forgotten, and
-only when its shear has gone back it is given a new one by what the others know.
+A contact that slides drags its feature frame along, as if the object moved: one that is sheared by more than
+`slide_shear` of its depth is left out, and given a new place only when its shear has gone back.
 
 Who repeats whom: a place that was found carries the errors that the contacts used for it had then, and those
 have them still, for nobody knows how fast such errors fade. So as long as the place is in use all that these
@@ -70,16 +68,11 @@ class TrackedObject:
     Attributes
     ----------
     stamp_ns : int
-    belief : ObjectBelief
-        Its pose is None where it follows from no contact; `reason` says why.
-    stale : dict
-        Contacts left out because of their belief's age, by name, in s.
-    sliding : dict
-        Contacts left out because they may slide, by name, with their shear over their depth.
-    unplaced : tuple of str
-        Contacts left out because their place on the object was not known at this stamp.
-    reason : str
-        Why there is no pose; empty where there is one.
+    belief : its pose is None where it follows from no contact; `reason` says why
+    stale : contacts left out because of their belief's age, by name, in s
+    sliding : contacts left out because they may slide, by name, with their shear over their depth
+    unplaced : contacts left out because their place on the object was not known at this stamp
+    reason : why there is no pose; empty where there is one
     """
 
     stamp_ns: int
@@ -122,19 +115,15 @@ class ObjectTracker:
 
     Parameters
     ----------
-    names : sequence of str
-        Of the sensors.
-    places : mapping, optional
-        Where on the object the contacts of some of them are, T_object_feature; those of the others are found
-        by touch.
+    names : of the sensors
+    places : where on the object the contacts of some of them are, T_object_feature; those of the others are
+        found by touch
 
     Attributes
     ----------
-    refused : Counter
-        Updates that could not be used since the last reset, by reason: "not usable", "sensor pose",
-        "out of order".
-    resets : Counter
-        By reason, since construction.
+    refused : updates that could not be used since the last reset, by reason: "not usable", "sensor pose",
+        "out of order"
+    resets : by reason, since construction
     """
 
     def __init__(
@@ -178,12 +167,8 @@ class ObjectTracker:
         """Take what is new of some contacts at a stamp, and say what is known of the object then.
 
         For a stamp that is not later than the last one the answer is None: what is new counts from the next
-        step on, and nothing is answered twice or backwards.
-
-        Parameters
-        ----------
-        updates : mapping
-            By sensor; None: it has no contact.
+        step on, and nothing is answered twice or backwards. `updates` are by sensor,
+        None for one that has no contact.
         """
         for name in sorted(updates):
             self._check_name(name)
@@ -356,10 +341,8 @@ def may_slide(belief: PoseGaussian, limit: float, slides: bool) -> bool:
 
     Parameters
     ----------
-    limit : float
-        0: no contact slides.
-    slides : bool
-        Whether it did so far; then it sticks again only when its shear is clearly below the limit.
+    limit : 0: no contact slides
+    slides : whether it did so far; then it sticks again only when its shear is clearly below the limit
     """
     if limit == 0.0:
         return False

@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 from tactile_perception.datasets.check import CheckResult
 from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_TITLES
 from tactile_perception.markers.flow import regressions
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 
 _DPI = 90
 _GAMMA_LARGER = 5
@@ -22,7 +19,8 @@ _GAMMA_LARGER = 5
 def draw_labels(result: CheckResult, path: Path) -> None:
     """Histograms of the components, and where shear and contact angles lie."""
     labels = result.folder.euler_mm_deg
-    figure, axes = plt.subplots(2, 4, figsize=(13, 6))
+    figure = Figure(figsize=(13, 6))
+    axes = figure.subplots(2, 4)
     for k, axis in enumerate(axes[:, :3].ravel()):
         axis.hist(labels[:, k], bins=40, color="0.5")
         axis.set(xlabel=EULER_TITLES[k], ylabel="samples" if k % 3 == 0 else "")
@@ -37,7 +35,8 @@ def draw_labels(result: CheckResult, path: Path) -> None:
 def draw_rows(result: CheckResult, path: Path) -> None:
     """Each component by row: sorted tables, drifts and stretches of one kind are seen here."""
     labels = result.folder.euler_mm_deg
-    figure, axes = plt.subplots(6, 1, figsize=(11, 8), sharex=True)
+    figure = Figure(figsize=(11, 8))
+    axes = figure.subplots(6, 1, sharex=True)
     for k, axis in enumerate(axes):
         axis.plot(labels[:, k], "k.", ms=1)
         axis.set_ylabel(EULER_TITLES[k])
@@ -50,7 +49,8 @@ def draw_flow(result: CheckResult, path: Path) -> None:
     flow = result.flow
     if flow is None:
         return
-    figure, axes = plt.subplots(1, 4, figsize=(15, 4.2))
+    figure = Figure(figsize=(15, 4.2))
+    axes = figure.subplots(1, 4)
     rank = np.argsort(np.argsort(flow.labels[:, 2])) / len(flow.labels)
     deep = rank > 0.5
     _, _, _, alpha, beta, gamma = flow.labels.T
@@ -81,7 +81,6 @@ def _arrows(axis: Any, rest: np.ndarray, motion: np.ndarray, color: str, name: s
     axis.set_yticks([])
 
 
-def _save(figure: Any, path: Path) -> None:
+def _save(figure: Figure, path: Path) -> None:
     figure.tight_layout()
     figure.savefig(path, dpi=_DPI)
-    plt.close(figure)

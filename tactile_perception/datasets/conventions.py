@@ -58,23 +58,15 @@ class Conventions:
 
     Attributes
     ----------
-    depth_flipped : bool or None
-        Whether z falls as contacts get deeper; None where images do not tell.
-    explanations : list of Explanation
-        The simplest ones that make labels and images fit, all of one cost; empty where none does, or where
-        images do not tell.
-    uncertain : list of str
-        What images do not tell.
-    camera_deg : float
-        Angle of the sensor's x-axis in the image, from columns to rows.
-    length_unit, angle_unit : str
-        "mm", "m", "deg", "rad", or "" where images do not tell.
-    gains : dict
-        Numbers from which the units were inferred.
-    order : str
-        "extrinsic", "intrinsic", or "".
-    order_t : float
-        Student's t of extrinsic against intrinsic; positive for extrinsic.
+    depth_flipped : whether z falls as contacts get deeper; None where images do not tell
+    explanations : the simplest ones that make labels and images fit, all of one cost; empty where none does,
+        or where images do not tell
+    uncertain : what images do not tell
+    camera_deg : angle of the sensor's x-axis in the image, from columns to rows
+    length_unit, angle_unit : "mm", "m", "deg", "rad", or "" where images do not tell
+    gains : numbers from which the units were inferred
+    order : "extrinsic", "intrinsic", or ""
+    order_t : Student's t of extrinsic against intrinsic; positive for extrinsic
     """
 
     depth_flipped: bool | None
@@ -196,10 +188,8 @@ def euler_order(flow: MarkerFlow, explanations: Sequence[Explanation], angle_uni
 
     Returns
     -------
-    order : str
-        "extrinsic", "intrinsic", or "" where images do not tell.
-    t : float
-        Student's t over the samples, positive for extrinsic.
+    order : "extrinsic", "intrinsic", or "" where images do not tell
+    t : Student's t over the samples, positive for extrinsic
     """
     if not explanations or not angle_unit:
         return "", 0.0

@@ -29,6 +29,7 @@ from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.image import (
     Image,
     ImageError,
+    check_image,
     common_shape,
     list_images,
     read_image,
@@ -67,12 +68,8 @@ class TactileFolder:
     def image(self, index: int) -> Image:
         """Image `index` as stored, gray; `ImageError` if it cannot be read or has the wrong size."""
         path = self.image_folder / self.names[index]
-        image = read_image(path)
         expected = self.preprocessing.crop_shape if self.processed else self.preprocessing.raw_shape
-        if image.shape != expected:
-            found, right = f"{image.shape[1]}x{image.shape[0]}", f"{expected[1]}x{expected[0]}"
-            raise ImageError(f"{path}: is {found}, must be {right}")
-        return image
+        return check_image(read_image(path), expected, str(path))
 
     def reference(self) -> Image | None:
         """The image without contact, which tools keep as number 0; None where there is no usable one."""
@@ -115,18 +112,13 @@ class TactileDataset:
 def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None = None) -> TactileFolder:
     """Read a folder's labels and settings, match rows with images, and report what does not match.
 
+    Raises `DatasetError` if the folder, its table or its images are not there, or no row is usable.
+
     Parameters
     ----------
-    folder : path
-        Holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw).
-    preprocessing : PreprocessingSettings, optional
-        Overrides what `processed_image_params.json` says, as with those of a model; where they differ, the
-        report says in what. Processed images may have any one size.
-
-    Raises
-    ------
-    DatasetError
-        If the folder, its table or its images are not there, or no row is usable.
+    folder : holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw)
+    preprocessing : overrides what `processed_image_params.json` says, as with those of a model; where they
+        differ, the report says in what. Processed images may have any one size.
     """
     folder = Path(folder)
     report = DatasetReport(folder)
@@ -174,14 +166,10 @@ def read_dataset(
 
     Parameters
     ----------
-    preprocessing : PreprocessingSettings, optional
-        If not those that the folder states.
-    changes : mapping, optional
-        Settings of the pre-processing that are to be others, as the size.
-    limit : int, optional
-        Take this many samples, spread evenly over the rows (published tables are sorted by depth).
-    progress : callable, optional
-        Called with (done, total).
+    preprocessing : if not those that the folder states
+    changes : settings of the pre-processing that are to be others, as the size
+    limit : take this many samples, spread evenly over the rows (published tables are sorted by depth)
+    progress : called with (done, total)
     """
     source = open_folder(folder, preprocessing)
     source.preprocessing = source.preprocessing.replaced(**(changes or {}))
@@ -281,9 +269,8 @@ def _preprocessing(
         report.notes.append(f"no {layout.IMAGE_PARAMS_NAME}: assumed the default crop and threshold")
         return PreprocessingSettings()
     params = parameters[name]
-    values: dict[str, Any] = {}
-    if params.get("bbox") is not None:
-        values["bbox"] = params["bbox"]
+    values = {key: params[key] for key in ("bbox", "circle_mask_radius") if params.get(key) is not None}
+    values |= {key: params[key] for key in ("median", "threshold_method") if key in params}
     if params.get("thresh") is not None:
         block_and_offset = params["thresh"]
         if not isinstance(block_and_offset, list) or len(block_and_offset) != 2:
@@ -291,9 +278,6 @@ def _preprocessing(
                 f"{report.folder}: {name}: thresh = {block_and_offset!r}: must be a block and an offset"
             )
         values["threshold_block"], values["threshold_offset"] = block_and_offset
-    if params.get("circle_mask_radius") is not None:
-        values["circle_mask_radius"] = params["circle_mask_radius"]
-    values.update({key: params[key] for key in ("median", "threshold_method") if key in params})
     try:
         return PreprocessingSettings.from_mapping(values, where=name)
     except SettingError as error:

@@ -18,21 +18,12 @@ class JsonError(ValueError):
 def loads(text: str, name: str) -> tuple[Any, list[str]]:
     """Parse JSON, dropping brackets that close nothing and adding those that are missing at the end.
 
+    Gives the value and one sentence for each repair; raises `JsonError` if the text does not parse even then.
+
     Parameters
     ----------
-    text : str
-        Contents of the file; `Infinity` and `NaN` are accepted, as Python writes them.
-    name : str
-        What to call the file in messages.
-
-    Returns
-    -------
-    value, repairs : the parsed value and one sentence for each repair (empty for a well-formed file).
-
-    Raises
-    ------
-    JsonError
-        If the text does not parse even with its brackets balanced.
+    text : contents of the file; `Infinity` and `NaN` are accepted, as Python writes them
+    name : what to call the file in messages
     """
     try:
         return parse_json(text), []

@@ -26,10 +26,8 @@ class Spread:
 
     Attributes
     ----------
-    distance : float
-        Largest distance (Kolmogorov-Smirnov) from an even distribution, 0 to 1.
-    emptiest, fullest : int
-        Samples in the least and the most filled of ten equal parts.
+    distance : largest distance (Kolmogorov-Smirnov) from an even distribution, 0 to 1
+    emptiest, fullest : samples in the least and the most filled of ten equal parts
     even : bool
     """
 
@@ -46,24 +44,16 @@ class LabelStatistics:
 
     Attributes
     ----------
-    ranges : (6, 4)
-        Least, largest, mean and standard deviation of each component.
-    constant : list of str
-        Components that never change.
-    off_center : list of str
-        Components, depth aside, whose mean is far off the middle between -max and max.
-    correlated : list of (str, str, float)
-        Pairs with a correlation worth knowing.
-    spreads : list of Spread
-        Of shear over its disk, depth, contact angles over their cap, and rotation.
+    ranges : (6, 4) least, largest, mean and standard deviation of each component
+    constant : components that never change
+    off_center : components, depth aside, whose mean is far off the middle between -max and max
+    correlated : pairs with a correlation worth knowing
+    spreads : of shear over its disk, depth, contact angles over their cap, and rotation
     sectors : (RINGS, SECTORS) int, for shear and for contact angles
         Samples in rings of equal area and in sectors.
-    repeated : int
-        Labels that occur more than once.
-    sorted_by : str
-        Component that never falls from row to row (or never rises), or "".
-    outliers : list of int
-        Rows with a component beyond six standard deviations, or of an impossible size.
+    repeated : labels that occur more than once
+    sorted_by : component that never falls from row to row (or never rises), or ""
+    outliers : rows with a component beyond six standard deviations, or of an impossible size
     """
 
     ranges: Array

@@ -20,20 +20,14 @@ from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json, read_text
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_perception.datasets.layout import (
-    AXES,
-    IMAGE_COLUMNS,
-    POSE_COLUMNS,
-    SHEAR_COLUMNS,
-    DatasetError,
-    DatasetReport,
-)
+from tactile_perception.datasets import layout
+from tactile_perception.datasets.layout import AXES, DatasetError, DatasetReport
 from tactile_perception.estimating.labels import EULER_COMPONENTS
 
 CONVENTIONS_NAME = "conventions.json"
 #: Columns of pose, and of the shear that may go with it, in the names of several generations of tools.
 COLUMN_SETS: tuple[tuple[tuple[str, ...], tuple[tuple[str, ...], ...]], ...] = (
-    (POSE_COLUMNS, (SHEAR_COLUMNS,)),
+    (layout.POSE_COLUMNS, (layout.SHEAR_COLUMNS,)),
     (
         tuple(f"pose_{k}" for k in range(1, 7)),
         (tuple(f"shear_{k}" for k in range(1, 7)), tuple(f"move_{k}" for k in range(1, 7))),
@@ -63,10 +57,7 @@ class ConventionSettings(Settings):
 def read_conventions(folder: Path, report: DatasetReport) -> ConventionSettings:
     """What `conventions.json` says, the paper's conventions where there is none.
 
-    Raises
-    ------
-    DatasetError
-        If the file is there and cannot be used: labels would be wrong without it.
+    Raises `DatasetError` if the file is there and cannot be used: labels would be wrong without it.
     """
     path = folder / CONVENTIONS_NAME
     if not path.exists():
@@ -92,10 +83,7 @@ Row = tuple[str, NDArray[np.float64]]
 def read_table(path: Path, conventions: ConventionSettings, report: DatasetReport) -> list[Row]:
     """(image name, Euler pose in mm and degrees) of each row with usable labels; the rest is reported.
 
-    Raises
-    ------
-    DatasetError
-        If the columns of image and pose are not there.
+    Raises `DatasetError` if the columns of image and pose are not there.
     """
     rows: list[Row] = []
     parts: list[NDArray[np.float64]] = []
@@ -166,11 +154,11 @@ def _numbers(
 
 def _columns(columns: list[str], path: Path, report: DatasetReport) -> tuple[str, list[list[str | None]]]:
     """The image column, and the label columns in groups to be added up; None for one that counts as zero."""
-    image = next((name for name in IMAGE_COLUMNS if name in columns), None)
+    image = next((name for name in layout.IMAGE_COLUMNS if name in columns), None)
     pose, shears = max(COLUMN_SETS, key=lambda item: sum(name in columns for name in item[0]))
     missing = [name for name in pose if name not in columns]
     if image is None or pose[2] in missing:
-        absent = [*([] if image else [" or ".join(IMAGE_COLUMNS)]), *missing]
+        absent = [*([] if image else [" or ".join(layout.IMAGE_COLUMNS)]), *missing]
         found = ", ".join(columns) or "none"
         raise DatasetError(f"{path}: has no column {', '.join(absent)}; its columns: {found}")
     if missing:

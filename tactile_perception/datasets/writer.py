@@ -33,26 +33,16 @@ _COLUMNS = ("sensor_image", *layout.POSE_COLUMNS, *layout.SHEAR_COLUMNS)
 
 
 class DatasetWriter:
-    """See the module's text.
+    """See the module's text; `DatasetError` if another process is writing to the folder.
 
     Parameters
     ----------
-    folder : path
-        Is made if it is not there; one process at a time may write to it.
-    preprocessing : PreprocessingSettings
-        Crops and thresholds camera images, and is kept with them.
-    images : str
-        Which images to keep: processed (`processed_images/`), raw (camera images in `images/`), or both.
-    extra : sequence of str
-        Further columns of the table, whose values `add` takes; readers of the layout ignore them.
-    durable : bool
-        Whether each sample is on the disk itself, not only in the system's memory, before `add` returns: it
-        then survives a loss of power too.
-
-    Raises
-    ------
-    DatasetError
-        If another process is writing to the folder.
+    folder : is made if it is not there; one process at a time may write to it
+    preprocessing : crops and thresholds camera images, and is kept with them
+    images : which images to keep: processed (`processed_images/`), raw (camera images in `images/`), or both
+    extra : further columns of the table, whose values `add` takes; readers of the layout ignore them
+    durable : whether each sample is on the disk itself, not only in the system's memory, before `add`
+        returns: it then survives a loss of power too
     """
 
     def __init__(
@@ -115,10 +105,7 @@ class DatasetWriter:
             _write_png(path, image, self._durable)
 
     def add_row(
-        self,
-        number: int,
-        euler_mm_deg: Iterable[float],
-        extra: Mapping[str, float | int] | None = None,
+        self, number: int, euler_mm_deg: Iterable[float], extra: Mapping[str, float | int] | None = None
     ) -> None:
         """Store the label of an image that is already written."""
         x, y, z, alpha, beta, gamma = (repr(float(value)) for value in euler_mm_deg)

@@ -42,13 +42,7 @@ def check_image(image: object, shape: tuple[int, int] | None, what: str) -> Imag
 
 
 def read_image(path: Path) -> Image:
-    """The image, gray.
-
-    Raises
-    ------
-    ImageError
-        If the file cannot be read, is cut short, or is no image.
-    """
+    """The image, gray; `ImageError` if the file cannot be read, is cut short, or is no image."""
     try:
         check_regular(path)
         data = path.read_bytes()

@@ -89,14 +89,9 @@ def pose_gaussian(mean: Array, covariance: Array) -> PoseGaussian:
     Paper, eq. left_perturbation_cov: the network's Gaussian lives around its mean in the global tangent
     space; the left Jacobian carries it to the perturbation on the left of the mean.
 
-    Parameters
-    ----------
-    mean, covariance : (6,) xi_sf and (6, 6), in mm and rad.
+    Raises `EstimateError` if the covariance is not positive definite.
 
-    Raises
-    ------
-    EstimateError
-        If the covariance is not positive definite.
+    `mean` is xi_sf (6,) and `covariance` (6, 6), in mm and rad.
     """
     scale = np.sqrt(np.abs(np.diagonal(covariance)))
     try:

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ MEAN, INVERSE_SIGMA, COVARIANCE = "mu", "inverse_sigma", "covariance"
 #: Shapes after the batch axis. A model has `mu` and one of the other two.
 OUTPUT_SHAPES = {MEAN: (6,), INVERSE_SIGMA: (6,), COVARIANCE: (6, 6)}
 #: Models in a run folder, the one to take first.
-RUN_MODELS = ("model_int8.onnx", "model.onnx")
+RUN_MODELS = QUANTIZED_NAME, MODEL_NAME = "model_int8.onnx", "model.onnx"
 FRAMES = (
     "xi = [rho, phi] = ln(X_sf): the surface feature frame {f} in the sensor frame {s}. {s}: origin at the "
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
@@ -38,6 +39,11 @@ UNSUMMED = "-" * 64
 _SUM_ENTRY = re.compile(CHECKSUM.encode() + rb"\x12\x40(.{64})", re.DOTALL)
 _SECTIONS = ("network", "training", "augmentation", "calibration")
 _REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
+
+
+def trained_model(run: Path) -> Path:
+    """The model of a run folder as it was trained; a model file stands for itself."""
+    return run / MODEL_NAME if run.is_dir() else run
 
 
 class MetadataError(ValueError):
@@ -171,14 +177,8 @@ def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[
 def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.int64]:
     """Rows of a data set that a model (of an ensemble: every member) was not trained on.
 
-    Parameters
-    ----------
-    sha256, count : of the data set, as `dataset.read_dataset` finds them
-
-    Returns
-    -------
-    array of int
-        All rows of data that are not the training data; empty where nothing was held back of those.
+    All of them for other data than its training data; none where nothing was held back of those. `sha256` and
+    `count` are those of the data set, as `dataset.read_dataset` finds them.
     """
     used = _parts_held_back(metadata, sha256)
     # The held-back samples of a smaller part are among those of a larger one.

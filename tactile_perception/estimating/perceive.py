@@ -55,10 +55,7 @@ class Perceiver:
     def __call__(self, image: Image, processed: bool = False) -> Percept:
         """The percept of one camera image, or of one that is already cropped and thresholded.
 
-        Raises
-        ------
-        ImageError
-            If the image has the wrong size or type.
+        Raises `ImageError` if the image has the wrong size or type.
         """
         if self.presence is None:
             make = self.estimator.estimate_processed if processed else self.estimator.estimate

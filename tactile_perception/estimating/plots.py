@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
@@ -32,9 +31,7 @@ def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
 def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
     """The paper's figure: predicted against actual, colored by precision, one row of plots for each entry.
 
-    Parameters
-    ----------
-    rows : sequence of (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad
+    A row is (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad.
     """
     figure, grid = plot_grid(len(rows), 6, 3.4)
     for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):
@@ -51,7 +48,6 @@ def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -
 def plot_grid(rows: int, columns: int, height: float) -> tuple[Figure, Any]:
     """A figure and its axes (rows, columns); height of a row in inches."""
     figure = Figure(figsize=(3.3 * columns, height * rows + 0.3), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
@@ -110,7 +106,6 @@ def _scatter(
 def draw_series(table: EstimateTable, path: Path, title: str) -> None:
     """Each component over time with its 2-sigma band."""
     figure = Figure(figsize=(12.0, 9.0), layout="constrained")
-    FigureCanvasAgg(figure)
     seconds = np.array(table.stamps_ns) * 1e-9
     for component, axes in enumerate(figure.subplots(6, 1, sharex=True)):
         for name, values in table.series.items():

@@ -120,10 +120,7 @@ class Preprocessor:
     def binary(self, image: Image) -> Image:
         """Camera image -> cropped, thresholded and masked image, uint8 0 or 255 of `crop_shape`.
 
-        Raises
-        ------
-        ImageError
-            If the image is not uint8 of `raw_shape`.
+        Raises `ImageError` if the image is not uint8 of `raw_shape`.
         """
         result = np.empty(self.settings.crop_shape, np.uint8)
         self._binarize(image, result)
@@ -134,10 +131,7 @@ class Preprocessor:
 
         Other crops than `crop_shape` are what other tools have written: the whole of one is taken.
 
-        Raises
-        ------
-        ImageError
-            If the crop is not gray and uint8.
+        Raises `ImageError` if the crop is not gray and uint8.
         """
         result = np.empty_like(self._resized)
         self._resize(check_image(crop, None, "processed image"), result)

@@ -95,10 +95,7 @@ class ContactPresence:
     def set_reference(self, images: ArrayLike) -> None:
         """Make the reference from prepared images without contact, (N, ..., size, size) with N >= 2.
 
-        Raises
-        ------
-        ValueError
-            With fewer than two images: the noise could not be estimated.
+        Raises `ValueError` with fewer than two images: the noise could not be estimated.
         """
         stack = np.asarray(images, dtype=np.float32)
         if stack.ndim < 3 or len(stack) < 2:
@@ -119,10 +116,7 @@ class ContactPresence:
     def update(self, prepared: Prepared) -> Presence:
         """Score one prepared image (size, size) or (1, 1, size, size).
 
-        Raises
-        ------
-        ValueError
-            If its size is not the reference's.
+        Raises `ValueError` if its size is not the reference's.
         """
         image = prepared.reshape(prepared.shape[-2:])
         if self._reference is None:

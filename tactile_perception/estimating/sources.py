@@ -64,17 +64,12 @@ def video_frames(
 ) -> Iterator[Frame]:
     """Frames of a video file or of a camera (by index), as gray camera images.
 
+    Raises `SourceError` if the source does not open or gives no frame, or there are fewer poses than frames.
+
     Parameters
     ----------
-    poses : list of (4, 4), optional
-        Pose of the sensor in the base for each frame.
-    limit : int, optional
-        Stop after this many frames.
-
-    Raises
-    ------
-    SourceError
-        If the source does not open or gives no frame, or there are fewer poses than frames.
+    poses : (4, 4) of the sensor in the base, one for each frame
+    limit : stop after this many frames
     """
     capture = cv2.VideoCapture(source)
     try:

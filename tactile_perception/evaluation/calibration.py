@@ -195,15 +195,13 @@ def fit_calibration(
 ) -> Calibration:
     """Fit the factors to a network's errors on data that it was not trained on.
 
+    `CalibrationError` for fewer than `settings.min_samples` rows, arrays that do not fit together, or values
+    that are not finite.
+
     Parameters
     ----------
     labels, mean : (N, 6) xi_sf and its predictions, in mm and rad
     cov : (N, 6, 6) predicted covariances, or (N, 6) predicted standard deviations (not inverse ones)
-
-    Raises
-    ------
-    CalibrationError
-        Fewer than `settings.min_samples` rows, arrays that do not fit together, or values not finite.
     """
     settings = settings or CalibrationSettings()
     labels, mean, cov = (np.asarray(value, np.float64) for value in (labels, mean, cov))

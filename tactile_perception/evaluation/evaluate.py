@@ -12,20 +12,9 @@ from numpy.typing import NDArray
 from tactile_perception.datasets.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
 from tactile_perception.estimating.model_metadata import unseen_rows
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.evaluation import metrics
 from tactile_perception.evaluation.calibration import fit_calibration
-from tactile_perception.evaluation.metrics import (
-    Accuracy,
-    Bins,
-    Consistency,
-    Predictions,
-    accuracy,
-    binned,
-    by_predicted_sigma,
-    consistency,
-    depth_edges,
-    moment_matched,
-    shear_of,
-)
+from tactile_perception.evaluation.metrics import Accuracy, Bins, Consistency, Predictions
 from tactile_perception.evaluation.models import Model
 
 Array = NDArray[np.float64]
@@ -96,10 +85,8 @@ def load_data(
 
     Of training data only what was held back is taken.
 
-    Raises
-    ------
-    DatasetError
-        If the folder has no labels, no images, or nothing usable, or a model was trained on all of it.
+    Raises `DatasetError` if the folder has no labels, no images, or nothing usable, or a model was trained on
+    all of it.
     """
     folder = Path(folder)
     _check_folder(folder)
@@ -137,10 +124,7 @@ def _rows_to_use(
 ) -> tuple[NDArray[np.int64], list[str]]:
     """Rows that no model was trained on, and what a reader of the results should know about them.
 
-    Raises
-    ------
-    DatasetError
-        If there are none: results on them would be flattered.
+    Raises `DatasetError` if there are none: results on them would be flattered.
     """
     rows, notes = np.arange(len(data)), []
     for model in models:
@@ -171,10 +155,8 @@ def evaluate(
 
     Parameters
     ----------
-    ensemble : bool
-        Also evaluate the moment-matched mixture of all models with, and of all without uncertainty.
-    calibration_data : EvaluationData, optional
-        Calibrate on these instead of using the calibration in the model files.
+    ensemble : also evaluate the moment-matched mixture of all models with, and of all without uncertainty
+    calibration_data : calibrate on these instead of using the calibration in the model files
     """
     if calibration_data is not None and calibration_data.sha256 == data.sha256:
         data.notes.append("calibrated on the data evaluated, each half on the other: as of the same session")
@@ -196,11 +178,10 @@ def evaluate(
         chosen = [index for index, model in enumerate(models) if model.has_uncertainty is uncertain]
         if len(chosen) < 2:
             continue
-        mixture = moment_matched([predictions[index] for index in chosen])
+        mixture = metrics.moment_matched([predictions[index] for index in chosen])
         if calibration_data is not None:
-            better = _fitted(
-                data, calibration_data, mixture, moment_matched([held_back[index] for index in chosen])
-            )
+            held_mixture = metrics.moment_matched([held_back[index] for index in chosen])
+            better = _fitted(data, calibration_data, mixture, held_mixture)
         else:
             better = _of_calibrated_members([calibrated[index][0] for index in chosen])
         kinds = list(dict.fromkeys(models[index].kind for index in chosen))
@@ -242,7 +223,7 @@ def _of_calibrated_members(members: Sequence[Predictions | None]) -> Calibrated:
     known = [member for member in members if member is not None]
     if len(known) < len(members):
         return None, ""
-    return moment_matched(known), "calibrated members"
+    return metrics.moment_matched(known), "calibrated members"
 
 
 def predict(model: Model, data: EvaluationData, progress: Callable[[int], None] | None = None) -> Predictions:
@@ -263,7 +244,7 @@ def assess(
     return ModelResult(
         name=name,
         kind=kind,
-        accuracy=accuracy(data.labels, data.euler_mm_deg, predictions),
+        accuracy=metrics.accuracy(data.labels, data.euler_mm_deg, predictions),
         raw=_assessment(data, predictions),
         calibrated=None if calibrated is None else _assessment(data, calibrated),
         calibration_source=source,
@@ -272,12 +253,12 @@ def assess(
 
 
 def _assessment(data: EvaluationData, predictions: Predictions) -> Assessment:
-    depth, shear = data.euler_mm_deg[:, 2], shear_of(data.euler_mm_deg)
+    depth, shear = data.euler_mm_deg[:, 2], metrics.shear_of(data.euler_mm_deg)
     uncertain = predictions.cov is not None
     return Assessment(
         predictions=predictions,
-        consistency=consistency(data.labels, predictions) if uncertain else None,
-        by_sigma=by_predicted_sigma(data.labels, predictions) if uncertain else None,
-        by_depth=binned(data.labels, predictions, depth, depth_edges(depth)),
-        by_shear=binned(data.labels, predictions, shear, depth_edges(shear)),
+        consistency=metrics.consistency(data.labels, predictions) if uncertain else None,
+        by_sigma=metrics.by_predicted_sigma(data.labels, predictions) if uncertain else None,
+        by_depth=metrics.binned(data.labels, predictions, depth, metrics.depth_edges(depth)),
+        by_shear=metrics.binned(data.labels, predictions, shear, metrics.depth_edges(shear)),
     )

@@ -17,16 +17,9 @@ from tactile_base.whole_file import write_csv
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_perception.estimating.labels import NETWORK_COLUMNS, NETWORK_TITLES
 from tactile_perception.estimating.plots import Row, draw_predicted_against_actual
+from tactile_perception.evaluation import filtering
 from tactile_perception.evaluation.evaluate import EvaluationData, ModelResult
-from tactile_perception.evaluation.filtering import (
-    ContactSequence,
-    FilterRun,
-    contact_sequence,
-    estimate_process_noise,
-    pose_gaussians,
-    run_filter,
-    unfiltered,
-)
+from tactile_perception.evaluation.filtering import ContactSequence, FilterRun
 from tactile_perception.evaluation.metrics import Predictions
 from tactile_perception.evaluation.plots import best
 from tactile_perception.evaluation.report import about, file_name, groups, with_spread
@@ -101,13 +94,13 @@ def run_experiment(
 ) -> list[FilterResult]:
     """Filter the data set's sequences for every model that has uncertainty, raw and calibrated."""
     sequences = {
-        (sigma, seed): contact_sequence(data, sigma if math.isfinite(sigma) else 0.0, seed)
+        (sigma, seed): filtering.contact_sequence(data, sigma if math.isfinite(sigma) else 0.0, seed)
         for sigma in experiment.sigmas
         for seed in experiment.seeds
     }
     found = []
     for result, state, predictions in states(results):
-        measurements = pose_gaussians(predictions)
+        measurements = filtering.pose_gaussians(predictions)
         for sigma, noise in experiment.cases:
             runs = []
             for seed in experiment.seeds:
@@ -135,12 +128,12 @@ def _one(
 ) -> tuple[float, FilterRun]:
     """sigma_phi and the filtered sequence."""
     if not math.isfinite(sigma):
-        return math.inf, unfiltered(sequence, predictions)
+        return math.inf, filtering.unfiltered(sequence, predictions)
     phi = sigma
     if noise == "estimated":
         beginning = replace(sequence, order=sequence.order[:_FITTED])
-        phi = estimate_process_noise(beginning, measurements)
-    return phi, run_filter(sequence, measurements, phi, experiment.settings)
+        phi = filtering.estimate_process_noise(beginning, measurements)
+    return phi, filtering.run_filter(sequence, measurements, phi, experiment.settings)
 
 
 def _mean_result(
@@ -162,9 +155,7 @@ def _mean_result(
 def filter_tables(found: Sequence[FilterResult], goal: dict[float, Array] | None = None) -> list[Table]:
     """The paper's table for each kind of model, state and choice of sigma_phi.
 
-    Parameters
-    ----------
-    goal : MAE (6,) by sigma_psi; shown in brackets with + where it is reached, else -
+    `goal` is the MAE (6,) by sigma_psi, shown in brackets with + where it is reached, else -.
     """
     keys = dict.fromkeys((entry.kind, entry.state, entry.noise) for entry in found)
     tables = []
@@ -237,11 +228,11 @@ def draw_filter_figure(
         result = best(members)
         if result.raw.consistency is None:
             continue
-        measurements = pose_gaussians(result.best.predictions)
+        measurements = filtering.pose_gaussians(result.best.predictions)
         rows: list[Row] = []
         for sigma in experiment.sigmas:
             noise = sigma if math.isfinite(sigma) else 0.0
-            sequence = contact_sequence(data, noise, experiment.seeds[0])
+            sequence = filtering.contact_sequence(data, noise, experiment.seeds[0])
             predictions = result.best.predictions
             _, run = _one(sequence, predictions, measurements, sigma, "equal", experiment)
             rows.append((f"sigma_psi {sigma:g}", sequence.labels, run.mean, run.sigma))

@@ -45,10 +45,7 @@ def motion_filter(sigma: float, settings: FilterSettings | None = None) -> Conta
     `settings` give the rest; without them nothing is gated, as in the paper.
     """
     settings = settings or FilterSettings(gate_probability=1.0)
-    noise = {
-        "process_noise_translation": sigma * 1e-3,
-        "process_noise_rotation": float(np.radians(sigma)),
-    }
+    noise = {"process_noise_translation": sigma * 1e-3, "process_noise_rotation": float(np.radians(sigma))}
     return ContactFilter(settings.replaced(**noise))
 
 
@@ -151,10 +148,8 @@ def run_filter(
     Parameters
     ----------
     measurements : Gaussians over X_sf of all samples of the data set, in the data set's order
-    sigma_phi : float
-        Noise of the motion that the filter assumes, in mm and degrees.
-    settings : FilterSettings, optional
-        Everything else; default: the paper's, without a gate.
+    sigma_phi : noise of the motion that the filter assumes, in mm and degrees
+    settings : everything else; default: the paper's, without a gate
     """
     contact_filter = motion_filter(sigma_phi, settings)
     means, covs, nis = [], [], []

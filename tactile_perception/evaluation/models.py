@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.estimating.preprocessing import as_input
 from tactile_perception.estimator import Estimator, ModelError
 from tactile_perception.evaluation.metrics import Predictions
 
-MODEL_NAME = "model.onnx"
 #: What the heads that `tactile train` knows are called in tables.
 KINDS = {
     "mse": "CNN",
@@ -65,10 +64,7 @@ class Model:
     ) -> Predictions:
         """Predictions for pre-processed images, uint8 (N, size, size), as the network gives them.
 
-        Raises
-        ------
-        ModelError
-            If an answer is not finite, or has no positive definite covariance.
+        Raises `ModelError` if an answer is not finite, or has no positive definite covariance.
         """
         mean, cov = predict_all(self.estimator, images, progress)
         self._check(mean, "mu")
@@ -103,15 +99,8 @@ def predict_all(
 def open_models(runs: Sequence[Path | str], threads: int = 0) -> list[Model]:
     """Models of run folders (of `tactile train`), of folders of such folders, or of ONNX files.
 
-    Parameters
-    ----------
-    threads : int
-        CPU threads of an inference; 0: as many as there are cores.
-
-    Raises
-    ------
-    ModelError
-        Naming the file or folder, what is wrong and what would be right.
+    An inference takes so many CPU `threads`, or 0 for as many as there are cores. `ModelError` names the file
+    or folder, what is wrong and what would be right.
     """
     paths = [path for run in runs for path in _model_paths(Path(run))]
     opened = [Estimator(path, threads or os.cpu_count() or 1) for path in paths]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS
@@ -56,11 +58,21 @@ def best(members: Sequence[ModelResult]) -> ModelResult:
     return min(members, key=loss)
 
 
-def _states(result: ModelResult) -> Iterator[tuple[Assessment, str, str]]:
-    """Assessment, line and label of a model as it is and calibrated."""
-    yield result.raw, ":", f"{result.name}, as the network says"
-    if result.calibrated is not None:
-        yield result.calibrated, "-", f"{result.name}, calibrated"
+def _states(results: Sequence[ModelResult]) -> Iterator[tuple[Assessment, str, dict[str, str]]]:
+    """Assessment, line style, color and label of each uncertain model, as it is and calibrated."""
+    for number, result in enumerate(results):
+        states = (result.raw, ":", "as the network says"), (result.calibrated, "-", "calibrated")
+        for assessment, style, state in states:
+            if assessment is not None and assessment.consistency is not None:
+                yield assessment, style, {"color": f"C{number}", "label": f"{result.name}, {state}"}
+
+
+def _save(figure: Figure, grid: Any, path: Path, ylabel: str) -> None:
+    """With this label on each row of plots, and one legend for all."""
+    for axes_row in grid:
+        axes_row[0].set_ylabel(ylabel)
+    shared_legend(figure, grid[0][0])
+    figure.savefig(path, dpi=DPI)
 
 
 def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
@@ -68,16 +80,12 @@ def draw_reliability(path: Path, results: Sequence[ModelResult]) -> None:
     figure, grid = plot_grid(1, 6, 4.3)
     for component, axes in enumerate(grid[0]):
         axes.plot([0.0, 1.0], [0.0, 1.0], color="black", linewidth=0.8)
-        for color, result in enumerate(results):
-            for assessment, style, label in _states(result):
-                if assessment.consistency is not None:
-                    curve = assessment.consistency.curve[:, component]
-                    axes.plot(CURVE, curve, style, color=f"C{color}", label=label)
+        for assessment, style, look in _states(results):
+            assert assessment.consistency is not None
+            axes.plot(CURVE, assessment.consistency.curve[:, component], style, **look)
         axes.set(xlabel="nominal", title=COMPONENTS[component], aspect="equal")
         axes.grid(alpha=0.3)
-    grid[0][0].set_ylabel("fraction of labels inside")
-    shared_legend(figure, grid[0][0])
-    figure.savefig(path, dpi=DPI)
+    _save(figure, grid, path, "fraction of labels inside")
 
 
 def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
@@ -85,23 +93,19 @@ def draw_error_by_sigma(path: Path, results: Sequence[ModelResult]) -> None:
     figure, grid = plot_grid(1, 6, 4.3)
     for component, axes in enumerate(grid[0]):
         reach = []
-        for color, result in enumerate(results):
-            for assessment, style, label in _states(result):
-                if assessment.by_sigma is None:
-                    continue
-                bins = assessment.by_sigma[component]
-                sigma, rmse = bins.sigma[:, component], bins.rmse[:, component]
-                axes.plot(sigma, rmse, f"o{style}", color=f"C{color}", markersize=3, label=label)
-                reach += [*sigma[np.isfinite(sigma)], *rmse[np.isfinite(rmse)]]
+        for assessment, style, look in _states(results):
+            assert assessment.by_sigma is not None
+            bins = assessment.by_sigma[component]
+            sigma, rmse = bins.sigma[:, component], bins.rmse[:, component]
+            axes.plot(sigma, rmse, f"o{style}", markersize=3, **look)
+            reach += [*sigma[np.isfinite(sigma)], *rmse[np.isfinite(rmse)]]
         limits = [min(reach), max(reach)]
         axes.plot(limits, limits, color="black", linewidth=0.8)
         axes.set(xlabel=f"predicted sigma ({NETWORK_UNITS[component]})", title=COMPONENTS[component])
         log_axis(axes, "x")
         log_axis(axes, "y")
         axes.grid(alpha=0.3)
-    grid[0][0].set_ylabel("root mean square error")
-    shared_legend(figure, grid[0][0])
-    figure.savefig(path, dpi=DPI)
+    _save(figure, grid, path, "root mean square error")
 
 
 def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
@@ -120,9 +124,7 @@ def draw_by_depth_and_shear(path: Path, results: Sequence[ModelResult]) -> None:
             axes.set(xlabel=f"{which[3:]} (mm)", title=NETWORK_TITLES[component])
             axes.set_ylim(bottom=0.0)
             axes.grid(alpha=0.3)
-        axes_row[0].set_ylabel("mean absolute error")
-    shared_legend(figure, grid[0][0])
-    figure.savefig(path, dpi=DPI)
+    _save(figure, grid, path, "mean absolute error")
 
 
 def draw_slip(path: Path, data: EvaluationData, results: Sequence[ModelResult]) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.image import Image, ImageError, check_image
 
 Array = NDArray[np.float64]
 _LARGEST_SHARE = 0.02  # of the image, from which a blob is no marker
@@ -68,12 +68,9 @@ class DetectedMarkers:
 
     Attributes
     ----------
-    centers : (n, 2) px
-        Column and row, sub-pixel; the middle of the first pixel is (0, 0).
-    areas : (n,) px^2
-        Of the markers' blobs; of a merged blob the equal parts.
-    merged : (n,) bool
-        Whether the marker was split off a blob of several, so that its place is less certain.
+    centers : (n, 2) px, column and row, sub-pixel; the middle of the first pixel is (0, 0)
+    areas : (n,) px^2, of the markers' blobs; of a merged blob the equal parts
+    merged : (n,) bool, whether the marker was split off a blob of several, so that its place is less certain
     """
 
     centers: Array
@@ -84,13 +81,7 @@ class DetectedMarkers:
         return len(self.centers)
 
     def spacing(self) -> float:
-        """Mean distance of a marker to the one next to it, px.
-
-        Raises
-        ------
-        ImageError
-            With fewer than two markers.
-        """
+        """Mean distance of a marker to the one next to it, px; `ImageError` with fewer than two markers."""
         if len(self) < 2:
             raise ImageError(
                 f"{len(self)} markers found: at least two are needed for the distance between them"
@@ -107,10 +98,8 @@ class DensityChange:
     ----------
     values : (rows, columns)
         Markers per squared spacing, less those of the reference: negative where markers have parted.
-    columns, rows : (columns,), (rows,) px
-        Where in the image the grid's values stand.
-    spacing : float, px
-        Kernel width (standard deviation): mean distance between adjacent markers of the reference.
+    columns, rows : (columns,), (rows,) px, where in the image the grid's values stand
+    spacing : px, kernel width (standard deviation): mean distance between adjacent markers of the reference
     """
 
     values: Array
@@ -124,18 +113,15 @@ def detect(image: Image, settings: DetectionSettings | None = None) -> DetectedM
 
     Of a camera image the centers are weighted by brightness; of a binary image they are the blobs' centroids.
 
+    Raises `ImageError` if the image is not a gray image of 8 bits.
+
     Parameters
     ----------
     image : uint8 (rows, columns)
         Bright markers on a dark ground. With no other values than 0 and 255 it is taken as pre-processed.
-
-    Raises
-    ------
-    ImageError
-        If the image is not a gray image of 8 bits.
     """
     settings = settings or DetectionSettings()
-    gray = _checked(image)
+    gray = np.ascontiguousarray(check_image(image, None, "image with markers"))
     smooth = np.asarray(cv2.medianBlur(gray, settings.median) if settings.median else gray, np.uint8)
     white, weight = (smooth, None) if is_binary(gray) else _bright(smooth, settings)
     found = cv2.connectedComponentsWithStats(white, connectivity=4, ltype=cv2.CV_32S)
@@ -175,19 +161,14 @@ def density_change(
 ) -> DensityChange:
     """Marker density against that of the state without contact, as in the paper's figure.
 
+    Raises `ImageError` if the reference holds fewer than two markers.
+
     Parameters
     ----------
     markers, reference
         Of the image, and of one without contact; both of the same crop.
-    shape : (rows, columns) px
-        Of the images.
-    step : int, px
-        Of the grid on which the density is computed.
-
-    Raises
-    ------
-    ImageError
-        If the reference holds fewer than two markers.
+    shape : (rows, columns) px, of the images
+    step : px, of the grid on which the density is computed
     """
     spacing = reference.spacing()
     rows, columns = (np.arange((step - 1) / 2, size, step) for size in shape)
@@ -195,17 +176,6 @@ def density_change(
         reference.centers, columns, rows, spacing
     )
     return DensityChange(values * spacing**2, columns, rows, spacing)
-
-
-def _checked(image: Image) -> Image:
-    if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
-        kind = f"of {image.dtype}" if isinstance(image, np.ndarray) else f"a {type(image).__name__}"
-        raise ImageError(f"markers are sought in 8-bit images (uint8), this is {kind}")
-    if image.ndim == 3 and image.shape[2] == 1:
-        image = image[:, :, 0]
-    if image.ndim != 2:
-        raise ImageError(f"markers are sought in gray images (mono8), this has the shape {image.shape}")
-    return np.ascontiguousarray(image)
 
 
 def _bright(smooth: Image, settings: DetectionSettings) -> tuple[Image, Image]:

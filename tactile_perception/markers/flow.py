@@ -74,25 +74,17 @@ class MarkerFlow:
 
     Attributes
     ----------
-    positions : (n, markers, 2)
-        Tracked markers, px; NaN where one was not found.
+    positions : (n, markers, 2) tracked markers, px; NaN where one was not found
     labels : (n, 6)
-    rest : (markers, 2)
-        px
-    center : (2,), radius : float
-        Of the marker field, px.
+    rest : (markers, 2) px
+    center : (2,), radius : float, of the marker field, px
     deeper : float
         Variety of the images at the largest over that at the least depth: over 1 where depth grows with z.
-    shear : Measured (2, 2)
-        Motion (column, row) of inner markers by x and y.
-    tilt : Measured (2, 2)
-        The same by -beta and alpha.
-    spread : Measured ()
-        Divergence k of the inner markers, halved.
-    turn : Measured ()
-        Rotation of inner markers in deep contacts, from column to row, rad by gamma.
-    found : float
-        Share of the markers that could be followed.
+    shear : Measured (2, 2) motion (column, row) of inner markers by x and y
+    tilt : Measured (2, 2) the same by -beta and alpha
+    spread : Measured () divergence k of the inner markers, halved
+    turn : Measured () rotation of inner markers in deep contacts, from column to row, rad by gamma
+    found : share of the markers that could be followed
     """
 
     positions: Array
@@ -115,10 +107,7 @@ def measure(
 ) -> MarkerFlow:
     """Follow the markers of some images of a data set and measure how they move with the labels.
 
-    Raises
-    ------
-    FlowError
-        If there are too few images, or too few markers in them.
+    Raises `FlowError` if there are too few images, or too few markers in them.
     """
     settings = settings or FlowSettings()
     labels, images = _chosen(folder, settings, progress)

@@ -26,14 +26,10 @@ def track(blobs: Sequence[Array], labels: Array, depth_order: NDArray[np.int64],
 
     Parameters
     ----------
-    blobs : n arrays (k, 2)
-        Centers of the markers found in each image, px.
-    labels : (n, 6)
-        In any units: they are scaled to their ranges.
-    depth_order : (n,) int
-        The samples from shallow to deep.
-    rest : (markers, 2)
-        Positions without contact, or in a shallow one.
+    blobs : n arrays (k, 2) centers of the markers found in each image, px
+    labels : (n, 6) in any units: they are scaled to their ranges
+    depth_order : (n,) int, the samples from shallow to deep
+    rest : (markers, 2) positions without contact, or in a shallow one
     """
     features = _features(_scaled(labels))
     spacing = float(np.median(cKDTree(rest).query(rest, k=2)[0][:, 1]))

@@ -33,22 +33,15 @@ class Augmenter:
     """
 
     def __init__(
-        self,
-        images: Image,
-        depth: Array,
-        crop_shape: tuple[int, int],
-        settings: AugmentationSettings,
+        self, images: Image, depth: Array, crop_shape: tuple[int, int], settings: AugmentationSettings
     ) -> None:
-        """
+        """Find the markers' center; `AugmentationError` if they do not have the symmetry that settings name.
+
         Parameters
         ----------
         images : uint8 (N, SCALE * size, SCALE * size)
         depth : (N,) of the contacts; the shallowest show the markers at rest
         crop_shape : (rows, columns) of the crop that the images were reduced from
-
-        Raises
-        ------
-        AugmentationError
         """
         self.images, self.settings = images, settings
         self.size = images.shape[1] // SCALE

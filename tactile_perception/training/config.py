@@ -9,24 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from tactile_base.config_paths import config_path
-from tactile_base.settings import SettingError, Settings, unknown_name
+from tactile_base.settings import SettingError, SettingGroups, unknown_name
 from tactile_base.yaml_file import Section, name_and_value, read_yaml
 from tactile_perception.evaluation.calibration import CalibrationSettings
 from tactile_perception.training.settings import AugmentationSettings, NetworkSettings, TrainingSettings
 
-SECTIONS: dict[str, type[Settings]] = {
-    "network": NetworkSettings,
-    "training": TrainingSettings,
-    "augmentation": AugmentationSettings,
-    "calibration": CalibrationSettings,
-}
 ARITHMETICS = ("fp32", "int8")
 _EXTENDS = "extends"
 _PROFILES = "perception/profiles.yaml"
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(SettingGroups):
     """The sections of a training file; the defaults are the paper's GDN."""
 
     network: NetworkSettings = field(default_factory=NetworkSettings)
@@ -46,25 +40,18 @@ class TrainConfig:
     @classmethod
     def _from_files(cls, path: Path, extending: tuple[Path, ...]) -> TrainConfig:
         root = read_yaml(path)
-        root.allow(_EXTENDS, *SECTIONS)
+        root.allow(_EXTENDS, *cls.group_names())
         base = cls()
         if _EXTENDS in root.values:
             other = _training_file(root, path.parent)
             if other in (path, *extending):
                 root.fail(f"{_EXTENDS}: {other.name} extends this file", _EXTENDS)
             base = cls._from_files(other, (path, *extending))
-        sections = {name: root.section(name) for name in SECTIONS}
-        return cls(
-            **{
-                name: section.checked(SECTIONS[name], {**vars(getattr(base, name)), **section.values})
-                for name, section in sections.items()
-            }  # type: ignore[arg-type]
-        )
-
-    @classmethod
-    def from_plain(cls, sections: dict[str, Any], where: str = "") -> TrainConfig:
-        """From the dictionaries that `plain` makes."""
-        return cls(**{name: SECTIONS[name].from_mapping(sections[name], where) for name in sections})  # type: ignore[arg-type]
+        sections: dict[str, Any] = {}
+        for name in cls.group_names():
+            section, group = root.section(name), base.group(name)
+            sections[name] = section.checked(type(group), {**vars(group), **section.values})
+        return cls(**sections)
 
     def changed(self, changes: Iterable[str]) -> TrainConfig:
         """A copy with settings changed by texts of the form section.name=value, as training.batch_size=32."""
@@ -72,15 +59,8 @@ class TrainConfig:
         for change in changes:
             name, value = name_and_value(change, "training.batch_size=32")
             section, _, key = name.partition(".")
-            if section not in SECTIONS:
-                raise SettingError(f"--set {change}: {unknown_name(section, tuple(SECTIONS))}")
-            config = config.replaced(section, **{key: value})
+            config = config.merged({section: {key: value}}, f"--set {change}")
         return config
-
-    def replaced(self, section: str, **values: Any) -> TrainConfig:
-        """A copy with some values of one section changed."""
-        settings = getattr(self, section).replaced(**values)
-        return dataclasses.replace(self, **{section: settings})
 
     def plain(self) -> dict[str, dict[str, Any]]:
         """The configuration in types that YAML and JSON have."""

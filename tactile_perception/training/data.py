@@ -136,12 +136,7 @@ def arrange(
 
 
 def check_samples(data: RunData, config: TrainConfig) -> None:
-    """Refuse data with too few samples to train on, or to calibrate on when training has ended.
-
-    Raises
-    ------
-    DatasetError, CalibrationError
-    """
+    """`DatasetError` or `CalibrationError` for too few samples to train on, or to calibrate on in the end."""
     if len(data.training) < _FEWEST_SAMPLES:
         raise DatasetError(f"training data: {len(data.training)} samples, needs at least {_FEWEST_SAMPLES}")
     held_back, needed = len(data.held_back), config.calibration.min_samples
@@ -186,10 +181,8 @@ class Start:
 def load_start(run: Path | str, network: NetworkSettings) -> Start:
     """The best network of a finished run of `tactile train`, for a run whose network has these settings.
 
-    Raises
-    ------
-    SettingError
-        If the folder holds no finished run, or one of another network; the message says what differs.
+    Raises `SettingError` if the folder holds no finished run, or one of another network; the message says
+    what differs.
     """
     folder = RunFolder(run)
     if not folder.finished:

@@ -15,13 +15,13 @@ from tactile_perception.estimating.model_metadata import (
     INVERSE_SIGMA,
     MEAN,
     ModelMetadata,
+    trained_model,
     unseen_rows,
 )
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import CalibrationSettings
 from tactile_perception.training.export import GraphWriter, save_model
 from tactile_perception.training.recalibration import fit_on
-from tactile_perception.training.run_folder import MODEL_NAME
 
 
 class EnsembleError(ValueError):
@@ -33,18 +33,11 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
 
     mean = average of the means; covariance = average of the covariances + covariance of the means.
 
-    Parameters
-    ----------
-    data : path, optional
-        The training data of the runs; the ensemble is calibrated on what all of them held back. Without it
-        the ensemble has no calibration: those of its members do not hold for their mixture.
-
-    Raises
-    ------
-    EnsembleError, ModelError
-        Fewer than two networks, or networks of other sizes, pre-processing or data.
+    With `data`, the training data of the runs, the ensemble is calibrated on what all held back; without
+    it has no calibration: those of its members do not hold for their mixture. `EnsembleError` or `ModelError`
+    for fewer than two networks, or networks of other sizes, pre-processing or data.
     """
-    files = [Path(run) / MODEL_NAME if Path(run).is_dir() else Path(run) for run in runs]
+    files = [trained_model(Path(run)) for run in runs]
     if len(files) < 2:
         raise EnsembleError("an ensemble needs at least two networks")
     estimators = [Estimator(file) for file in files]

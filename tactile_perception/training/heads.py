@@ -18,7 +18,12 @@ _LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
 def softbound(x: Tensor, lower: float, upper: float) -> Tensor:
-    """`tactile_perception.softbound.softbound` for tensors, in their own precision."""
+    """Smooth approximation of clamp(x, lower, upper) that never leaves [lower, upper], for lower <= upper.
+
+    The paper's softbound, lower + softplus(x - lower) - softplus(x - upper), rearranged. The paper's own
+    rearrangement (appendix "A numerically stable implementation of the softbound function") subtracts x from
+    a sum of its size and so loses its bounds for large |x|; here nothing larger than the bounds is formed.
+    """
     above_lower = torch.log1p(torch.exp(-torch.abs(x - lower)))
     above_upper = torch.log1p(torch.exp(-torch.abs(x - upper)))
     return torch.clamp(torch.clamp(x, lower, upper) + (above_lower - above_upper), lower, upper)

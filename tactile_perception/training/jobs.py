@@ -44,7 +44,7 @@ class Job:
 
     @property
     def config(self) -> TrainConfig:
-        return TrainConfig.from_plain(self.sections)
+        return TrainConfig.from_mapping(self.sections)
 
 
 def seed_jobs(
@@ -53,7 +53,7 @@ def seed_jobs(
     """`count` runs that differ in their seed, each in a folder `seed_N` of `out`."""
     jobs = []
     for seed in range(config.training.seed, config.training.seed + count):
-        sections = config.replaced("training", seed=seed).plain()
+        sections = config.replaced(training__seed=seed).plain()
         where = str(validation.absolute()) if validation else None
         jobs.append(Job(str(data.absolute()), str(out.absolute() / f"seed_{seed}"), sections, where, limit))
     return jobs
@@ -98,10 +98,7 @@ def run_cluster(jobs: list[Job], scheduler: str, report: Callable[[Job, str], No
 
     Data and project have to be at the same paths on every machine.
 
-    Raises
-    ------
-    JobError
-        If Dask is not installed or the scheduler does not answer.
+    Raises `JobError` if Dask is not installed or the scheduler does not answer.
     """
     try:
         from distributed import Client, as_completed

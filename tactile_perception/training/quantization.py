@@ -67,14 +67,9 @@ def quantize(
 ) -> Path:
     """Write the model at `model_path` in 8-bit integers to `out_path`.
 
-    Parameters
-    ----------
-    images : (N, size, size) prepared images (`Preprocessor.resized`), such as the network was trained on.
+    `QuantizationError` says which file or images, what is wrong, and what would be right.
 
-    Raises
-    ------
-    QuantizationError
-        Saying which file or images, what is wrong, and what would be right.
+    The images (N, size, size) are prepared (`Preprocessor.resized`), such as the network was trained on.
     """
     settings = settings or QuantizationSettings()
     model = _load(Path(model_path))

@@ -32,23 +32,18 @@ def recalibrate(
     The settings are those of the model's training. Margin and floor stand for what the training session
     cannot show of another one: data of another session show it, and get neither.
 
+    Raises `CalibrationError` if the model has no uncertainty, was trained on all of the data, or the data are
+    too few.
+
     Parameters
     ----------
-    data : path
-        A labelled folder. Of the folder that the model was trained on, only what it held back is used.
-    changes : mapping, optional
-        Settings of the calibration that are to be others.
+    data : a labelled folder. Of the folder that the model was trained on, only what it held back is used.
+    changes : settings of the calibration that are to be others
 
     Returns
     -------
     calibration : Calibration
-    own_session : bool
-        Whether it was fitted to what the training held back, with margin and floor.
-
-    Raises
-    ------
-    CalibrationError
-        If the model has no uncertainty, was trained on all of the data, or the data are too few.
+    own_session : whether it was fitted to what the training held back, with margin and floor
     """
     estimator = Estimator(model)
     metadata = estimator.metadata
@@ -72,10 +67,7 @@ def recalibrate(
 
 
 def fit_on(
-    estimator: Estimator,
-    samples: TactileDataset,
-    rows: NDArray[np.int64],
-    settings: CalibrationSettings,
+    estimator: Estimator, samples: TactileDataset, rows: NDArray[np.int64], settings: CalibrationSettings
 ) -> Calibration:
     """Fitted to the network's own answers to some rows of a data set."""
     mean, cov = predict_all(estimator, samples.images[rows])

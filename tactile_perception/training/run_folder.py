@@ -27,7 +27,6 @@ EPOCHS_NAME = "epochs.csv"
 CURVES_NAME = "curves.png"
 BEST_NAME = "best.pt"
 STATE_NAME = "state.pt"
-MODEL_NAME = "model.onnx"
 RESULT_NAME = "result.json"
 #: Settings that may change when a run is resumed; what a start is, the facts about the data tell.
 _NO_RESULT = {"threads", "max_minutes", "start"}
@@ -85,10 +84,7 @@ class RunFolder:
 
         `data` are the facts that have to agree, `report` what else was found in the data folders.
 
-        Raises
-        ------
-        FileExistsError
-            If it holds a finished run, or one that was started differently.
+        Raises `FileExistsError` if it holds a finished run, or one that was started differently.
         """
         self.check_free()
         self.path.mkdir(parents=True, exist_ok=True)

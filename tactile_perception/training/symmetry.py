@@ -116,7 +116,9 @@ class CropGeometry:
 def find_center(
     images: Image, depth: Array, geometry: CropGeometry, order: int, radius: float
 ) -> tuple[Array, float]:
-    """Center of the markers in crop pixels, and how well the pattern at rest fits itself turned about it.
+    """Center (2,) of the markers, crop pixels, and how well the pattern at rest fits itself turned about it.
+
+    That is the mean correlation over the turns; 1 is perfect.
 
     Parameters
     ----------
@@ -124,10 +126,6 @@ def find_center(
     depth : (N,); the mean over the shallowest images stands for the pattern at rest
     order : of the symmetry
     radius : of the compared disk, in crop pixels
-
-    Returns
-    -------
-    center (2,) and the mean correlation over the turns; 1 is perfect.
     """
     count = max(1, round(_SHALLOW * len(images)))
     chosen = np.argsort(depth, kind="stable")[:count]

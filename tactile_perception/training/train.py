@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tactile_perception.estimating.labels import COMPONENTS
-from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.config import TrainConfig
@@ -23,7 +23,7 @@ from tactile_perception.training.data import RunData, Samples, check_samples, lo
 from tactile_perception.training.export import export_onnx
 from tactile_perception.training.network import PoseNetwork, WeightAverage
 from tactile_perception.training.progress import TimeLeft, TrainingProgress
-from tactile_perception.training.run_folder import MODEL_NAME, Epoch, RunFolder, TrainResult
+from tactile_perception.training.run_folder import Epoch, RunFolder, TrainResult
 from tactile_perception.training.settings import learning_rate
 from tactile_perception.training.symmetry import SymmetryAxis
 
@@ -42,30 +42,17 @@ def train(
     """Train on a folder of the public layout and leave everything about the run in `out_dir`.
 
     A run that was interrupted goes on where its last whole epoch ended, when it is asked for again with the
-    same configuration and data, and ends as it would have without the interruption.
+    same configuration and data, and ends as it would have without the interruption. `FileExistsError` if
+    `out_dir` holds a finished run, or one with another configuration or other data; `DatasetError`,
+    `SettingError`, `AugmentationError` or `CalibrationError` for unusable data or configuration.
 
     Parameters
     ----------
-    data_dir : path
-        Training data, or a folder that holds `train/` and `val/`.
-    out_dir : path
-        Gets `config.yaml`, `data.txt` (what was found in the folders) and `data.json` (their hashes),
-        `epochs.csv`, `curves.png`, `best.pt`, `model.onnx` and, at the very end, `result.json`.
-    validation_dir : path, optional
-        Validation data; required unless `data_dir` holds `val/`.
-    limit : int, optional
-        Use this many training samples only.
-
-    Returns
-    -------
-    TrainResult
-
-    Raises
-    ------
-    DatasetError, SettingError, AugmentationError, CalibrationError
-        Unusable data or configuration.
-    FileExistsError
-        If `out_dir` holds a finished run, or one with another configuration or other data.
+    data_dir : training data, or a folder that holds `train/` and `val/`
+    out_dir : gets `config.yaml`, `data.txt` (what was found in the folders) and `data.json` (their hashes),
+        `epochs.csv`, `curves.png`, `best.pt`, `model.onnx` and, at the very end, `result.json`
+    validation_dir : validation data; required unless `data_dir` holds `val/`
+    limit : use this many training samples only
     """
     config = config or TrainConfig()
     progress = progress or TrainingProgress()
@@ -255,10 +242,7 @@ class _Run:
         """Export the best epoch's network, calibrated on what was held back; its facts on validation data."""
         self.network.load_state_dict(folder.load_best())
         loss, mae = self.evaluate(self.data.validation)
-        validation = {
-            "validation_loss": loss,
-            "mae": dict(zip(COMPONENTS, mae.tolist(), strict=True)),
-        }
+        validation = {"validation_loss": loss, "mae": dict(zip(COMPONENTS, mae.tolist(), strict=True))}
         training: dict[str, Any] = self.config.plain()
         if self.axis is not None:
             training["symmetry_axis_found"] = self.axis.parameters_of_axis()

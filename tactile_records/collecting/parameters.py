@@ -16,10 +16,7 @@ PARAMETERS_NAME = "collect_params.json"
 def check_same_run(folder: Path, parameters: dict[str, Any]) -> None:
     """Write the parameters beside the data; refuse to add to data that were made with other ones.
 
-    Raises
-    ------
-    DatasetError
-        With the names of the parameters that differ.
+    Raises `DatasetError` with the names of the parameters that differ.
     """
     path = folder / PARAMETERS_NAME
     parameters = json.loads(json.dumps(parameters))

@@ -21,11 +21,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 SURFACE_NAME = "surface.json"
-EXTRA_COLUMNS = (
-    "stamp_ns",
-    *(f"target_{axis}" for axis in AXES),
-    *(f"base_sensor_{axis}" for axis in AXES),
-)
+EXTRA_COLUMNS = ("stamp_ns", *(f"target_{axis}" for axis in AXES), *(f"base_sensor_{axis}" for axis in AXES))
 
 
 class SampleStore:
@@ -68,10 +64,7 @@ class SampleStore:
     def surface(self) -> Array | None:
         """The contact frame (4, 4) that touches have found before, if they have.
 
-        Raises
-        ------
-        DatasetError
-            If the file that holds it cannot be read.
+        Raises `DatasetError` if the file that holds it cannot be read.
         """
         path = self.folder / SURFACE_NAME
         if not path.exists():

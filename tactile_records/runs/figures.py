@@ -6,6 +6,7 @@ band of two standard deviations, the reference green. Needs matplotlib; draws wi
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -261,7 +262,7 @@ def latency(record: RunRecord) -> Figure:
     figure, (spread, stack) = plt.subplots(
         2, 1, figsize=(10, 6.5), sharex=True, height_ratios=[2.2, 1], layout="constrained"
     )
-    for (name, values), color in zip(stages.items(), _colors(len(stages)), strict=True):
+    for (name, values), color in zip(stages.items(), itertools.cycle(STAGES), strict=False):
         ordered = np.sort(values)
         share = np.arange(1, len(ordered) + 1) / len(ordered)
         p50, p99 = np.percentile(ordered, [50, 99])
@@ -307,7 +308,7 @@ def _stack(axes: Any, stages: dict[str, Array]) -> None:
     """Two bars: what each stage adds to the median and to the 99th percentile."""
     for row, percentile in enumerate((50, 99)):
         start = 0.0
-        for (name, values), color in zip(stages.items(), _colors(len(stages)), strict=True):
+        for (name, values), color in zip(stages.items(), itertools.cycle(STAGES), strict=False):
             end = float(np.percentile(values, percentile))
             if end > start:
                 axes.barh(
@@ -318,10 +319,6 @@ def _stack(axes: Any, stages: dict[str, Array]) -> None:
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     axes.legend(loc="center right")
-
-
-def _colors(n: int) -> list[str]:
-    return [STAGES[k % len(STAGES)] for k in range(n)]
 
 
 def message(text: str) -> Figure:

@@ -16,56 +16,23 @@ from tactile_drivers.scene import SceneError, load_scene
 from tactile_filter import se3
 from tactile_filter.gaussian import left_from_ros
 from tactile_records.bags.reader import Bag, read_bag
-from tactile_records.runs.record import (
-    ArmSeries,
-    BeliefSeries,
-    CommandSeries,
-    GaussianSeries,
-    PoseSeries,
-    PresenceSeries,
-    RunRecord,
-    Series,
-    StageSeries,
-    SurfaceMesh,
-    TruthSeries,
-)
+from tactile_records.runs.record import RunRecord, Series, StageSeries, SurfaceMesh
 from tactile_records.runs.surfaces import surface_mesh
 
 Array = NDArray[Any]
 S = TypeVar("S", bound=Series)
 
-DONE, FAILED = "done", "failed"
+DONE = "done"
 STAGES = ("camera", "estimator", "filter", "controller", "arm")
 GATED, PREDICTED_ONLY, INVALID = 4, 2, 32  # flags of tactile_msgs/ContactState
 
 
-def read_run(folder: Path, arm: str | None = None) -> RunRecord:
-    """Read one arm's run.
-
-    Parameters
-    ----------
-    folder : Path
-        The bag.
-    arm : str, optional
-        Name of the arm; by default the only one with a belief in the bag.
-
-    Returns
-    -------
-    RunRecord
-        `result` also holds "bag_complete" and, for a bag that ends early or is damaged, "bag_problem".
-
-    Raises
-    ------
-    BagError
-        There is no bag, or nothing in it can be read.
-    ValueError
-        The bag has no such arm, or several and none was named.
-    """
-    return run_from_bag(read_bag(folder), arm)
-
-
 def read_arms(folder: Path) -> dict[str, RunRecord]:
-    """The runs of all arms in a bag, by name. Raises `BagError` and `ValueError` as `read_run` does."""
+    """The runs of all arms in a bag, by name.
+
+    `result` of each also holds "bag_complete" and, for a bag that ends early or is damaged, "bag_problem".
+    `BagError` if there is no bag or nothing in it can be read; `ValueError` if no arm of it has a controller.
+    """
     bag = read_bag(folder)
     arms = arms_of(bag)
     if not arms:
@@ -73,9 +40,8 @@ def read_arms(folder: Path) -> dict[str, RunRecord]:
     return {arm: run_from_bag(bag, arm) for arm in arms}
 
 
-def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
-    """The same from a bag that was read before."""
-    arm = _arm_of(bag, arm)
+def run_from_bag(bag: Bag, arm: str) -> RunRecord:
+    """The run of one arm, from a bag that was read before."""
     rows = _Rows(bag, arm)
     role = json.loads(bag.note.get("roles", "{}")).get(arm, {})
     task = role.get("task", "surface_following")
@@ -92,13 +58,8 @@ def run_from_bag(bag: Bag, arm: str | None = None) -> RunRecord:
         tip_radius=role.get("tip_radius", RunRecord.tip_radius),
         T_world_base=np.array(role.get("T_world_base", np.eye(4).tolist())),
     )
-    record.pose = rows.series(PoseSeries, "arm/pose", _pose_row)
-    record.truth = rows.series(TruthSeries, "sim/truth", truth_row)
-    record.estimate = rows.series(GaussianSeries, "contact/estimate", gaussian_row)
-    record.belief = rows.series(BeliefSeries, "contact/state", _belief_row)
-    record.presence = rows.series(PresenceSeries, "contact/presence", _presence_row)
-    record.command = rows.series(CommandSeries, "controller/status", _command_row)
-    record.arm_twist = rows.series(ArmSeries, "arm/status", _arm_row)
+    for stream, (topic, row) in STREAMS.items():
+        setattr(record, stream, rows.series(type(getattr(record, stream)), topic, row))
     record.latency, record.lost = _latency(rows)
     record.surface, problem = _surface(bag, arm)
     record.result = _result(bag, record) | ({"surface_problem": problem} if problem else {})
@@ -118,11 +79,8 @@ class _Rows:
         """One row a message, by stamp; `row` gives its columns, or None for a message that holds nothing."""
         rows = [values for message in self.messages(topic) if (values := row(message)) is not None]
         rows.sort(key=lambda values: values["stamp_ns"])
-        return (
-            kind(**{name: np.array([values[name] for values in rows]) for name in rows[0]})
-            if rows
-            else kind()
-        )
+        names = rows[0] if rows else ()
+        return kind(**{name: np.array([values[name] for values in rows]) for name in names})
 
 
 def _ns(time: Any) -> int:
@@ -189,21 +147,29 @@ def _presence_row(message: Any) -> dict[str, Any]:
 
 
 def _command_row(message: Any) -> dict[str, Any]:
+    same = ("unlimited", "error", "feedforward", "reference", "phase", "goal")
     return {
         "stamp_ns": stamp_of(message),
-        "twist": np.asarray(message.limited),
-        "unlimited": np.asarray(message.unlimited),
-        "error": np.asarray(message.error),
-        "feedforward": np.asarray(message.feedforward),
-        "reference": np.asarray(message.reference),
-        "phase": message.phase,
-        "goal": message.goal,
+        "twist": message.limited,
+        **{name: getattr(message, name) for name in same},
         "exposure_ns": _ns(message.belief_stamp),
     }
 
 
 def _arm_row(message: Any) -> dict[str, Any]:
-    return {"stamp_ns": stamp_of(message), "twist": np.asarray(message.twist)}
+    return {"stamp_ns": stamp_of(message), "twist": message.twist}
+
+
+#: Topic of each stream of a record, and what makes a row of one of its messages.
+STREAMS: dict[str, tuple[str, Callable[[Any], dict[str, Any] | None]]] = {
+    "pose": ("arm/pose", _pose_row),
+    "truth": ("sim/truth", truth_row),
+    "estimate": ("contact/estimate", gaussian_row),
+    "belief": ("contact/state", _belief_row),
+    "presence": ("contact/presence", _presence_row),
+    "command": ("controller/status", _command_row),
+    "arm_twist": ("arm/status", _arm_row),
+}
 
 
 def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
@@ -254,15 +220,3 @@ def arms_of(bag: Bag) -> list[str]:
         return sorted(roles)
     suffix = "/controller/status"
     return sorted({topic[1 : -len(suffix)] for topic in bag.topics if topic.endswith(suffix)})
-
-
-def _arm_of(bag: Bag, arm: str | None) -> str:
-    arms = arms_of(bag)
-    if arm is None and len(arms) == 1:
-        return arms[0]
-    if arm is None or arm not in arms:
-        wanted = "name one" if arm is None else f"no arm '{arm}'"
-        raise ValueError(
-            f"{bag.folder}: {wanted}; arms with a controller in this bag: {', '.join(arms) or 'none'}"
-        )
-    return arm

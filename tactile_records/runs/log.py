@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections import defaultdict
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,41 +13,28 @@ from tactile_control.phases import Command, StampedPose
 from tactile_drivers.sim.cell import Truth
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_perception.estimating.perceive import Percept
-from tactile_records.runs.record import (
-    ArmSeries,
-    BeliefSeries,
-    CommandSeries,
-    GaussianSeries,
-    PoseSeries,
-    PresenceSeries,
-    RunRecord,
-    StageSeries,
-    TruthSeries,
-)
+from tactile_records.runs.metrics import COMMAND_STAGE
+from tactile_records.runs.record import RunRecord, Series, StageSeries
 
 Array = NDArray[Any]
-
-CONTROLLER = "controller"  # the stage whose latency is that from the exposure to the command
-_STREAMS = ("pose", "arm", "truth", "presence", "estimate", "belief", "command", "latency")
+S = TypeVar("S", bound=Series)
 
 
 class RunLog:
     """The rows of each stream of a record that is being made.
 
-    Parameters
-    ----------
-    record : RunRecord
-        With what is known beforehand; `finish` fills in the rest.
+    The record comes with what is known beforehand; `finish` fills in the rest.
     """
 
     def __init__(self, record: RunRecord) -> None:
         self.record = record
-        self._rows: dict[str, list[tuple[Any, ...]]] = {name: [] for name in _STREAMS}
+        self._rows: defaultdict[str, list[tuple[Any, ...]]] = defaultdict(list)  # by the record's stream
+        self._latency: list[tuple[int, float]] = []
 
     def pose(self, pose: StampedPose, twist: Array) -> None:
         """What the arm reports."""
         self._rows["pose"].append((pose.stamp_ns, pose.T))
-        self._rows["arm"].append((pose.stamp_ns, twist))
+        self._rows["arm_twist"].append((pose.stamp_ns, twist))
 
     def truth(self, stamp_ns: int, truth: Truth) -> None:
         """What the simulation knows of an exposure."""
@@ -71,23 +59,19 @@ class RunLog:
 
     def latency(self, exposure_ns: int, now_ns: int) -> None:
         """When the controller answered an exposure."""
-        self._rows["latency"].append((exposure_ns, (now_ns - exposure_ns) / SECOND_NS))
+        self._latency.append((exposure_ns, (now_ns - exposure_ns) / SECOND_NS))
 
     def finish(self, succeeded: bool, reason: str, wall_s: float) -> RunRecord:
         """The record with all rows."""
         record = self.record
-        record.pose = PoseSeries(*self._columns("pose"))
-        record.arm_twist = ArmSeries(*self._columns("arm"))
-        record.truth = TruthSeries(*self._columns("truth"))
-        record.presence = PresenceSeries(*self._columns("presence"))
-        record.estimate = GaussianSeries(*self._columns("estimate"))
-        record.belief = BeliefSeries(*self._columns("belief"))
-        record.command = CommandSeries(*self._columns("command"))
-        if self._rows["latency"]:
-            record.latency = {CONTROLLER: StageSeries(*self._columns("latency"))}
-            record.lost = {CONTROLLER: 0}
+        for stream, rows in self._rows.items():
+            setattr(record, stream, _series(type(getattr(record, stream)), rows))
+        if self._latency:
+            record.latency = {COMMAND_STAGE: _series(StageSeries, self._latency)}
+            record.lost = {COMMAND_STAGE: 0}
         record.result = {"succeeded": succeeded, "reason": reason, "wall_s": wall_s}
         return record
 
-    def _columns(self, stream: str) -> list[Array]:
-        return [np.array(column) for column in zip(*self._rows[stream], strict=True)]
+
+def _series(kind: type[S], rows: list[Any]) -> S:
+    return kind(*(np.array(column) for column in zip(*rows, strict=True)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -106,14 +106,9 @@ def report(record: RunRecord) -> dict[str, Any]:
 
 def head(record: RunRecord) -> dict[str, Any]:
     """What the report of any arm begins with: `HEAD_FIELDS`."""
+    of_record = ("scene", "task", "task_file", "role", "arm", "source", "seed")
     return {
-        "scene": record.scene,
-        "task": record.task,
-        "task_file": record.task_file,
-        "role": record.role,
-        "arm": record.arm,
-        "source": record.source,
-        "seed": record.seed,
+        **{name: getattr(record, name) for name in of_record},
         "succeeded": bool(record.result.get("succeeded", False)),
         "reason": str(record.result.get("reason", "")),
         "duration_s": duration(record.command.stamp_ns),
@@ -266,11 +261,7 @@ def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:
     X_fs, T_fs = inverses(series.mean[mine]), record.truth.T_fs[true]
     depth_mm = (depth_of(X_fs) - depth_of(T_fs)) * 1e3
     angle_deg = np.degrees(_angle_between(X_fs[:, 2, :3], T_fs[:, 2, :3]))
-    return {
-        "depth_rms_mm": rms(depth_mm),
-        "depth_bias_mm": mean(depth_mm),
-        "normal_rms_deg": rms(angle_deg),
-    }
+    return {"depth_rms_mm": rms(depth_mm), "depth_bias_mm": mean(depth_mm), "normal_rms_deg": rms(angle_deg)}
 
 
 def _consistency(record: RunRecord) -> dict[str, float | int]:
@@ -295,10 +286,10 @@ def _matched(record: RunRecord, series: GaussianSeries) -> tuple[Array, Array]:
 
 
 def _latency(record: RunRecord) -> dict[str, Any]:
-    stages = {}
-    for stage, series in record.latency.items():
-        following = record.working(series.stamp_ns)
-        stages[stage] = _percentiles_ms(series.seconds[following])
+    stages = {
+        stage: _percentiles_ms(series.seconds[record.working(series.stamp_ns)])
+        for stage, series in record.latency.items()
+    }
     return _percentiles_ms(_loop_latency(record)) | {"stages": stages}
 
 
@@ -314,10 +305,8 @@ def _loop_latency(record: RunRecord) -> Array:
 
 
 def _percentiles_ms(seconds: Array) -> dict[str, float]:
-    if len(seconds) == 0:
-        return {"p50": np.nan, "p99": np.nan, "max": np.nan}
-    p50, p99, largest = np.percentile(seconds * 1e3, [50.0, 99.0, 100.0])
-    return {"p50": float(p50), "p99": float(p99), "max": float(largest)}
+    found = np.percentile(seconds * 1e3, [50.0, 99.0, 100.0]) if len(seconds) else np.full(3, np.nan)
+    return dict(zip(("p50", "p99", "max"), found.tolist(), strict=True))
 
 
 def _frames(record: RunRecord) -> dict[str, Any]:
@@ -376,6 +365,22 @@ def without_nan(value: Any) -> Any:
 
 def text(value: float | None, unit: str, digits: int) -> str:
     return "unknown" if value is None or not math.isfinite(value) else f"{value:.{digits}f} {unit}"
+
+
+def task_row(values: Mapping[str, Any]) -> tuple[str, str, str]:
+    """The first row of a summary."""
+    return "task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""
+
+
+def loop_rows(values: Mapping[str, Any], p50: str = "", p99: str = "") -> list[tuple[str, str, str]]:
+    """Its last ones: latency, with what its percentiles have to be, and frames that were lost."""
+    latency, frames = values["latency_ms"], values["frames"]
+    return [
+        ("latency p50", text(latency["p50"], "ms", 1), p50),
+        ("latency p99", text(latency["p99"], "ms", 1), p99),
+        ("frames dropped and counted", str(sum(frames["lost"].values())), ""),
+        ("frames lost in silence", str(frames["silent"]), "0"),
+    ]
 
 
 def percent(value: float | None) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_records.runs import metrics
 from tactile_records.runs.figures import AXES, BELIEF, CONTACT_PICTURES, REFERENCE, TRUTH, message
-from tactile_records.runs.metrics import largest, percent, rms, text
+from tactile_records.runs.metrics import largest, loop_rows, percent, rms, task_row, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import Run, TaskReport
 from tactile_records.runs.tracking import COMPONENTS, UNITS, Tracking, leader_of, tracking
@@ -84,10 +84,7 @@ def _speeds(track: Tracking) -> tuple[float, float]:
 
 def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first."""
-    rows = [
-        ("task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""),
-        ("contact kept", percent(values["contact_fraction"]), "100 %"),
-    ]
+    rows = [task_row(values), ("contact kept", percent(values["contact_fraction"]), "100 %")]
     track = values["tracking"]
     if track["leader"] is not None:
         for name in COMPONENTS:
@@ -98,21 +95,19 @@ def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             ("lag", text(track["lag_ms"], "ms", 0), ""),
             ("lag in rotation", text(track["angular_lag_ms"], "ms", 0), ""),
         ]
-    latency = values["latency_ms"]
-    return [
-        *rows,
-        ("latency p50", text(latency["p50"], "ms", 1), ""),
-        ("latency p99", text(latency["p99"], "ms", 1), ""),
-        ("frames dropped and counted", str(sum(values["frames"]["lost"].values())), ""),
-        ("frames lost in silence", str(values["frames"]["silent"]), "0"),
-    ]
+    return rows + loop_rows(values)
+
+
+def _tracking(record: RunRecord, run: Run) -> Tracking | None:
+    leader = leader_of(record, run)
+    track = None if leader is None else tracking(record, leader)
+    return track if track is not None and len(track) else None
 
 
 def poses(record: RunRecord, run: Run) -> Figure:
     """Leader and follower in three dimensions along the path, a panel for each of the leader's goals."""
-    leader = leader_of(record, run)
-    track = tracking(record, leader) if leader is not None else None
-    if track is None or not len(track):
+    track = _tracking(record, run)
+    if track is None:
         return message("no leader moved while this arm tracked: there are no poses to compare")
     indices = [int(index) for index in np.unique(track.goal)]
     columns = min(3, len(indices))
@@ -147,9 +142,8 @@ def _draw_goal(axes: Any, track: Tracking, chosen: Array) -> None:
 
 def errors(record: RunRecord, run: Run) -> Figure:
     """Error by component over time, with the leader's goals one after the other."""
-    leader = leader_of(record, run)
-    track = tracking(record, leader) if leader is not None else None
-    if track is None or not len(track):
+    track = _tracking(record, run)
+    if track is None:
         return message("no leader moved while this arm tracked: there is no error to show")
     error, seconds = track.error * UNITS, (track.stamp_ns - track.stamp_ns[0]) * 1e-9
     figure, panels = plt.subplots(3, 2, figsize=(13, 9), sharex=True, layout="constrained")

@@ -146,28 +146,17 @@ class RunRecord:
 
     Attributes
     ----------
-    task : str
-        The arm's task, by its name among the tasks.
-    task_file : str
-        The task file that gave it to the arm.
-    role : str
-        What the arm does in it.
-    work : str
-        The phase of the task that numbers about quality are of.
-    source : str
-        "offline" or "ros".
-    tip_radius : float
-        Radius of the sensor's tip, m.
-    goals : list of str
-        Names of the arm's goals; `command.goal` indexes it.
-    T_world_base : ndarray (4, 4)
-        Where the arm stands.
-    latency : dict
-        Stage name -> StageSeries, cumulative from the exposure, in the order of the stages.
-    lost : dict
-        Stage name -> number of frames lost (dropped and counted) there.
-    result : dict
-        succeeded (bool) and reason (str) of the task, wall_s, and what else is worth a line in a report.
+    task : the arm's task, by its name among the tasks
+    task_file : the task file that gave it to the arm
+    role : what the arm does in it
+    work : the phase of the task that numbers about quality are of
+    source : "offline" or "ros"
+    tip_radius : radius of the sensor's tip, m
+    goals : names of the arm's goals; `command.goal` indexes it
+    T_world_base : ndarray (4, 4) where the arm stands
+    latency : stage name -> StageSeries, cumulative from the exposure, in the order of the stages
+    lost : stage name -> number of frames lost (dropped and counted) there
+    result : succeeded (bool) and reason (str) of the task, wall_s, and what else is worth a line in a report
     """
 
     scene: str = ""
@@ -208,10 +197,8 @@ class RunRecord:
     def reference_at(self, stamp_ns: Array) -> Array:
         """The reference contact pose (N, 6) in force at each stamp: the first one that followed, before it.
 
-        Raises
-        ------
-        ValueError
-            If no command of the record has a reference: there is nothing to hold a contact against.
+        Raises `ValueError` if no command of the record has a reference: there is nothing to hold a contact
+        against.
         """
         known = np.flatnonzero(np.isfinite(self.command.reference).all(axis=1))
         if not len(known):

@@ -28,14 +28,10 @@ class TaskReport:
 
     Attributes
     ----------
-    fields : mapping
-        Dotted name of each number -> its meaning and unit; the schema of report.json.
-    numbers : callable
-        Record and run -> numbers, nested as the names of `fields` are dotted.
-    summary : callable
-        Numbers -> rows for a person: (name, value with unit, requirement where there is one).
-    pictures : mapping
-        File name -> what draws it.
+    fields : dotted name of each number -> its meaning and unit; the schema of report.json
+    numbers : record and run -> numbers, nested as the names of `fields` are dotted
+    summary : numbers -> rows for a person: (name, value with unit, requirement where there is one)
+    pictures : file name -> what draws it
     """
 
     fields: Mapping[str, str]

@@ -11,19 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tactile_records.runs import metrics
-from tactile_records.runs.figures import (
-    AXES,
-    BELIEF,
-    CONTACT_PICTURES,
-    REFERENCE,
-    SURFACE,
-    TRUTH,
-    message,
-    of_one_arm,
-    reference_of,
-)
-from tactile_records.runs.metrics import normal_angle, percent, text
+from tactile_records.runs import figures, metrics
+from tactile_records.runs.figures import AXES, BELIEF, REFERENCE, SURFACE, TRUTH, reference_of
+from tactile_records.runs.metrics import loop_rows, normal_angle, percent, task_row, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import TaskReport
 
@@ -34,19 +24,16 @@ DEPTH_REQUIREMENT, NORMAL_REQUIREMENT = 0.3, 2.0  # mm, deg: what the runs are h
 
 def summary_rows(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first: (name, value with unit, requirement where there is one)."""
-    latency, measured = values["latency_ms"], values["source"] != "offline"
+    required = ("as set", "as set") if values["source"] == "offline" else ("<= 8 ms", "<= 25 ms")
     return [
-        ("task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""),
+        task_row(values),
         ("path followed", text(values["path_length_mm"], "mm", 1), ""),
         ("contact kept", percent(values["contact_fraction"]), "100 %"),
         ("depth RMS about reference", text(values["depth_rms_mm"], "mm", 3), "<= 0.3 mm"),
         ("normal alignment RMS", text(values["normal_rms_deg"], "deg", 2), "<= 2 deg"),
         ("oscillation in depth", text(values["oscillation"]["depth_mm"], "mm", 3), ""),
         ("depth error of belief RMS", text(values["belief"]["depth_rms_mm"], "mm", 3), ""),
-        ("latency p50", text(latency["p50"], "ms", 1), "<= 8 ms" if measured else "as set"),
-        ("latency p99", text(latency["p99"], "ms", 1), "<= 25 ms" if measured else "as set"),
-        ("frames dropped and counted", str(sum(values["frames"]["lost"].values())), ""),
-        ("frames lost in silence", str(values["frames"]["silent"]), "0"),
+        *loop_rows(values, *required),
     ]
 
 
@@ -56,10 +43,8 @@ class _Track:
 
     Attributes
     ----------
-    distance : ndarray (N,)
-        Arc length at each pose, m.
-    depth, angle : ndarray (M,)
-        True depth (m) and angle to the normal (rad), at `truth_distance` (M,).
+    distance : ndarray (N,) arc length at each pose, m
+    depth, angle : ndarray (M,) true depth (m) and angle to the normal (rad), at `truth_distance` (M,)
     """
 
     name: str
@@ -76,7 +61,7 @@ def trajectory(record: RunRecord) -> Figure:
     """The sensor over the true surface: from the side for one path, in three dimensions for several."""
     tracks = list(_tracks(record))
     if not tracks:
-        return message("the run did not come to following: there is no path to show")
+        return figures.message("the run did not come to following: there is no path to show")
     return _side_view(record, tracks[0]) if len(tracks) == 1 else _three_dimensional(record, tracks)
 
 
@@ -210,12 +195,8 @@ def _three_dimensional(record: RunRecord, tracks: list[_Track]) -> Figure:
     grid = figure.add_gridspec(2, 2, width_ratios=[1.5, 1])
     view = figure.add_subplot(grid[:, 0], projection="3d")
     depth, angle = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-    colors = plt.colormaps["hsv"](np.linspace(0.0, 1.0, len(tracks), endpoint=False)) * [
-        0.85,
-        0.85,
-        0.85,
-        1.0,
-    ]
+    colors = plt.colormaps["hsv"](np.linspace(0.0, 1.0, len(tracks), endpoint=False))
+    colors[:, :3] *= 0.85
     _draw_mesh(view, record)
     for track, color in zip(tracks, colors, strict=True):
         _draw_path_3d(view, record, track, color)
@@ -232,18 +213,9 @@ def _three_dimensional(record: RunRecord, tracks: list[_Track]) -> Figure:
 
 
 def _draw_mesh(axes: Any, record: RunRecord) -> None:
-    mesh = record.surface
-    if len(mesh.vertices) == 0:
-        return
-    axes.plot_trisurf(
-        *(mesh.vertices * 1e3).T,
-        triangles=mesh.faces,
-        color=SURFACE,
-        alpha=0.45,
-        lw=0.1,
-        edgecolor="#b8ae9a",
-        zorder=1,
-    )
+    mesh, look = record.surface, {"color": SURFACE, "alpha": 0.45, "lw": 0.1, "edgecolor": "#b8ae9a"}
+    if len(mesh.vertices):
+        axes.plot_trisurf(*(mesh.vertices * 1e3).T, triangles=mesh.faces, zorder=1, **look)
 
 
 def _draw_path_3d(axes: Any, record: RunRecord, track: _Track, color: Any) -> None:
@@ -260,5 +232,5 @@ REPORT = TaskReport(
     fields=metrics.REPORT_FIELDS,
     numbers=lambda record, run: metrics.report(record),
     summary=summary_rows,
-    pictures={"trajectory.png": of_one_arm(trajectory), **CONTACT_PICTURES},
+    pictures={"trajectory.png": figures.of_one_arm(trajectory), **figures.CONTACT_PICTURES},
 )

@@ -28,14 +28,11 @@ class Tracking:
     Attributes
     ----------
     stamp_ns : ndarray (N,)
-    T_world_leader, T_world_follower : ndarray (N, 4, 4)
-        Their controlled frames.
+    T_world_leader, T_world_follower : ndarray (N, 4, 4) their controlled frames
     T_world_target : ndarray (N, 4, 4)
         Where the follower would be had it kept, to the leader, the pose that it began with.
-    goal : ndarray (N,)
-        Index of the leader's goal.
-    goals : list of str
-        Names of the leader's goals.
+    goal : ndarray (N,) index of the leader's goal
+    goals : names of the leader's goals
     """
 
     stamp_ns: Array

@@ -9,7 +9,7 @@ import numpy as np
 
 from tactile_records.runs import metrics
 from tactile_records.runs.figures import of_one_arm, twists
-from tactile_records.runs.metrics import arc_length, largest, rms, text
+from tactile_records.runs.metrics import arc_length, largest, rms, task_row, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import Run, TaskReport
 
@@ -39,7 +39,7 @@ def numbers(record: RunRecord, run: Run) -> dict[str, Any]:
 def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first."""
     return [
-        ("task", "succeeded" if values["succeeded"] else f"failed: {values['reason']}", ""),
+        task_row(values),
         ("path length", text(values["path_length_mm"], "mm", 1), ""),
         ("distance from trajectory RMS", text(values["error_rms_mm"], "mm", 3), ""),
     ]

@@ -131,7 +131,7 @@ def _whitened(X: Array, factors: Factors, jacobian_order: int | str) -> tuple[Ar
 def _inverse_jacobian(xi: Array, order: int | str) -> Array:
     if order == EXACT:
         return plain.inverse_left_jacobian(xi)
-    return se3.inverse_left_jacobian_series(xi, int(order))
+    return plain.inverse_left_jacobian_series(xi, int(order))
 
 
 def _cost(X: Array, factors: Factors) -> float:

@@ -129,6 +129,28 @@ def inverse_left_jacobian(xi: ArrayLike) -> Array:
     return _dual_polynomial(phi, rho, (-0.5, e), (0.0, de))
 
 
+def inverse_left_jacobian_series(xi: ArrayLike, order: int) -> Array:
+    """The series of the inverse left Jacobian (6, 6) up to `order` (2 or 4); the paper takes order 2."""
+    ad = curly_hat(xi)
+    squared = ad @ ad
+    result = np.eye(6) - 0.5 * ad + squared / 12.0
+    return result if order == 2 else result - squared @ squared / 720.0
+
+
+def hat(xi: ArrayLike) -> Array:
+    """Matrix (4, 4) of a tangent vector (6,): the paper's wedge."""
+    values = np.asarray(xi, dtype=np.float64).tolist()
+    result = np.zeros((4, 4))
+    result[:3, :3], result[:3, 3] = _skew(values[3:]), values[:3]
+    return result
+
+
+def curly_hat(xi: ArrayLike) -> Array:
+    """The algebra's adjoint ad(xi) (6, 6) = [[phi^, rho^], [0, phi^]] (paper's curly hat)."""
+    values = np.asarray(xi, dtype=np.float64).tolist()
+    return _upper_block(_skew(values[3:]), _skew(values[:3]))
+
+
 def _exp_coefficients(theta: float) -> tuple[float, float, float]:
     """sin(theta)/theta, (1 - cos theta)/theta^2, (theta - sin theta)/theta^3."""
     if theta == 0.0:

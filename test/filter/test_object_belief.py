@@ -13,12 +13,11 @@ from tactile_filter.fusion import FusionError, fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.belief import (
     Contact,
-    ObjectSettings,
     SplitGaussian,
     estimate_feature,
+    fuse_contacts,
     fuse_split,
     intersection_weight,
-    object_belief,
     object_from_contact,
 )
 
@@ -45,6 +44,11 @@ def contact(name, error=None, place=None, place_cov=ZERO, cov=COV):
     return Contact(PoseGaussian(belief, cov), SENSORS[name], PoseGaussian(place, place_cov))
 
 
+def fused(contacts, correlated_share=0.0, gate_probability=0.999999):
+    known = {name: object_from_contact(made, correlated_share) for name, made in contacts.items()}
+    return fuse_contacts(known, gate_probability)
+
+
 def random_cov(rng):
     A = rng.normal(size=(6, 8))
     return 1e-6 * A @ A.T
@@ -53,7 +57,7 @@ def random_cov(rng):
 def test_without_errors_each_contact_and_both_together_find_the_object():
     for name in FEATURES:
         np.testing.assert_allclose(object_from_contact(contact(name)).mean, OBJECT, atol=1e-13)
-    both = object_belief({name: contact(name) for name in FEATURES})
+    both = fused({name: contact(name) for name in FEATURES})
     np.testing.assert_allclose(both.pose.mean, OBJECT, atol=1e-13)
     assert sorted(both.used) == ["left", "right"]
 
@@ -93,7 +97,7 @@ def errors_of_fusions(share, correlation, count=200, seed=3):
             # the same error of the object for both, moved into each sensor
             to_sensor = se3.adjoint(se3.inverse(SENSORS[name]))
             made[name] = contact(name, to_sensor @ (SIGMA * own), cov=to_sensor @ COV @ to_sensor.T)
-        pose = object_belief(made, ObjectSettings(correlated_share=share)).pose
+        pose = fused(made, correlated_share=share).pose
         found.append((nees(OBJECT, pose.mean, pose.cov), np.linalg.slogdet(pose.cov)[1]))
     values = np.array(found)
     return values[:, 0].sum(), values[:, 1].mean()
@@ -181,27 +185,27 @@ def test_three_contacts_are_fused_in_an_order_that_does_not_depend_on_their_name
         name: contact(side, SIGMA * rng.normal(size=6), cov=scale * COV)
         for name, side, scale in (("a", "left", 1.0), ("b", "right", 2.0), ("c", "left", 3.0))
     }
-    one = object_belief(made, ObjectSettings(correlated_share=0.5)).pose
-    other = object_belief(dict(reversed(made.items())), ObjectSettings(correlated_share=0.5)).pose
+    one = fused(made, correlated_share=0.5).pose
+    other = fused(dict(reversed(made.items())), correlated_share=0.5).pose
     np.testing.assert_array_equal(one.mean, other.mean)
     np.testing.assert_array_equal(one.cov, other.cov)
 
 
 def test_a_contact_that_disagrees_is_refused_by_name():
     made = {"left": contact("left"), "right": contact("right", 20 * SIGMA, cov=2 * COV)}
-    found = object_belief(made)
+    found = fused(made)
     assert found.used == ("left",)
     assert found.refused["right"] > 38
-    assert object_belief(made, ObjectSettings(gate_probability=1.0)).used == ("left", "right")
+    assert fused(made, gate_probability=1.0).used == ("left", "right")
 
 
 def test_a_contact_that_is_no_gaussian_is_an_error_that_says_so():
     with pytest.raises(FusionError, match="not positive definite"):
-        object_belief({"left": contact("left", cov=-COV), "right": contact("right")})
+        fused({"left": contact("left", cov=-COV), "right": contact("right")})
 
 
 def test_no_contact_is_no_belief():
-    assert object_belief({}).pose is None
+    assert fused({}).pose is None
 
 
 def test_parts_of_the_covariance_stay_positive_semidefinite():

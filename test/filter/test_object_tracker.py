@@ -9,7 +9,7 @@ from tactile_base.settings import SettingError
 from tactile_filter import se3
 from tactile_filter.consistency import nees
 from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.object.belief import Contact, ObjectSettings, object_belief, object_from_contact
+from tactile_filter.object.belief import Contact, fuse_contacts, object_from_contact
 from tactile_filter.object.merge import EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, may_slide, shear_ratio
@@ -68,7 +68,8 @@ def test_contacts_at_given_places_and_one_stamp_are_fused_as_the_library_does():
     updates = {name: update(name, error(rng)) for name in ("left", "right")}
     found = tracker.step(START, updates)
     contacts = {n: Contact(u.belief, u.T_world_sensor, GIVEN[n]) for n, u in updates.items()}
-    expected = object_belief(contacts, ObjectSettings())
+    known = {name: object_from_contact(contact) for name, contact in contacts.items()}
+    expected = fuse_contacts(known, 0.999999)
     np.testing.assert_allclose(found.belief.pose.mean, expected.pose.mean, atol=1e-13)
     np.testing.assert_allclose(found.belief.pose.cov, expected.pose.cov, rtol=1e-9)
     assert sorted(found.belief.used) == ["left", "right"] and not found.reason

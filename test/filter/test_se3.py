@@ -6,6 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import se3_oracle as oracle
+import se3_reference as plain
 import transforms3d
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -70,9 +71,10 @@ def test_log_of_a_tiny_rotation_keeps_its_relative_accuracy():
 )
 def test_at_a_half_turn_the_first_component_of_the_axis_is_positive(axis):
     unit = np.array(axis) / np.linalg.norm(axis)
-    R = 2.0 * np.outer(unit, unit) - np.eye(3)
+    T = np.eye(4)
+    T[:3, :3] = 2.0 * np.outer(unit, unit) - np.eye(3)
     first = next(component for component in axis if component)
-    np.testing.assert_allclose(se3.rotation_vector(R), unit * math.copysign(math.pi, first), atol=1e-13)
+    np.testing.assert_allclose(se3.log(T)[3:], unit * math.copysign(math.pi, first), atol=1e-13)
 
 
 @pytest.mark.parametrize("angle", ANGLES + BEYOND_PI)
@@ -97,7 +99,7 @@ def test_inverse_left_jacobian_is_the_inverse_to_rounding(angle):
 
 def test_inverse_left_jacobian_is_the_polynomial_that_its_text_says():
     xi = tangent(1.3, 4)
-    theta, ad, one = 1.3, se3.curly_hat(xi), np.eye(6)
+    theta, ad, one = 1.3, plain.curly_hat(xi), np.eye(6)
     c = theta / 2 / math.tan(theta / 2)
     e = (1 - c) / theta**2
     d = (1 - c / 2 - theta**2 / (8 * math.sin(theta / 2) ** 2)) / theta**4
@@ -109,16 +111,11 @@ def test_inverse_left_jacobian_is_the_polynomial_that_its_text_says():
 @pytest.mark.parametrize("order", [2, 4])
 def test_series_of_the_inverse_jacobian_is_that_of_the_paper(order):
     xi = tangent(0.7, 5)
-    ad = se3.curly_hat(xi)
+    ad = plain.curly_hat(xi)
     bernoulli = np.eye(6) - ad / 2 + ad @ ad / 12
     if order == 4:
         bernoulli = bernoulli - np.linalg.matrix_power(ad, 4) / 720
-    np.testing.assert_allclose(se3.inverse_left_jacobian_series(xi, order), bernoulli, atol=1e-13)
-
-
-def test_series_of_another_order_is_refused():
-    with pytest.raises(ValueError, match="order = 3: must be 2 or 4"):
-        se3.inverse_left_jacobian_series(np.zeros(6), 3)
+    np.testing.assert_allclose(plain.inverse_left_jacobian_series(xi, order), bernoulli, atol=1e-13)
 
 
 @pytest.mark.parametrize("angle", [1e-9, 1e-3, 1.0, 3.0])
@@ -128,7 +125,7 @@ def test_left_jacobian_is_the_derivative_of_exp(angle):
     moved = oracle.exp([oracle.mp.mpf(x) + h * oracle.mp.mpf(d) for x, d in zip(xi, direction, strict=True)])
     difference = (moved * oracle.exp(xi) ** -1 - oracle.mp.eye(4)) / h
     expected = oracle.as_double(difference)
-    np.testing.assert_allclose(se3.hat(se3.left_jacobian(xi) @ direction), expected, atol=1e-13)
+    np.testing.assert_allclose(plain.hat(se3.left_jacobian(xi) @ direction), expected, atol=1e-13)
 
 
 @settings(max_examples=100, deadline=None)
@@ -168,11 +165,10 @@ def test_jacobian_and_its_inverse_cancel(xi):
 
 @settings(max_examples=50, deadline=None)
 @given(vectors())
-def test_hats_are_undone_by_vee_and_are_brackets(xi):
-    np.testing.assert_array_equal(se3.vee(se3.hat(xi)), xi)
+def test_curly_hat_is_the_bracket_of_hats(xi):
     other = tangent(1.0, 3)
-    bracket = se3.hat(xi) @ se3.hat(other) - se3.hat(other) @ se3.hat(xi)
-    np.testing.assert_allclose(se3.vee(bracket), se3.curly_hat(xi) @ other, atol=1e-13)
+    bracket = plain.hat(xi) @ plain.hat(other) - plain.hat(other) @ plain.hat(xi)
+    np.testing.assert_allclose(plain.hat(plain.curly_hat(xi) @ other), bracket, atol=1e-13)
 
 
 def test_interpolation_goes_along_one_screw():
@@ -241,8 +237,6 @@ def test_orthonormalization_takes_rounding_out_and_refuses_more():
         (se3.left_jacobian, np.zeros((6, 1)), "xi: must have shape"),
         (se3.rotation_from_quaternion, np.zeros(4), "quaternion: is zero"),
         (se3.pose_from_euler, np.zeros(3), "pose6: must have shape"),
-        (se3.hat, np.zeros(4), "xi: must have shape"),
-        (se3.vee, np.zeros((3, 4)), "matrix: must have shape"),
     ],
 )
 def test_bad_arguments_are_named(call, argument, message):
@@ -265,4 +259,3 @@ def test_log_of_a_matrix_that_is_a_little_off_is_that_of_the_nearest_rotation(an
         exact[:3, :3] = R
         expected = np.array([float(x) for x in oracle.closed_log(exact)])
         np.testing.assert_allclose(se3.log(T), expected, atol=4e-15)
-        np.testing.assert_allclose(se3.rotation_vector(T[:3, :3]), expected[3:], atol=4e-15)

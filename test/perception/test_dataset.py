@@ -117,7 +117,7 @@ def test_images_of_another_size_and_broken_files_are_named(folder):
     (images / "image_2.png").write_bytes((images / "image_2.png").read_bytes()[:60])
     report = read_dataset(folder).report
     first, second = report.problems["unusable image"]
-    assert "image_1.png: is 100x100, must be 445x440" in first
+    assert "image_1.png: must be 445x440 pixels, is 100x100" in first
     assert "image_2.png: is not a readable image" in second
 
 

@@ -131,7 +131,7 @@ def test_binary_images_are_recognized():
     [
         (np.zeros((4, 4)), "float64"),
         (np.zeros((4, 4, 3), np.uint8), r"\(4, 4, 3\)"),
-        ([[0, 255]], "a list"),
+        ([[0, 255]], "is list"),
     ],
 )
 def test_what_is_no_gray_image_is_refused(image, complaint):

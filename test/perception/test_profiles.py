@@ -17,7 +17,7 @@ def test_profiles_name_a_network_that_can_be_built(name):
     from tactile_perception.training.network import PoseNetwork
 
     chosen = profile(name)
-    config = TrainConfig.from_file(chosen.config).replaced("network", **chosen.network)
+    config = TrainConfig.from_file(chosen.config).merged({"network": chosen.network})
     assert sum(p.numel() for p in PoseNetwork(config.network).parameters()) > 10_000
     assert chosen.use and chosen.threads >= 1
 
@@ -31,7 +31,7 @@ def test_the_networks_that_the_benchmark_compares_can_be_built():
     training = TrainConfig.from_file(config_path(f"perception/{dial.text('config')}"))
     assert training.training.holdback > 0.0  # else there would be nothing to calibrate on
     for network in dial.sections("networks").values():
-        PoseNetwork(training.replaced("network", **network.values).network)
+        PoseNetwork(training.merged({"network": network.values}).network)
 
 
 def test_faster_profiles_are_quantized():

@@ -181,7 +181,7 @@ def load_weights(path: Path) -> dict[str, np.ndarray]:
 def test_an_unfinished_run_is_not_resumed_as_another(training_data, tmp_path, change, message):
     with pytest.raises(Killed):
         train(training_data, tmp_path / "run", QUICK, limit=48, progress=KilledIn(1))
-    config = QUICK.replaced("training", batch_size=4) if change else QUICK
+    config = QUICK.replaced(training__batch_size=4) if change else QUICK
     with pytest.raises(FileExistsError, match=message):
         train(training_data, tmp_path / "run", config, limit=48 if change else 40)
 
@@ -199,9 +199,10 @@ def test_training_stops_when_validation_stops_improving(training_data, tmp_path,
 
 def test_a_run_starts_from_the_network_of_another_and_tells_so(run, training_data, tmp_path):
     first, folder = run
-    slow = QUICK.replaced("training", rise_epochs=0, hold_epochs=1, decay_epochs=0, learning_rate_peak=1e-9)
+    schedule = {"rise_epochs": 0, "hold_epochs": 1, "decay_epochs": 0, "learning_rate_peak": 1e-9}
+    slow = QUICK.merged({"training": schedule})
     plain = train(training_data, tmp_path / "plain", slow)
-    started = train(training_data, tmp_path / "started", slow.replaced("training", start=str(folder)))
+    started = train(training_data, tmp_path / "started", slow.replaced(training__start=str(folder)))
     assert started.best.validation_loss < plain.best.validation_loss - 1.0
     assert started.best.validation_loss < first.best.validation_loss + 1.0  # another batch's statistics
     data = Estimator(started.model_path).metadata.training_data
@@ -209,7 +210,7 @@ def test_a_run_starts_from_the_network_of_another_and_tells_so(run, training_dat
 
 
 def test_a_start_with_another_head_gives_all_but_the_head(run, training_data, tmp_path):
-    config = QUICK.replaced("network", head="full_gaussian").replaced("training", start=str(run[1]))
+    config = QUICK.replaced(network__head="full_gaussian").replaced(training__start=str(run[1]))
     start = load_data(training_data, None, config).start
     network = PoseNetwork(config.network)
     before = network.head.weight.clone()
@@ -227,9 +228,9 @@ def test_a_start_with_another_head_gives_all_but_the_head(run, training_data, tm
     ],
 )
 def test_a_start_that_does_not_fit_is_refused(run, training_data, tmp_path, start, message):
-    config = QUICK.replaced("training", start=str(run[1] if start == "other" else tmp_path / start))
+    config = QUICK.replaced(training__start=str(run[1] if start == "other" else tmp_path / start))
     with pytest.raises(SettingError, match=message):
-        train(training_data, tmp_path / "b", config.replaced("network", channels=(8, 16, 16, 16)))
+        train(training_data, tmp_path / "b", config.replaced(network__channels=(8, 16, 16, 16)))
 
 
 def test_the_shipped_start_fits_the_configuration_that_it_is_for():
@@ -243,15 +244,15 @@ def test_the_shipped_start_fits_the_configuration_that_it_is_for():
     "config, limit, error, message",
     [
         (QUICK, 1, DatasetError, "1 samples, needs at least 2"),
-        (QUICK.replaced("training", holdback=0.3), None, CalibrationError, "leaves 29 samples .* least 100"),
+        (QUICK.replaced(training__holdback=0.3), None, CalibrationError, "leaves 29 samples .* least 100"),
         (
-            QUICK.replaced("augmentation", symmetry=6),
+            QUICK.replaced(augmentation__symmetry=6),
             None,
             AugmentationError,
             "markers do not look the same after a turn",
         ),
         (
-            QUICK.replaced("network", image_size=16, unpooled_blocks=0, channels=(4,) * 5),
+            QUICK.replaced(network__image_size=16, network__unpooled_blocks=0, network__channels=(4,) * 5),
             None,
             SettingError,
             "to nothing",
@@ -424,7 +425,7 @@ def test_a_configuration_extends_another_and_says_only_what_differs(tmp_path):
     (tmp_path / "base.yaml").write_text("extends: gdn_lloyd_lepora.yaml\ntraining: {patience: 3, seed: 4}\n")
     (tmp_path / "mine.yaml").write_text("extends: base.yaml\ntraining: {patience: 9}\n")
     config = TrainConfig.from_file(tmp_path / "mine.yaml")
-    assert config == TrainConfig().replaced("training", patience=9, seed=4)
+    assert config == TrainConfig().replaced(training__patience=9, training__seed=4)
 
 
 @pytest.mark.parametrize(
@@ -457,7 +458,7 @@ def predictions(model: Path, samples) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_samples_held_back_are_not_trained_on_and_calibrate_the_model(training_data, tmp_path):
-    config = short(holdback=0.3).replaced("calibration", min_samples=20)
+    config = short(holdback=0.3).replaced(calibration__min_samples=20)
     model = train(training_data, tmp_path / "run", config).model_path
     facts = Estimator(model).metadata.training_data
     assert (facts["samples"], facts["held_back"]) == (67, 29)
@@ -507,10 +508,10 @@ def test_last_epochs_can_be_plain(training_data, tmp_path, monkeypatch):
 
 def test_a_run_is_resumed_with_other_settings_of_the_calibration(training_data, tmp_path):
     """They have no part in training; the result is calibrated by the new ones."""
-    config = short(holdback=0.3).replaced("calibration", min_samples=20)
+    config = short(holdback=0.3).replaced(calibration__min_samples=20)
     with pytest.raises(Killed):
         train(training_data, tmp_path / "run", config, progress=KilledIn(1))
-    config = config.replaced("calibration", sigma_knots=1)
+    config = config.replaced(calibration__sigma_knots=1)
     model = train(training_data, tmp_path / "run", config).model_path
     assert len(Estimator(model).metadata.calibration.sigma_knots[0]) == 1
     assert TrainConfig.from_file(tmp_path / "run" / "config.yaml") == config

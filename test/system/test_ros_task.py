@@ -24,7 +24,7 @@ from tactile_drivers.scene import load_scene
 from tactile_records.replay.inputs import lost_messages, read_inputs
 from tactile_records.replay.run import agreement, run_filter
 from tactile_records.replay.sweep import base_settings
-from tactile_records.runs.from_bag import read_run
+from tactile_records.runs.from_bag import read_arms
 from tactile_records.runs.metrics import report
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -88,7 +88,7 @@ def finished(tmp_path_factory, configuration):
         launch.end()
     finally:
         launch.kill()
-    record = read_run(folder / "bag")
+    record = read_arms(folder / "bag")["arm"]
     return launch, record, report(record)
 
 
@@ -212,7 +212,7 @@ def test_a_truncated_bag_still_gives_the_run_up_to_there(finished, tmp_path):
     shutil.copytree(launch.folder / "bag", tmp_path / "bag")
     file = next((tmp_path / "bag").glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    part = read_run(tmp_path / "bag")
+    part = read_arms(tmp_path / "bag")["arm"]
     assert 0 < len(part.belief) < len(record.belief)
     assert not part.result["bag_complete"] and "ends early" in part.result["bag_problem"]
     assert not part.result["succeeded"] and part.result["reason"] == "goal ramp was not reached"
@@ -237,7 +237,7 @@ def test_a_node_killed_in_mid_run_ends_the_task_with_its_name_and_log(launch, tm
     assert "arm.filter.log" in run.output
     assert "stopped: the arm rests" in run.output
     assert run.leaves_nothing(), run.left()
-    record = read_run(tmp_path / "bag")
+    record = read_arms(tmp_path / "bag")["arm"]
     assert record.result["bag_complete"] and not record.result["succeeded"]
     last = record.arm_twist.twist[-1]
     assert np.abs(last).max() < 1e-4  # the bag sees the arm come to rest
