@@ -28,7 +28,7 @@ from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import COMMAND, STATE
-from tactile_ros.transforms import TransformListener
+from tactile_ros.transforms import TransformListener, motion_limits
 
 ZERO = np.zeros(6)
 FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
@@ -78,6 +78,7 @@ class TaskNode(ManagedNode, ABC):
         if frame not in FRAMES:
             raise SettingError(f"parameter controlled_frame: {unknown_name(frame, FRAMES)}")
         self.controlled_frame = f"{self.arm}/{frame}"
+        self.limits = motion_limits(self)
 
     # What a node fills in.
 
@@ -110,7 +111,13 @@ class TaskNode(ManagedNode, ABC):
         """Create publishers, the action, and a timer of that period (s) that steps if nothing else has."""
         self.twist_out = self.publisher(TwistStamped, topics.COMMAND.name, COMMAND)
         self.status_out = self.publisher(ControllerStatus, topics.CONTROLLER_STATUS.name, STATE)
-        self.transforms = TransformListener(self, on_update=on_transform, on_jump=self._jumped)
+        self.transforms = TransformListener(
+            self,
+            on_update=on_transform,
+            on_jump=self._jumped,
+            frames=[(self.base_frame, self.controlled_frame), (self.base_frame, self.sensor_frame)],
+            limits=self.limits,
+        )
         self.timer(tick_period, self._tick)
         action = ActionServer(
             self,
@@ -164,10 +171,10 @@ class TaskNode(ManagedNode, ABC):
         if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
             self.step()
 
-    def _jumped(self, seconds: float) -> None:
+    def _jumped(self, reason: str) -> None:
         self.forget()
         if self.run is not None:
-            self.run.task.stop(f"time jumped back by {seconds:.3f} s")
+            self.run.task.stop(reason)
 
     def _consider(self, goal: RunTask.Goal) -> GoalResponse:
         reason = self.objection(goal) if self.active else f"the {self.get_name()} is not active"

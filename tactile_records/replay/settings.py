@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
+from tactile_filter.transform_buffer import MotionLimits
 from tactile_records.bags.cdr import MessageError, layout_of
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import stamps_ns
@@ -48,6 +49,13 @@ def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any]
     parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
     own = {name: value for name, value in parameters.items() if "." not in name}
     return {n: v for n, v in own.items() if n in NAMES}, sorted(n for n in own if n not in NAMES)
+
+
+def recorded_limits(note: Mapping[str, str], arm: str) -> MotionLimits:
+    """What the filter of a recording believed of transforms; the defaults where that is not recorded."""
+    parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
+    own = {n.removeprefix("transforms."): v for n, v in parameters.items() if n.startswith("transforms.")}
+    return MotionLimits.from_mapping(own)
 
 
 def recorded_changes(bag: Bag, arm: str) -> list[Change]:

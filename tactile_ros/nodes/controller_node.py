@@ -89,7 +89,15 @@ class ControllerNode(TaskNode):
         if self.task_type.needs_sensor:
             age = getattr(self.settings.value.group("watchdog"), "belief_age", 0.0)
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
-            self.subscribe(ContactState, STATE_TOPIC.name, self._take_state, STATE, age, raw=True)
+            self.subscribe(
+                ContactState,
+                STATE_TOPIC.name,
+                self._take_state,
+                STATE,
+                age,
+                raw=True,
+                frame=self.sensor_frame,
+            )
         self.open_task(self.timing.value.watchdog_period)
 
     def activate(self) -> None:

@@ -85,7 +85,8 @@ class EstimatorNode(ManagedNode):
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
         outlook = "the next images become the reference"
         self.serve_request(Trigger, "~/capture_reference", lambda request: self.presence.reset(), outlook)
-        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.images.value.age_limit, raw=True)
+        age = self.images.value.age_limit
+        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, age, raw=True, stamped=True)
 
     def activate(self) -> None:
         """Start with a new reference image."""

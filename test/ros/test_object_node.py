@@ -237,7 +237,7 @@ def test_a_belief_that_cannot_be_used_is_refused_counted_and_reported(feed, bad,
     feed.at(feed.both(0))
     feed.believe("right", 1, **bad)
     report = feed.graph.wait_for_report("object", lambda report: complaint in report.message)
-    assert int(report.values["right: beliefs refused"]) == 1
+    assert report.values["/right/contact/belief messages refused"] == "1"
     assert feed.at(feed.both(2)) is not None
 
 
@@ -275,7 +275,7 @@ def test_a_jump_back_in_time_starts_anew(feed, tf):
         for arm in NAMES:
             feed.move(arm, feed.start_ns - STEP)
     stamp_ns = feed.believe("right", 0, tf=tf)
-    feed.graph.wait_for_count("object", "backward time jumps")
+    feed.graph.wait_for_count("object", "restarts")
     if not tf:
         feed.believe("right", 1)
         stamp_ns = feed.believe("right", 2)
