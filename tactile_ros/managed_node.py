@@ -63,8 +63,8 @@ class StampSettings(Settings):
 
     future_tolerance: float = setting(
         FUTURE_NS * NANOSECOND, lower=0.001, upper=10.0, unit="s",
-        doc="a message or transform stamped further ahead of the clock is refused; with use_sim_time this has "
-        "to be more than the period of /clock",
+        doc="a message or transform stamped further ahead of the clock is refused; with use_sim_time to "
+        "be more than a period of /clock",
     )  # fmt: skip
 
 

@@ -20,15 +20,15 @@ from rclpy.duration import Duration
 from tactile_base import topics
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
-from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
 from tactile_ros.cdr import twist_bytes
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
-from tactile_ros.parameters import declare_read_only
+from tactile_ros.parameters import declare_read_only, fixed_settings
 from tactile_ros.qos import COMMAND, STATE
-from tactile_ros.transforms import TransformListener, motion_limits
+from tactile_ros.transforms import TransformListener
 
 ZERO = np.zeros(6)
 FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
@@ -78,7 +78,7 @@ class TaskNode(ManagedNode, ABC):
         if frame not in FRAMES:
             raise SettingError(f"parameter controlled_frame: {unknown_name(frame, FRAMES)}")
         self.controlled_frame = f"{self.arm}/{frame}"
-        self.limits = motion_limits(self)
+        self.limits = fixed_settings(self, MotionLimits(), "transforms")
 
     # What a node fills in.
 

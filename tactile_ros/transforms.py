@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,6 @@ from tactile_msgs.srv import ResetFilter
 from tactile_ros.cdr import ReceivedTransform, transforms_from_bytes
 from tactile_ros.conversions import pose_from_numbers, transform_stamped
 from tactile_ros.managed_node import ManagedNode
-from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import TF, TF_STATIC
 
 Array = NDArray[np.float64]
@@ -109,12 +108,6 @@ class TransformListener:
         self._node.warn("jump", f"{reason}: transforms and state are cleared")
         if self._on_jump is not None:
             self._on_jump(reason)
-
-
-def motion_limits(node: ManagedNode) -> MotionLimits:
-    """Declare what the node believes of transforms as parameters `transforms.*`, fixed once it runs."""
-    fixed = [each.name for each in fields(MotionLimits)]
-    return SettingsParameters(node, MotionLimits(), prefix="transforms", read_only=fixed).value
 
 
 class FramePublisher:

@@ -15,7 +15,7 @@ from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
 from tactile_filter.transform_buffer import MotionLimits
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag, read_bag
-from tactile_records.replay.settings import recorded_limits
+from tactile_records.replay.settings import recorded_group
 from tactile_records.replay.topics import (
     ReplayError,
     Timeline,
@@ -88,7 +88,9 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     arms = []
     for track in tracks.values():
         own = between(recording, track.arm.base_frame, track.arm.sensor_frame)
-        found = _assign_epochs(own, track, recorded_limits(bag.note, track.arm.name))
+        found = _assign_epochs(
+            own, track, recorded_group(bag.note, track.arm.name, "transforms.", MotionLimits)
+        )
         remarks += [remark for remark in found if remark not in remarks]
         try:
             arms.append(track.finished(own, hint))

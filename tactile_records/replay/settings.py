@@ -6,15 +6,15 @@ import dataclasses
 import json
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import Settings
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
-from tactile_filter.transform_buffer import MotionLimits
 from tactile_records.bags.cdr import MessageError, layout_of
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import stamps_ns
@@ -22,6 +22,7 @@ from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
 
 Array = NDArray[Any]
+S = TypeVar("S", bound=Settings)
 
 REINITIALIZED, INVALID = int(BeliefFlag.REINITIALIZED), int(BeliefFlag.INVALID)
 MEASUREMENT_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
@@ -51,11 +52,11 @@ def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any]
     return {n: v for n, v in own.items() if n in NAMES}, sorted(n for n in own if n not in NAMES)
 
 
-def recorded_limits(note: Mapping[str, str], arm: str) -> MotionLimits:
-    """What the filter of a recording believed of transforms; the defaults where that is not recorded."""
+def recorded_group(note: Mapping[str, str], arm: str, prefix: str, kind: type[S]) -> S:
+    """Settings of the filter of a recording that have a prefix; the defaults where they are not recorded."""
     parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
-    own = {n.removeprefix("transforms."): v for n, v in parameters.items() if n.startswith("transforms.")}
-    return MotionLimits.from_mapping(own)
+    own = {n.removeprefix(prefix): v for n, v in parameters.items() if n.startswith(prefix)}
+    return kind.from_mapping(own)
 
 
 def recorded_changes(bag: Bag, arm: str) -> list[Change]:

@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 
 from tactile_base.topics import ARM_POSE, ESTIMATE, PRESENCE, STATE, TRUTH
 from tactile_filter import se3
+from tactile_filter.contact_bounds import TACTIP, ContactBounds
 from tactile_filter.filter_settings import FilterSettings
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.pose_numbers import gaussians_from_numbers
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_records.bags.message_columns import pose_columns
-from tactile_records.replay.settings import Change, commanded_resets, recorded_changes, recorded_settings
+from tactile_records.replay.settings import (
+    Change,
+    commanded_resets,
+    recorded_changes,
+    recorded_group,
+    recorded_settings,
+)
 from tactile_records.replay.topics import NO_STAMP, Messages, ReplayError, TopicReader
 from tactile_records.replay.transforms import Recording, connected, follow_pose, poses_at
 from tactile_records.runs.record import TruthSeries
@@ -82,6 +89,8 @@ class ArmInputs:
         Stamps at which the live filter had been asked to start anew.
     remarks : list of str
         What is missing, was refused, or is odd.
+    bounds : ContactBounds
+        Of the live filter.
     """
 
     name: str
@@ -93,6 +102,7 @@ class ArmInputs:
     changes: list[Change] = field(default_factory=list)
     resets: frozenset[int] = frozenset()
     remarks: list[str] = field(default_factory=list)
+    bounds: ContactBounds = TACTIP
 
 
 class Track:
@@ -101,6 +111,7 @@ class Track:
     def __init__(self, reader: TopicReader, name: str, base_frame: str) -> None:
         self.arm = ArmInputs(name, base_frame, "")
         self.reader = reader
+        self.arm.bounds = recorded_group(reader.bag.note, name, "bounds.", ContactBounds)
         remarks = self.arm.remarks
         self.estimate = reader.topic(ESTIMATE.of(name).name, remarks)
         self.presence = reader.topic(PRESENCE.of(name).name, remarks)

@@ -22,22 +22,22 @@ from tactile_base import topics
 from tactile_base.stamps import parts_from_ns
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
+from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
-from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
-from tactile_ros.parameters import SettingsParameters
+from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.transforms import (
     BeliefInputSettings,
     FramePublisher,
     TransformGate,
     TransformListener,
-    motion_limits,
     serve_reset,
 )
 
@@ -56,13 +56,14 @@ class FilterNode(ManagedNode):
         self.inputs = SettingsParameters(
             self, BeliefInputSettings(), prefix="inputs", read_only=("age_limit",)
         )
-        self.filter = ContactFilter(self.settings.value)
+        self.bounds = fixed_settings(self, ContactBounds(), "bounds")
+        self.filter = ContactFilter(self.settings.value, self.bounds)
         self.monitor = ConsistencyMonitor()
         consistency = SettingsParameters(
             self, ConsistencySettings(), prefix="consistency", on_change=self.monitor.configure
         )
         self.monitor.configure(consistency.value)
-        self.limits = motion_limits(self)
+        self.limits = fixed_settings(self, MotionLimits(), "transforms")
         self.no_contact_ns = -1
         self.join = measurement_join()
 
@@ -103,7 +104,7 @@ class FilterNode(ManagedNode):
 
     def activate(self) -> None:
         """Start with a new filter and without pending inputs."""
-        self.filter = ContactFilter(self.settings.value)
+        self.filter = ContactFilter(self.settings.value, self.bounds)
         self.report.values.clear()
         self._clear_inputs()
 

@@ -25,24 +25,25 @@ from numpy.typing import NDArray
 from tactile_base import topics
 from tactile_base.settings import SettingError, setting
 from tactile_base.stamps import SECOND_NS
+from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import ros_from_left
 from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
+from tactile_filter.transform_buffer import MotionLimits
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, read_gaussian
-from tactile_ros.conversions import gaussian_from_numbers
+from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
-from tactile_ros.parameters import SettingsParameters, declare_read_only
+from tactile_ros.parameters import SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.transforms import (
     BeliefInputSettings,
     FramePublisher,
     TransformGate,
     TransformListener,
-    motion_limits,
     serve_reset,
 )
 
@@ -103,7 +104,11 @@ class ArmInput:
 
     def _take_belief(self, data: bytes) -> None:
         stamp_ns, _, numbers = read_gaussian(data)
-        self._take("estimate", stamp_ns, gaussian_from_numbers(numbers))
+        belief = gaussian_from_numbers(numbers)
+        objection = self._node.bounds.objection(belief.mean)
+        if objection:
+            raise MessageError(objection)
+        self._take("estimate", stamp_ns, belief)
 
     def _take_state(self, data: bytes) -> None:
         stamp_ns, _, numbers = read_state(data)
@@ -154,7 +159,8 @@ class ObjectNode(ManagedNode):
         self.inputs = SettingsParameters(
             self, ObjectInputSettings(), prefix="inputs", read_only=("age_limit",)
         )
-        self.limits = motion_limits(self)
+        self.limits = fixed_settings(self, MotionLimits(), "transforms")
+        self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.places = {
             arm: SettingsParameters(
                 self,
