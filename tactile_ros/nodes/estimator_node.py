@@ -7,9 +7,9 @@ encoding, wrong size) and answers of the network that are not a Gaussian are ref
 /diagnostics.
 
 After activation the first images, taken without contact, become the reference of the contact presence; until
-then nothing is published. Images in which the network sees a contact, or that differ from the last reference as
-contact does, are refused, and the last one stays. `~/capture_reference` (std_srvs/Trigger) takes a new one that
-may differ.
+then nothing is published. Images in which the network sees a contact, or that differ from the last reference
+as contact does, are refused, and the last one stays. `~/capture_reference` (std_srvs/Trigger) takes a new one
+that may differ.
 """
 
 from __future__ import annotations

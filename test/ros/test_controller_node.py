@@ -326,8 +326,6 @@ def of_the_future(message) -> None:
 def test_beliefs_that_cannot_be_are_not_acted_on_and_the_arm_stops(world, lie, counter, complaint):
     handle = world.following()
     world.patience(1.0)
-    world.twists.clear()
-    world.run_until(lambda: bool(world.twists))
     world.lie = lie
     report = world.graph.wait_for_count("controller", counter) if world.run_until(world.rests) else None
     assert complaint in report.message
@@ -365,10 +363,11 @@ def test_a_stray_transform_is_refused_and_counts_for_no_way(world):
 
 def test_an_arm_that_is_suddenly_elsewhere_stops_the_task(world):
     handle = world.following()
-    world.T = se3.exp([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]) @ world.T
+    world.T = se3.exp([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]) @ world.T
     result = world.result(handle)
     assert not result.success
-    assert "'arm/base' -> 'arm/tool' jumped by 3" in result.reason and "stayed there" in result.reason
+    assert "'arm/base' -> 'arm/tool' jumped by 2" in result.reason and "stayed there" in result.reason
+    world.graph.spin(0.3)  # it may be back by then
 
 
 def test_time_that_jumps_back_stops_the_task_and_says_so(world):
