@@ -187,7 +187,8 @@ class Track:
         """The events by epoch and stamp: what live nodes join, whatever the order of its parts was."""
         presence = _first_of_each_stamp(self.presence, np.arange(len(self.presence)))
         estimate = _first_of_each_stamp(self.estimate, self.rows)
-        repeated = len(self.presence) + len(self.rows) - len(presence) - len(estimate)
+        stamps = np.concatenate([self.presence.stamps_ns, self.estimate.stamps_ns[self.rows]])
+        repeated = int((stamps >= 0).sum()) - len(presence) - len(estimate)
         if repeated:
             self.arm.remarks.append(
                 f"{repeated} messages have the stamp of one before them and are passed over"
