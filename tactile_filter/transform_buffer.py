@@ -133,7 +133,7 @@ class TransformBuffer:
         self.jump_ns = jump_ns
         self.limits = limits
         self._frames = tuple(frames)
-        self._between: set[str] | None = None  # the children that lookups depend on, see _concerns
+        self._between: set[str] | None = None  # the children that lookups depend on, see `concerns`
         self._links: dict[str, _Link] = {}
         self._paths: dict[tuple[str, str], tuple[list[str], list[str]]] = {}  # of this tree, see _chains
 
@@ -159,13 +159,13 @@ class TransformBuffer:
         T, stamp_ns = self._checked(parent, child, T_parent_child), int(stamp_ns)
         link, restarted = self._links.get(child), ""
         if link is not None and not static and self._jump(link, stamp_ns):
-            if self._concerns(child):
+            if self.concerns(child):
                 seconds = self._jump(link, stamp_ns) * NANOSECOND
                 restarted = f"time jumped back by {seconds:.3f} s in the transforms of '{child}'"
                 self.clear()
             link = None
         if link is None or link.parent != parent or link.static != static:
-            if link is not None and self.limits is not None and self._concerns(child):
+            if link is not None and self.limits is not None and self.concerns(child):
                 kind = "does not move" if link.static else "moves"
                 raise TransformJump(f"'{parent}' -> '{child}': it hangs below '{link.parent}' and {kind}")
             link = self._links[child] = _Link(parent, static)
@@ -230,6 +230,20 @@ class TransformBuffer:
         self._links = {child: link for child, link in self._links.items() if link.static}
         self._forget_paths()
 
+    def concerns(self, child: str) -> bool:
+        """Whether lookups depend on this child's link; where frames are not connected yet, they may."""
+        if not self._frames:
+            return True
+        if self._between is None:
+            self._between = set()
+            for target, source in self._frames:
+                try:
+                    up, down = self._chains(target, source)
+                except TransformDisconnected:
+                    up, down = self._ancestors(target), self._ancestors(source)
+                self._between.update(up, down)
+        return child in self._between
+
     def frames(self) -> list[str]:
         """The names of all frames, sorted."""
         return sorted({name for child, link in self._links.items() for name in (child, link.parent)})
@@ -248,23 +262,9 @@ class TransformBuffer:
         behind_ns = link.stamps[-1] - stamp_ns
         return behind_ns if behind_ns > self.jump_ns and not link.static else 0
 
-    def _concerns(self, child: str) -> bool:
-        """Whether lookups depend on this child's link; where frames are not connected yet, they may."""
-        if not self._frames:
-            return True
-        if self._between is None:
-            self._between = set()
-            for target, source in self._frames:
-                try:
-                    up, down = self._chains(target, source)
-                except TransformDisconnected:
-                    up, down = self._ancestors(target), self._ancestors(source)
-                self._between.update(up, down)
-        return child in self._between
-
     def _fault(self, link: _Link, child: str, stamp_ns: int, T: Array) -> str:
         """Why the frame cannot be there at that stamp, by the transforms next to it; empty if it can."""
-        if self.limits is None or not link.stamps or not self._concerns(child):
+        if self.limits is None or not link.stamps or not self.concerns(child):
             return ""
         at = 0 if link.static else bisect.bisect_left(link.stamps, stamp_ns)
         for near in (at - 1, at):

@@ -88,7 +88,7 @@ class TransformListener:
                 restarted = self._put(transform, static)
             except ValueError as error:
                 self._node.count("transforms refused")
-                self._node.warn(f"tf {transform.child}", f"/tf: {transform.child} refused: {error}")
+                self._node.warn("tf", f"/tf: {transform.child} refused: {error}")
                 continue
             if restarted:
                 self._report_jump(f"/tf: {restarted}")
@@ -97,9 +97,9 @@ class TransformListener:
 
     def _put(self, transform: ReceivedTransform, static: bool) -> str:
         """Add to the buffer; a leading slash, which old programs still send, is no part of a name."""
-        if not static:
-            self._node.check_stamp(transform.stamp_ns)
         parent, child = transform.parent.removeprefix("/"), transform.child.removeprefix("/")
+        if not static and self._buffer.concerns(child):
+            self._node.check_stamp(transform.stamp_ns)
         T = pose_from_numbers((*transform.translation, *transform.rotation))
         return self._buffer.set_transform(parent, child, transform.stamp_ns, T, static=static)
 

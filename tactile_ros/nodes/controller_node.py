@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
+from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import STATE as STATE_TOPIC
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.tasks import TASKS
@@ -25,6 +26,7 @@ from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import HeadedReader
+from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
 from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only, fixed_settings
@@ -119,6 +121,9 @@ class ControllerNode(TaskNode):
     def _take_state(self, data: bytes) -> None:
         received_ns = self.now_ns()
         stamp_ns, _, numbers = read_state(data)
+        if self.belief is not None and stamp_ns < self.belief.stamp_ns:
+            behind = (self.belief.stamp_ns - stamp_ns) / SECOND_NS
+            raise MessageError(f"its stamp is {behind:.3f} s before that of the last belief")
         xi, flags = numbers[XI], int(numbers[FLAGS])
         if self.presence is None or stamp_ns > self.presence.stamp_ns:
             self.presence = StampedPresence(stamp_ns, not flags & ContactState.NO_CONTACT)

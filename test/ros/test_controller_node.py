@@ -335,9 +335,13 @@ def test_beliefs_that_cannot_be_are_not_acted_on_and_the_arm_stops(world, lie, c
     assert max(speeds) < 0.013, "the speed of the task, and no more"
 
 
-def test_one_belief_of_the_future_or_of_another_sensor_changes_nothing(world):
+def of_long_ago(message) -> None:
+    message.header.stamp.sec -= 100
+
+
+def test_one_belief_of_another_time_or_sensor_changes_nothing(world):
     world.following()
-    for lie in (of_the_future, of_another_sensor, deep):
+    for lie in (of_the_future, of_long_ago, of_another_sensor, deep):
         world.lie = lie
         world.step()
         world.lie = lambda message: None

@@ -1,5 +1,7 @@
 """Bytes that are no message, on every topic that a node listens to: it counts them and goes on."""
 
+import struct
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +16,29 @@ from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_ros import qos
 from tactile_ros.conversions import header, transform_stamped
+from tactile_ros.managed_node import refused_counter
 
 SENSOR = "arm/tactile_sensor"
 FILTER, OBJECT = "tactile_ros.nodes.filter_node", "tactile_ros.nodes.object_node"
 CONTROLLER, ESTIMATOR = "tactile_ros.nodes.controller_node", "tactile_ros.nodes.estimator_node"
 CELL = {FILTER: {}, OBJECT: {"arms": "[arm]"}, CONTROLLER: {}, ESTIMATOR: {}}
-SEED, FORGED = 20, 120  # messages a topic
+SEED, FORGED = 20, 150  # messages a topic
+EXTREMES = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e160, 5e-324)
+LISTENERS = {
+    "/tf": "filter",
+    "/tf_static": "filter",
+    "contact/estimate": "filter",
+    "contact/presence": "filter",
+    "contact/belief": "object",
+    "contact/state": "controller",
+    "tactile/image": "estimator",
+}
 HEAD = 200  # bytes in which lengths and names stand
 
 
 def examples() -> list:
-    """A sound message for each topic: type, name, quality of service, bytes."""
-    stamp_ns, cov = 1, np.diag(np.full(6, 1e-6))
+    """A sound message for each topic, stamped now: type, name, quality of service, message."""
+    stamp_ns, cov = time.time_ns(), np.diag(np.full(6, 1e-6))
     pose = se3.exp([0.0, 0.0, -3e-3, 0.0, 0.0, 0.0])
     tf = TFMessage(transforms=[transform_stamped(stamp_ns, "arm/base", "arm/tool", pose)] * 2)
     gaussian = gaussian_message(stamp_ns, SENSOR, pose, cov)
@@ -49,11 +62,11 @@ def with_length(sound: bytes, at: int) -> bytes:
 
 
 def forged(sound: bytes, random: np.random.Generator) -> bytes:
-    """The message with something wrong: cut, flipped, text that is no text, noise."""
+    """The message with something wrong: cut, flipped, text that is no text, numbers beyond all, noise."""
     data = bytearray(sound)
     head = min(len(data), HEAD)
     at = int(random.integers(4, head - 4))
-    match int(random.integers(5)):
+    match int(random.integers(6)):
         case 0:
             return bytes(data[: random.integers(len(data))])
         case 1:
@@ -64,7 +77,15 @@ def forged(sound: bytes, random: np.random.Generator) -> bytes:
             data[4:head] = random.bytes(head - 4)
         case 4:
             data[: len(data) // 2] = random.bytes(len(data) // 2)
+        case 5:
+            at -= at % 8 - 4  # where a double may stand
+            data[at : at + 8] = struct.pack("<d", random.choice(EXTREMES))
     return bytes(data)
+
+
+def heard_as(topic: str) -> str:
+    """The name by which the node that listens counts a topic."""
+    return f"/arm/{topic}" if LISTENERS[topic] == "object" and not topic.startswith("/") else topic
 
 
 def memory_mb(process) -> float:
@@ -80,15 +101,20 @@ def running(shared_graph):
 
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example[1])
 def test_no_bytes_end_a_node_nor_make_it_allocate_what_they_claim(shared_graph, running, example):
-    message_type, topic, profile, message = example
+    message_type, topic, profile, _ = example
     before = {node: memory_mb(process) for node, process in running.items()}
     publisher = shared_graph.publisher(message_type, topic, profile)
-    sound, random = serialize_message(message), np.random.default_rng(SEED)
-    lengths = [with_length(sound, at) for at in range(4, min(len(sound), HEAD) - 3, 4)]
-    for data in lengths + [forged(sound, random) for _ in range(FORGED)]:
-        publisher.publish(data)
+    arm, random = shared_graph.arm(), np.random.default_rng(SEED)
+    place = [each[1] for each in examples()].index(topic)
+    sound = serialize_message(examples()[place][3])
+    lengths = range(4, min(len(sound), HEAD) - 3, 4)
+    for at in [*lengths, *[None] * FORGED]:
+        arm.at(time.time_ns())
+        sound = serialize_message(examples()[place][3])
+        publisher.publish(forged(sound, random) if at is None else with_length(sound, at))
         shared_graph.spin(0.001)
     shared_graph.settle()  # all answer still
+    shared_graph.wait_for_count(LISTENERS[topic], refused_counter(heard_as(topic)))
     for node, process in running.items():
         assert process.poll() is None, shared_graph.log(node).read_text()[-2000:]
         assert memory_mb(process) - before[node] < 100.0
