@@ -47,7 +47,7 @@ class MotionLimits(Settings):
         elapsed = abs(end_ns - start_ns) * NANOSECOND
         way = math.dist(A[:3, 3], B[:3, 3])
         if way > self.largest_speed * (elapsed + STAMP_SLACK):
-            return f"jumped by {way * 1e3:.0f} mm in {_rate_text(elapsed, way, self.largest_speed, 'm/s')}"
+            return f"jumped by {way * 1e3:.4g} mm in {_rate_text(elapsed, way, self.largest_speed, 'm/s')}"
         angle = math.acos(min(1.0, max(-1.0, 0.5 * (float(np.vdot(A[:3, :3], B[:3, :3])) - 1.0))))
         if angle > self.largest_turn_rate * (elapsed + STAMP_SLACK):
             rate = _rate_text(elapsed, angle, self.largest_turn_rate, "rad/s")
@@ -88,9 +88,7 @@ class _Link:
     static: bool
     stamps: list[int] = field(default_factory=list)
     transforms: list[Array] = field(default_factory=list)
-    elsewhere: list[tuple[int, Array]] = field(
-        default_factory=list
-    )  # refused, but they agree with each other
+    elsewhere: list[tuple[int, Array]] = field(default_factory=list)  # see `_is_confirmed`
 
 
 class TransformBuffer:

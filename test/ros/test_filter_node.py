@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from messages import gaussian_from_message, gaussian_message
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter import se3
@@ -20,6 +22,7 @@ from tactile_ros.conversions import (
     header,
     matrix_from_transform,
     ns_from_time,
+    time_from_ns,
     transform_stamped,
 )
 
@@ -397,3 +400,24 @@ def test_missing_estimates_are_reported_in_contact_only(feed):
     while not feed.graph.wait(lambda: any(map(silence, feed.graph.reports("filter"))), 0.05):
         feed.send_presence(feed.stamp_ns + next(steps) * PERIOD_NS)  # which announces an estimate
         assert time.monotonic() < end + 10.0
+
+
+def test_with_simulated_time_stamps_are_held_against_that_clock_and_follow_it_back(graph):
+    process = graph.start(FILTER, {"use_sim_time": True})
+    clock = graph.publisher(Clock, "/clock", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    feed = Feed(graph, process)
+    feed.stamp_ns = 2000 * SECOND
+    assert feed.state(feed.step(0)), "before the clock has come nothing can be said of stamps"
+    for seconds in (1000, 500):
+        feed.stamp_ns = seconds * SECOND
+
+        def told(seconds=seconds) -> bool:
+            clock.publish(Clock(clock=time_from_ns(seconds * SECOND)))
+            return any(report.header.stamp.sec == seconds for report in graph.diagnostics)
+
+        assert graph.wait(told)
+        feed.arm.at(feed.stamp_ns, feed.pose(0))
+        assert feed.state(feed.step(1)), "a clock that goes back is followed"
+        feed.send_presence(feed.stamp_ns + SECOND, in_contact=False)
+    graph.wait_for_count("filter", "contact/presence messages refused", 2)
+    assert not any(m.flags & ContactState.NO_CONTACT for m in feed.states)

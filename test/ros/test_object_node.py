@@ -231,6 +231,7 @@ def test_the_object_is_a_frame_of_tf_too(feed):
         ({"cov": np.full((6, 6), np.nan)}, "not finite"),
         ({"frame": "left/base"}, "frame is 'left/base', must be 'right/tactile_sensor'"),
         ({"cov": -COV}, "negative variance"),
+        ({"mean": se3.exp([0.0, 0.0, -0.02, 0.0, 0.0, 0.0])}, "depth is 20 mm, must be in [-5, 15] mm"),
     ],
 )
 def test_a_belief_that_cannot_be_used_is_refused_counted_and_reported(feed, bad, complaint):
