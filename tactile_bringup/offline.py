@@ -29,6 +29,7 @@ from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import ContactFilter
+from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_records.runs.log import RunLog
@@ -177,7 +178,7 @@ class _OfflineArm:
         self.safe.drive(cell.arm(plan.arm))
         sensor = scene.arms[plan.arm].sensor
         self.perceive = perception(scene, plan.arm, options.model) if sensor is not None else None
-        self.filter = ContactFilter(options.filter)
+        self.filter = ContactFilter(options.filter, TACTIP)
         self.random = np.random.default_rng([options.seed, number] if number else options.seed)
         self.log = RunLog(
             RunRecord(

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag, invalid_belief
+from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.filter_settings import FilterSettings, Tuning, gate_threshold
 from tactile_filter.fusion import FusionError, FusionStatus, check_gaussian, fuse
 from tactile_filter.gaussian import PoseGaussian
@@ -63,13 +64,19 @@ class _Memory(NamedTuple):
 class ContactFilter:
     """Bayesian filter over the contact's pose in the sensor; see the module's text.
 
+    Parameters
+    ----------
+    bounds : ContactBounds, optional
+        What the sensor can feel; measurements outside of that are refused.
+
     Attributes
     ----------
     late : with a `history`: measurements that came late since the last reset, by what became of them: "put in
         place" or "too late"
     """
 
-    def __init__(self, settings: FilterSettings | None = None) -> None:
+    def __init__(self, settings: FilterSettings | None = None, bounds: ContactBounds | None = None) -> None:
+        self.bounds = bounds
         self.late: Counter[str] = Counter()
         self._state: _State | None = None
         self._refused_in_a_row = 0
@@ -96,8 +103,8 @@ class ContactFilter:
 
     @property
     def rejections(self) -> Counter[str]:
-        """Measurements refused since the last reset by reason: "outlier", "not usable", "out of order",
-        "same stamp", "too late", "sensor pose", "not fusable".
+        """Measurements refused since the last reset by reason: "outlier", "not usable",
+        "not plausible", "out of order", "same stamp", "too late", "sensor pose", "not fusable".
         """
         late = self.late["too late"]
         return self._rejections + Counter({"too late": late}) if late else self._rejections
@@ -253,6 +260,12 @@ class ContactFilter:
             check_gaussian(measurement.mean, measurement.cov, "measurement")
         except FusionError as error:
             return self._refuse_moved("not usable", str(error), stamp_ns, sensor)
+        implausible = self._implausible(measurement)
+        if implausible:
+            refused = self._refused_in_a_row  # what cannot be refutes no belief
+            belief = self._refuse_moved("not plausible", implausible, stamp_ns, sensor)
+            self._refused_in_a_row = refused
+            return belief
         if self._state is None:
             return self._initialize(stamp_ns, measurement, sensor, restarted)
         if self._is_stale(self._state, stamp_ns):
@@ -265,6 +278,12 @@ class ContactFilter:
         if not surprise.nis <= self._tuning.gate:
             return self._refuse_outlier(measurement, predicted, surprise)
         return self._correct(measurement, predicted, surprise)
+
+    def _implausible(self, measurement: PoseGaussian) -> str:
+        """Why this sensor cannot have felt what was measured; empty if it can."""
+        if self.bounds is None:
+            return ""
+        return self.bounds.objection(measurement.mean) or self.bounds.sigma_objection(measurement.cov)
 
     def _correct(self, measurement: PoseGaussian, predicted: _State, surprise: Innovation) -> Belief:
         tuning = self._tuning
@@ -313,6 +332,12 @@ class ContactFilter:
         text = f"NIS {surprise.nis:.4g} is above the gate {self.gate:.4g}"
         if refused < self.settings.reinitialize_after:
             return self._refuse_predicted("outlier", text, predicted, _GATED, surprise)
+        if self.bounds is not None:
+            believed, found = (predicted.corrected_ns, predicted.mean), (predicted.stamp_ns, measurement.mean)
+            beyond = self.bounds.unreachable(believed, found)
+            if beyond:
+                text = f"{text}, and the contact would have {beyond}"
+                return self._refuse_predicted("outlier", text, predicted, _GATED, surprise)
         self._count_reset("outliers in a row")
         text = f"{text} after {refused} refused in a row"
         return self._initialize(predicted.stamp_ns, measurement, predicted.T_base_sensor, text, surprise)

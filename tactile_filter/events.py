@@ -10,6 +10,9 @@ from typing import Any
 JUMP_NS = 100_000_000
 """A stamp that is this much older than the newest of its source means that the clock was set back."""
 
+FUTURE_NS = 100_000_000
+"""A stamp that lies further ahead of the clock than this is wrong, and is refused."""
+
 
 @dataclass
 class Event:

@@ -2,21 +2,66 @@
 stamp.
 
 What a lookup cannot answer exactly is an error that names the stamps it has; the latest transform never
-stands in for the one that was asked for.
+stands in for the one that was asked for. A transform that no arm can have reached since the one before it is
+refused, unless those that follow confirm it.
 """
 
 from __future__ import annotations
 
 import bisect
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_base.stamps import SECOND_NS
+from tactile_base.settings import Settings, setting
+from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
+
+STAMP_SLACK = 0.005  # s; by how much the time between two stamps may be off the time that passed
+CONFIRMED_BY = 5  # transforms, at least, that make a new place credible
+
+
+@dataclass(frozen=True)
+class MotionLimits(Settings):
+    """What moves at most how fast; a transform that is further away is refused."""
+
+    largest_speed: float = setting(
+        1.0, lower=0.01, upper=10.0, unit="m/s", doc="a frame that was faster since its last transform jumped"
+    )
+    largest_turn_rate: float = setting(
+        2.0 * math.pi, lower=0.05, upper=50.0, unit="rad/s", doc="the same of its rotation"
+    )
+    restart_after: float = setting(
+        0.5, lower=0.05, upper=60.0, unit="s",
+        doc="a frame whose transforms agree with each other for so long after it jumped is where they say",
+    )  # fmt: skip
+
+    def fault(self, before: tuple[int, Array], after: tuple[int, Array]) -> str:
+        """Why nothing gets from one stamped transform to the other; empty where it can."""
+        (start_ns, A), (end_ns, B) = before, after
+        elapsed = abs(end_ns - start_ns) * NANOSECOND
+        way = math.dist(A[:3, 3], B[:3, 3])
+        if way > self.largest_speed * (elapsed + STAMP_SLACK):
+            return f"jumped by {way * 1e3:.4g} mm in {_rate_text(elapsed, way, self.largest_speed, 'm/s')}"
+        angle = math.acos(min(1.0, max(-1.0, 0.5 * (float(np.vdot(A[:3, :3], B[:3, :3])) - 1.0))))
+        if angle > self.largest_turn_rate * (elapsed + STAMP_SLACK):
+            rate = _rate_text(elapsed, angle, self.largest_turn_rate, "rad/s")
+            return f"turned by {math.degrees(angle):.0f} degrees in {rate}"
+        return ""
+
+
+def _rate_text(elapsed: float, way: float, limit: float, unit: str) -> str:
+    rate = f"{way / elapsed:.3g} {unit}, " if elapsed > 0.0 else ""
+    return f"{elapsed * 1e3:.0f} ms ({rate}limit {limit:.3g} {unit})"
+
+
+class TransformJump(ValueError):
+    """A transform further from the one before it than anything moves; the message says which and how far."""
 
 
 class TransformUnavailable(LookupError):
@@ -43,6 +88,7 @@ class _Link:
     static: bool
     stamps: list[int] = field(default_factory=list)
     transforms: list[Array] = field(default_factory=list)
+    elsewhere: list[tuple[int, Array]] = field(default_factory=list)  # see `_is_confirmed`
 
 
 class TransformBuffer:
@@ -56,6 +102,12 @@ class TransformBuffer:
         A transform older than the newest of its link by more than this means that time jumped back (a bag
         that starts again, a simulation that was reset): everything but the static transforms is forgotten.
         One that is older by less has been overtaken on the way and is put in its place.
+    limits : MotionLimits, optional
+        How fast frames move at most; without, transforms may jump.
+    frames : sequence of (str, str)
+        Target and source of the lookups. What happens to links that do not lie between them is nobody's
+        business: they are never refused for a jump, and time that jumps back there concerns them alone.
+        Without any, all links count.
 
     Notes
     -----
@@ -66,43 +118,68 @@ class TransformBuffer:
     tf2 keeps what a frame was to its former parent.
     """
 
-    def __init__(self, history_ns: int = 10 * SECOND_NS, jump_ns: int = SECOND_NS) -> None:
+    def __init__(
+        self,
+        history_ns: int = 10 * SECOND_NS,
+        jump_ns: int = SECOND_NS,
+        limits: MotionLimits | None = None,
+        frames: Sequence[tuple[str, str]] = (),
+    ) -> None:
         if history_ns <= 0 or jump_ns < 0:
             raise ValueError(f"history_ns = {history_ns}, jump_ns = {jump_ns}: must be positive")
         self.history_ns = history_ns
         self.jump_ns = jump_ns
+        self.limits = limits
+        self._frames = tuple(frames)
+        self._between: set[str] | None = None  # the children that lookups depend on, see `concerns`
         self._links: dict[str, _Link] = {}
         self._paths: dict[tuple[str, str], tuple[list[str], list[str]]] = {}  # of this tree, see _chains
 
     def set_transform(
         self, parent: str, child: str, stamp_ns: int, T_parent_child: ArrayLike, *, static: bool = False
-    ) -> int:
+    ) -> str:
         """Add a transform (4, 4); its rotation may be off orthonormal by `se3.ROTATION_TOLERANCE`.
 
         Returns
         -------
-        int
-            By how much (ns) time had jumped back, as the stamp showed; the history was then cleared. Else 0.
+        str
+            Why what was known before means nothing any more and was forgotten: time jumped back, as the stamp
+            showed, or the frame jumped and stayed where it is now. Empty in the regular case.
 
         Raises
         ------
+        TransformJump
+            If the frame cannot have got there since the transform before, see `MotionLimits`; with these, a
+            frame keeps its parent, too.
         ValueError
             If the matrix is no pose, a name is empty, or the link would close a loop.
         """
-        T = self._checked(parent, child, T_parent_child)
-        link = self._links.get(child)
-        jump_ns = 0 if link is None or static else self._jump(link, int(stamp_ns))
-        if jump_ns:
-            self.clear()
+        T, stamp_ns = self._checked(parent, child, T_parent_child), int(stamp_ns)
+        link, restarted = self._links.get(child), ""
+        if link is not None and not static and self._jump(link, stamp_ns):
+            if self.concerns(child):
+                seconds = self._jump(link, stamp_ns) * NANOSECOND
+                restarted = f"time jumped back by {seconds:.3f} s in the transforms of '{child}'"
+                self.clear()
             link = None
         if link is None or link.parent != parent or link.static != static:
+            if link is not None and self.limits is not None and self.concerns(child):
+                kind = "does not move" if link.static else "moves"
+                raise TransformJump(f"'{parent}' -> '{child}': it hangs below '{link.parent}' and {kind}")
             link = self._links[child] = _Link(parent, static)
-            self._paths.clear()
-        if static:
-            link.stamps, link.transforms = [int(stamp_ns)], [T]
-        else:
-            self._insert(link, int(stamp_ns), T)
-        return jump_ns
+            self._forget_paths()
+        fault = self._fault(link, child, stamp_ns, T)
+        if static and not fault:
+            link.stamps, link.transforms = [stamp_ns], [T]
+            return restarted
+        if fault and not self._is_confirmed(link, stamp_ns, T):
+            raise TransformJump(f"'{parent}' -> '{child}' {fault}")
+        if fault:
+            restarted = f"'{parent}' -> '{child}' {fault} and stayed there"
+            link.stamps, link.transforms = map(list, zip(*link.elsewhere, strict=True))
+        link.elsewhere.clear()
+        self._insert(link, stamp_ns, T)
+        return restarted
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> Array:
         """T_target_source (4, 4) at a stamp, interpolated along screw motions between the stamps of each
@@ -133,10 +210,28 @@ class TransformBuffer:
         moving = [self._links[child] for child in (*up, *down) if not self._links[child].static]
         return min((link.stamps[-1] for link in moving), default=None)
 
+    def stamps(self, child: str) -> list[int]:
+        """The stamps (ns) of the transforms that are kept of a child, in order."""
+        return list(self._links[child].stamps)
+
     def clear(self) -> None:
         """Forget all but the static transforms."""
         self._links = {child: link for child, link in self._links.items() if link.static}
-        self._paths.clear()
+        self._forget_paths()
+
+    def concerns(self, child: str) -> bool:
+        """Whether lookups depend on this child's link; where frames are not connected yet, they may."""
+        if not self._frames:
+            return True
+        if self._between is None:
+            self._between = set()
+            for target, source in self._frames:
+                try:
+                    up, down = self._chains(target, source)
+                except TransformDisconnected:
+                    up, down = self._ancestors(target), self._ancestors(source)
+                self._between.update(up, down)
+        return child in self._between
 
     def frames(self) -> list[str]:
         """The names of all frames, sorted."""
@@ -156,6 +251,33 @@ class TransformBuffer:
         behind_ns = link.stamps[-1] - stamp_ns
         return behind_ns if behind_ns > self.jump_ns and not link.static else 0
 
+    def _fault(self, link: _Link, child: str, stamp_ns: int, T: Array) -> str:
+        """Why the frame cannot be there at that stamp, by the transforms next to it; empty if it can."""
+        if self.limits is None or not link.stamps or not self.concerns(child):
+            return ""
+        at = 0 if link.static else bisect.bisect_left(link.stamps, stamp_ns)
+        for near in (at - 1, at):
+            if 0 <= near < len(link.stamps):
+                since_ns = stamp_ns if link.static else link.stamps[near]  # static: no time to move
+                if link.elsewhere and since_ns < link.elsewhere[-1][0] < stamp_ns:
+                    since_ns = link.elsewhere[-1][0]  # nor does what jumped come within reach by waiting
+                fault = self.limits.fault((since_ns, link.transforms[near]), (stamp_ns, T))
+                if fault:
+                    return fault
+        return ""
+
+    def _is_confirmed(self, link: _Link, stamp_ns: int, T: Array) -> bool:
+        """Keep a transform that jumped; whether those that did agree with each other for long enough."""
+        assert self.limits is not None
+        if link.static or stamp_ns <= link.stamps[-1]:
+            return False
+        others = link.elsewhere
+        if others and (stamp_ns <= others[-1][0] or self.limits.fault(others[-1], (stamp_ns, T))):
+            others.clear()
+        others.append((stamp_ns, T))
+        lasted = (stamp_ns - others[0][0]) * NANOSECOND
+        return len(others) >= CONFIRMED_BY and lasted >= self.limits.restart_after
+
     def _insert(self, link: _Link, stamp_ns: int, T: Array) -> None:
         at = bisect.bisect_left(link.stamps, stamp_ns)
         if at < len(link.stamps) and link.stamps[at] == stamp_ns:
@@ -166,6 +288,11 @@ class TransformBuffer:
         kept = bisect.bisect_left(link.stamps, link.stamps[-1] - self.history_ns)
         if kept:
             del link.stamps[:kept], link.transforms[:kept]
+
+    def _forget_paths(self) -> None:
+        """The tree has changed."""
+        self._paths.clear()
+        self._between = None
 
     def _ancestors(self, frame: str) -> list[str]:
         """The frame, its parent and so on to the root."""

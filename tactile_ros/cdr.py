@@ -9,6 +9,7 @@ message classes make three copies: 1 ms of 3.5 for 640x480 (bench/ros_latency.py
 from __future__ import annotations
 
 import functools
+import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,7 @@ from tactile_ros.conversions import MONO8, MessageError, checked_image
 Array = NDArray[np.float64]
 
 FRAME = "header.frame_id"
+_HEADER_END = cdr.HEADER + 12  # where the frame's name begins: after its stamp and its length
 STAMP_NUMBERS = 2  # sec and nanosec, which a message with a header starts with
 
 
@@ -66,6 +68,21 @@ class HeadedReader:
     def index(self, name: str) -> int:
         """The same of a field that is one number."""
         return self.place(name).start
+
+
+def header_of(data: bytes) -> tuple[int, str]:
+    """Stamp (ns) and frame of any message that starts with a header; raises `MessageError`."""
+    order = {b"\x00\x00": ">", b"\x00\x01": "<"}.get(bytes(data[:2]))
+    if order is None or len(data) < _HEADER_END:
+        raise MessageError(f"{len(data)} bytes that start with 0x{bytes(data[:2]).hex()} are no plain CDR")
+    sec, nanosec, length = struct.unpack_from(f"{order}iII", data, cdr.HEADER)
+    if length > len(data) - _HEADER_END:
+        raise MessageError(f"a frame's name of {length} bytes in a message of {len(data)}")
+    try:
+        frame = bytes(data[_HEADER_END : _HEADER_END + max(0, length - 1)]).decode()
+    except UnicodeDecodeError as error:
+        raise MessageError(f"the frame's name is not UTF-8: {error}") from error
+    return sec * SECOND_NS + nanosec, frame
 
 
 @dataclass(frozen=True)

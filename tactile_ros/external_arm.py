@@ -42,7 +42,9 @@ class ExternalArm:
         self._reason = ""
         self._last: tuple[int, NDArray[np.float64]] | None = None
         self._out = node.publisher(TwistStamped, topics.EXTERNAL_COMMAND.name, COMMAND)
-        self._transforms = TransformListener(node, on_update=self._on_transform)
+        self._transforms = TransformListener(
+            node, on_update=self._on_transform, frames=[(self._base, self._tool)]
+        )
 
     def command(self, stamp_ns: int, twist: ArrayLike) -> None:
         """Publish a twist, stamped now: its receivers have limits of their own for its age."""

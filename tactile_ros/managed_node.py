@@ -22,6 +22,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
@@ -37,9 +38,13 @@ from rclpy.timer import Timer
 
 from tactile_base import topics
 from tactile_base.config_paths import config_path
-from tactile_base.settings import SettingError, unknown_name
+from tactile_base.settings import SettingError, Settings, setting, unknown_name
+from tactile_base.stamps import NANOSECOND
+from tactile_filter.events import FUTURE_NS
+from tactile_filter.pose_numbers import MessageError
+from tactile_ros.cdr import header_of
 from tactile_ros.diagnostics import Diagnostics, InputWatch
-from tactile_ros.parameters import declare_read_only
+from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
 
 Result = TransitionCallbackReturn
@@ -50,6 +55,17 @@ DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FIL
 DIAGNOSTIC_PERIOD = 1.0  # s
 FLUSH_STEPS = 20
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
+
+
+@dataclass(frozen=True)
+class StampSettings(Settings):
+    """Which stamps are believed."""
+
+    future_tolerance: float = setting(
+        FUTURE_NS * NANOSECOND, lower=0.001, upper=10.0, unit="s",
+        doc="a message or transform stamped further ahead of the clock is refused; with use_sim_time to "
+        "be more than a period of /clock",
+    )  # fmt: skip
 
 
 class ConfigurationError(RuntimeError):
@@ -82,6 +98,7 @@ class ManagedNode(LifecycleNode):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS.name, writer_profile(DIAGNOSTICS)
         )
+        self.stamps = SettingsParameters(self, StampSettings(), prefix="stamps")
         period = declare_read_only(
             self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
         )
@@ -129,20 +146,37 @@ class ManagedNode(LifecycleNode):
         age_limit: float | None = None,
         always: bool = False,
         raw: bool = False,
+        stamped: bool = False,
+        frame: str = "",
     ) -> InputWatch | None:
         """Call `callback` with each message while the node is active (or whenever configured, with `always`).
 
         With an `age_limit` (s) the input's silence is told in /diagnostics; 0 watches without limit.
-        With `raw` the callback gets the serialized message. Messages that the middleware could not keep for
-        this node, because it was held up, are counted as `lost_counter(topic)`.
+        With `raw` the callback gets the serialized message; if it raises `MessageError`, because the bytes
+        are no such message, that message is refused. With `stamped`, so is one from the future, and with
+        `frame` one of another frame as well (both of `raw` messages that start with a header). What is
+        refused is counted as `refused_counter(topic)` and told. Messages that the middleware could not keep
+        for this node, because it was held up, are counted as `lost_counter(topic)`.
         """
         watch = None if age_limit is None else self.report.watch(topic, age_limit)
+
+        def take(message: Any) -> None:
+            if stamped or frame:
+                stamp_ns, found = header_of(message)
+                self.check_stamp(stamp_ns)
+                if frame and found != frame:
+                    raise MessageError(f"frame is '{found}', must be '{frame}'")
+            callback(message)
 
         def receive(message: Any) -> None:
             if watch is not None:
                 watch.seen()
             if self.active or always:
-                callback(message)
+                try:
+                    take(message)
+                except MessageError as error:
+                    self.count(refused_counter(topic))
+                    self.warn(f"{topic} refused", f"{topic} refused: {error}")
 
         def lose(info: Any) -> None:
             if self.active:
@@ -155,6 +189,17 @@ class ManagedNode(LifecycleNode):
         )
         self._while_configured.append((self.destroy_subscription, subscription))
         return watch
+
+    def check_stamp(self, stamp_ns: int) -> None:
+        """Raise `MessageError` for a stamp from the future: until its time has come it would be the newest.
+
+        A clock at 0 is one of `use_sim_time` that has not come yet: nothing can be said.
+        """
+        now_ns = self.now_ns()
+        tolerance = self.stamps.value.future_tolerance
+        if now_ns and (stamp_ns - now_ns) * NANOSECOND > tolerance:
+            ahead = (stamp_ns - now_ns) * NANOSECOND
+            raise MessageError(f"its stamp is {ahead:.3f} s ahead of the clock (limit {tolerance:g} s)")
 
     def timer(self, period: float, callback: Callable[[], None]) -> Timer:
         """Call `callback` every `period` seconds of the steady clock while the node is active."""
@@ -296,6 +341,11 @@ class ManagedNode(LifecycleNode):
         while self._while_configured:
             destroy, thing = self._while_configured.pop()
             destroy(thing)
+
+
+def refused_counter(topic: str) -> str:
+    """Name of the counter of messages on `topic` that are none, or of another time or frame."""
+    return f"{topic} messages refused"
 
 
 def lost_counter(topic: str) -> str:

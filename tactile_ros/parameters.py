@@ -99,6 +99,12 @@ class SettingsParameters(Generic[S]):
             self._on_change(value)
 
 
+def fixed_settings(node: Node, defaults: S, prefix: str) -> S:
+    """Declare settings that cannot change while the node runs, and return them."""
+    names = [field.name for field in dataclasses.fields(defaults)]
+    return SettingsParameters(node, defaults, prefix=prefix, read_only=names).value
+
+
 class GroupParameters(Generic[G]):
     """One ROS parameter a setting of several groups, "pid.kp" for instance, and `value`, all in force.
 

@@ -21,13 +21,13 @@ from rclpy.duration import Duration
 from tactile_base import topics
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
-from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
 from tactile_ros.cdr import headed_bytes
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
-from tactile_ros.parameters import declare_read_only
+from tactile_ros.parameters import declare_read_only, fixed_settings
 from tactile_ros.qos import COMMAND, STATE
 from tactile_ros.transforms import TransformListener
 
@@ -85,6 +85,7 @@ class TaskNode(ManagedNode, ABC):
         self.controlled_frame = f"{self.arm}/{frame}"
         self.source = f"{self.get_fully_qualified_name()}, process {os.getpid()} on {platform.node()}"
         self.arm_trouble = ""
+        self.limits = fixed_settings(self, MotionLimits(), "transforms")
 
     # What a node fills in.
 
@@ -118,7 +119,13 @@ class TaskNode(ManagedNode, ABC):
         self.twist_out = self.publisher(ArmCommand, topics.COMMAND.name, COMMAND)
         self.status_out = self.publisher(ControllerStatus, topics.CONTROLLER_STATUS.name, STATE)
         self.subscribe(ArmStatus, topics.ARM_STATUS.name, self._on_arm, STATE)
-        self.transforms = TransformListener(self, on_update=on_transform, on_jump=self._jumped)
+        self.transforms = TransformListener(
+            self,
+            on_update=on_transform,
+            on_jump=self._jumped,
+            frames=[(self.base_frame, self.controlled_frame), (self.base_frame, self.sensor_frame)],
+            limits=self.limits,
+        )
         self.timer(tick_period, self._tick)
         action = ActionServer(
             self,
@@ -185,10 +192,10 @@ class TaskNode(ManagedNode, ABC):
         if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
             self.step()
 
-    def _jumped(self, seconds: float) -> None:
+    def _jumped(self, reason: str) -> None:
         self.forget()
         if self.run is not None:
-            self.run.task.stop(f"time jumped back by {seconds:.3f} s")
+            self.run.task.stop(reason)
 
     def _consider(self, goal: RunTask.Goal) -> GoalResponse:
         if not self.active:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,12 @@ from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, EventJoin
-from tactile_filter.transform_buffer import TransformBuffer, TransformInPast, TransformUnavailable
+from tactile_filter.transform_buffer import (
+    MotionLimits,
+    TransformBuffer,
+    TransformInPast,
+    TransformUnavailable,
+)
 from tactile_msgs.srv import ResetFilter
 from tactile_ros.cdr import ReceivedTransform, transforms_from_bytes
 from tactile_ros.conversions import pose_from_numbers, transform_stamped
@@ -38,8 +43,12 @@ class TransformListener:
     on_update : callable, optional
         Called after each message of /tf or /tf_static.
     on_jump : callable, optional
-        Called with the size of the jump in seconds when stamps go back, after the old transforms were
-        forgotten.
+        Called with the reason when what was known before means nothing any more, after it was forgotten: when
+        stamps go back, or a frame has jumped and stays there.
+    frames : sequence of (str, str)
+        Target and source of all lookups; others' frames may jump.
+    limits : MotionLimits, optional
+        A transform that no frame can have reached is refused, counted and told.
     ignore : collection of str, optional
         Child frames that are passed over: those the node itself publishes. One from before a jump that is
         heard only after it would be taken for the start of yet another time.
@@ -49,14 +58,16 @@ class TransformListener:
         self,
         node: ManagedNode,
         on_update: Callable[[], None] | None = None,
-        on_jump: Callable[[float], None] | None = None,
+        on_jump: Callable[[str], None] | None = None,
         ignore: Collection[str] = (),
+        frames: Sequence[tuple[str, str]] = (),
+        limits: MotionLimits | None = None,
     ) -> None:
         self._node = node
         self._on_update = on_update
         self._on_jump = on_jump
         self._ignore = frozenset(ignore)
-        self._buffer = TransformBuffer(jump_ns=JUMP_NS)
+        self._buffer = TransformBuffer(jump_ns=JUMP_NS, limits=limits, frames=frames)
         receive_static = functools.partial(self._receive, static=True)
         node.subscribe(TFMessage, topics.TF_STATIC.name, receive_static, TF_STATIC, always=True, raw=True)
         node.subscribe(TFMessage, topics.TF.name, self._receive, TF, always=True, raw=True)
@@ -74,27 +85,29 @@ class TransformListener:
             if transform.child in self._ignore:
                 continue
             try:
-                jump_ns = self._put(transform, static)
+                restarted = self._put(transform, static)
             except ValueError as error:
                 self._node.count("transforms refused")
-                self._node.warn("tf", f"transform of {transform.child} refused: {error}")
+                self._node.warn("tf", f"/tf: {transform.child} refused: {error}")
                 continue
-            if jump_ns:
-                self._report_jump(jump_ns / SECOND_NS)
+            if restarted:
+                self._report_jump(f"/tf: {restarted}")
         if self._on_update is not None:
             self._on_update()
 
-    def _put(self, transform: ReceivedTransform, static: bool) -> int:
+    def _put(self, transform: ReceivedTransform, static: bool) -> str:
         """Add to the buffer; a leading slash, which old programs still send, is no part of a name."""
         parent, child = transform.parent.removeprefix("/"), transform.child.removeprefix("/")
+        if not static and self._buffer.concerns(child):
+            self._node.check_stamp(transform.stamp_ns)
         T = pose_from_numbers((*transform.translation, *transform.rotation))
         return self._buffer.set_transform(parent, child, transform.stamp_ns, T, static=static)
 
-    def _report_jump(self, seconds: float) -> None:
-        self._node.count("backward time jumps")
-        self._node.warn("jump", f"time jumped back by {seconds:.3f} s: transforms and state are cleared")
+    def _report_jump(self, reason: str) -> None:
+        self._node.count("restarts")
+        self._node.warn("jump", f"{reason}: transforms and state are cleared")
         if self._on_jump is not None:
-            self._on_jump(seconds)
+            self._on_jump(reason)
 
 
 class FramePublisher:

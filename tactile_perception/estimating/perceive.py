@@ -30,7 +30,7 @@ class Percept:
     estimate : PoseGaussian or None
         Gaussian over X_sf (SI, left perturbation); None without contact, and where the network failed.
     fault : str
-        Why there is no estimate although one was due; else empty.
+        Why there is no estimate although one was due, or why images are no reference; else empty.
     """
 
     in_contact: bool | None
@@ -51,6 +51,8 @@ class Perceiver:
     def __init__(self, estimator: Estimator, presence: ContactPresence | None = None) -> None:
         self.estimator = estimator
         self.presence = presence
+        if presence is not None:
+            presence.objection = self._touching
 
     def __call__(self, image: Image, processed: bool = False) -> Percept:
         """The percept of one camera image, or of one that is already cropped and thresholded.
@@ -64,8 +66,19 @@ class Perceiver:
         prepared = prepare.from_processed(image) if processed else prepare(image)
         presence = self.presence.update(prepared)
         if not presence.in_contact:
-            return Percept(presence.in_contact, presence.score)
+            return Percept(presence.in_contact, presence.score, fault=presence.refused)
         return self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
+
+    def _touching(self, prepared: NDArray) -> str:
+        """Why an image is not one without contact, by the depth that the network sees; else empty."""
+        assert self.presence is not None
+        estimate = self._estimated(self.estimator.estimate_prepared, prepared, None, float("nan")).estimate
+        if estimate is None:
+            return ""  # what the network fails on says nothing
+        depth = -float(estimate.mean[:3, 2] @ estimate.mean[:3, 3])  # z of X_fs
+        limit = self.presence.settings.reference_depth
+        text = f"the network sees a contact of {depth * 1e3:.1f} mm, must be at most {limit * 1e3:g} mm"
+        return text if depth > limit else ""
 
     def _estimated(
         self, make: Callable[..., PoseGaussian], image: NDArray, in_contact: bool | None, score: float

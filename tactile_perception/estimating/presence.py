@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,11 @@ class PresenceSettings(Settings):
     reference_frames: int = setting(
         10, lower=2, upper=1000, doc="first frames, without contact, for the reference"
     )
+    reference_depth: float = setting(
+        0.0012, lower=0.0, upper=0.05, unit="m",
+        doc="images in which the network sees a deeper contact are no reference; without contact it says "
+        "about the least depth that it was trained for",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -45,10 +51,14 @@ class PresenceSettings(Settings):
 
 @dataclass(frozen=True)
 class Presence:
-    """Answer to one image; `score` is NaN and `in_contact` None while the reference is being captured."""
+    """Answer to one image; `score` is NaN and `in_contact` None while the reference is being captured.
+
+    `refused` says why the frames that were captured are no reference; else it is empty.
+    """
 
     score: float
     in_contact: bool | None
+    refused: str = ""
 
 
 class ContactPresence:
@@ -61,24 +71,40 @@ class ContactPresence:
 
         presence = ContactPresence(PresenceSettings())
         answer = presence.update(estimator.preprocessor(image))
+
+    Attributes
+    ----------
+    objection : callable
+        Says of a prepared image why it cannot be one without contact; empty if it can. Frames that end with
+        such an image are refused.
     """
 
     def __init__(self, settings: PresenceSettings | None = None) -> None:
         self.settings = settings or PresenceSettings()
+        self.objection: Callable[[Prepared], str] = lambda prepared: ""
         self.reset()
 
     def reset(self) -> None:
         """Forget the reference; the next frames, which must be without contact, make a new one."""
-        self._captured: list[Prepared] = []
         self._reference: Prepared | None = None
         self._noise: Prepared | None = None
         self._floor = self._spread = 0.0
+        self.capture()
+
+    def capture(self, compare: bool = True) -> None:
+        """Have the next frames, which must be without contact, make a new reference.
+
+        With `compare` they are refused if contact would be seen in them by the reference that is there. If
+        they are refused that one stays; where there is none, the frames after them are captured.
+        """
+        self._captured: list[Prepared] = []
+        self._capturing, self._compare = True, compare
         self._in_contact = False
 
     @property
     def ready(self) -> bool:
-        """A reference is there."""
-        return self._reference is not None
+        """A reference is there, and no other one is being captured."""
+        return not self._capturing
 
     @property
     def reference(self) -> Prepared | None:
@@ -87,10 +113,9 @@ class ContactPresence:
 
     def configure(self, settings: PresenceSettings) -> None:
         """Use other thresholds from the next image on; another window needs a new reference."""
-        if settings.window != self.settings.window:
-            self.settings = settings
-            self.reset()
-        self.settings = settings
+        other, self.settings = settings.window != self.settings.window, settings
+        if other:
+            self.capture()
 
     def set_reference(self, images: ArrayLike) -> None:
         """Make the reference from prepared images without contact, (N, ..., size, size) with N >= 2.
@@ -101,7 +126,7 @@ class ContactPresence:
         if stack.ndim < 3 or len(stack) < 2:
             raise ValueError(f"presence reference: must be at least two images, has the shape {stack.shape}")
         stack = stack.reshape(len(stack), *stack.shape[-2:])
-        self._in_contact = False
+        self._in_contact = self._capturing = False
         # Frames judged by a reference that they are part of would look calmer than new ones: each half is
         # judged by the other.
         halves = (stack[::2], stack[1::2])
@@ -119,19 +144,38 @@ class ContactPresence:
         Raises `ValueError` if its size is not the reference's.
         """
         image = prepared.reshape(prepared.shape[-2:])
-        if self._reference is None:
+        if self._capturing:
             self._captured.append(image.copy())
             if len(self._captured) >= self.settings.reference_frames:
-                self.set_reference(self._captured)
-                self._captured = []
+                return Presence(float("nan"), None, self._take_captured(prepared))
             return Presence(float("nan"), None)
+        assert self._reference is not None
         if image.shape != self._reference.shape:
             raise ValueError(f"presence: image is {image.shape}, the reference {self._reference.shape}")
-        score = max(0.0, self._change(image) - self._floor)
-        margin = _NOISE_MARGIN * self._spread
-        threshold = max(self.settings.off if self._in_contact else self.settings.on, margin)
-        self._in_contact = score >= threshold
+        score = self._score(image)
+        self._in_contact = score >= self._threshold(self._in_contact)
         return Presence(score, self._in_contact)
+
+    def _take_captured(self, last: Prepared) -> str:
+        """Make the reference of what was captured; or why that is none."""
+        captured, self._captured = self._captured, []
+        refused = self.objection(last)
+        if not refused and self._compare and self._reference is not None:
+            score, threshold = self._score(np.mean(captured, axis=0)), self._threshold(False)
+            if score >= threshold:
+                refused = f"its change against the last one is {score:.3f}, must be below {threshold:.3f}"
+        if not refused:
+            self.set_reference(captured)
+        self._capturing = self._reference is None
+        return refused
+
+    def _score(self, image: Prepared) -> float:
+        return max(0.0, self._change(image) - self._floor)
+
+    def _threshold(self, in_contact: bool) -> float:
+        """The score from which on there is contact, where there was or was not before."""
+        margin = _NOISE_MARGIN * self._spread
+        return max(self.settings.off if in_contact else self.settings.on, margin)
 
     def _change(self, image: Prepared) -> float:
         """Largest patch mean of the absolute change beyond each pixel's noise."""

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_filter.pose_numbers import MessageError as MessageError
 from tactile_records.bags.message_definitions import type_fields
 
 Array = NDArray[Any]
@@ -35,10 +36,6 @@ _STRING = "string"
 _NAME, _BASE, _ARRAY = 2, 1, 3  # rosbags.interfaces.Nodetype
 _LARGEST_GAP = 7  # bytes that alignment leaves between two numbers
 _REMEMBERED = 64  # layouts of a `MessageReader`
-
-
-class MessageError(ValueError):
-    """Bytes that are no message of their type; the text says why."""
 
 
 @dataclass(eq=False)

@@ -176,7 +176,7 @@ class _Estimates:
         except ImageError as error:
             return self._refuse("images cannot be used", str(error))
         if percept.in_contact is None:
-            return []
+            return self._refuse("references are none", percept.fault) if percept.fault else []
         frame = image.frame_id or sensor_frame(self.arm)
         numbers = percept.score, self.presence.settings.on, percept.in_contact
         messages = [_presence_message(self.arm, image, frame, *numbers)]

@@ -8,23 +8,24 @@ serves all runs of a sweep.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
+from tactile_filter.transform_buffer import MotionLimits
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag, read_bag
+from tactile_records.replay.settings import recorded_group
 from tactile_records.replay.topics import (
-    Jump,
     ReplayError,
     Timeline,
     TopicReader,
     assign_epochs,
+    split_epochs,
     wanted_topics,
 )
 from tactile_records.replay.track import ArmInputs, Track
-from tactile_records.replay.transforms import Recording, read_transforms
+from tactile_records.replay.transforms import Recording, Restart, between, read_transforms, refuse_jumps
 
 
 @dataclass
@@ -82,12 +83,17 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     recording = read_transforms(fields, messages, ignore=[contact_frame(name) for name in names])
     for track in tracks.values():
         track.find_the_sensor(recording)
-    jumps = _assign_epochs(recording, tracks.values())
-    remarks += _remarks_of(bag, recording, jumps)
+    remarks += _remarks_of(bag, recording)
+    hint = _lacking(recording)
     arms = []
     for track in tracks.values():
+        own = between(recording, track.arm.base_frame, track.arm.sensor_frame)
+        found = _assign_epochs(
+            own, track, recorded_group(bag.note, track.arm.name, "transforms.", MotionLimits)
+        )
+        remarks += [remark for remark in found if remark not in remarks]
         try:
-            arms.append(track.finished(recording))
+            arms.append(track.finished(own, hint))
         except ReplayError as error:
             remarks.append(str(error))
     if not arms:
@@ -105,17 +111,35 @@ def _span_s(bag: Bag) -> float:
     return (max(times) - min(times)) * 1e-9 if times else 0.0
 
 
-def _assign_epochs(recording: Recording, tracks: Iterable[Track]) -> list[Jump]:
-    """Give each message and each transform its epoch."""
+def _assign_epochs(recording: Recording, track: Track, limits: MotionLimits) -> list[str]:
+    """Give each message and each transform of an arm its epoch, without those that jumped; remarks on it."""
     sources: dict[str, Timeline] = {f"/tf of {child}": link for child, link in recording.moving.items()}
-    for track in tracks:
-        for topic, kind in ((track.estimate, ESTIMATE), (track.presence, PRESENCE)):
-            if len(topic):
-                sources[kind.of(track.arm.name).name] = topic
-    return assign_epochs(sources)
+    for topic, kind in ((track.estimate, ESTIMATE), (track.presence, PRESENCE)):
+        if len(topic):
+            sources[kind.of(track.arm.name).name] = topic
+    remarks = [
+        f"the clock went back by {jump.seconds:.3f} s after {jump.before_ns} ns, first in {jump.source}: the "
+        "filter starts anew there"
+        for jump in assign_epochs(sources)
+    ]
+    restarts: list[Restart] = []
+    for child, link in recording.moving.items():
+        refused, found = refuse_jumps(link, child, limits)
+        restarts += found
+        remarks += [f"/tf: {refused} transforms of '{child}' jumped and are passed over"] if refused else []
+    remarks += [f"/tf: {restart.reason}: the filter starts anew there" for restart in restarts]
+    split_epochs(sources.values(), [(restart.epoch, restart.before_ns) for restart in restarts])
+    return remarks
 
 
-def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[str]:
+def _lacking(recording: Recording) -> str:
+    """What the bag lacks, where no pose at all can be looked up."""
+    kinds = zip((TF.name, TF_STATIC.name), (recording.moving, recording.static), strict=True)
+    lacking = [name for name, links in kinds if not links]
+    return f"; the bag has no messages on {' and '.join(lacking)}" if lacking else ""
+
+
+def _remarks_of(bag: Bag, recording: Recording) -> list[str]:
     remarks = [f"no messages on {name}" for name in (TF.name, TF_STATIC.name) if not bag.counts.get(name)]
     lost = {name: count for name, count in lost_messages(bag).items() if wanted_topics(name, "")}
     if lost:
@@ -133,8 +157,8 @@ def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[s
         for child in recording.changed
     ]
     remarks += [
-        f"the clock went back by {jump.seconds:.3f} s after {jump.before_ns} ns, first in {jump.source}: the "
-        "filter starts anew there"
-        for jump in jumps
+        f"/tf: {count} transforms of '{child}' are stamped ahead of the clock and passed over"
+        for child, count in recording.early.items()
+        if count
     ]
     return remarks

@@ -89,7 +89,7 @@ def run_filter(
     """
     run = ArmRun(inputs, settings)
     taken = _taken_live(inputs) if as_recorded else None
-    contact_filter, epoch = ContactFilter(settings), 0
+    contact_filter, epoch = ContactFilter(settings, inputs.bounds), 0
     waiting, taken_at = list(changes), _times_taken(inputs) if changes else {}
     for measurement in inputs.measurements:
         if taken is not None and not taken(measurement.stamp_ns):

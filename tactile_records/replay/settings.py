@@ -6,11 +6,12 @@ import dataclasses
 import json
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.settings import Settings
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
@@ -21,6 +22,7 @@ from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
 
 Array = NDArray[Any]
+S = TypeVar("S", bound=Settings)
 
 REINITIALIZED, INVALID = int(BeliefFlag.REINITIALIZED), int(BeliefFlag.INVALID)
 MEASUREMENT_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
@@ -48,6 +50,13 @@ def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any]
     parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
     own = {name: value for name, value in parameters.items() if "." not in name}
     return {n: v for n, v in own.items() if n in NAMES}, sorted(n for n in own if n not in NAMES)
+
+
+def recorded_group(note: Mapping[str, str], arm: str, prefix: str, kind: type[S]) -> S:
+    """Settings of the filter of a recording that have a prefix; the defaults where they are not recorded."""
+    parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
+    own = {n.removeprefix(prefix): v for n, v in parameters.items() if n.startswith(prefix)}
+    return kind.from_mapping(own)
 
 
 def recorded_changes(bag: Bag, arm: str) -> list[Change]:

@@ -8,7 +8,7 @@ source's own stamps decide to which epoch its messages belong, not their place i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +25,7 @@ from tactile_base.topics import (
     TF_STATIC,
     TRUTH,
 )
-from tactile_filter.events import JUMP_NS
+from tactile_filter.events import FUTURE_NS, JUMP_NS
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import ColumnReader, Columns
 from tactile_records.bags.message_definitions import type_fields
@@ -33,6 +33,9 @@ from tactile_records.bags.reader import Bag
 
 Array = NDArray[Any]
 Stamps = NDArray[np.int64]
+
+
+NO_STAMP = -1  # of a message that cannot be decoded, or that live nodes refuse
 
 
 class ReplayError(ValueError):
@@ -100,11 +103,17 @@ class TopicReader:
             remarks.append(
                 f"{name}: {len(reader.unreadable)} messages cannot be decoded, the first: {reason}"
             )
-        stamps = np.full(len(messages), -1, np.int64)
+        stamps = np.full(len(messages), NO_STAMP, np.int64)
         for group in columns:
             stamps[group.indices] = group.stamps_ns()
         order = np.array([order for order, _ in messages])
         received = np.array([message.received_ns for _, message in messages])
+        early = of_the_future(stamps, received)
+        if early.any():
+            remarks.append(
+                f"{name}: {int(early.sum())} messages are stamped ahead of the clock and passed over"
+            )
+            stamps[early] = NO_STAMP
         return Messages(stamps, order, received, columns)
 
 
@@ -129,7 +138,24 @@ def assign_epochs(sources: Mapping[str, Timeline]) -> list[Jump]:
     return _Epochs(sources).assigned()
 
 
+def split_epochs(sources: Iterable[Timeline], ends: Collection[tuple[int, int]]) -> None:
+    """Have an epoch end after a stamp (ns), for each (epoch, stamp); what is later is an epoch of its own."""
+    for timeline in sources:
+        ended = sum((timeline.epochs == epoch) & (timeline.stamps_ns > stamp) for epoch, stamp in ends)
+        timeline.epochs = timeline.epochs * (len(ends) + 1) + ended
+
+
+def of_the_future(stamps_ns: Stamps, received_ns: Stamps) -> NDArray[np.bool_]:
+    """Which stamps lie so far ahead of the clock that live nodes refused them.
+
+    That the recorder's clock as a whole was behind is no fault of a message.
+    """
+    ahead = stamps_ns - received_ns
+    return ahead > max(0.0, float(np.median(ahead))) + FUTURE_NS if len(ahead) else ahead > 0
+
+
 def _jumps(stamps_ns: Stamps) -> bool:
+    stamps_ns = stamps_ns[stamps_ns >= 0]
     return bool((stamps_ns < np.maximum.accumulate(stamps_ns) - JUMP_NS).any())
 
 
@@ -148,6 +174,7 @@ class _Epochs:
             (int(order), name, row, int(stamp_ns))
             for name, timeline in self.sources.items()
             for row, (order, stamp_ns) in enumerate(zip(timeline.order, timeline.stamps_ns, strict=True))
+            if stamp_ns >= 0
         ]
         for _, name, row, stamp_ns in sorted(rows):
             self.sources[name].epochs[row] = self._take(name, stamp_ns)

@@ -9,15 +9,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.topics import ARM_POSE, ESTIMATE, PRESENCE, STATE, TF, TF_STATIC, TRUTH
+from tactile_base.topics import ARM_POSE, ESTIMATE, PRESENCE, STATE, TRUTH
 from tactile_filter import se3
+from tactile_filter.contact_bounds import TACTIP, ContactBounds
 from tactile_filter.filter_settings import FilterSettings
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.pose_numbers import gaussians_from_numbers
 from tactile_filter.transform_buffer import TransformUnavailable
 from tactile_records.bags.message_columns import pose_columns
-from tactile_records.replay.settings import Change, commanded_resets, recorded_changes, recorded_settings
-from tactile_records.replay.topics import Messages, ReplayError, TopicReader
+from tactile_records.replay.settings import (
+    Change,
+    commanded_resets,
+    recorded_changes,
+    recorded_group,
+    recorded_settings,
+)
+from tactile_records.replay.topics import NO_STAMP, Messages, ReplayError, TopicReader
 from tactile_records.replay.transforms import Recording, connected, follow_pose, poses_at
 from tactile_records.runs.record import TruthSeries
 
@@ -82,6 +89,8 @@ class ArmInputs:
         Stamps at which the live filter had been asked to start anew.
     remarks : list of str
         What is missing, was refused, or is odd.
+    bounds : ContactBounds
+        Of the live filter.
     """
 
     name: str
@@ -93,6 +102,7 @@ class ArmInputs:
     changes: list[Change] = field(default_factory=list)
     resets: frozenset[int] = frozenset()
     remarks: list[str] = field(default_factory=list)
+    bounds: ContactBounds = TACTIP
 
 
 class Track:
@@ -101,12 +111,17 @@ class Track:
     def __init__(self, reader: TopicReader, name: str, base_frame: str) -> None:
         self.arm = ArmInputs(name, base_frame, "")
         self.reader = reader
+        self.arm.bounds = recorded_group(reader.bag.note, name, "bounds.", ContactBounds)
         remarks = self.arm.remarks
         self.estimate = reader.topic(ESTIMATE.of(name).name, remarks)
         self.presence = reader.topic(PRESENCE.of(name).name, remarks)
         self.state = reader.topic(STATE.of(name).name, remarks)
         self.truth = reader.topic(TRUTH.of(name).name, remarks)
         self.rows, self.gaussians = self._take_estimates()
+        for group in self.presence.columns:
+            if group.layout.texts["header.frame_id"] != self.arm.sensor_frame:
+                self.presence.stamps_ns[group.indices] = NO_STAMP
+                remarks.append(f"{len(group.indices)} presences are not in frame '{self.arm.sensor_frame}'")
         if not len(self.presence):
             remarks.append(f"no {PRESENCE.name}: every estimate counts as one in contact")
 
@@ -128,11 +143,14 @@ class Track:
             f"no transforms between '{base}' and '{sensor}': the sensor's poses are those of {ARM_POSE.name}"
         )
 
-    def finished(self, recording: Recording) -> ArmInputs:
-        """Join, look the sensor's poses up, and add what there is to compare with."""
+    def finished(self, recording: Recording, hint: str) -> ArmInputs:
+        """Join, look the sensor's poses up, and add what there is to compare with.
+
+        Where no pose is found at all, `hint` says what the bag lacks.
+        """
         arm = self.arm
         joined = self._joined()
-        arm.measurements = self._with_poses(joined, recording)
+        arm.measurements = self._with_poses(joined, recording, hint)
         arm.truth = _truth(self.truth)
         arm.live = _live(self.state)
         arm.changes = recorded_changes(self.reader.bag, arm.name)
@@ -169,7 +187,8 @@ class Track:
         """The events by epoch and stamp: what live nodes join, whatever the order of its parts was."""
         presence = _first_of_each_stamp(self.presence, np.arange(len(self.presence)))
         estimate = _first_of_each_stamp(self.estimate, self.rows)
-        repeated = len(self.presence) + len(self.rows) - len(presence) - len(estimate)
+        stamps = np.concatenate([self.presence.stamps_ns, self.estimate.stamps_ns[self.rows]])
+        repeated = int((stamps >= 0).sum()) - len(presence) - len(estimate)
         if repeated:
             self.arm.remarks.append(
                 f"{repeated} messages have the stamp of one before them and are passed over"
@@ -194,7 +213,7 @@ class Track:
             self.arm.remarks.append(f"{alone} presences in contact have no estimate and are passed over")
         return events
 
-    def _with_poses(self, events: list[_Event], recording: Recording) -> list[Measurement]:
+    def _with_poses(self, events: list[_Event], recording: Recording, hint: str) -> list[Measurement]:
         arm = self.arm
         found: dict[tuple[int, int], Any] = {}
         for epoch in sorted({event.epoch for event in events}):
@@ -204,7 +223,7 @@ class Track:
             found |= {(epoch, stamp_ns): pose for stamp_ns, pose in zip(touching, poses, strict=True)}
         missing = [pose for pose in found.values() if isinstance(pose, TransformUnavailable)]
         if found and len(missing) == len(found):
-            raise ReplayError(f"{arm.name} cannot be replayed: {missing[0]}{_hint(recording)}")
+            raise ReplayError(f"{arm.name} cannot be replayed: {missing[0]}{hint}")
         if missing:
             arm.remarks.append(
                 f"{len(missing)} estimates have no pose of the sensor, the first: {missing[0]}"
@@ -219,21 +238,11 @@ class Track:
         return measurements
 
 
-def _hint(recording: Recording) -> str:
-    """What the bag lacks, where no pose at all could be looked up."""
-    lacking = [
-        name
-        for name, links in zip((TF.name, TF_STATIC.name), (recording.moving, recording.static), strict=True)
-        if not links
-    ]
-    return f"; the bag has no messages on {' and '.join(lacking)}" if lacking else ""
-
-
 def _first_of_each_stamp(topic: Messages, rows: Array) -> dict[tuple[int, int], int]:
     """(epoch, stamp) -> row, of these rows; of equal stamps the first one holds, as in the live nodes."""
     found: dict[tuple[int, int], int] = {}
     rows = rows[np.argsort(topic.order[rows], kind="stable")]
-    rows = rows[topic.stamps_ns[rows] >= 0]  # others could not be decoded
+    rows = rows[topic.stamps_ns[rows] >= 0]  # others are NO_STAMP
     for key, row in zip(
         zip(topic.epochs[rows].tolist(), topic.stamps_ns[rows].tolist(), strict=True),
         rows.tolist(),

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import NANOSECOND
 from tactile_base.topics import TF, TF_STATIC
 from tactile_filter.pose_numbers import are_poses, pose_from_numbers
-from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
+from tactile_filter.transform_buffer import STAMP_SLACK, MotionLimits, TransformBuffer, TransformUnavailable
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import ColumnReader, Columns, pose_columns, stamps_ns
-from tactile_records.replay.topics import Timeline
+from tactile_records.replay.topics import Timeline, of_the_future
 
 Array = NDArray[Any]
 
@@ -41,6 +42,8 @@ class Recording:
         Child -> its transforms.
     refused : Counter
         Child -> transforms that are none (norm of the quaternion, not finite).
+    early : Counter
+        Child -> transforms that are stamped ahead of the clock, which live nodes refuse.
     unreadable : list of str
         Messages that could not be decoded, and why.
     changed : list of str
@@ -50,6 +53,7 @@ class Recording:
     moving: dict[str, Link] = field(default_factory=dict)
     static: dict[str, Link] = field(default_factory=dict)
     refused: Counter[str] = field(default_factory=Counter)
+    early: Counter[str] = field(default_factory=Counter)
     unreadable: list[str] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
 
@@ -71,7 +75,7 @@ def read_transforms(
         topic = (TF_STATIC if static else TF).name
         chosen = [(order, message) for order, message in messages if message.topic == topic]
         if chosen:
-            links = _links(fields, chosen, ignore, recording)
+            links = _links(fields, chosen, ignore, recording, static)
             (recording.static if static else recording.moving).update(links)
     for child, link in recording.static.items():
         if (link.numbers != link.numbers[-1]).any() or set(link.parents) != {link.parents[-1]}:
@@ -80,15 +84,25 @@ def read_transforms(
 
 
 def _links(
-    fields: Any, messages: list[tuple[int, Recorded]], ignore: Collection[str], recording: Recording
+    fields: Any,
+    messages: list[tuple[int, Recorded]],
+    ignore: Collection[str],
+    recording: Recording,
+    static: bool,
 ) -> dict[str, Link]:
     orders = np.array([order for order, _ in messages])
+    received = np.array([message.received_ns for _, message in messages])
     reader = ColumnReader(fields, messages[0][1].type)
     parts: dict[str, list[tuple[Array, Array, str, Array]]] = {}
     for columns in reader.read([message.data for _, message in messages]):
         for stamps, parent, child, numbers in _transforms(columns):
+            early = (
+                np.zeros(len(stamps), bool) if static else of_the_future(stamps, received[columns.indices])
+            )
+            recording.early[child] += int(early.sum())
             if child not in ignore:
-                parts.setdefault(child, []).append((orders[columns.indices], stamps, parent, numbers))
+                piece = orders[columns.indices][~early], stamps[~early], parent, numbers[~early]
+                parts.setdefault(child, []).append(piece)
     recording.unreadable += [reason for _, reason in reader.unreadable]
     return {child: _link(pieces, child, recording.refused) for child, pieces in parts.items()}
 
@@ -115,6 +129,66 @@ def _link(pieces: list[tuple[Array, Array, str, Array]], child: str, refused: Co
     rows = np.flatnonzero(sound)
     rows = rows[np.argsort(order[rows], kind="stable")]
     return Link(stamps[rows], order[rows], [parents[row] for row in rows], numbers[rows])
+
+
+def between(recording: Recording, target: str, source: str) -> Recording:
+    """Only the moving links that lookups between two frames depend on, each a copy."""
+    chain = _chain(recording, target) | _chain(recording, source)
+    moving = {child: replace(link) for child, link in recording.moving.items() if child in chain}
+    return replace(recording, moving=moving)
+
+
+@dataclass(frozen=True)
+class Restart:
+    """A frame that jumped and stayed: in which epoch, and the last stamp at which it was at its old place."""
+
+    epoch: int
+    before_ns: int
+    reason: str
+
+
+def refuse_jumps(link: Link, child: str, limits: MotionLimits) -> tuple[int, list[Restart]]:
+    """Leave out of the link what live nodes refused because it jumped; how many, and where it stayed."""
+    kept, restarts = np.ones(len(link.stamps_ns), bool), []
+    for epoch in np.unique(link.epochs):
+        rows = np.flatnonzero(link.epochs == epoch)
+        if _is_smooth(link, rows, limits):
+            continue
+        poses = pose_from_numbers(link.numbers[rows])
+        buffer, away = TransformBuffer(FOREVER_NS, FOREVER_NS, limits), list[int]()
+        newest_ns = int(link.stamps_ns[rows[0]])
+        for row, stamp_ns, T in zip(rows.tolist(), link.stamps_ns[rows].tolist(), poses, strict=True):
+            try:
+                reason = buffer.set_transform(link.parents[row], child, stamp_ns, T)
+            except ValueError:
+                kept[row] = False
+                away.append(row)
+                continue
+            if reason:  # with the transforms before this one that agreed with it
+                restarts.append(Restart(int(epoch), newest_ns, reason))
+                since_ns = buffer.stamps(child)[0]
+                kept[[each for each in away if link.stamps_ns[each] >= since_ns]] = True
+            newest_ns = stamp_ns if reason else max(newest_ns, stamp_ns)
+            away.clear()
+    rows = np.flatnonzero(kept)
+    link.parents = [link.parents[row] for row in rows]
+    link.stamps_ns, link.order, link.epochs = link.stamps_ns[rows], link.order[rows], link.epochs[rows]
+    link.numbers = link.numbers[rows]
+    return int((~kept).sum()), restarts
+
+
+def _is_smooth(link: Link, rows: Array, limits: MotionLimits) -> bool:
+    """Whether these transforms are in order and, with room to spare, as slow as they have to be."""
+    stamps, numbers = link.stamps_ns[rows], link.numbers[rows]
+    if len({link.parents[row] for row in rows}) > 1 or (np.diff(stamps) <= 0).any():
+        return False
+    elapsed = 0.9 * (np.diff(stamps) * NANOSECOND + STAMP_SLACK)
+    way = np.linalg.norm(np.diff(numbers[:, :3], axis=0), axis=1)
+    q = numbers[:, 3:] / np.linalg.norm(numbers[:, 3:], axis=1, keepdims=True)
+    angle = 2.0 * np.arccos(np.minimum(np.abs((q[1:] * q[:-1]).sum(axis=1)), 1.0))
+    return bool(
+        (way < limits.largest_speed * elapsed).all() and (angle < limits.largest_turn_rate * elapsed).all()
+    )
 
 
 def poses_at(

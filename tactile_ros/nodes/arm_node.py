@@ -35,12 +35,13 @@ from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
+from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
 from tactile_ros.cdr import HeadedReader, Layout, command_from_bytes, headed_bytes, split_stamp, twist_bytes
-from tactile_ros.conversions import numbers_from_pose, transform_stamped
+from tactile_ros.conversions import MessageError, numbers_from_pose, transform_stamped
 from tactile_ros.external_arm import ExternalArm
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
-from tactile_ros.parameters import SettingsParameters
+from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
 
 read_state = HeadedReader(ContactState)
@@ -74,6 +75,7 @@ class ArmNode(ManagedNode):
     def __init__(self, hosted: ArmScene | None = None, **kwargs: Any) -> None:
         super().__init__("arm", **kwargs)
         self.settings = SettingsParameters(self, ArmNodeSettings(), read_only=("scene", "status_rate"))
+        self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.hosted = hosted
         self.estop = ""  # why; it outlives a deactivation
 
@@ -99,7 +101,9 @@ class ArmNode(ManagedNode):
         self.serve(Trigger, "arm/estop", self._serve_estop)
         self.serve(Trigger, "arm/reset", self._serve_reset)
         if scene.sensor is not None:
-            self.subscribe(ContactState, topics.STATE.name, self._take_contact, STATE, raw=True)
+            self.subscribe(
+                ContactState, topics.STATE.name, self._take_contact, STATE, raw=True, frame=self.frame
+            )
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self._forget()
         if self.hosted is None:
@@ -217,13 +221,16 @@ class ArmNode(ManagedNode):
             self._commanded_at = time.monotonic()
 
     def _take_contact(self, data: bytes) -> None:
-        """What the sensor feels, in whose frame, bounds the motion."""
-        stamp_ns, frame_id, numbers = read_state(data)
+        """What the sensor feels bounds the motion."""
+        stamp_ns, _, numbers = read_state(data)
         xi, flags = np.array(numbers[XI]), int(numbers[FLAGS])
         if flags & ContactState.NO_CONTACT:
             self.safe.take_contact(stamp_ns, None)
-        elif frame_id == self.frame and not flags & ContactState.INVALID and np.isfinite(xi).all():
-            self.safe.take_contact(stamp_ns, se3.exp(xi))
+        elif not flags & ContactState.INVALID:
+            X_sf = se3.exp(xi) if np.isfinite(xi).all() else np.full((4, 4), np.nan)
+            if objection := self.bounds.objection(X_sf):
+                raise MessageError(objection)
+            self.safe.take_contact(stamp_ns, X_sf)
 
     def _on_estop(self, message: Bool) -> None:
         """An emergency stop of all arms; the topic cannot take it back."""

@@ -108,7 +108,7 @@ class CollectorNode(TaskNode):
         self.preprocessor = Preprocessor(self.preprocessing.value)
         self.presence = ContactPresence(self.presence_settings.value)
         age = self.task_settings.value.watchdog.image_age
-        self.subscribe(Image, IMAGE_TOPIC.name, self._take_image, IMAGE, age, raw=True)
+        self.subscribe(Image, IMAGE_TOPIC.name, self._take_image, IMAGE, age, raw=True, stamped=True)
         self.open_task(self.settings.value.step_period, on_transform=self._match_image)
 
     def activate(self) -> None:

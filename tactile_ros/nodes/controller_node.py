@@ -17,16 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
+from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import STATE as STATE_TOPIC
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.tasks import TASKS
 from tactile_filter import se3
+from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import HeadedReader
+from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
-from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only
+from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.task_messages import feedback_message, named_goal, status_bytes, with_settings
 from tactile_ros.task_node import ZERO, Run, TaskNode
@@ -77,6 +80,7 @@ class ControllerNode(TaskNode):
             self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period",)
         )
         self.settings = GroupParameters(self, self.task_type.settings_class(), self._configure_task)
+        self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.last: Command | None = None
         self.goals = 0
         self.goal_name = ""
@@ -89,7 +93,15 @@ class ControllerNode(TaskNode):
         if self.task_type.needs_sensor:
             age = getattr(self.settings.value.group("watchdog"), "belief_age", 0.0)
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
-            self.subscribe(ContactState, STATE_TOPIC.name, self._take_state, STATE, age, raw=True)
+            self.subscribe(
+                ContactState,
+                STATE_TOPIC.name,
+                self._take_state,
+                STATE,
+                age,
+                raw=True,
+                frame=self.sensor_frame,
+            )
         self.open_task(self.timing.value.watchdog_period)
 
     def activate(self) -> None:
@@ -109,6 +121,9 @@ class ControllerNode(TaskNode):
     def _take_state(self, data: bytes) -> None:
         received_ns = self.now_ns()
         stamp_ns, _, numbers = read_state(data)
+        if self.belief is not None and stamp_ns < self.belief.stamp_ns:
+            behind = (self.belief.stamp_ns - stamp_ns) / SECOND_NS
+            raise MessageError(f"its stamp is {behind:.3f} s before that of the last belief")
         xi, flags = numbers[XI], int(numbers[FLAGS])
         if self.presence is None or stamp_ns > self.presence.stamp_ns:
             self.presence = StampedPresence(stamp_ns, not flags & ContactState.NO_CONTACT)
@@ -119,12 +134,15 @@ class ControllerNode(TaskNode):
         self.latency.note(stamp_ns, received_ns, self.last_step_ns, lost)
 
     def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
-        """Keep the belief; one that is not finite is as if it had not come, and the watchdog acts on that."""
-        if not np.isfinite(xi).all():
+        """Keep the belief; one that cannot be is as if it had not come, and the watchdog acts on that."""
+        finite = np.isfinite(xi).all()
+        mean = se3.exp(xi) if finite else np.full((4, 4), np.nan)
+        objection = self.bounds.objection(mean) if finite else f"xi is not finite: {xi.tolist()}"
+        if objection:
             self.count("beliefs refused")
-            self.warn("belief", f"contact/state refused: xi is not finite: {xi.tolist()}")
+            self.warn("belief", f"contact/state refused: {objection}")
             return
-        self.belief = StampedPose(stamp_ns, se3.exp(xi))
+        self.belief = StampedPose(stamp_ns, mean)
 
     # ---- steps ----
 

@@ -7,11 +7,14 @@ encoding, wrong size) and answers of the network that are not a Gaussian are ref
 /diagnostics.
 
 After activation the first images, taken without contact, become the reference of the contact presence; until
-then nothing is published. `~/capture_reference` (std_srvs/Trigger) takes a new one.
+then nothing is published. Images in which the network sees a contact, or that differ from the last reference
+as contact does, are refused, and the last one stays. `~/capture_reference` (std_srvs/Trigger) takes a new one
+that may differ.
 """
 
 from __future__ import annotations
 
+import functools
 import sys
 from dataclasses import dataclass
 
@@ -84,13 +87,15 @@ class EstimatorNode(ManagedNode):
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
         outlook = "the next images become the reference"
-        self.serve_request(Trigger, "~/capture_reference", lambda request: self.presence.reset(), outlook)
-        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.images.value.age_limit, raw=True)
+        capture = functools.partial(self.presence.capture, compare=False)
+        self.serve_request(Trigger, "~/capture_reference", lambda request: capture(), outlook)
+        age = self.images.value.age_limit
+        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, age, raw=True, stamped=True)
 
     def activate(self) -> None:
-        """Start with a new reference image."""
+        """Take a new reference image; the last one stays if that is none."""
         self.last_stamp_ns = 0
-        self.presence.reset()
+        self.presence.capture()
 
     def _receive(self, data: bytes) -> None:
         received_ns = self.now_ns()
@@ -105,7 +110,7 @@ class EstimatorNode(ManagedNode):
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
         percept = self.perceive(image)
         if percept.in_contact is None:
-            self._tell_reference()
+            self._tell_reference(percept.fault)
             return
         self._publish_estimate(percept, stamp_ns)
         emitted_ns = self.now_ns()
@@ -145,8 +150,12 @@ class EstimatorNode(ManagedNode):
     def _dropped(self) -> int:
         return sum(self.counters[name] for name in DROPPED)
 
-    def _tell_reference(self) -> None:
-        if self.presence.ready:
+    def _tell_reference(self, refused: str) -> None:
+        if refused:
+            outlook = "the last one stays" if self.presence.ready else "nothing is published without one"
+            text = f"reference of the contact presence refused: {refused}; {outlook}. Lift the sensor off"
+            self._refuse("references refused", f"{text} and call {self.get_name()}/capture_reference")
+        elif self.presence.ready:
             self.get_logger().info(
                 "reference of the contact presence taken: nothing may have touched the sensor"
             )

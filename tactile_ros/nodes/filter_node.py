@@ -22,15 +22,16 @@ from tactile_base import topics
 from tactile_base.stamps import parts_from_ns
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
+from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
-from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
-from tactile_ros.parameters import SettingsParameters
+from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.transforms import (
     BeliefInputSettings,
@@ -40,7 +41,7 @@ from tactile_ros.transforms import (
     serve_reset,
 )
 
-PRESENCE = topics.PRESENCE.name
+PRESENCE, ESTIMATE = topics.PRESENCE.name, topics.ESTIMATE.name
 read_presence = HeadedReader(ContactPresence)
 
 
@@ -55,12 +56,14 @@ class FilterNode(ManagedNode):
         self.inputs = SettingsParameters(
             self, BeliefInputSettings(), prefix="inputs", read_only=("age_limit",)
         )
-        self.filter = ContactFilter(self.settings.value)
+        self.bounds = fixed_settings(self, ContactBounds(), "bounds")
+        self.filter = ContactFilter(self.settings.value, self.bounds)
         self.monitor = ConsistencyMonitor()
         consistency = SettingsParameters(
             self, ConsistencySettings(), prefix="consistency", on_change=self.monitor.configure
         )
         self.monitor.configure(consistency.value)
+        self.limits = fixed_settings(self, MotionLimits(), "transforms")
         self.no_contact_ns = -1
         self.join = measurement_join()
 
@@ -73,28 +76,35 @@ class FilterNode(ManagedNode):
         self.frame_out = FramePublisher(
             self, self.sensor_frame, contact_frame, rate=lambda: self.inputs.value.tf_rate
         )
+        lookup = self.base_frame, self.sensor_frame
         self.transforms = TransformListener(
-            self, on_update=self._pump, on_jump=self._jumped, ignore=(contact_frame,)
+            self,
+            on_update=self._pump,
+            on_jump=lambda reason: self._restart("/tf started anew"),
+            ignore=(contact_frame,),
+            frames=[lookup],
+            limits=self.limits,
         )
         self.gate = TransformGate(
             self,
             self.join,
             self.transforms,
-            (self.base_frame, self.sensor_frame),
+            lookup,
             timeout=lambda: self.inputs.value.tf_timeout,
             deliver=self._process,
             drop=self._drop,
         )
         limit = self.inputs.value.age_limit
-        self.subscribe(ContactPresence, PRESENCE, self._take_presence, STATE, limit, raw=True)
+        frame = self.sensor_frame
+        self.subscribe(ContactPresence, PRESENCE, self._take_presence, STATE, limit, raw=True, frame=frame)
         self.estimates = self.subscribe(
-            PoseWithCovarianceStamped, topics.ESTIMATE.name, self._take_estimate, STATE, limit, raw=True
+            PoseWithCovarianceStamped, ESTIMATE, self._take_estimate, STATE, limit, raw=True, frame=frame
         )
-        serve_reset(self, lambda: self.filter.reset("service"), "the next measurement starts a new belief")
+        serve_reset(self, lambda: self._restart("service"), "the next measurement starts a new belief")
 
     def activate(self) -> None:
         """Start with a new filter and without pending inputs."""
-        self.filter = ContactFilter(self.settings.value)
+        self.filter = ContactFilter(self.settings.value, self.bounds)
         self.report.values.clear()
         self._clear_inputs()
 
@@ -108,10 +118,7 @@ class FilterNode(ManagedNode):
             self._take("presence", stamp_ns, in_contact)
 
     def _take_estimate(self, data: bytes) -> None:
-        stamp_ns, frame_id, numbers = read_gaussian(data)
-        if frame_id != self.sensor_frame:
-            self._refuse(f"frame is '{frame_id}', must be '{self.sensor_frame}'")
-            return
+        stamp_ns, _, numbers = read_gaussian(data)
         try:
             estimate = gaussian_from_numbers(numbers)
         except MessageError as error:
@@ -153,8 +160,8 @@ class FilterNode(ManagedNode):
         self.count("estimates dropped")
         self.warn("drop", f"estimate dropped ({self.counters['estimates dropped']} so far): {reason}")
 
-    def _jumped(self, seconds: float) -> None:
-        self.filter.reset("time jumped back")
+    def _restart(self, reason: str) -> None:
+        self.filter.reset(reason)
         self._clear_inputs()
 
     # ---- steps ----

@@ -25,17 +25,19 @@ from numpy.typing import NDArray
 from tactile_base import topics
 from tactile_base.settings import SettingError, setting
 from tactile_base.stamps import SECOND_NS
+from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
 from tactile_filter.gaussian import ros_from_left
 from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
+from tactile_filter.transform_buffer import MotionLimits
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
-from tactile_ros.parameters import SettingsParameters, declare_read_only
+from tactile_ros.parameters import SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.transforms import (
     BeliefInputSettings,
@@ -82,8 +84,10 @@ class ArmInput:
         )
         belief, state = self.topics
         limit = node.inputs.value.age_limit
-        node.subscribe(PoseWithCovarianceStamped, belief, self._take_belief, STATE, raw=True)
-        node.subscribe(ContactState, state, self._take_state, STATE, limit, raw=True)
+        node.subscribe(
+            PoseWithCovarianceStamped, belief, self._take_belief, STATE, raw=True, frame=self.frame
+        )
+        node.subscribe(ContactState, state, self._take_state, STATE, limit, raw=True, frame=self.frame)
 
     def clear(self) -> None:
         """Forget what waits, and all stamps."""
@@ -99,16 +103,12 @@ class ArmInput:
         return self.join.dropped + self.join.late + self._node.counters[lost_counter(self.topics[0])]
 
     def _take_belief(self, data: bytes) -> None:
-        stamp_ns, frame_id, numbers = read_gaussian(data)
-        if frame_id != self.frame:
-            self._refuse(f"frame is '{frame_id}', must be '{self.frame}'")
-            return
-        try:
-            belief = gaussian_from_numbers(numbers)
-        except MessageError as error:
-            self._refuse(str(error))
-        else:
-            self._take("estimate", stamp_ns, belief)
+        stamp_ns, _, numbers = read_gaussian(data)
+        belief = gaussian_from_numbers(numbers)
+        objection = self._node.bounds.objection(belief.mean)
+        if objection:
+            raise MessageError(objection)
+        self._take("estimate", stamp_ns, belief)
 
     def _take_state(self, data: bytes) -> None:
         stamp_ns, _, numbers = read_state(data)
@@ -159,6 +159,8 @@ class ObjectNode(ManagedNode):
         self.inputs = SettingsParameters(
             self, ObjectInputSettings(), prefix="inputs", read_only=("age_limit",)
         )
+        self.limits = fixed_settings(self, MotionLimits(), "transforms")
+        self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.places = {
             arm: SettingsParameters(
                 self,
@@ -184,12 +186,14 @@ class ObjectNode(ManagedNode):
         self.transforms = TransformListener(
             self,
             on_update=self._pump,
-            on_jump=lambda seconds: self._clear("time jumped back"),
+            on_jump=lambda reason: self._clear("/tf started anew"),
             ignore=(self.object_frame,),
+            frames=[(self.world_frame, topics.sensor_frame(arm)) for arm in self.arms],
+            limits=self.limits,
         )
         self.contacts = [ArmInput(self, arm) for arm in self.arms]
         self.timer(MERGE_PERIOD, self._hand_on)
-        serve_reset(self, lambda: self._reset("service"), "the next contacts count anew")
+        serve_reset(self, lambda: self._clear("service"), "the next contacts count anew")
 
     def activate(self) -> None:
         """Start without contacts and without pending inputs."""
@@ -204,7 +208,7 @@ class ObjectNode(ManagedNode):
 
     def jumped(self, seconds: float, where: str) -> None:
         """Start anew in the time after a jump."""
-        self.count("backward time jumps")
+        self.count("restarts")
         self.warn("jump", f"time jumped back by {seconds:.3f} s {where}: all contacts are forgotten")
         self._clear("time jumped back")
 

@@ -9,10 +9,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tactile_filter import se3
 from tactile_filter.transform_buffer import (
+    MotionLimits,
     TransformBuffer,
     TransformDisconnected,
     TransformInFuture,
     TransformInPast,
+    TransformJump,
     TransformUnavailable,
 )
 
@@ -146,11 +148,12 @@ def test_of_two_transforms_of_one_stamp_the_later_holds():
     np.testing.assert_allclose(buffer.lookup("a", "b", 10 * MS), MOUNT, atol=1e-16)
 
 
-def test_a_jump_back_in_time_clears_all_but_static_transforms_and_is_answered_with_its_size():
+def test_a_jump_back_in_time_clears_all_but_static_transforms_and_is_answered_with_its_size_and_frame():
     buffer = arm_buffer()
     buffer.set_transform("base", "other", 100 * SECOND, np.eye(4))
     assert not buffer.set_transform("base", "tool", 100 * SECOND, np.eye(4))
-    assert buffer.set_transform("base", "tool", 0, tool_at(50 * MS)) == 100 * SECOND
+    answer = buffer.set_transform("base", "tool", 0, tool_at(50 * MS))
+    assert answer == "time jumped back by 100.000 s in the transforms of 'tool'"
     np.testing.assert_allclose(buffer.lookup("base", "sensor", 0), tool_at(50 * MS) @ MOUNT, atol=1e-13)
     with pytest.raises(TransformDisconnected, match="'other' is unknown"):
         buffer.lookup("base", "other", 0)
@@ -200,3 +203,97 @@ def test_what_a_lookup_answers_belongs_to_the_caller():
     buffer.set_transform("base", "tool", 0, np.eye(4))
     buffer.lookup("base", "tool", 0)[0, 3] = 1.0
     assert buffer.lookup("base", "tool", 0)[0, 3] == 0.0
+
+
+def guarded() -> TransformBuffer:
+    """An arm that moves at 0.1 m/s along x, a transform each 10 ms, looked up from its base to its sensor."""
+    buffer = TransformBuffer(limits=MotionLimits(), frames=[("base", "sensor")])
+    buffer.set_transform("tool", "sensor", 0, MOUNT, static=True)
+    for k in range(10):
+        buffer.set_transform("base", "tool", k * 10 * MS, moved(k))
+    return buffer
+
+
+def moved(k: int, away: float = 0.0) -> np.ndarray:
+    return se3.exp([1e-3 * k + away, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_a_transform_that_nothing_can_have_reached_is_refused_by_name_and_changes_nothing():
+    buffer = guarded()
+    with pytest.raises(
+        TransformJump, match=r"'base' -> 'tool' jumped by 140 mm in 10 ms \(14 m/s, limit 1 m/s\)"
+    ):
+        buffer.set_transform("base", "tool", 100 * MS, moved(9, 0.14))
+    turned = moved(9) @ se3.exp([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    with pytest.raises(TransformJump, match=r"turned by 57 degrees in 10 ms \(100 rad/s, limit 6.28 rad/s\)"):
+        buffer.set_transform("base", "tool", 100 * MS, turned)
+    assert buffer.newest("base", "tool")[0] == 90 * MS
+    buffer.set_transform("base", "tool", 110 * MS, moved(11))
+    np.testing.assert_allclose(buffer.lookup("base", "tool", 100 * MS), moved(10), atol=1e-12)
+
+
+@pytest.mark.parametrize("stamp_ns", [45 * MS, 40 * MS])
+def test_a_jump_among_transforms_that_came_before_is_refused_too(stamp_ns):
+    buffer = guarded()
+    with pytest.raises(TransformJump):
+        buffer.set_transform("base", "tool", stamp_ns, moved(4, 0.14))
+    np.testing.assert_allclose(buffer.lookup("base", "tool", 40 * MS), moved(4), atol=1e-12)
+
+
+def test_a_frame_that_stays_where_it_jumped_to_is_believed_after_a_time_and_the_old_place_is_forgotten():
+    buffer, answers = guarded(), []
+    for k in range(10, 70):
+        try:
+            answers.append((k, buffer.set_transform("base", "tool", k * 10 * MS, moved(k, 0.14))))
+        except TransformJump:
+            continue
+    reason = "'base' -> 'tool' jumped by 191 mm in 10 ms (19.1 m/s, limit 1 m/s) and stayed there"
+    assert answers[0] == (60, reason)
+    assert [answer for _, answer in answers[1:]] == [""] * 9
+    np.testing.assert_allclose(buffer.lookup("base", "tool", 155 * MS), moved(15, 0.1405), atol=1e-12)
+    with pytest.raises(TransformInPast):
+        buffer.lookup("base", "tool", 95 * MS)
+
+
+def test_jumps_that_do_not_agree_or_stand_between_sound_transforms_are_never_believed():
+    buffer = guarded()
+    for k in range(10, 200):
+        with pytest.raises(TransformJump):
+            buffer.set_transform("base", "tool", k * 10 * MS - 5 * MS, moved(k, 0.14))
+        buffer.set_transform("base", "tool", k * 10 * MS, moved(k))
+    far = guarded()
+    for k in range(10, 100):
+        with pytest.raises(TransformJump):
+            far.set_transform("base", "tool", k * 10 * MS, moved(k, 3.0 if k % 2 else 6.0))
+
+
+def test_after_a_silence_a_frame_may_be_as_far_away_as_it_can_have_gone():
+    buffer = guarded()
+    with pytest.raises(TransformJump):
+        buffer.set_transform("base", "tool", 190 * MS, moved(9, 0.12))
+    assert not buffer.set_transform("base", "tool", 190 * MS, moved(9, 0.1))
+
+
+def test_frames_between_which_nothing_is_looked_up_may_jump_and_go_back_in_time():
+    buffer = guarded()
+    for stamp_ns in (0, 9 * SECOND, 0, 10 * MS):
+        assert not buffer.set_transform("base", "drone", stamp_ns, moved(9, float(stamp_ns)))
+    assert buffer.newest("base", "sensor")[0] == 90 * MS
+
+
+@pytest.mark.parametrize(
+    ("parent", "child", "static"),
+    [("world", "tool", False), ("base", "tool", True), ("tool", "sensor", False), ("base", "sensor", True)],
+)
+def test_a_frame_that_is_looked_up_keeps_its_parent_and_whether_it_moves(parent, child, static):
+    buffer = guarded()
+    with pytest.raises(TransformJump, match="it hangs below"):
+        buffer.set_transform(parent, child, 90 * MS, np.eye(4), static=static)
+    np.testing.assert_allclose(buffer.lookup("base", "sensor", 90 * MS), moved(9) @ MOUNT, atol=1e-12)
+
+
+def test_a_static_transform_may_be_corrected_but_not_jump():
+    buffer = guarded()
+    with pytest.raises(TransformJump):
+        buffer.set_transform("tool", "sensor", 0, MOUNT @ moved(20), static=True)
+    assert not buffer.set_transform("tool", "sensor", 0, MOUNT @ moved(2), static=True)

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from tactile_drivers.shapes.plane import Plane
+from tactile_drivers.sim.tactip import TacTip
+from tactile_filter import se3
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
@@ -17,7 +20,7 @@ def presence() -> ContactPresence:
 
 
 def test_an_estimate_is_made_in_contact_only(constant_model):
-    estimator = Estimator(constant_model((0, 0, -3.0, 0, 0, 0)))
+    estimator = Estimator(constant_model((0, 0, -1.0, 0, 0, 0)))
     perceive = Perceiver(estimator, presence())
     percepts = [perceive(image) for image in (FREE, FREE, FREE, TOUCHED, FREE)]
     assert [percept.in_contact for percept in percepts] == [None, None, False, True, False]
@@ -44,3 +47,32 @@ def test_an_answer_that_is_no_gaussian_leaves_the_presence_and_says_why(constant
 def test_an_image_of_the_wrong_size_is_an_error(constant_model):
     with pytest.raises(ImageError, match="640x480"):
         Perceiver(Estimator(constant_model()), presence())(FREE[:100])
+
+
+def test_images_in_which_the_network_sees_a_contact_are_no_reference(constant_model):
+    perceive = Perceiver(Estimator(constant_model((0, 0, -3.1, 0, 0, 0))), presence())
+    percepts = [perceive(FREE) for _ in range(4)]
+    assert [percept.in_contact for percept in percepts] == [None] * 4
+    assert [percept.fault for percept in percepts[::2]] == ["", ""]
+    assert (
+        percepts[1].fault
+        == percepts[3].fault
+        == "the network sees a contact of 3.1 mm, must be at most 1.2 mm"
+    )
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "refused"), [(None, False), (0.3, False), (1.6, True), (3.1, True), (6.0, True)]
+)
+def test_the_shipped_network_knows_a_contact_from_none(depth_mm, refused):
+    sensor, perceive = TacTip(seed=5), Perceiver(Estimator(), presence())
+    if depth_mm is not None:
+        for height in (0.0205, 0.020 - depth_mm * 1e-3):
+            sensor.advance(Plane(), se3.pose_from_euler([0, 0, height, np.pi, 0, 0]))
+    percepts = [perceive(sensor.image()) for _ in range(2)]
+    assert bool(percepts[1].fault) == refused
+
+
+def test_a_covered_camera_gives_no_reference():
+    perceive = Perceiver(Estimator(), presence())
+    assert [perceive(TOUCHED).fault for _ in range(2)][1].startswith("the network sees a contact")

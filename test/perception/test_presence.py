@@ -173,3 +173,39 @@ def test_what_is_no_image_is_a_full_change(value):
     """Numbers that a prepared image never has must not overflow the sums."""
     image, nothing = np.full((128, 128), value, np.float32), np.zeros((128, 128), np.float32)
     assert _image.largest_change(image, nothing, nothing, 129) == pytest.approx(1.0, abs=1e-5)
+
+
+def taken(presence, preprocessor, sensor) -> str:
+    """Capture a reference; why it was refused."""
+    answers = [
+        presence.update(preprocessor(sensor.image())) for _ in range(presence.settings.reference_frames)
+    ]
+    assert all(answer.in_contact is None for answer in answers)
+    return answers[-1].refused
+
+
+def test_a_reference_that_shows_contact_is_refused_and_the_last_one_stays(presence, sensor, preprocessor):
+    pressed(sensor, 3.1)
+    presence.capture()
+    assert not presence.ready
+    assert "its change against the last one is " in taken(presence, preprocessor, sensor)
+    assert presence.ready and presence.update(preprocessor(sensor.image())).in_contact
+    sensor.reset()
+    presence.capture()
+    assert taken(presence, preprocessor, sensor) == ""
+    assert not presence.update(preprocessor(sensor.image())).in_contact
+
+
+def test_who_asks_for_a_new_reference_gets_it_however_different(presence, sensor, preprocessor):
+    pressed(sensor, 3.1)
+    presence.capture(compare=False)
+    assert taken(presence, preprocessor, sensor) == ""
+    assert not presence.update(preprocessor(sensor.image())).in_contact
+
+
+def test_without_a_reference_before_images_are_captured_until_there_is_no_objection(sensor, preprocessor):
+    presence, objections = ContactPresence(), ["touched", "touched", ""]
+    presence.objection = lambda prepared: objections.pop(0)
+    sensor.reset()
+    assert [taken(presence, preprocessor, sensor) for _ in range(3)] == ["touched", "touched", ""]
+    assert presence.ready

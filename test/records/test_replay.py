@@ -77,7 +77,8 @@ def test_the_order_in_which_messages_came_does_not_matter(tmp_path):
             by_topic.setdefault(message[0], []).append(message)
         topics = [message[0] for message in source.messages]
         random.Random(seed).shuffle(topics)
-        messages = [(*by_topic[topic].pop(0)[:3], START_NS + k) for k, topic in enumerate(topics)]
+        end_ns = START_NS + 10_000_000_000
+        messages = [(*by_topic[topic].pop(0)[:3], end_ns + k) for k, topic in enumerate(topics)]
         _, (run,) = replayed(bags.Recording(messages).write(tmp_path / f"bag{seed}"))
         assert same(run.beliefs, believed(source))
 

@@ -9,6 +9,7 @@ from replay_bags import (
     STEP_NS,
     STORE,
     TRANSFORMS,
+    Recording,
     T_base_sensor,
     believed,
     header,
@@ -257,3 +258,59 @@ def test_columns_are_the_numbers_of_the_messages():
                 stamp = columns.stamps_ns(f"transforms.{n}.header.stamp")[row]
                 assert stamp == START_NS + index - (index > 11)
     assert sorted([*seen, 11]) == list(range(41)) and reader.unreadable[0][0] == 11
+
+
+def inserted(source, part, at: int) -> None:
+    """Put the last message of another recording among those of a source, as received there."""
+    topic, kind, data, _ = part.messages[-1]
+    source.messages.insert(at, (topic, kind, data, source.messages[at - 1][3]))
+
+
+def test_what_live_nodes_refuse_of_lies_changes_no_belief_and_is_named(tmp_path):
+    source, lie = recording(60, touching=lambda k: True), recording(1)
+    expected = means(believed(source))
+    for at, k in ((200, 35), (120, 20), (60, 10)):
+        stamp_ns = START_NS + k * STEP_NS + STEP_NS // 4
+        lie.move(stamp_ns, se3.exp([0.14, 0.0, 0.0, 0.0, 0.0, 0.0]) @ T_base_sensor(k * STEP_NS * 1e-9))
+        inserted(source, lie, at)
+        lie.transforms("/tf", 0, transform(stamp_ns - k * 10**9, "map", "drone", np.eye(4)))
+        inserted(source, lie, at)
+        lie.move(stamp_ns + 100 * 10**9, np.eye(4))
+        inserted(source, lie, at)
+        lie.estimate(stamp_ns + 100 * 10**9, measured(0.0, np.random.default_rng(0)))
+        inserted(source, lie, at)
+        lie.presence(stamp_ns, False)
+        topic, kind, data, _ = lie.messages[-1]
+        lie.messages.append((topic, kind, data.replace(b"arm/", b"ARM/"), 0))
+        inserted(source, lie, at)
+    inputs, (run,) = replayed(source, tmp_path / "bag")
+    assert means(run.beliefs) == expected
+    assert inputs.remarks == [
+        "/tf: 3 transforms of 'arm/tool' are stamped ahead of the clock and passed over",
+        "/tf: 3 transforms of 'arm/tool' jumped and are passed over",
+    ]
+    assert inputs.arms[0].remarks == [
+        "/arm/contact/estimate: 3 messages are stamped ahead of the clock and passed over",
+        "3 presences are not in frame 'arm/tactile_sensor'",
+    ]
+
+
+def test_where_the_arm_jumped_and_stayed_the_filter_starts_anew_and_no_pose_lies_between(tmp_path):
+    source, away = Recording(), se3.exp([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    source.static()
+    random = np.random.default_rng(1)
+    for k in range(100):
+        stamp_ns, seconds = START_NS + k * STEP_NS, k * STEP_NS * 1e-9
+        T = T_base_sensor(seconds) if k < 30 else away @ T_base_sensor(seconds)
+        source.move(stamp_ns - 1000, T)
+        source.move(stamp_ns + 1000, T)
+        source.estimate(stamp_ns, measured(seconds, random))
+        source.presence(stamp_ns, True)
+    inputs, (run,) = replayed(source, tmp_path / "bag")
+    assert len(inputs.remarks) == 1
+    assert "'arm/base' -> 'arm/tool' jumped by 20" in inputs.remarks[0]
+    assert inputs.remarks[0].endswith("and stayed there: the filter starts anew there")
+    assert [k for k, b in enumerate(run.beliefs) if b.flags & BeliefFlag.REINITIALIZED] == [0, 30]
+    y = [measurement.T_base_sensor[0, 3] for measurement in inputs.arms[0].measurements]
+    assert np.flatnonzero(np.abs(np.diff(y)) > 0.01).tolist() == [29]
+    assert y[30] - y[29] > 0.199

@@ -49,6 +49,7 @@ class World:
         self.depth = 0.003
         self.in_contact = True
         self.images = True
+        self.lie = lambda message: None
         self.last_stamp = 0
         self.twists.clear()
         self.statuses.clear()
@@ -74,6 +75,12 @@ class World:
             self.state_out.publish(self.state(stamp_ns))
 
     def state(self, stamp_ns: int) -> ContactState:
+        """What the filter says; `lie` changes it."""
+        message = self.true_state(stamp_ns)
+        self.lie(message)
+        return message
+
+    def true_state(self, stamp_ns: int) -> ContactState:
         xi = np.array([0.0, 0.0, -self.depth, 0.0, 0.0, 0.0])
         there = not self.statuses or self.phase() not in ("idle", "done", "failed", "leave")
         flags = (
@@ -332,6 +339,82 @@ def test_a_nan_belief_never_reaches_the_arm(world):
     result = world.result(handle)
     assert not result.success
     assert all(np.all(np.isfinite(m.twist)) for m in world.twists)
+
+
+def deep(message) -> None:
+    message.xi[2] = -0.02
+
+
+def elsewhere(message) -> None:
+    message.xi[0] = 10.0
+
+
+def of_another_sensor(message) -> None:
+    message.header.frame_id = "left/tactile_sensor"
+
+
+def of_the_future(message) -> None:
+    message.header.stamp.sec += 100
+
+
+@pytest.mark.parametrize(
+    ("lie", "counter", "complaint"),
+    [
+        (deep, "beliefs refused", "contact/state refused: depth is 20 mm, must be in [-5, 15] mm"),
+        (elsewhere, "beliefs refused", "contact/state refused: shear is 1e+04 mm"),
+        (of_another_sensor, "contact/state messages refused", "frame is 'left/tactile_sensor', must be"),
+        (of_the_future, "contact/state messages refused", "s ahead of the clock (limit 0.1 s)"),
+    ],
+)
+def test_beliefs_that_cannot_be_are_not_acted_on_and_the_arm_stops(world, lie, counter, complaint):
+    handle = world.following()
+    world.patience(1.0)
+    world.lie = lie
+    report = world.graph.wait_for_count("controller", counter) if world.run_until(world.rests) else None
+    assert complaint in report.message
+    result = world.result(handle)
+    assert not result.success and "belief" in result.reason
+    speeds = [np.linalg.norm(m.twist[:3]) for m in world.twists]
+    assert max(speeds) < 0.013, "the speed of the task, and no more"
+
+
+def of_long_ago(message) -> None:
+    message.header.stamp.sec -= 100
+
+
+def test_one_belief_of_another_time_or_sensor_changes_nothing(world):
+    world.following()
+    for lie in (of_the_future, of_long_ago, of_another_sensor, deep):
+        world.lie = lie
+        world.step()
+        world.lie = lambda message: None
+        count = len(world.statuses)
+        assert world.run_until(lambda count=count: len(world.statuses) > count + 15)
+        assert world.phase() == "follow" and world.twist()[1] > 0.005
+
+
+def test_a_stray_transform_is_refused_and_counts_for_no_way(world):
+    handle = world.following()
+    begun = world.statuses[-1].progress
+    for _ in range(20):
+        world.arm.at(world.graph.now_ns(), se3.exp([0.14, 0.0, 0.0, 0.0, 0.0, 0.0]) @ world.T)
+        world.graph.spin(PERIOD / 2)
+        world.step()
+        world.graph.spin(PERIOD / 2)
+    report = world.graph.wait_for_count("controller", "transforms refused", 10)
+    assert "'arm/base' -> 'arm/tool' jumped by 1" in report.message
+    assert world.phase() == "follow" and world.statuses[-1].progress - begun < 0.05
+    handle.cancel_goal_async()
+    assert world.result(handle).path_length < 0.1
+
+
+def test_an_arm_that_is_suddenly_elsewhere_stops_the_task(world):
+    handle = world.following()
+    world.T = se3.exp([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]) @ world.T
+    result = world.result(handle)
+    assert not result.success
+    assert "'arm/base' -> 'arm/tool' jumped by 2" in result.reason and "stayed there" in result.reason
+    world.graph.spin(0.3)  # it may be back by then
 
 
 def test_time_that_jumps_back_stops_the_task_and_says_so(world):

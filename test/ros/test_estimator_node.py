@@ -170,6 +170,36 @@ def test_nothing_is_published_before_the_reference_is_there_nor_while_a_new_one_
     assert stamps(camera.estimates) == stamps(camera.presences) == {answered}
 
 
+def test_a_reference_that_looks_like_contact_is_refused_at_activation_and_the_last_one_stays(camera):
+    camera.graph.restart("estimator")
+    camera.sent = 0
+    for _ in range(REFERENCE_FRAMES):
+        camera.send()  # in contact
+    report = camera.graph.wait_for_count("estimator", "references refused")
+    assert "reference of the contact presence refused: its change against the last one is" in report.message
+    assert "the last one stays" in report.message
+    assert camera.answered(camera.send()), "and contact is told"
+    assert camera.graph.call(Trigger, "estimator/capture_reference", Trigger.Request()).success
+    for _ in range(REFERENCE_FRAMES):
+        camera.send()
+    untouched = camera.send()
+    assert camera.graph.wait(lambda: untouched in stamps(camera.presences))
+    assert not camera.presences[-1].in_contact
+    assert camera.graph.call(Trigger, "estimator/capture_reference", Trigger.Request()).success
+    camera.reference()
+
+
+def test_an_image_of_the_future_is_refused_and_the_next_one_taken(camera):
+    before = camera.stamp_ns
+    camera.stamp_ns = time.time_ns() + 10 * SECOND
+    early = camera.send()
+    report = camera.graph.wait_for_count("estimator", "tactile/image messages refused")
+    assert "tactile/image refused: its stamp is" in report.message and "ahead of the clock" in report.message
+    camera.stamp_ns = before
+    assert camera.answered(camera.send())
+    assert early not in stamps(camera.estimates)
+
+
 @pytest.mark.parametrize(
     ("message", "complaint"),
     [

@@ -40,6 +40,7 @@ class Node:
     def __init__(self) -> None:
         self.receive: dict = {}
         self.counters: dict[str, int] = {}
+        self.warnings: list[str] = []
 
     def subscribe(self, message_type, topic, callback, profile, always, raw) -> None:
         assert raw
@@ -52,7 +53,10 @@ class Node:
         self.counters[what] = self.counters.get(what, 0) + 1
 
     def warn(self, key: str, text: str) -> None:
-        """Counted already."""
+        self.warnings.append(text)
+
+    def check_stamp(self, stamp_ns: int) -> None:
+        """The clock of this node has no limit."""
 
     def send(self, *sent) -> None:
         self.receive["/tf"](serialize_message(TFMessage(transforms=list(sent))))
@@ -153,7 +157,7 @@ def test_lookups_are_those_of_tf2(listening):
 
 def test_a_jump_back_is_reported_and_only_the_static_transforms_survive_it(listening):
     listening.node.send(message(BASE, TOOL, START - SECOND))
-    assert listening.jumps == [pytest.approx(1.075, abs=1e-4)]
+    assert listening.jumps == ["/tf: time jumped back by 1.075 s in the transforms of 'arm/tool'"]
     np.testing.assert_allclose(
         listening.listener.lookup(BASE, SENSOR, START - SECOND), TOOL_SENSOR, atol=1e-15
     )
@@ -182,7 +186,7 @@ def test_a_frame_of_the_nodes_own_heard_late_is_no_second_jump():
     node.send(message(BASE, TOOL, START - 9 * SECOND))
     node.send(message(TOOL, "contact", START))
     node.send(message(TOOL, "contact", START - 9 * SECOND))
-    assert jumps == [pytest.approx(9.0)]
+    assert jumps == ["/tf: time jumped back by 9.000 s in the transforms of 'arm/tool'"]
 
 
 @pytest.fixture
