@@ -1,11 +1,14 @@
 """TaskNode: a managed node that moves an arm, by twists, as long as a goal of `run_task` asks for it.
 
-One goal runs at a time: a second one is refused, a cancelled one is told to stop and comes to rest. Without a
-goal the twist is zero, and so is the last one when the node is deactivated or shut down.
+One goal runs at a time. A goal that is refused, as a second one is, is aborted at once with the reason in
+its result, since a rejection could not tell any. A cancelled goal is told to stop and comes to rest; so is
+the one under way when the node is asked to end. Without a goal the twist is zero, and so is the last one when
+the node is deactivated or shut down.
 """
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +17,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from geometry_msgs.msg import TwistStamped
 from numpy.typing import ArrayLike, NDArray
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.duration import Duration
 
 from tactile_base import topics
@@ -67,8 +70,11 @@ class Run:
 class TaskNode(ManagedNode, ABC):
     """Base of nodes that run tasks; fill in `objection`, `accept`, `step`, `travelled` and `periods`."""
 
+    patience: ClassVar[float] = 5.0
     run: Run | None = None
     last_step_ns = 0
+    ending = ""  # why the node is about to end
+    _concluded = -LAST_WORD  # on the steady clock
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -117,11 +123,10 @@ class TaskNode(ManagedNode, ABC):
             RunTask,
             topics.RUN_TASK,
             execute_callback=_nothing_to_execute,
-            goal_callback=self._consider,
             handle_accepted_callback=self._accept,
             cancel_callback=self._cancel,
         )
-        self.release_later(ActionServer.destroy, action)
+        self.release_later(self._close_action, action)
 
     def send_twist(self, twist: ArrayLike) -> int:
         """Publish [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns."""
@@ -148,6 +153,7 @@ class TaskNode(ManagedNode, ABC):
             duration=duration_from_ns(self.now_ns() - self.run.started_ns),
         )
         run, self.run = self.run, None
+        self._concluded = time.monotonic()
         conclude(run.handle, result)
 
     def deactivate(self) -> None:
@@ -156,6 +162,26 @@ class TaskNode(ManagedNode, ABC):
             self.finish_run(f"the {self.get_name()} was deactivated", succeeded=False)
         self.send_twist(ZERO)
         self.twist_out.wait_for_all_acked(Duration(seconds=LAST_WORD))
+
+    def prepare_to_end(self, reason: str) -> None:
+        """Have the task that runs stop and leave the surface; goals are refused from now on."""
+        self.ending = f"the {self.get_name()} was {reason}"
+        if self.run is not None:
+            self.run.task.stop(self.ending)
+
+    def needed(self) -> bool:
+        """Until the task has come to its end."""
+        return self.run is not None
+
+    @property
+    def last_words(self) -> float:
+        """What is left of the time in which the last result reaches who asked for it."""
+        return max(0.0, self._concluded + LAST_WORD - time.monotonic())
+
+    def _close_action(self, action: ActionServer) -> None:
+        """Destroy the action after what the executor still has to do for it: send results, first of all."""
+        assert self.executor is not None
+        self.executor.create_task(action.destroy)
 
     def _tick(self) -> None:
         """The timer: a step if none was made lately."""
@@ -169,16 +195,19 @@ class TaskNode(ManagedNode, ABC):
         if self.run is not None:
             self.run.task.stop(f"time jumped back by {seconds:.3f} s")
 
-    def _consider(self, goal: RunTask.Goal) -> GoalResponse:
-        reason = self.objection(goal) if self.active else f"the {self.get_name()} is not active"
-        if not reason:
-            return GoalResponse.ACCEPT
-        self.count("goals refused")
-        self.warn("goal", f"goal refused: {reason}", period=0.0)
-        return GoalResponse.REJECT
-
     def _accept(self, handle: Any) -> None:
-        self.run = self.accept(handle)
+        refusal = self._refusal(handle.request)
+        if not refusal:
+            self.run = self.accept(handle)
+            return
+        self.count("goals refused")
+        self.warn("goal", f"goal refused: {refusal}", period=0.0)
+        conclude(handle, RunTask.Result(success=False, reason=f"goal refused: {refusal}"))
+
+    def _refusal(self, goal: RunTask.Goal) -> str:
+        if not self.active:
+            return f"the {self.get_name()} is not active"
+        return self.ending or self.objection(goal)
 
     def _cancel(self, handle: Any) -> CancelResponse:
         if self.run is None or handle.goal_id != self.run.handle.goal_id:

@@ -6,6 +6,7 @@ Needs `launch` and `launch_ros`, which a ROS 2 install has.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,11 +20,14 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 
 from launch import LaunchContext, LaunchDescription
+from tactile_base.end_signals import LAUNCHER
 from tactile_bringup.graph import Graph, GraphOptions, NodeProcess, load_graph
 from tactile_bringup.launching.processes import describe_exit
 from tactile_bringup.launching.view import write_view
 
 PACKAGE = "tactile_servoing"
+TASK = "the task"
+SIGTERM_TIMEOUT = "8"  # s after SIGINT; longer than nodes take to end in order (`ManagedNode.patience`)
 FLAGS = ("true", "false")
 ARGUMENTS = {
     "scene": ("", "scene of config/scenes, or the path of a file; empty: the first that the task names"),
@@ -106,21 +110,31 @@ def _node(node: NodeProcess, folder: Path) -> LifecycleNode:
         parameters=[str(file)],
         output="both",
         on_exit=_shut_down(f"node {node.full_name}"),
+        **_ending(),
     )
 
 
 def _runner(task: str, scene: Path, goals: list[str]) -> ExecuteProcess:
     command = [sys.executable, "-m", "tactile_bringup.cli", "run", task, "--scene", str(scene), "--headless"]
     command += ["--goals", *goals] if goals else []
-    return ExecuteProcess(cmd=command, output="screen", name="task", on_exit=_shut_down("the task"))
+    return ExecuteProcess(cmd=command, output="screen", name="task", on_exit=_shut_down(TASK), **_ending())
+
+
+def _ending() -> dict[str, Any]:
+    """What lets a process end in order: time for it, and whom to end with where nobody asks it to."""
+    return {"sigterm_timeout": SIGTERM_TIMEOUT, "additional_env": {LAUNCHER: str(os.getpid())}}
 
 
 def _shut_down(what: str) -> Callable[[ProcessExited, LaunchContext], list[Any] | None]:
     def on_exit(event: ProcessExited, context: LaunchContext) -> list[Any] | None:
         if context.is_shutdown:
             return None
-        reason = f"{what} {describe_exit(event.returncode)}"
-        return [LogInfo(msg=f"{reason}: stopping everything"), Shutdown(reason=reason)]
+        reason = f"{what} {describe_exit(event.returncode)}: stopping everything"
+        if event.returncode == 0 and what == TASK:
+            return [LogInfo(msg=reason), Shutdown(reason=reason)]
+        # the one thing that makes `ros2 launch` end with 1
+        context.asyncio_loop.call_exception_handler({"message": reason})
+        return [Shutdown(reason=reason)]
 
     return on_exit
 

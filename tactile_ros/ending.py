@@ -1,0 +1,55 @@
+"""How a process of nodes ends after SIGINT or SIGTERM: in the order in which an arm comes to rest.
+
+A launcher or a terminal may signal all nodes at once. So the order comes from the nodes: one that moves an
+arm has its task stop and leave the surface first; all others go on until nobody commands their arms any more.
+A second signal ends at once, and so does the end of a node's `patience`.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from geometry_msgs.msg import TwistStamped
+
+from tactile_ros.qos import COMMAND
+
+if TYPE_CHECKING:
+    from tactile_ros.managed_node import ManagedNode
+
+SILENCE = 1.0  # s without a command after which whoever gave commands counts as dead
+
+
+class Ending:
+    """From the first signal to the end of the process that runs `nodes`; `signals` goes on being filled."""
+
+    def __init__(self, nodes: Sequence[ManagedNode], signals: Sequence[int]) -> None:
+        self._nodes, self._signals = nodes, signals
+        self._deadline = time.monotonic() + max(node.patience for node in nodes)
+        reason = f"asked to end by {signal.Signals(signals[0]).name}"
+        for node in nodes:
+            node.prepare_to_end(reason)
+
+    def over(self) -> bool:
+        """Whether nothing is to be waited for any more."""
+        hurry = len(self._signals) > 1 or time.monotonic() > self._deadline
+        return hurry or not any(node.needed() for node in self._nodes)
+
+
+class Commander:
+    """Whoever commands an arm on a topic, from now on; a killed one stays in the ROS graph, but is silent."""
+
+    def __init__(self, node: ManagedNode, topic: str) -> None:
+        self._node, self._topic = node, topic
+        self._heard = time.monotonic()
+        node.create_subscription(TwistStamped, topic, self._hear, COMMAND, raw=True)
+
+    @property
+    def there(self) -> bool:
+        """Whether there is one that is not silent."""
+        return time.monotonic() - self._heard < SILENCE and self._node.count_publishers(self._topic) > 0
+
+    def _hear(self, data: bytes) -> None:
+        self._heard = time.monotonic()
