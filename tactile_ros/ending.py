@@ -33,9 +33,16 @@ class Ending:
             node.prepare_to_end(reason)
 
     def over(self) -> bool:
-        """Whether nothing is to be waited for any more."""
-        hurry = len(self._signals) > 1 or time.monotonic() > self._deadline
-        return hurry or not any(node.needed() for node in self._nodes)
+        """Whether the process ends now; says so where it is not in order."""
+        needed = next((node for node in self._nodes if node.needed()), None)
+        if needed is None:
+            return True
+        hurry = len(self._signals) > 1
+        late = time.monotonic() > self._deadline
+        if hurry or late:
+            why = "a second signal" if hurry else f"{needed.patience:g} s have passed"
+            needed.get_logger().warning(f"{why}: ending before what the node works for has ended")
+        return hurry or late
 
 
 class Commander:

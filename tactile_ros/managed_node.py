@@ -50,7 +50,7 @@ COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 # what names a profile to Fast DDS, and what did in the past
 DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 DIAGNOSTIC_PERIOD = 1.0  # s
-FLUSH_TIME = 1.0  # s; longest wait for what the executor still has to do
+FLUSH_TURNS, FLUSH_TIME = 3, 1.0  # s; how long a node that ends waits for what its executor still has to do
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
@@ -402,10 +402,13 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
 
 
 def _flush(executor: Any, least: float = 0.0) -> None:
-    """Do what the executor has been given so far (results of actions, say), for at least so many seconds."""
+    """Let the executor do what it still has to (send results, say), for at least so many seconds."""
     started = time.monotonic()
-    done = executor.create_task(lambda: None)
-    while time.monotonic() - started < (FLUSH_TIME if not done.done() else least):
+    for _ in range(FLUSH_TURNS):  # what it does may leave it something to do
+        done = executor.create_task(lambda: None)
+        while not done.done() and time.monotonic() - started < FLUSH_TIME:
+            executor.spin_once(timeout_sec=0.001)
+    while time.monotonic() - started < least:
         executor.spin_once(timeout_sec=0.001)
 
 

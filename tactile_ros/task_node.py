@@ -179,9 +179,13 @@ class TaskNode(ManagedNode, ABC):
         return max(0.0, self._concluded + LAST_WORD - time.monotonic())
 
     def _close_action(self, action: ActionServer) -> None:
-        """Destroy the action after what the executor still has to do for it: send results, first of all."""
+        """Destroy the action, which must not happen before the results of its goals are sent.
+
+        The executor does that in two turns: a task concludes the goal, and leaves one that sends the result.
+        """
         assert self.executor is not None
-        self.executor.create_task(action.destroy)
+        later = self.executor.create_task
+        later(later, action.destroy)
 
     def _tick(self) -> None:
         """The timer: a step if none was made lately."""

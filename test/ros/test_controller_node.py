@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Pose, Quaternion, TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from messages import vector_from_twist
 
 from tactile_filter import se3
@@ -303,13 +305,18 @@ def test_time_that_jumps_back_stops_the_task_and_says_so(world):
     assert not result.success and "jumped back" in result.reason
 
 
-def test_shutting_down_in_mid_run_sends_zero_last_and_ends_with_exit_code_0(graph):
+def test_a_lifecycle_manager_that_shuts_down_in_mid_run_leaves_a_zero_twist_and_the_client_its_result(graph):
     graph.start(CONTROLLER, FAST)
     world = World(graph)
     world.restart()
-    world.following()
-    assert graph.stop(CONTROLLER) == 0
+    handle = world.following()
+    result = handle.get_result_async()
+    graph.settle()
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN))
+    assert graph.call(ChangeState, "controller/change_state", request).success
+    assert graph.wait(result.done) and result.result().result.reason == "the controller was deactivated"
     assert graph.wait(world.rests)
+    assert graph.stop(CONTROLLER) == 0
 
 
 def test_a_parameter_out_of_range_at_start_ends_the_process_and_names_the_parameter(graph):
