@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction, Shutdown
@@ -21,9 +21,11 @@ from launch_ros.actions import LifecycleNode, Node
 
 from launch import LaunchContext, LaunchDescription
 from tactile_base.end_signals import LAUNCHER
-from tactile_bringup.graph import Graph, GraphOptions, NodeProcess, load_graph
+from tactile_bringup.graph import Graph, GraphOptions, NodeProcess, check_options, load_graph
 from tactile_bringup.launching.processes import describe_exit
 from tactile_bringup.launching.view import write_view
+
+Number = TypeVar("Number", int, float)
 
 PACKAGE = "tactile_servoing"
 TASK = "the task"
@@ -64,7 +66,9 @@ def describe(task: str) -> LaunchDescription:
 def _actions(task: str, context: LaunchContext) -> list[Any]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     task = given["task_file"] or task
-    graph = load_graph(task, given["scene"] or None, _options(given))
+    options = _options(given)
+    check_options(options, "{}:={}")
+    graph = load_graph(task, given["scene"] or None, options)
     actions = [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
     if not _flag(given, "headless"):
         actions += _viewer(graph, Path(launch_config.log_dir))
@@ -76,8 +80,8 @@ def _actions(task: str, context: LaunchContext) -> list[Any]:
 def _options(given: dict[str, str]) -> GraphOptions:
     places = "" if given["object_belief"].lower() in FLAGS else given["object_belief"]
     return GraphOptions(
-        rate=float(given["rate"]) or None,
-        seed=int(given["seed"]),
+        rate=_number(given, "rate", float) or None,
+        seed=_number(given, "seed", int),
         model=Path(given["model"]) if given["model"] else None,
         filter=given["filter"],
         controller=given["controller"] or None,
@@ -89,6 +93,14 @@ def _options(given: dict[str, str]) -> GraphOptions:
         object_belief=bool(places) or _flag(given, "object_belief"),
         object_file=places,
     )
+
+
+def _number(given: dict[str, str], name: str, kind: type[Number]) -> Number:
+    try:
+        return kind(given[name])
+    except ValueError:
+        what = "a whole number" if kind is int else "a number"
+        raise ValueError(f"{name}:={given[name]}: must be {what}") from None
 
 
 def _flag(given: dict[str, str], name: str) -> bool:
