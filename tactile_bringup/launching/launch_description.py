@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction, Shutdown
@@ -21,9 +21,11 @@ from launch_ros.actions import LifecycleNode, Node
 
 from launch import LaunchContext, LaunchDescription
 from tactile_base.end_signals import LAUNCHER
-from tactile_bringup.graph import Graph, GraphOptions, NodeProcess, check_options, load_graph
+from tactile_base.requirements import require_packages
 from tactile_bringup.launching.processes import describe_exit
-from tactile_bringup.launching.view import write_view
+
+if TYPE_CHECKING:  # loads packages that may be missing
+    from tactile_bringup.graph import Graph, GraphOptions, NodeProcess
 
 Number = TypeVar("Number", int, float)
 
@@ -56,6 +58,7 @@ ARGUMENTS = {
 
 def describe(task: str) -> LaunchDescription:
     """The launch description of a task, with its arguments."""
+    require_packages()
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
@@ -64,6 +67,8 @@ def describe(task: str) -> LaunchDescription:
 
 
 def _actions(task: str, context: LaunchContext) -> list[Any]:
+    from tactile_bringup.graph import check_options, load_graph
+
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     task = given["task_file"] or task
     options = _options(given)
@@ -78,6 +83,8 @@ def _actions(task: str, context: LaunchContext) -> list[Any]:
 
 
 def _options(given: dict[str, str]) -> GraphOptions:
+    from tactile_bringup.graph import GraphOptions
+
     places = "" if given["object_belief"].lower() in FLAGS else given["object_belief"]
     return GraphOptions(
         rate=_number(given, "rate", float) or None,
@@ -157,5 +164,7 @@ def _viewer(graph: Graph, folder: Path) -> list[Any]:
         get_package_prefix("rviz2")
     except PackageNotFoundError:
         return [LogInfo(msg="rviz2 is not installed: going without (headless:=true says so beforehand)")]
+    from tactile_bringup.launching.view import write_view
+
     arguments = ["-d", str(write_view(graph, folder))]
     return [Node(package="rviz2", executable="rviz2", arguments=arguments, output="log")]
