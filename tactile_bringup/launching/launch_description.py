@@ -141,19 +141,20 @@ def _runner(task: str, scene: Path, goals: list[str]) -> ExecuteProcess:
 
 def _ending() -> dict[str, Any]:
     """What lets a process end in order: time for it, and whom to end with where nobody asks it to."""
-    return {"sigterm_timeout": SIGTERM_TIMEOUT, "additional_env": {LAUNCHER: str(os.getpid())}}
+    patience = LaunchConfiguration("sigterm_timeout", default=SIGTERM_TIMEOUT)
+    return {"sigterm_timeout": patience, "additional_env": {LAUNCHER: str(os.getpid())}}
 
 
 def _shut_down(what: str) -> Callable[[ProcessExited, LaunchContext], list[Any] | None]:
+    """What to do when a node or the task ends: shut down, with exit code 1 where that is a failure."""
+
     def on_exit(event: ProcessExited, context: LaunchContext) -> list[Any] | None:
-        if context.is_shutdown:
-            return None
-        reason = f"{what} {describe_exit(event.returncode)}: stopping everything"
-        if event.returncode == 0 and what == TASK:
-            return [LogInfo(msg=reason), Shutdown(reason=reason)]
-        # the one thing that makes `ros2 launch` end with 1
-        context.asyncio_loop.call_exception_handler({"message": reason})
-        return [Shutdown(reason=reason)]
+        asked, code = context.is_shutdown, event.returncode
+        reason = f"{what} {describe_exit(code)}"
+        failed = code != 0 and not asked if what == TASK else code != 0 or not asked
+        if failed:  # nothing else makes `ros2 launch` end with 1
+            context.asyncio_loop.call_exception_handler({"message": reason})
+        return None if asked else [LogInfo(msg=f"{reason}: stopping everything"), Shutdown(reason=reason)]
 
     return on_exit
 
