@@ -1,7 +1,7 @@
 """How a process of nodes ends after SIGINT or SIGTERM: in the order in which an arm comes to rest.
 
 A launcher or a terminal may signal all nodes at once. So the order comes from the nodes: one that moves an
-arm has its task stop and leave the surface first; all others go on until nobody commands their arms any more.
+arm has its task stop and leave the surface first; all others go on until nobody moves their arms any more.
 A second signal ends at once, and so does the end of a node's `patience`.
 """
 
@@ -19,7 +19,8 @@ from tactile_ros.qos import COMMAND
 if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode
 
-SILENCE = 1.0  # s without a command after which whoever gave commands counts as dead
+STILL = 1.0  # s without a twist other than zero after which nobody moves an arm any more
+TWIST_BYTES = 48  # six numbers, the last of the message
 
 
 class Ending:
@@ -46,17 +47,18 @@ class Ending:
 
 
 class Commander:
-    """Whoever commands an arm on a topic, from now on; a killed one stays in the ROS graph, but is silent."""
+    """Whoever moves an arm by twists on a topic, from now on."""
 
     def __init__(self, node: ManagedNode, topic: str) -> None:
         self._node, self._topic = node, topic
-        self._heard = time.monotonic()
+        self._moved = time.monotonic()
         node.create_subscription(TwistStamped, topic, self._hear, COMMAND, raw=True)
 
     @property
-    def there(self) -> bool:
-        """Whether there is one that is not silent."""
-        return time.monotonic() - self._heard < SILENCE and self._node.count_publishers(self._topic) > 0
+    def moves(self) -> bool:
+        """Whether there is one that does; a killed one stays in the ROS graph, an idle one sends zeros."""
+        return time.monotonic() - self._moved < STILL and self._node.count_publishers(self._topic) > 0
 
     def _hear(self, data: bytes) -> None:
-        self._heard = time.monotonic()
+        if any(data[-TWIST_BYTES:]):
+            self._moved = time.monotonic()

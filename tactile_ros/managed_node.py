@@ -50,7 +50,6 @@ COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 # what names a profile to Fast DDS, and what did in the past
 DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 DIAGNOSTIC_PERIOD = 1.0  # s
-FLUSH_TURNS, FLUSH_TIME = 3, 1.0  # s; how long a node that ends waits for what its executor still has to do
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
@@ -122,8 +121,8 @@ class ManagedNode(LifecycleNode):
             self._commanders = [Commander(self, topic) for topic in self.command_topics()]
 
     def needed(self) -> bool:
-        """Whether a node that was asked to end goes on: somebody still commands an arm that it works for."""
-        return any(commander.there for commander in self._commanders)
+        """Whether a node that was asked to end goes on: somebody still moves an arm that it works for."""
+        return any(commander.moves for commander in self._commanders)
 
     @property
     def last_words(self) -> float:
@@ -390,10 +389,11 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
     finally:
         for node in reversed(nodes):
             node.rest()
-        _flush(executor, max(node.last_words for node in nodes))
+        last_words = max(node.last_words for node in nodes)
+        _spin_for(executor, last_words)
         for node in reversed(nodes):
             node.finish()
-        _flush(executor)
+        _spin_for(executor, 1.5 * last_words)  # what was released with a delay of as much
         for node in nodes:
             executor.remove_node(node)
             node.destroy_node()
@@ -401,14 +401,10 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
         gc.unfreeze()
 
 
-def _flush(executor: Any, least: float = 0.0) -> None:
-    """Let the executor do what it still has to (send results, say), for at least so many seconds."""
-    started = time.monotonic()
-    for _ in range(FLUSH_TURNS):  # what it does may leave it something to do
-        done = executor.create_task(lambda: None)
-        while not done.done() and time.monotonic() - started < FLUSH_TIME:
-            executor.spin_once(timeout_sec=0.001)
-    while time.monotonic() - started < least:
+def _spin_for(executor: Any, seconds: float) -> None:
+    """Let the executor do what it still has to, such as to send a result."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
         executor.spin_once(timeout_sec=0.001)
 
 

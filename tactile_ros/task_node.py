@@ -8,6 +8,7 @@ the node is deactivated or shut down.
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -35,7 +36,8 @@ from tactile_ros.transforms import TransformListener
 
 ZERO = np.zeros(6)
 FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
-LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist has arrived
+LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist, and its last result, have arrived
+LATELY = 2.0  # s; a result that was given before is no concern of a node that ends
 
 
 class Task(Protocol):
@@ -74,7 +76,7 @@ class TaskNode(ManagedNode, ABC):
     run: Run | None = None
     last_step_ns = 0
     ending = ""  # why the node is about to end
-    _concluded = -LAST_WORD  # on the steady clock
+    _concluded = -math.inf  # on the steady clock
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -175,17 +177,20 @@ class TaskNode(ManagedNode, ABC):
 
     @property
     def last_words(self) -> float:
-        """What is left of the time in which the last result reaches who asked for it."""
-        return max(0.0, self._concluded + LAST_WORD - time.monotonic())
+        """Time for the result of a goal that ended lately: it is sent, and reaches who asked for it."""
+        return LAST_WORD if time.monotonic() - self._concluded < LATELY else 0.0
 
     def _close_action(self, action: ActionServer) -> None:
-        """Destroy the action, which must not happen before the results of its goals are sent.
+        """Destroy the action, but not before the last result has left: sending it would crash."""
+        if not self.last_words:
+            action.destroy()
+            return
 
-        The executor does that in two turns: a task concludes the goal, and leaves one that sends the result.
-        """
-        assert self.executor is not None
-        later = self.executor.create_task
-        later(later, action.destroy)
+        def destroy() -> None:
+            timer.cancel()
+            action.destroy()
+
+        timer = self.create_timer(self.last_words, destroy, clock=self.steady)
 
     def _tick(self) -> None:
         """The timer: a step if none was made lately."""

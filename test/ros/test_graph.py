@@ -115,6 +115,8 @@ def test_the_ramp_is_followed_at_depth_and_along_the_normal(graph, tmp_path):
     assert all(m.in_contact for m in path)
     assert np.sqrt(np.mean((depth_mm - 3.0) ** 2)) < 0.3
     assert np.sqrt(np.mean(angle_deg**2)) < 2.0
+    assert graph.stop(FILTER) == 0  # a controller that is idle is not waited for
+    assert OUT_OF_ORDER not in graph.log(FILTER).read_text()
 
 
 def test_each_exposure_is_answered_or_counted_as_dropped(cell):
