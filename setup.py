@@ -3,6 +3,8 @@
 Names, versions and requirements stand in setup.cfg.
 """
 
+import os
+import sys
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
@@ -31,6 +33,16 @@ NODES = {
 }
 
 
+def require_messages() -> None:
+    """End unless the messages are built, whose package lies in this one's folder."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    if not any((Path(prefix) / "share/tactile_msgs/package.xml").exists() for prefix in prefixes if prefix):
+        sys.exit(
+            f"{PACKAGE}: tactile_msgs is not built: colcon looks for no packages inside of another one. "
+            f"In the workspace type:\n    colcon build --base-paths src {Path.cwd() / 'tactile_msgs'}"
+        )
+
+
 def extension(name: str, folder: str) -> Extension:
     """A C module without fast-math and without -march: what an instruction set adds is chosen at runtime."""
     import numpy
@@ -54,6 +66,9 @@ def shared_files(folder: str, pattern: str) -> list[tuple[str, list[str]]]:
             by_folder.setdefault(path.parent, []).append(str(path))
     return [(f"share/{PACKAGE}/{parent}", files) for parent, files in by_folder.items()]
 
+
+if {"install", "develop"} & set(sys.argv):  # as colcon does; pip builds a wheel, which can do without ROS
+    require_messages()
 
 setup(
     packages=find_packages(include=["tactile_*"], exclude=["tactile_msgs", "tactile_msgs.*"]),

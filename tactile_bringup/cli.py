@@ -7,6 +7,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from tactile_base.requirements import RequirementMissing, require_packages
 from tactile_bringup.commands.changes import in_words
 
 # Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
@@ -30,6 +31,11 @@ COMMANDS = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code of the process."""
+    try:
+        require_packages()
+    except RequirementMissing as error:
+        print(f"tactile: {error}", file=sys.stderr)
+        return 1
     parsed = _parser().parse_args(arguments)
     try:
         return int(parsed.run(parsed))

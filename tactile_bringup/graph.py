@@ -134,6 +134,17 @@ class Graph:
         raise KeyError(f"{full_name}; nodes: {', '.join(n.full_name for n in self.nodes)}")
 
 
+def check_options(options: GraphOptions, spelling: str) -> None:
+    """Raise ValueError for what a node would find out only seconds later; `spelling` as in "--{} {}"."""
+    if options.record is not None and options.record.exists():
+        given = spelling.format("record", options.record)
+        raise ValueError(f"{given}: exists already; remove it or record elsewhere")
+    if options.model is not None and not options.model.is_file():
+        raise ValueError(f"{spelling.format('model', options.model)}: no such file")
+    if options.rate is not None and not 1.0 <= options.rate <= 240.0:
+        raise ValueError(f"{spelling.format('rate', f'{options.rate:g}')}: must lie in [1, 240] Hz")
+
+
 def load_graph(task: str, scene: str | None = None, options: GraphOptions | None = None) -> Graph:
     """The graph of a task on a scene, each the name of a packaged one or the path of a file.
 

@@ -7,8 +7,9 @@ A node derives from it, fills in `configure`, `activate`, `deactivate` and `clea
 
 With the parameter `autostart` (the default) it configures and activates itself; if that fails, the process
 ends with exit code 1 and says why. Without, it waits unconfigured for a lifecycle manager and survives a
-failure. SIGINT and SIGTERM deactivate and clean up first; the process then ends with exit code 0. `run` also
-runs several nodes in one process.
+failure. SIGINT and SIGTERM end it in order (`tactile_ros.ending`): it goes on while it is needed, then is
+deactivated and cleaned up, and the process ends with exit code 0. `run` also runs several nodes in one
+process.
 """
 
 from __future__ import annotations
@@ -23,8 +24,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import FrameType
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -38,12 +38,14 @@ from rclpy.timer import Timer
 
 from tactile_base import topics
 from tactile_base.config_paths import config_path
+from tactile_base.end_signals import signals_into
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import NANOSECOND
 from tactile_filter.events import FUTURE_NS
 from tactile_filter.pose_numbers import MessageError
 from tactile_ros.cdr import header_of
 from tactile_ros.diagnostics import Diagnostics, InputWatch
+from tactile_ros.ending import Commander, Ending
 from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
 
@@ -53,7 +55,6 @@ COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 # what names a profile to Fast DDS, and what did in the past
 DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 DIAGNOSTIC_PERIOD = 1.0  # s
-FLUSH_STEPS = 20
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
@@ -73,7 +74,15 @@ class ConfigurationError(RuntimeError):
 
 
 class ManagedNode(LifecycleNode):
-    """Base of all nodes; see the module's docstring."""
+    """Base of all nodes; see the module's docstring.
+
+    Attributes
+    ----------
+    patience : float
+        Seconds for which a node that was asked to end goes on at most; shorter where it commands an arm.
+    """
+
+    patience: ClassVar[float] = 6.0
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -95,6 +104,7 @@ class ManagedNode(LifecycleNode):
         self.counters = self.report.counters
         self._last_warning: dict[str, float] = {}
         self._while_configured: list[tuple[Callable[[Any], Any], Any]] = []
+        self._commanders: list[Commander] = []
         self._diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS.name, writer_profile(DIAGNOSTICS)
         )
@@ -117,6 +127,24 @@ class ManagedNode(LifecycleNode):
 
     def cleanup(self) -> None:
         """Release what `configure` has loaded; publishers, subscriptions and timers go without it."""
+
+    def command_topics(self) -> list[str]:
+        """Full names of the topics by which the arms are commanded that this node works for."""
+        return [self.resolve_topic_name(topics.COMMAND.name)]
+
+    def prepare_to_end(self, reason: str) -> None:
+        """A signal has come: the node goes on while it is `needed`, and begins what that takes."""
+        if self.active:
+            self._commanders = [Commander(self, topic) for topic in self.command_topics()]
+
+    def needed(self) -> bool:
+        """Whether a node that was asked to end goes on: somebody still moves an arm that it works for."""
+        return any(commander.moves for commander in self._commanders)
+
+    @property
+    def last_words(self) -> float:
+        """Seconds that what the node has said last still needs to arrive."""
+        return 0.0
 
     def due_in(self) -> float:
         """Seconds until `work` wants to be called, for a node with a time base of its own; inf: never."""
@@ -319,8 +347,13 @@ class ManagedNode(LifecycleNode):
         """Configure and activate; False if either was refused, with the reason in `report.fault`."""
         return self.trigger_configure() == Result.SUCCESS and self.trigger_activate() == Result.SUCCESS
 
+    def rest(self) -> None:
+        """Deactivate if active, so that nothing keeps moving."""
+        if self.active:
+            self.trigger_deactivate()
+
     def finish(self) -> None:
-        """Shut down from whatever state this is, so that nothing keeps moving."""
+        """Shut down from whatever state this is."""
         if self._state_machine.current_state[1] in ("unconfigured", "inactive", "active"):
             self.trigger_shutdown()
 
@@ -389,13 +422,8 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
     """
     use_dds_profile()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    stopped: list[int] = []
-
-    def request_stop(number: int, frame: FrameType | None) -> None:
-        stopped.append(number)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, request_stop)
+    signals: list[int] = []
+    signals_into(signals)
     try:
         made = make()
     except (SettingError, ConfigurationError) as error:
@@ -407,11 +435,15 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
     for node in nodes:
         executor.add_node(node)
     try:
-        return _spin(nodes, executor, stopped)
+        return _spin(nodes, executor, signals)
     finally:
         for node in reversed(nodes):
+            node.rest()
+        last_words = max(node.last_words for node in nodes)
+        _spin_for(executor, last_words)
+        for node in reversed(nodes):
             node.finish()
-        _flush(executor)
+        _spin_for(executor, 1.5 * last_words)  # what was released with a delay of as much
         for node in nodes:
             executor.remove_node(node)
             node.destroy_node()
@@ -419,22 +451,28 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
         gc.unfreeze()
 
 
-def _flush(executor: Any) -> None:
-    """Let what finishing has set going (results of actions) leave the process."""
-    for _ in range(FLUSH_STEPS):
+def _spin_for(executor: Any, seconds: float) -> None:
+    """Let the executor do what it still has to, such as to send a result."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
         executor.spin_once(timeout_sec=0.001)
 
 
-def _spin(nodes: Sequence[ManagedNode], executor: Any, stopped: list[int]) -> int:
+def _spin(nodes: Sequence[ManagedNode], executor: Any, signals: list[int]) -> int:
     for node in nodes:
         node.warn_of_unknown_parameters()
         if node.autostart and not node.start():
             node.publish_diagnostics()
             return 1
     last = nodes[-1]
+    ending: Ending | None = None
     try:
         # spin() of the events executor burns a core and dispatches nothing; spin_once in a loop does neither.
-        while not stopped and not any(node.stop_reason for node in nodes) and rclpy.ok():
+        while not any(node.stop_reason for node in nodes) and rclpy.ok():
+            if signals and ending is None:
+                ending = Ending(nodes, signals)
+            if ending is not None and ending.over():
+                break
             due = min(node.due_in() for node in nodes)
             executor.spin_once(timeout_sec=min(SPIN_TIMEOUT, max(0.0, due)))
             for node in nodes:
@@ -448,6 +486,6 @@ def _spin(nodes: Sequence[ManagedNode], executor: Any, stopped: list[int]) -> in
         last.publish_diagnostics()
         return 1
     ended = next((node for node in nodes if node.stop_reason), last)
-    reason = f"signal {signal.Signals(stopped[0]).name}" if stopped else ended.stop_reason
+    reason = f"signal {signal.Signals(signals[0]).name}" if signals else ended.stop_reason
     last.get_logger().info(f"stopping: {reason or 'the context was shut down'}")
     return ended.exit_code

@@ -1,13 +1,17 @@
 """TaskNode: a managed node that moves an arm, by twists, as long as a goal of `run_task` asks for it.
 
-One goal runs at a time: a second one is refused, a cancelled one is told to stop and comes to rest. Without a
-goal the twist is zero, and so is the last one when the node is deactivated or shut down.
+One goal runs at a time. A goal that is refused, as a second one is, is aborted at once with the reason in
+its result, since a rejection could not tell any. A cancelled goal is told to stop and comes to rest; so is
+the one under way when the node is asked to end. Without a goal the twist is zero, and so is the last one when
+the node is deactivated or shut down.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import platform
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +19,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.duration import Duration
 
 from tactile_base import topics
@@ -34,7 +38,8 @@ from tactile_ros.transforms import TransformListener
 ZERO = np.zeros(6)
 FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
-LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist has arrived
+LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist, and its last result, have arrived
+LATELY = 2.0  # s; a result that was given before is no concern of a node that ends
 
 
 class Task(Protocol):
@@ -72,8 +77,11 @@ class Run:
 class TaskNode(ManagedNode, ABC):
     """Base of nodes that run tasks; fill in `objection`, `accept`, `step`, `travelled` and `periods`."""
 
+    patience: ClassVar[float] = 5.0
     run: Run | None = None
     last_step_ns = 0
+    ending = ""  # why the node is about to end
+    _concluded = -math.inf  # on the steady clock
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -132,11 +140,10 @@ class TaskNode(ManagedNode, ABC):
             RunTask,
             topics.RUN_TASK,
             execute_callback=_nothing_to_execute,
-            goal_callback=self._consider,
             handle_accepted_callback=self._accept,
             cancel_callback=self._cancel,
         )
-        self.release_later(ActionServer.destroy, action)
+        self.release_later(self._close_action, action)
 
     def send_twist(self, twist: ArrayLike) -> int:
         """Ask for [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns."""
@@ -165,6 +172,7 @@ class TaskNode(ManagedNode, ABC):
             duration=duration_from_ns(self.now_ns() - self.run.started_ns),
         )
         run, self.run = self.run, None
+        self._concluded = time.monotonic()
         conclude(run.handle, result)
 
     def deactivate(self) -> None:
@@ -185,6 +193,33 @@ class TaskNode(ManagedNode, ABC):
             self.run.task.abort(self.arm_trouble)
             self.step()
 
+    def prepare_to_end(self, reason: str) -> None:
+        """Have the task that runs stop and leave the surface; goals are refused from now on."""
+        self.ending = f"the {self.get_name()} was {reason}"
+        if self.run is not None:
+            self.run.task.stop(self.ending)
+
+    def needed(self) -> bool:
+        """Until the task has come to its end."""
+        return self.run is not None
+
+    @property
+    def last_words(self) -> float:
+        """Time for the result of a goal that ended lately: it is sent, and reaches who asked for it."""
+        return LAST_WORD if time.monotonic() - self._concluded < LATELY else 0.0
+
+    def _close_action(self, action: ActionServer) -> None:
+        """Destroy the action, but not before the last result has left: sending it would crash."""
+        if not self.last_words:
+            action.destroy()
+            return
+
+        def destroy() -> None:
+            timer.cancel()
+            action.destroy()
+
+        timer = self.create_timer(self.last_words, destroy, clock=self.steady)
+
     def _tick(self) -> None:
         """The timer: a step if none was made lately."""
         running, idle = self.periods()
@@ -197,19 +232,19 @@ class TaskNode(ManagedNode, ABC):
         if self.run is not None:
             self.run.task.stop(reason)
 
-    def _consider(self, goal: RunTask.Goal) -> GoalResponse:
-        if not self.active:
-            reason = f"the {self.get_name()} is not active"
-        else:
-            reason = self.objection(goal) or self.arm_trouble
-        if not reason:
-            return GoalResponse.ACCEPT
-        self.count("goals refused")
-        self.warn("goal", f"goal refused: {reason}", period=0.0)
-        return GoalResponse.REJECT
-
     def _accept(self, handle: Any) -> None:
-        self.run = self.accept(handle)
+        refusal = self._refusal(handle.request)
+        if not refusal:
+            self.run = self.accept(handle)
+            return
+        self.count("goals refused")
+        self.warn("goal", f"goal refused: {refusal}", period=0.0)
+        conclude(handle, RunTask.Result(success=False, reason=f"goal refused: {refusal}"))
+
+    def _refusal(self, goal: RunTask.Goal) -> str:
+        if not self.active:
+            return f"the {self.get_name()} is not active"
+        return self.ending or self.arm_trouble or self.objection(goal)
 
     def _cancel(self, handle: Any) -> CancelResponse:
         if self.run is None or handle.goal_id != self.run.handle.goal_id:

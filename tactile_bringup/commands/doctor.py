@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from tactile_base.requirements import REQUIREMENTS
+
 PACKAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
 COMPILED = ("tactile_filter._fusion", "tactile_drivers.sim._contact", "tactile_perception._image")
 SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
@@ -98,6 +100,7 @@ def _domain() -> str:
 
 CHECKS: dict[str, Callable[[], str]] = {
     "Python": _python,
+    "Python packages": lambda: ", ".join(REQUIREMENTS.values()),  # `tactile` itself has looked for them
     "ROS 2": _ros,
     "messages": lambda: _imported(*(f"{package}.msg" for package in PACKAGES)),
     "message definitions": _definitions,

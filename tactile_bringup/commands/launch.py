@@ -97,11 +97,11 @@ def launch(
     """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong."""
     from tactile_base.settings import SettingError
     from tactile_base.whole_file import check_folder
-    from tactile_bringup.graph import load_graph
+    from tactile_bringup.graph import check_options, load_graph
 
     try:
         graph = load_graph(task, scene, options)
-        _check(options)
+        check_options(options, "--{} {}")
         check_folder(folder)
     except (SettingError, ValueError, OSError) as error:
         _refuse(str(error))
@@ -127,16 +127,6 @@ def launch_graph(graph: Graph, folder: Path, console: Console, headless: bool) -
     ended = f"stopped: the arm {rests[outcome.at_rest]}; logs: {outcome.logs}"
     console.print(ended, highlight=False, soft_wrap=True)
     return outcome
-
-
-def _check(options: GraphOptions) -> None:
-    """What would else be found out only by a node, seconds later."""
-    if options.record is not None and options.record.exists():
-        raise ValueError(f"--record {options.record}: exists already; remove it or record elsewhere")
-    if options.model is not None and not options.model.is_file():
-        raise ValueError(f"--model {options.model}: no such file")
-    if options.rate is not None and not 1.0 <= options.rate <= 240.0:
-        raise ValueError(f"--rate {options.rate:g}: must lie in [1, 240] Hz")
 
 
 def _refuse(message: str) -> int:

@@ -31,10 +31,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from rich.console import Console
 
+    from tactile_base.end_signals import end_with_launcher
     from tactile_base.settings import SettingError
     from tactile_bringup.graph import GraphOptions, load_graph
     from tactile_bringup.launching.progress import Display
 
+    end_with_launcher()
     try:
         graph = load_graph(arguments.task, arguments.scene, GraphOptions(goals=tuple(arguments.goals)))
     except (SettingError, ValueError, OSError) as error:
@@ -52,11 +54,11 @@ def _run(graph: Graph, display: Display) -> int:
         NotReady,
         TaskRunner,
         Unfinished,
-        signals_into,
+        collecting_signals,
     )
 
     signals = list[int]()
-    with signals_into(signals):
+    with collecting_signals(signals):
         client = TaskClient(int(os.environ.get("ROS_DOMAIN_ID") or 0))
         runner = TaskRunner(client, [n.full_name for n in graph.nodes], graph.plans, display, signals)
         try:

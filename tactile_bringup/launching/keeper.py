@@ -2,7 +2,7 @@
 
 Runs beside the launcher (`processes.ProcessGroup` starts it) and reads `watch PID` and `release PID` lines
 from it. When the pipe ends, groups that were not released have lost their launcher: they had the kernel's
-SIGTERM when it died, get `GRACE_S` to come to rest, and then SIGKILL.
+SIGTERM when it died, get `GRACE_S` to bring the arm to rest and end in order, and then SIGKILL.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 
 from tactile_bringup.launching import shared_memory
 
-GRACE_S = 4.0
+GRACE_S = 7.0  # longer than nodes take to end (`ManagedNode.patience`)
 REAP_S = 2.0  # how long a killed process may take to vanish; where nobody reaps it, it never does
 
 

@@ -6,10 +6,11 @@ Needs `launch` and `launch_ros`, which a ROS 2 install has.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, OpaqueFunction, Shutdown
@@ -19,11 +20,18 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 
 from launch import LaunchContext, LaunchDescription
-from tactile_bringup.graph import Graph, GraphOptions, NodeProcess, load_graph
+from tactile_base.end_signals import LAUNCHER
+from tactile_base.requirements import require_packages
 from tactile_bringup.launching.processes import describe_exit
-from tactile_bringup.launching.view import write_view
+
+if TYPE_CHECKING:  # loads packages that may be missing
+    from tactile_bringup.graph import Graph, GraphOptions, NodeProcess
+
+Number = TypeVar("Number", int, float)
 
 PACKAGE = "tactile_servoing"
+TASK = "the task"
+SIGTERM_TIMEOUT = "8"  # s after SIGINT; longer than nodes take to end in order (`ManagedNode.patience`)
 FLAGS = ("true", "false")
 ARGUMENTS = {
     "scene": ("", "scene of config/scenes, or the path of a file; empty: the first that the task names"),
@@ -50,6 +58,7 @@ ARGUMENTS = {
 
 def describe(task: str) -> LaunchDescription:
     """The launch description of a task, with its arguments."""
+    require_packages()
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
@@ -58,9 +67,13 @@ def describe(task: str) -> LaunchDescription:
 
 
 def _actions(task: str, context: LaunchContext) -> list[Any]:
+    from tactile_bringup.graph import check_options, load_graph
+
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     task = given["task_file"] or task
-    graph = load_graph(task, given["scene"] or None, _options(given))
+    options = _options(given)
+    check_options(options, "{}:={}")
+    graph = load_graph(task, given["scene"] or None, options)
     actions = [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
     if not _flag(given, "headless"):
         actions += _viewer(graph, Path(launch_config.log_dir))
@@ -70,10 +83,12 @@ def _actions(task: str, context: LaunchContext) -> list[Any]:
 
 
 def _options(given: dict[str, str]) -> GraphOptions:
+    from tactile_bringup.graph import GraphOptions
+
     places = "" if given["object_belief"].lower() in FLAGS else given["object_belief"]
     return GraphOptions(
-        rate=float(given["rate"]) or None,
-        seed=int(given["seed"]),
+        rate=_number(given, "rate", float) or None,
+        seed=_number(given, "seed", int),
         model=Path(given["model"]) if given["model"] else None,
         filter=given["filter"],
         controller=given["controller"] or None,
@@ -85,6 +100,14 @@ def _options(given: dict[str, str]) -> GraphOptions:
         object_belief=bool(places) or _flag(given, "object_belief"),
         object_file=places,
     )
+
+
+def _number(given: dict[str, str], name: str, kind: type[Number]) -> Number:
+    try:
+        return kind(given[name])
+    except ValueError:
+        what = "a whole number" if kind is int else "a number"
+        raise ValueError(f"{name}:={given[name]}: must be {what}") from None
 
 
 def _flag(given: dict[str, str], name: str) -> bool:
@@ -106,21 +129,32 @@ def _node(node: NodeProcess, folder: Path) -> LifecycleNode:
         parameters=[str(file)],
         output="both",
         on_exit=_shut_down(f"node {node.full_name}"),
+        **_ending(),
     )
 
 
 def _runner(task: str, scene: Path, goals: list[str]) -> ExecuteProcess:
     command = [sys.executable, "-m", "tactile_bringup.cli", "run", task, "--scene", str(scene), "--headless"]
     command += ["--goals", *goals] if goals else []
-    return ExecuteProcess(cmd=command, output="screen", name="task", on_exit=_shut_down("the task"))
+    return ExecuteProcess(cmd=command, output="screen", name="task", on_exit=_shut_down(TASK), **_ending())
+
+
+def _ending() -> dict[str, Any]:
+    """What lets a process end in order: time for it, and whom to end with where nobody asks it to."""
+    patience = LaunchConfiguration("sigterm_timeout", default=SIGTERM_TIMEOUT)
+    return {"sigterm_timeout": patience, "additional_env": {LAUNCHER: str(os.getpid())}}
 
 
 def _shut_down(what: str) -> Callable[[ProcessExited, LaunchContext], list[Any] | None]:
+    """What to do when a node or the task ends: shut down, with exit code 1 where that is a failure."""
+
     def on_exit(event: ProcessExited, context: LaunchContext) -> list[Any] | None:
-        if context.is_shutdown:
-            return None
-        reason = f"{what} {describe_exit(event.returncode)}"
-        return [LogInfo(msg=f"{reason}: stopping everything"), Shutdown(reason=reason)]
+        asked, code = context.is_shutdown, event.returncode
+        reason = f"{what} {describe_exit(code)}"
+        failed = code != 0 and not asked if what == TASK else code != 0 or not asked
+        if failed:  # nothing else makes `ros2 launch` end with 1
+            context.asyncio_loop.call_exception_handler({"message": reason})
+        return None if asked else [LogInfo(msg=f"{reason}: stopping everything"), Shutdown(reason=reason)]
 
     return on_exit
 
@@ -131,5 +165,7 @@ def _viewer(graph: Graph, folder: Path) -> list[Any]:
         get_package_prefix("rviz2")
     except PackageNotFoundError:
         return [LogInfo(msg="rviz2 is not installed: going without (headless:=true says so beforehand)")]
+    from tactile_bringup.launching.view import write_view
+
     arguments = ["-d", str(write_view(graph, folder))]
     return [Node(package="rviz2", executable="rviz2", arguments=arguments, output="log")]

@@ -19,7 +19,7 @@ from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup
 from tactile_bringup.launching.progress import Display
-from tactile_bringup.launching.task_runner import Interrupted, TaskRunner, Unfinished, signals_into
+from tactile_bringup.launching.task_runner import Interrupted, TaskRunner, Unfinished, collecting_signals
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import GoalResult
@@ -81,7 +81,7 @@ class Launcher:
         outcome = Outcome(0, "", self.logs)
         shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
         started_ns = time.time_ns()
-        with signals_into(self._signals), ProcessGroup() as group:
+        with collecting_signals(self._signals), ProcessGroup() as group:
             try:
                 self._run_task(group)
             except ProcessDied as death:

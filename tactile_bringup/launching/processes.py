@@ -8,7 +8,6 @@ left of a parent that was killed, then removes its shared memory.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -21,10 +20,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from tactile_base.end_signals import end_with
 from tactile_bringup.launching.keeper import signal_group
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True)
 _PACKAGE_ROOT = Path(__file__).resolve().parents[2]
 TAIL_LINES = 15
 
@@ -200,9 +198,7 @@ def tail(log: Path, lines: int = TAIL_LINES) -> str:
 def _end_with(parent: int) -> None:
     """In the child, before exec: take Ctrl-C as usual; end with the parent, also with one just dead."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored in the children of a shell's background jobs
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(1)
+    end_with(parent)
 
 
 def _wait(children: Sequence[Child], timeout_s: float | None) -> None:

@@ -213,7 +213,7 @@ class ArmTask:
             goal.handle = goal.sent.result()
             if not goal.handle.accepted:
                 self._goal = None
-                return GoalResult(goal.name, False, "the controller refused the goal (see its log)", 0.0, 0.0)
+                return GoalResult(goal.name, False, "the goal was rejected", 0.0, 0.0)
             goal.result = goal.handle.get_result_async()
         if goal.result is None or not goal.result.done():
             return None

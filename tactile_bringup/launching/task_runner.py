@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import FrameType
 from typing import TYPE_CHECKING
 
+from tactile_base.end_signals import signals_into
 from tactile_base.topics import RUN_TASK
 from tactile_bringup.launching.progress import Display
 from tactile_bringup.run_sequence import ArmPlan, RunSequence
@@ -63,7 +63,7 @@ class TaskRunner:
     plans : sequence of ArmPlan
         What each arm does.
     signals : list of int
-        Signals received so far (see `signals_into`).
+        Signals received so far (see `collecting_signals`).
     check : callable
         Called often; raises to end the run.
     results : list of GoalResult
@@ -190,13 +190,9 @@ def _settled(task: ArmTask) -> bool:
 
 
 @contextmanager
-def signals_into(received: list[int]) -> Iterator[None]:
-    """Collect SIGINT and SIGTERM instead of dying by them."""
-
-    def collect(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    before = {number: signal.signal(number, collect) for number in (signal.SIGINT, signal.SIGTERM)}
+def collecting_signals(received: list[int]) -> Iterator[None]:
+    """Collect requests to end, as `signals_into` does, for a while."""
+    before = signals_into(received)
     try:
         yield
     finally:

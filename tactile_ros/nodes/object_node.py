@@ -176,6 +176,10 @@ class ObjectNode(ManagedNode):
         self.merge = EventMerge(self.arms)
         self.last: TrackedObject | None = None
 
+    def command_topics(self) -> list[str]:
+        """Of all its arms."""
+        return [topics.COMMAND.of(arm).name for arm in self.arms]
+
     def configure(self) -> None:
         """Create publishers and subscriptions."""
         self.belief_out = self.publisher(PoseWithCovarianceStamped, topics.OBJECT_BELIEF.name, STATE)

@@ -22,7 +22,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
-from tactile_base.topics import IMAGE, QOS_KINDS, Topic, compressed
+from tactile_base.topics import COMMAND, IMAGE, QOS_KINDS, Topic, compressed
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MessageError, array_from_image
@@ -79,6 +79,10 @@ class RecorderNode(ManagedNode):
             lost = f", {self.lost.total()} lost" if self.lost else ""
             self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}{lost}")
             self.bag = None
+
+    def command_topics(self) -> list[str]:
+        """Those that are recorded: the bag holds how the arms came to rest."""
+        return [topic.name for topic in self.topics if COMMAND.arm_of(topic.name)]
 
     def _record(self, topic: Topic) -> None:
         # Without MessageInfo, whose time of publication would be welcome: the events executor cannot pass it.

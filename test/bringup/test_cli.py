@@ -1,5 +1,6 @@
 """The command line: what it offers, and what it says when something is wrong."""
 
+import os
 import resource
 import subprocess
 import sys
@@ -8,6 +9,12 @@ import pytest
 
 from tactile_base.version import version
 from tactile_bringup import cli
+
+WITHOUT_MCAP_AND_RUCKIG = """
+import importlib.util
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name: None if name in ("mcap", "ruckig") else find(name)
+"""
 
 
 def test_help_names_every_command(capsys):
@@ -106,3 +113,19 @@ def test_a_disk_that_is_full_at_the_end_of_a_simulation_is_told(tmp_path, capsys
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert status == 2
     assert "File too large" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["-m", "tactile_bringup.cli", "doctor"], ["-m", "tactile_ros.nodes.recorder_node"]],
+    ids=["command", "node"],
+)
+def test_python_packages_that_are_missing_are_named_with_what_installs_them(tmp_path, command):
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT_MCAP_AND_RUCKIG)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}
+    )
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "Python packages are missing: ruckig, mcap; type: " in done.stderr
+    assert f"{sys.executable} -m pip install" in done.stderr

@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,46 @@ def test_the_launch_description_starts_the_nodes_of_the_graph(tmp_path, monkeypa
     assert sum(type(action) is ExecuteProcess for action in actions) == 1  # what runs the goals
     written = {file.stem for file in Path(tmp_path).glob("*.yaml")}
     assert written == {node.file_stem for node in graph.nodes}
+
+
+@needs_launch
+@pytest.mark.parametrize(
+    ("argument", "value", "complaint"),
+    [
+        ("rate", "fast", "rate:=fast: must be a number"),
+        ("rate", "500", "rate:=500: must lie in [1, 240] Hz"),
+        ("seed", "1.5", "seed:=1.5: must be a whole number"),
+        ("headless", "yes", "headless:=yes: must be true or false"),
+        ("model", "/no/such.onnx", "model:=/no/such.onnx: no such file"),
+    ],
+)
+def test_a_wrong_argument_of_a_launch_file_is_refused_in_a_sentence(argument, value, complaint):
+    from launch import LaunchContext
+    from tactile_bringup.launching import launch_description
+
+    context = LaunchContext()
+    description = launch_description.describe("surface_following")
+    for entity in description.entities[:-1]:
+        entity.execute(context)
+    context.launch_configurations[argument] = value
+    with pytest.raises(ValueError, match=re.escape(complaint)):
+        description.entities[-1].execute(context)
+
+
+@needs_launch
+@pytest.mark.parametrize(("code", "what", "ends_with"), [(-11, "node /arm/filter", 1), (0, "the task", 0)])
+def test_a_launch_ends_with_1_when_a_node_dies_and_with_0_when_the_task_is_done(code, what, ends_with):
+    from launch.actions import ExecuteProcess
+
+    from launch import LaunchDescription, LaunchService
+    from tactile_bringup.launching import launch_description
+
+    service = LaunchService(noninteractive=True)
+    dying = f"import os, signal; os.kill(os.getpid(), {-code}) if {code} else None"
+    process = ExecuteProcess(cmd=[sys.executable, "-c", dying], on_exit=launch_description._shut_down(what))
+    other = ExecuteProcess(cmd=[sys.executable, "-c", "import time; time.sleep(60)"])
+    service.include_launch_description(LaunchDescription([process, other]))
+    assert service.run() == ends_with
 
 
 def test_the_launch_file_is_one_of_its_task():

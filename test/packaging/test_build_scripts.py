@@ -155,6 +155,22 @@ def test_repair_rewrites_stale_paths_once(scripts: Path):
     assert module.repair(scripts.parent) == 0
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_an_install_without_the_messages_fails_with_what_to_type(tmp_path: Path, root: Path, there: bool):
+    """As plain `colcon build` would make one, since it does not look for packages inside of a package."""
+    shutil.copy(root / "setup.py", tmp_path)
+    share = tmp_path / "prefix/share/tactile_msgs"
+    if there:
+        share.mkdir(parents=True)
+        (share / "package.xml").touch()
+    for folder in ("resource", "scripts", "launch", "config"):
+        (tmp_path / folder).mkdir()
+    command = [sys.executable, "setup.py", "--help", "install"]
+    done = run(*command, cwd=tmp_path, AMENT_PREFIX_PATH=str(tmp_path / "prefix"))
+    assert (done.returncode == 0) == there
+    assert there or f"colcon build --base-paths src {tmp_path}/tactile_msgs" in done.stderr
+
+
 def test_c_code_that_does_not_compile_fails_the_build_with_its_name(tmp_path: Path, root: Path):
     for name in ("setup.py", "setup.cfg", "package.xml", "LICENSE"):
         shutil.copy(root / name, tmp_path)

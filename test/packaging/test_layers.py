@@ -1,11 +1,14 @@
 """Imports go one way; ROS stays at the edge."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tactile_base.requirements import REQUIREMENTS
 
 # Each package imports only those above it here; the three in SIDE_BY_SIDE do not know each other.
 ORDER = (
@@ -121,20 +124,33 @@ def third_party(root: Path) -> set[str]:
 
 
 def test_every_imported_library_is_required_by_the_package(root: Path):
-    distributions = {"cv2": "opencv-contrib-python-headless", "yaml": "pyyaml"}
     required = requirement_names(root)
-    missing = {name for name in third_party(root) if distributions.get(name, name) not in required}
+    missing = {name for name in third_party(root) if REQUIREMENTS.get(name, name) not in required}
     assert not missing, "add these to setup.cfg"
 
 
-def requirement_names(root: Path) -> set[str]:
+def test_what_is_looked_for_at_the_start_is_what_setup_cfg_requires(root: Path):
+    assert set(REQUIREMENTS.values()) == requirement_names(root, with_training=False)
+
+
+def test_what_package_xml_leaves_to_pip_is_named_there(root: Path):
+    text = (root / "package.xml").read_text()
+    keys = set(re.findall(r"<exec_depend>python3-(.*?)(?:-pip)?</exec_depend>", text))
+    comment = re.search(r"Without a rosdep key, but on PyPI: (.*?)\.", text)
+    assert comment is not None
+    by_key = {"opencv-contrib-python-headless": "opencv", "pyyaml": "yaml"}
+    names = {by_key.get(name, name) for name in REQUIREMENTS.values()}
+    assert names - keys == set(comment[1].split(", "))
+
+
+def requirement_names(root: Path, with_training: bool = True) -> set[str]:
     import configparser
-    import re
 
     config = configparser.ConfigParser()
     config.read(root / "setup.cfg")
     extras = config["options.extras_require"]
-    blocks = [config["options"]["install_requires"], extras["train"], extras["cluster"]]
+    blocks = [config["options"]["install_requires"]]
+    blocks += [extras["train"], extras["cluster"]] if with_training else []
     return {re.split(r"[<>=\[ ]", line)[0] for block in blocks for line in block.splitlines() if line}
 
 
@@ -142,6 +158,6 @@ def test_every_imported_ros_package_is_a_dependency_in_package_xml(root: Path):
     import xml.etree.ElementTree as ElementTree
 
     tree = ElementTree.parse(root / "package.xml")
-    declared = {element.text for element in tree.iter("exec_depend")}
+    declared = {element.text for kind in ("depend", "exec_depend") for element in tree.iter(kind)}
     used = {name.split(".")[0] for path in sources(root) for name in imports(path) if is_ros(name)}
     assert not used - declared

@@ -58,6 +58,8 @@ class Graph:
         self.diagnostics = self.collect(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
 
     def close(self) -> None:
+        for publisher in list(self.node.publishers):  # nodes go on while somebody moves their arm
+            self.node.destroy_publisher(publisher)
         self.processes.close()
         for action in self.actions:  # one that is left keeps the whole participant alive
             action.destroy()

@@ -10,18 +10,21 @@ import numpy as np
 import pytest
 
 from tactile_base.config_paths import config_path
+from tactile_base.topics import ARM_TOPICS, TRUTH
 from tactile_bringup.run_sequence import arm_plans
 from tactile_control.task_file import load_task, task_path
 from tactile_drivers.scene import load_scene
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLatency
+from tactile_records.bags.reader import read_bag
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
 from tactile_ros.task_messages import goal_message
 
 SIM, FILTER = "tactile_ros.nodes.sim_node", "tactile_ros.nodes.filter_node"
-CONTROLLER = "tactile_ros.nodes.controller_node"
+CONTROLLER, RECORDER = "tactile_ros.nodes.controller_node", "tactile_ros.nodes.recorder_node"
 SECOND = 1_000_000_000
+OUT_OF_ORDER = "ending before what the node works for has ended"
 CHEAPER = (
     ("bodies:", "simulation: {rate: 60, sensors: {arm: {fidelity: ideal}}}\nbodies:"),
     ("0.062]", "0.053]"),  # 3 mm above the ramp instead of 12
@@ -112,6 +115,8 @@ def test_the_ramp_is_followed_at_depth_and_along_the_normal(graph, tmp_path):
     assert all(m.in_contact for m in path)
     assert np.sqrt(np.mean((depth_mm - 3.0) ** 2)) < 0.3
     assert np.sqrt(np.mean(angle_deg**2)) < 2.0
+    assert graph.stop(FILTER) == 0  # a controller that is idle is not waited for
+    assert OUT_OF_ORDER not in graph.log(FILTER).read_text()
 
 
 def test_each_exposure_is_answered_or_counted_as_dropped(cell):
@@ -158,16 +163,52 @@ def test_a_filter_that_pauses_brings_the_arm_to_rest_and_the_task_goes_on(graph,
     assert result.success, result.reason
 
 
-def test_a_controller_that_is_killed_leaves_the_arm_at_rest_by_the_arms_own_watchdog(cell):
+def test_a_controller_that_is_killed_leaves_the_arm_at_rest_by_its_own_watchdog_and_holds_up_no_end(cell):
     cell.following()
     cell.graph.processes.children[CONTROLLER].process.kill()
     cell.assert_at_rest_within(cell.graph.now_ns(), 0.3)
     assert "no command for" in cell.arms[-1].reason
+    assert cell.graph.stop(FILTER) == 0
+    assert OUT_OF_ORDER not in cell.graph.log(FILTER).read_text()
 
 
-def test_a_controller_that_is_shut_down_brings_the_arm_to_rest_at_once(cell):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_nodes_that_are_all_signalled_at_once_end_after_the_arm_has_left_the_surface(graph, tmp_path, number):
+    topics = [topic.of("arm") for topic in (*ARM_TOPICS, TRUTH)]
+    listed = [f"'{topic.name} {topic.type} {topic.qos}'" for topic in topics]
+    cell = Cell(graph, tmp_path)
+    graph.start(RECORDER, {"bag": tmp_path / "bag", "topics": listed}, namespace="")
+    handle = cell.following()
+    result = handle.get_result_async()
+    graph.settle()
+    children = graph.processes.children
+    # whoever is signalled first: what the controller needs, or the controller itself
+    order = list(children) if number == signal.SIGTERM else list(reversed(children))
+    for name in order:
+        children[name].process.send_signal(number)
+    assert graph.wait(lambda: result.done() and all(c.process.poll() is not None for c in children.values()))
+    assert [child.process.returncode for child in children.values()] == [0] * 4
+    assert not result.result().result.success
+    assert result.result().result.reason == f"the controller was asked to end by {number.name}"
+    assert all(graph.log(name).read_text().count(OUT_OF_ORDER) == 0 for name in order)
+    bag = read_bag(tmp_path / "bag")
+    assert bag.complete, bag.problem
+    touching = [truth.in_contact for _, truth in bag.decoded("/arm/sim/truth")]
+    assert any(touching) and not touching[-1]
+    *_, (_, last) = bag.decoded("/arm/command/twist")
+    assert last.twist.linear.z == 0.0
+
+
+def test_a_second_signal_ends_a_controller_at_once_with_the_arm_at_rest_where_it_is(cell):
     cell.following()
-    stopped = cell.graph.processes.children[CONTROLLER].process
-    stopped.send_signal(signal.SIGINT)
+    controller = cell.graph.processes.children[CONTROLLER]
+    assert cell.graph.set_parameter("controller", "contact.retreat_speed", 0.001).successful
+    controller.process.send_signal(signal.SIGINT)
+    assert cell.graph.wait(lambda: cell.statuses[-1].phase == "retreat")
+    for _ in cell.graph.ticks(0.1):
+        controller.process.send_signal(signal.SIGINT)  # after a while it counts as a second one
+        if f"a second signal: {OUT_OF_ORDER}" in controller.log.read_text():
+            break
     cell.assert_at_rest_within(cell.graph.now_ns(), 0.25)
-    assert cell.graph.wait(lambda: stopped.poll() is not None) and stopped.returncode == 0
+    assert cell.graph.wait(lambda: controller.process.poll() is not None)
+    assert controller.process.returncode == 0
