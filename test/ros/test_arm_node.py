@@ -171,7 +171,7 @@ def test_after_an_emergency_stop_nothing_moves_until_a_reset_and_a_twist_of_zero
     statuses.clear()
     keep_asking(lambda: len(statuses) > 10)
     assert all(status.mode == ArmStatus.RESTING for status in statuses[3:])
-    assert (position(poses) == where).all()
+    assert np.linalg.norm(position(poses) - where) < 1e-4
     keep_asking(lambda: True, np.zeros(6))
     keep_asking(lambda: statuses[-1].mode == ArmStatus.MOVING)
 
