@@ -103,6 +103,7 @@ class GraphOptions:
     record_images: bool = False
     marker_view: bool = False
     object_belief: bool = False
+    priority: int = 0
     object_file: str = ""
 
 
@@ -167,6 +168,9 @@ def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: Grap
         if arm.sensor is not None:
             nodes += _senses(scene, plan.arm, filter_values, options)
         nodes.append(_controller(plan, arm))
+    if options.priority:
+        more = {"priority": options.priority}
+        nodes = [dataclasses.replace(node, parameters={**node.parameters, **more}) for node in nodes]
     topics = tuple(_topics(list(scene.arms.values())))
     feeling = [plan.arm for plan in plans if scene.arms[plan.arm].sensor is not None]
     if options.object_belief:

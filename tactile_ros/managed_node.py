@@ -48,6 +48,7 @@ from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.ending import Commander, Ending
 from tactile_ros.parameters import SettingsParameters, declare_read_only
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
+from tactile_ros.scheduling import set_priority
 
 Result = TransitionCallbackReturn
 
@@ -55,6 +56,7 @@ COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 # what names a profile to Fast DDS, and what did in the past
 DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 DIAGNOSTIC_PERIOD = 1.0  # s
+LARGEST_PRIORITY = 99  # of SCHED_FIFO
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
@@ -94,6 +96,14 @@ class ManagedNode(LifecycleNode):
             namespace.rsplit("/", 1)[-1] or "arm",
             "name of the arm, first part of its frames' names",
         )
+        self.priority = declare_read_only(
+            self,
+            "priority",
+            0,
+            "SCHED_FIFO priority 1..99 of the process, and locked memory; 0: neither",
+        )
+        if not 0 <= self.priority <= LARGEST_PRIORITY:
+            raise SettingError(f"parameter priority = {self.priority}: must lie in [0, {LARGEST_PRIORITY}]")
         self.base_frame = topics.base_frame(self.arm)
         self.sensor_frame = topics.sensor_frame(self.arm)
         self.active = False
@@ -431,6 +441,8 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
         rclpy.try_shutdown()
         return 1
     nodes = [made] if isinstance(made, ManagedNode) else list(made)
+    if missing := set_priority(max(node.priority for node in nodes)):
+        nodes[-1].get_logger().warning(f"priority: this user may not have {missing}")
     executor = make_executor()
     for node in nodes:
         executor.add_node(node)

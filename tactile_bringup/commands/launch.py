@@ -37,6 +37,9 @@ def register(subparsers: Any) -> None:
         help="fuse the contacts of all arms into one belief over the object that they touch (object/belief); "
         "NAME: one of config/objects, or a file, that says where they touch it (default: found by touch)",
     )  # fmt: skip
+    add("--priority", type=int, default=0, metavar="N",
+        help="SCHED_FIFO priority 1..99 of the nodes from exposure to motion (default: 0, as any process)",
+    )  # fmt: skip
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
     parser.set_defaults(run=run)

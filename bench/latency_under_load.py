@@ -1,0 +1,64 @@
+"""Latency from exposure to command beside busy loops, with and without a real-time priority of the nodes.
+
+Each row is one run of surface following on the simulated ramp, as real nodes, recorded::
+
+    python bench/latency_under_load.py [--loops 0 2 4 8] [--priorities 0 20]
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+
+def busy(count: int) -> list[subprocess.Popen]:
+    """So many processes that never rest."""
+    return [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+
+
+def measure(loops: int, priority: int, task: list[str]) -> dict:
+    """The report of one run; empty if there is none."""
+    with tempfile.TemporaryDirectory() as folder:
+        others = busy(loops)
+        try:
+            command = [sys.executable, "-m", "tactile_bringup.cli", "launch", *task, "--headless"]
+            command += ["--priority", str(priority), "--out", folder, "--record", f"{folder}/bag"]
+            done = subprocess.run(command, capture_output=True, text=True)
+        finally:
+            for other in others:
+                other.kill()
+                other.wait()
+        reports = list(Path(folder).rglob("report.json"))
+        if not reports:
+            made = [sys.executable, "-m", "tactile_bringup.cli", "report", f"{folder}/bag", "--out", folder]
+            subprocess.run(made, capture_output=True, text=True)
+            reports = list(Path(folder).rglob("report.json"))
+        values = json.loads(reports[0].read_text()) if reports else {}
+        return values | {"exit": done.returncode, "end": (done.stdout + done.stderr).strip()[-200:]}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--loops", type=int, nargs="+", default=[0, 2, 4, 8])
+    parser.add_argument("--priorities", type=int, nargs="+", default=[0, 20])
+    parser.add_argument("task", nargs="*", default=["surface_following"])
+    arguments = parser.parse_args()
+    print(
+        "| busy loops | priority | p50, p99 (ms) | frames dropped and counted of all, dropped in silence | exit code |"
+    )
+    print("| --- | --- | --- | --- | --- |")
+    for loops in arguments.loops:
+        for priority in arguments.priorities:
+            values = measure(loops, priority, arguments.task)
+            latency, frames = values.get("latency_ms", {}), values.get("frames", {})
+            both = f"{latency['p50']:.1f}, {latency['p99']:.1f}" if latency else "no run: " + values["end"]
+            lost = (
+                f"{sum(frames['lost'].values())} of {frames['exposed']}, {frames['silent']}" if frames else ""
+            )
+            print(f"| {loops} | {priority} | {both} | {lost} | {values['exit']} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
