@@ -7,18 +7,19 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
-from geometry_msgs.msg import Quaternion
-from messages import image_message
+from geometry_msgs.msg import Quaternion, TwistStamped
+from messages import arm_command, image_message
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
 from tactile_filter import se3
 from tactile_ros.cdr import (
+    HeadedReader,
     bytes_from_array,
+    command_from_bytes,
     gaussian_bytes,
     image_from_bytes,
     read_gaussian,
-    read_twist,
     twist_bytes,
 )
 from tactile_ros.conversions import (
@@ -113,7 +114,13 @@ def test_the_fields_of_a_serialized_image_are_checked_like_those_of_a_message(en
 
 def test_a_twist_survives_the_way_through_a_message():
     twist = RNG.normal(size=6)
-    assert read_twist(twist_bytes(1, "s", twist)) == (1, "s", tuple(twist))
+    assert HeadedReader(TwistStamped)(twist_bytes(1, "s", twist)) == (1, "s", tuple(twist))
+
+
+def test_a_command_is_read_with_who_sent_it():
+    twist = RNG.normal(size=6)
+    stamp_ns, frame, source, found = command_from_bytes(serialize_message(arm_command(7, "s", twist, "/me")))
+    assert (stamp_ns, frame, source) == (7, "s", "/me") and found.tolist() == twist.tolist()
 
 
 def test_the_identity_quaternion_is_the_default_of_messages():
