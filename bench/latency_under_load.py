@@ -45,9 +45,7 @@ def main() -> None:
     parser.add_argument("--priorities", type=int, nargs="+", default=[0, 20])
     parser.add_argument("task", nargs="*", default=["surface_following"])
     arguments = parser.parse_args()
-    print(
-        "| busy loops | priority | p50, p99 (ms) | frames dropped and counted of all, dropped in silence | exit code |"
-    )
+    print("| busy loops | priority | p50, p99 (ms) | frames dropped: counted, in silence | exit code |")
     print("| --- | --- | --- | --- | --- |")
     for loops in arguments.loops:
         for priority in arguments.priorities:
