@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,18 @@ class Recorded(NamedTuple):
     published_ns: int
 
 
+class Gap(NamedTuple):
+    """Messages of one publisher that did not reach the recorder.
+
+    How many, and when the messages before and after them were published (ns); 0 where there was none.
+    """
+
+    topic: str
+    messages: int
+    after_ns: int
+    before_ns: int
+
+
 @dataclass
 class Bag:
     """What could be read of a bag.
@@ -47,6 +60,8 @@ class Bag:
         Topic -> number of messages, also of those that are not kept.
     problems : list of str
         What could not be read, and where: a file is missing, ends early or holds damaged data.
+    gaps : list of Gap
+        What the recorder says that it missed.
     """
 
     folder: Path
@@ -57,16 +72,36 @@ class Bag:
     types: dict[str, str] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:
-        """Whether all of it could be read."""
-        return not self.problems
+        """Whether all of it could be read, and its recorder missed nothing."""
+        return not self.problems and not self.gaps
 
     @property
     def problem(self) -> str:
         """What is missing and why; empty for a complete bag."""
-        return "; ".join(self.problems)
+        return "; ".join([*self.problems, *self._missed()])
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Topic -> number of messages that were published and did not reach the recorder."""
+        counts: Counter[str] = Counter()
+        for gap in self.gaps:
+            counts[gap.topic] += gap.messages
+        return dict(counts)
+
+    def _missed(self) -> Iterator[str]:
+        """What the recorder missed, a text for each topic."""
+        for topic, lost in self.lost.items():
+            gaps = [gap for gap in self.gaps if gap.topic == topic]
+            start_ns, end_ns = min(gap.after_ns for gap in gaps), max(gap.before_ns for gap in gaps)
+            places = f" at {len(gaps)} places" if len(gaps) > 1 else ""
+            yield (
+                f"{topic}: {lost} of {lost + self.counts.get(topic, 0)} messages were published and not "
+                f"recorded{places}, between {start_ns / 1e9:.3f} and {end_ns / 1e9:.3f} s (Unix time)"
+            )
 
     def add_topic(self, topic: str, type_name: str) -> None:
         """A topic of the bag, which may be announced more than once."""

@@ -7,7 +7,6 @@ serves all runs of a sweep.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,11 +94,6 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     return Inputs(bag, arms, remarks, _span_s(bag))
 
 
-def lost_messages(bag: Bag) -> dict[str, int]:
-    """Topic -> messages that the recorder says it has lost."""
-    return {str(name): int(count) for name, count in json.loads(bag.note.get("messages_lost", "{}")).items()}
-
-
 def _span_s(bag: Bag) -> float:
     times = [message.received_ns for message in bag.messages]
     return (max(times) - min(times)) * 1e-9 if times else 0.0
@@ -117,10 +111,6 @@ def _assign_epochs(recording: Recording, tracks: Iterable[Track]) -> list[Jump]:
 
 def _remarks_of(bag: Bag, recording: Recording, jumps: Sequence[Jump]) -> list[str]:
     remarks = [f"no messages on {name}" for name in (TF.name, TF_STATIC.name) if not bag.counts.get(name)]
-    lost = {name: count for name, count in lost_messages(bag).items() if wanted_topics(name, "")}
-    if lost:
-        topics = ", ".join(f"{name} {count}" for name, count in lost.items())
-        remarks.append(f"messages were lost on their way to the recorder: {topics}")
     if recording.unreadable:
         count, reason = len(recording.unreadable), recording.unreadable[0]
         remarks.append(f"/tf: {count} messages cannot be decoded, the first: {reason}")

@@ -3,14 +3,15 @@
 Images are recorded only where `images` names their topics: compressed without loss (PNG), as
 sensor_msgs/CompressedImage on `<topic>/compressed`, since raw ones at 60 Hz are 18 MB a second.
 
-Being held up for 30 s costs no message of the reliable topics that our nodes publish. Messages that are lost
-all the same are counted, by topic, in /diagnostics and, as `messages_lost`, in the bag's note.
+Being held up for 30 s costs no message of the reliable topics that our nodes publish (docs/replay.md). What
+is lost all the same shows in the numbers that publishers give their messages: it is told with topic, number
+and time in the log, in /diagnostics and in the bag.
 """
 
 from __future__ import annotations
 
 import importlib
-import json
+import inspect
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
 from tactile_base.topics import IMAGE, QOS_KINDS, Topic, compressed
+from tactile_records.bags.contents import Gap
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MessageError, array_from_image
@@ -47,8 +49,10 @@ class RecorderNode(ManagedNode):
         self.images = [name for name in images if name]
         self.note = dict(text.split("=", 1) for text in note if text)
         self.bag: BagWriter | None = None
-        self.lost: Counter[str] = Counter()
-        self.open: list[tuple[Any, Callable[[Any], None]]] = []
+        self.lost: Counter[str] = Counter()  # by topic, as the numbers of its messages show
+        self.told: Counter[str] = Counter()  # the same, as the middleware says
+        self.newest: dict[tuple[str, bytes], tuple[int, int]] = {}  # number and time (ns) by topic, publisher
+        self.open: list[tuple[Any, _Taker]] = []
 
     def configure(self) -> None:
         """Create the bag and subscribe."""
@@ -57,7 +61,7 @@ class RecorderNode(ManagedNode):
         packed = [compressed(Topic(name, IMAGE.type, IMAGE.qos)) for name in self.images]
         try:
             self.bag = BagWriter(self.folder, [*self.topics, *packed], note=self.note)
-        except (BagError, DefinitionMissing, OSError) as error:
+        except (BagError, DefinitionMissing) as error:
             raise ConfigurationError(str(error)) from error
         for topic in self.topics:
             self._record(topic)
@@ -69,26 +73,25 @@ class RecorderNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Write what has arrived by now, and finish the bag."""
-        for subscription, write in self.open:
+        for subscription, take in self.open:
             with subscription.handle:
                 while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
-                    write(taken[0])
+                    take(*taken)
         self.open.clear()
-        if self.bag is not None:
-            self.bag.close()
+        self._lose_the_last()
+        if self._try(BagWriter.close):
             lost = f", {self.lost.total()} lost" if self.lost else ""
             self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}{lost}")
-            self.bag = None
+        self.bag = None
 
     def _record(self, topic: Topic) -> None:
-        # Without MessageInfo, whose time of publication would be welcome: the events executor cannot pass it.
-        def write(data: Any) -> None:
-            self._write(topic.name, data)
+        def write(data: Any, published_ns: int) -> None:
+            self._write(topic.name, data, published_ns)
 
         self._listen(topic, _message_type(topic.type), write, raw=True)
 
     def _record_images(self, name: str) -> None:
-        def write(message: Image) -> None:
+        def write(message: Image, published_ns: int) -> None:
             try:
                 data = cv2.imencode(".png", array_from_image(message), PNG_FAST)[1].tobytes()
             except MessageError as error:
@@ -96,33 +99,88 @@ class RecorderNode(ManagedNode):
                 self.warn("image", f"{name} refused: {error}")
                 return
             packed = CompressedImage(header=message.header, format=f"{message.encoding}; png", data=data)
-            self._write(f"{name}/compressed", serialize_message(packed))
+            self._write(f"{name}/compressed", serialize_message(packed), published_ns)
 
         self._listen(Topic(name, IMAGE.type, IMAGE.qos), Image, write, raw=False)
 
-    def _listen(self, topic: Topic, message_type: Any, write: Callable[[Any], None], raw: bool) -> None:
+    def _listen(self, topic: Topic, message_type: Any, write: Callable[[Any, int], None], raw: bool) -> None:
+        def take(message: Any, info: Any) -> None:
+            self._look_for_gap(topic.name, info)
+            write(message, info["source_timestamp"])
+
         def lose(info: Any) -> None:
-            self.lost[topic.name] += info.total_count_change
-            self.count(lost_counter(topic.name), info.total_count_change)
-            self.warn(f"{topic.name} lost", f"{topic.name}: {self.lost[topic.name]} messages lost so far")
-            if self.bag is not None:
-                self.bag.note["messages_lost"] = json.dumps(self.lost)
+            self.told[topic.name] += info.total_count_change
 
         events = SubscriptionEventCallbacks(message_lost=lose)
+        taker = _Taker(take)
         subscription: Any = self.create_subscription(
-            message_type, topic.name, write, recorder_profile(topic), event_callbacks=events, raw=raw
+            message_type, topic.name, taker, recorder_profile(topic), event_callbacks=events, raw=raw
         )
-        self.open.append((subscription, write))
+        self.open.append((subscription, taker))
         self.release_later(self.destroy_subscription, subscription)
 
-    def _write(self, topic: str, data: bytes) -> None:
-        if self.bag is not None:
+    def _look_for_gap(self, topic: str, info: Any) -> None:
+        """Compare the publisher's number with its last one, where the middleware passes numbers on."""
+        number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
+        if number is None or publisher is None:
+            return
+        key, published_ns = (topic, publisher["data"]), info["source_timestamp"]
+        last, last_ns = self.newest.get(key, (number - 1, 0))
+        self.newest[key] = number, published_ns
+        if number > last + 1:
+            self._lose(Gap(topic, number - last - 1, last_ns, published_ns))
+
+    def _lose_the_last(self) -> None:
+        """Messages that only the middleware knows to be lost: no later one of their publisher came."""
+        for topic, count in self.told.items():
+            if count > self.lost[topic]:
+                last_ns = max((ns for (name, _), (_, ns) in self.newest.items() if name == topic), default=0)
+                self._lose(Gap(topic, count - self.lost[topic], last_ns, self.now_ns()))
+
+    def _lose(self, gap: Gap) -> None:
+        self.lost[gap.topic] += gap.messages
+        self.count(lost_counter(gap.topic), gap.messages)
+        when = f"between {gap.after_ns / 1e9:.3f} and {gap.before_ns / 1e9:.3f} s"
+        text = f"{gap.topic}: {gap.messages} messages that were published {when} did not get here"
+        self.warn(f"{gap.topic} lost", f"{text}; {self.lost[gap.topic]} messages lost so far")
+        self._try(lambda bag: bag.add_gap(gap))
+
+    def _write(self, topic: str, data: bytes, published_ns: int) -> None:
+        if self._try(lambda bag: bag.write(topic, data, self.now_ns(), published_ns)):
             self.count("messages")
-            self.bag.write(topic, data, self.now_ns())
 
     def _flush(self) -> None:
-        if self.bag is not None:
-            self.bag.flush()
+        self._try(BagWriter.flush)
+
+    def _try(self, act: Callable[[BagWriter], None]) -> bool:
+        """Do something with the bag, if there is one; once it cannot be written, the recording ends."""
+        if self.bag is None:
+            return False
+        try:
+            act(self.bag)
+        except BagError as error:
+            text = f"the recording ends after {self.counters['messages']} messages: {error}"
+            self.report.fault = text
+            self.get_logger().error(text)
+            self.stop(text, exit_code=1)
+            self.bag = None
+            return False
+        return True
+
+
+class _Taker:
+    """A callback that gets each message with its MessageInfo.
+
+    rclpy's events executor hands both over as one tuple, other executors as two arguments.
+    """
+
+    __signature__ = inspect.signature(lambda message, info: None)
+
+    def __init__(self, take: Callable[[Any, Any], None]) -> None:
+        self._take = take
+
+    def __call__(self, *arguments: Any) -> None:
+        self._take(*(arguments if len(arguments) == 2 else arguments[0]))
 
 
 def _topic(text: str) -> Topic:

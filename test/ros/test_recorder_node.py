@@ -1,11 +1,11 @@
-"""The recorder: what is published is in the bag, or counted as lost."""
+"""The recorder: what is published is in the bag, or told as lost, with number and time."""
 
-import json
 import os
 import signal
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import TwistStamped
 from tf2_msgs.msg import TFMessage
 
 from tactile_records.bags.reader import read_bag
@@ -14,22 +14,53 @@ from tactile_ros.conversions import transform_stamped
 
 RECORDER = "tactile_ros.nodes.recorder_node"
 FRAME = TFMessage(transforms=[transform_stamped(5, "arm/base", "arm/tool", np.eye(4))])
+TOPICS = ["/tf tf2_msgs/msg/TFMessage reliable", "/arm/command/twist geometry_msgs/msg/TwistStamped reliable"]
+FULL_DISK = """
+import resource
+from tactile_ros.managed_node import run
+from tactile_ros.nodes.recorder_node import RecorderNode
+
+class OnAFullDisk(RecorderNode):
+    def activate(self):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))  # the system refuses what goes beyond
+
+raise SystemExit(run(OnAFullDisk))
+"""
+
+SLOW_DISK = """
+import time
+from pathlib import Path
+from rclpy.qos import QoSProfile
+from tactile_ros.managed_node import run
+from tactile_ros.nodes import recorder_node
+
+class OnASlowDisk(recorder_node.RecorderNode):
+    def _write(self, *arguments):
+        while not Path("{gate}").exists():
+            time.sleep(0.01)
+        super()._write(*arguments)
+
+recorder_node.recorder_profile = lambda topic: QoSProfile(depth=100)  # soon full
+raise SystemExit(run(OnASlowDisk))
+"""
 
 
 @pytest.fixture
 def record(graph, tmp_path):
-    """Starts a recorder of /tf, stops it in its tracks, publishes so many messages, and lets it go on."""
+    """Starts a recorder, stops it in its tracks, has one topic published, and lets it go on."""
 
-    def start(profile, count: int):
-        topics = ["/tf tf2_msgs/msg/TFMessage reliable"]
-        process = graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": topics})
-        publisher = graph.publisher(TFMessage, "/tf", profile)
+    def start(message, topic: str, profile, count: int):
+        process = graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": TOPICS})
+        publisher = graph.publisher(type(message), topic, profile)
+        publisher.publish(message)
+        graph.wait_for_count("recorder", "messages")
         os.kill(process.pid, signal.SIGSTOP)
         try:
-            for _ in range(count):
-                publisher.publish(FRAME)
+            for _ in range(count - 1):
+                publisher.publish(message)
         finally:
             os.kill(process.pid, signal.SIGCONT)
+        return publisher
 
     return start
 
@@ -39,26 +70,76 @@ def counts(report) -> tuple[int, int]:
     return int(report.values.get("messages", 0)), int(report.values.get("/tf messages lost", 0))
 
 
-def test_a_recorder_that_is_held_up_loses_nothing_of_what_our_nodes_publish(graph, record, tmp_path):
-    record(qos.writer_profile(qos.TF), count=10_000)
+@pytest.mark.parametrize(
+    ("message", "topic", "profile"),
+    [(FRAME, "/tf", qos.TF), (TwistStamped(), "/arm/command/twist", qos.COMMAND)],
+)
+def test_a_recorder_that_is_held_up_loses_nothing_of_what_our_nodes_publish(
+    graph, record, tmp_path, message, topic, profile
+):
+    record(message, topic, qos.writer_profile(profile), count=10_000)
     assert counts(graph.wait_for_count("recorder", "messages", 10_000)) == (10_000, 0)
     assert graph.stop(RECORDER) == 0
     bag = read_bag(tmp_path / "bag")
-    assert bag.complete and bag.counts == {"/tf": 10_000} and "messages_lost" not in bag.note
+    assert bag.complete and bag.counts[topic] == 10_000 and bag.lost == {}
 
 
-def test_what_a_recorder_loses_is_counted_in_diagnostics_and_in_the_bag(graph, record, tmp_path):
+def test_what_a_recorder_loses_is_told_in_diagnostics_in_the_log_and_in_the_bag(graph, record, tmp_path):
     """Of a publisher that keeps less, as those of other packages do."""
-    record(qos.TF, count=10_000)
+    record(FRAME, "/tf", qos.TF, count=10_000)
     report = graph.wait_for_report("recorder", lambda report: sum(counts(report)) == 10_000)
     recorded, lost = counts(report)
     assert recorded >= qos.TF.depth and lost > 0
     assert graph.stop(RECORDER) == 0
     bag = read_bag(tmp_path / "bag")
-    assert bag.counts == {"/tf": recorded} and json.loads(bag.note["messages_lost"]) == {"/tf": lost}
-    assert any(
-        "/tf" in report.message and "lost so far" in report.message for report in graph.reports("recorder")
-    )
+    assert bag.counts["/tf"] == recorded and bag.lost == {"/tf": lost} and not bag.complete
+    assert f"/tf: {lost} of 10000 messages were published and not recorded" in bag.problem
+    published = [message.published_ns for message in bag.messages]
+    for gap in bag.gaps:  # between two messages that are in the bag
+        assert published.index(gap.before_ns) == published.index(gap.after_ns) + 1
+    assert any("/tf" in r.message and "lost so far" in r.message for r in graph.reports("recorder"))
+    assert f"{lost} lost" in graph.log(RECORDER).read_text()
+
+
+def test_messages_that_a_slow_disk_makes_overflow_the_recorders_queue_are_told(graph, tmp_path):
+    parameters = {"bag": str(tmp_path / "bag"), "topics": TOPICS}
+    graph.start_code("slow", SLOW_DISK.format(gate=tmp_path / "gate"), parameters)
+    publisher = graph.publisher(TFMessage, "/tf", qos.writer_profile(qos.TF))
+    for _ in range(1000):
+        publisher.publish(FRAME)
+    (tmp_path / "gate").write_text("")
+    graph.wait_for_count("recorder", "messages", 100)
+    publisher.publish(FRAME)  # by its number the recorder sees what is missing
+    report = graph.wait_for_report("recorder", lambda report: sum(counts(report)) == 1001)
+    assert graph.stop("slow") == 0
+    bag = read_bag(tmp_path / "bag")
+    assert (bag.counts["/tf"], bag.lost["/tf"]) == counts(report) and not bag.complete
+
+
+def test_a_full_disk_ends_the_recording_with_a_sentence_and_what_was_written_is_read(graph, tmp_path):
+    parameters = {"bag": str(tmp_path / "bag"), "topics": TOPICS}
+    process = graph.start_code("full", FULL_DISK, parameters)
+    publisher = graph.publisher(TFMessage, "/tf", qos.TF)
+    noise = np.random.default_rng(3)
+    for _ in graph.ticks(0.002):
+        pose = np.eye(4)
+        pose[:3, 3] = noise.standard_normal(3)
+        publisher.publish(TFMessage(transforms=[transform_stamped(5, "arm/base", "arm/tool", pose)]))
+        if process.poll() is not None:
+            break
+    log = graph.log("full").read_text()
+    assert process.returncode == 1 and "Traceback" not in log
+    assert "the recording ends after" in log and "bag_0.mcap: cannot be written: File too large" in log
+    bag = read_bag(tmp_path / "bag")
+    assert "ends early" in bag.problem and bag.counts["/tf"] > 10
+
+
+def test_a_bag_that_cannot_be_created_is_an_error_that_names_it(graph, tmp_path):
+    (tmp_path / "file").write_text("")
+    process = graph.start(RECORDER, {"bag": str(tmp_path / "file" / "bag"), "topics": TOPICS}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None) and process.returncode == 1
+    log = graph.log(RECORDER).read_text()
+    assert "file/bag: cannot be created: Not a directory" in log and "Traceback" not in log
 
 
 def test_topics_that_cannot_be_recorded_are_an_error_that_says_what_would_be_right(graph, tmp_path):
