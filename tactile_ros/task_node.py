@@ -27,7 +27,7 @@ from tactile_ros.cdr import twist_bytes
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import declare_read_only
-from tactile_ros.qos import COMMAND, STATE
+from tactile_ros.qos import COMMAND, STATE, writer_profile
 from tactile_ros.transforms import TransformListener
 
 ZERO = np.zeros(6)
@@ -120,6 +120,7 @@ class TaskNode(ManagedNode, ABC):
             goal_callback=self._consider,
             handle_accepted_callback=self._accept,
             cancel_callback=self._cancel,
+            feedback_pub_qos_profile=writer_profile(STATE),
         )
         self.release_later(ActionServer.destroy, action)
 

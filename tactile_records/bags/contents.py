@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.serde import SerdeError
 
+from tactile_records.bags.message_definitions import DefinitionDamaged, message_definition, typestore
+
+# What `rosbags` raises for bytes that are no message of their type.
+_NO_MESSAGE = (SerdeError, struct.error, ValueError, LookupError, TypeError, AssertionError, OverflowError)
 Wanted = Callable[[str, str], bool]  # of topic and type: whether its messages are to be read
 
 
@@ -73,6 +78,7 @@ class Bag:
     counts: dict[str, int] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
+    _stores: dict[str, Any] = field(default_factory=dict)
 
     @property
     def complete(self) -> bool:
@@ -114,23 +120,42 @@ class Bag:
         return sum(self.counts.values())
 
     def decoded(self, topic: str) -> Iterator[tuple[Recorded, Any]]:
-        """The messages of one topic, deserialised by the definitions in the bag."""
-        store = self.typestore()
+        """The messages of one topic, deserialised by the definitions in the bag; others are problems."""
+        damaged = []
         for message in self.messages:
             if message.topic == topic:
-                yield message, store.deserialize_cdr(message.data, message.type)
+                try:
+                    value = self.typestore(message.type).deserialize_cdr(message.data, message.type)
+                except _NO_MESSAGE as error:
+                    damaged.append(f"at {message.received_ns} ns: {error or type(error).__name__}")
+                else:
+                    yield message, value
+        if damaged:
+            self.problems.append(
+                f"{topic}: {len(damaged)} messages cannot be decoded, the first {damaged[0]}"
+            )
 
     @property
     def topics(self) -> dict[str, int]:
         """Topic -> number of messages, of the topics that have any."""
         return {topic: count for topic, count in self.counts.items() if count}
 
-    def typestore(self) -> Any:
-        """The types that the bag defines, for `rosbags`."""
-        if not hasattr(self, "_store"):
-            store = get_typestore(Stores.EMPTY)
-            for name, text in self.definitions.items():
-                types = get_types_from_msg(text, name)
-                store.register({key: value for key, value in types.items() if key not in store.types})
-            self._store = store
-        return self._store
+    def typestore(self, type_name: str) -> Any:
+        """A type with all that it uses, for `rosbags`: as the bag defines it, else as it is installed.
+
+        Raises `DefinitionMissing` where it is neither.
+        """
+        if type_name not in self._stores:
+            self._stores[type_name] = self._defined(type_name) or typestore(
+                type_name, message_definition(type_name)
+            )
+        return self._stores[type_name]
+
+    def _defined(self, type_name: str) -> Any:
+        text = self.definitions.get(type_name)
+        try:
+            return typestore(type_name, text) if text else None
+        except DefinitionDamaged as error:
+            damaged = f"the definition of {type_name} {error}; the installed one is taken"
+            self.problems.append(damaged)
+            return None

@@ -22,6 +22,7 @@ from tactile_records.bags.writer import METADATA
 
 __all__ = ["Bag", "BagError", "Recorded", "read_bag"]
 
+_YAML_DEPTH = 50
 SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
@@ -96,7 +97,7 @@ def _unpack_messages(name: str, bag: Bag, first: int, unpacker: Unpacker) -> Non
             bag.messages.append(message._replace(data=unpacker.zstd(message.data)))
         except TooLarge as error:
             bag.problems.append(f"{name}: {error}")
-            return
+            break
         except zstandard.ZstdError as error:
             damaged.append(f"{message.topic} at {message.received_ns} ns: {error}")
     if damaged:
@@ -154,10 +155,21 @@ def _read_metadata(folder: Path, problems: list[str]) -> dict[str, Any]:
         return _checked({})
     loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the one in C is not everywhere
     try:
-        return _checked(yaml.load(file.read_text(), Loader=loader)["rosbag2_bagfile_information"])
-    except (yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError) as error:
+        text = file.read_text()
+        _refuse_depth(text, loader)
+        return _checked(yaml.load(text, Loader=loader)["rosbag2_bagfile_information"])
+    except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:
         problems.append(f"{file.name}: cannot be understood and was passed over: {error}")
         return _checked({})
+
+
+def _refuse_depth(text: str, loader: Any) -> None:
+    """Raise ValueError for YAML that is nested so deeply that libyaml would overflow the stack."""
+    depth = 0
+    for event in yaml.parse(text, Loader=loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _YAML_DEPTH:
+            raise ValueError(f"nested more than {_YAML_DEPTH} deep")
 
 
 def _checked(information: Any) -> dict[str, Any]:

@@ -81,7 +81,8 @@ def _refuse_computed(database: sqlite3.Connection) -> None:
         query = "SELECT type, rootpage FROM sqlite_master WHERE name = ?"
         for kind, page in database.execute(query, (name,)):
             if kind != "table" or not page:
-                raise sqlite3.DatabaseError(f"{name} must be a table, is a {'virtual ' * (not page)}{kind}")
+                found = "virtual table" if kind == "table" else kind
+                raise sqlite3.DatabaseError(f"{name} must be a table, is a {found}")
         hidden = [row[1] for row in database.execute(f"PRAGMA table_xinfo({name})") if row[6]]
         if hidden:
             raise sqlite3.DatabaseError(f"column {hidden[0]} of {name} is computed, must be stored")
@@ -97,10 +98,12 @@ def _rows(
         try:
             for row in database.execute(query, (last,)):
                 number, topic, stamp_ns, data = row
-                if not isinstance(number, int) or number <= last:
-                    raise sqlite3.DatabaseError(f"row {number} makes no sense")
-                last, step = number, 1
-                if topic in topics and isinstance(stamp_ns, int) and isinstance(data, bytes):
+                if isinstance(number, int):
+                    if number <= last:
+                        raise sqlite3.DatabaseError(f"row {number} comes after row {last}")
+                    last, step = number, 1
+                types = type(number), type(stamp_ns), type(data)
+                if topic in topics and types == (int, int, bytes):
                     yield row
                 else:
                     senseless.append(number)
@@ -109,7 +112,9 @@ def _rows(
             faults.append(str(error))
             last, step = last + step, step + step // 4 + 1
     if senseless:
-        faults.append(f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]}")
+        faults.append(
+            f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]!r:.40}"
+        )
 
 
 def _read_topics(database: sqlite3.Connection, bag: Bag, faults: list[str]) -> dict[int, tuple[str, str]]:

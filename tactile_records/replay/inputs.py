@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
-from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.replay.topics import (
     Jump,
@@ -68,16 +67,21 @@ def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
 def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     """The same of a bag that was read before."""
     reader = TopicReader(bag)
-    remarks = [] if bag.complete else [f"bag not complete: {bag.problem}"]
+    remarks: list[str] = []
     names = sorted(name for name in reader.arm_names() if bag.counts.get(ESTIMATE.of(name).name))
     if not names:
         topics = ", ".join(sorted(bag.topics)) or "none"
         raise ReplayError(
             f"{bag.folder}: no messages on <arm>/{ESTIMATE.name}; topics with messages: {topics}"
         )
-    tracks = {name: Track(reader, name, base_frame) for name in names}
+    tracks = {}
+    for name in names:
+        try:
+            tracks[name] = Track(reader, name, base_frame)
+        except ReplayError as error:
+            remarks.append(str(error))
     messages = reader.with_places(TF.name, TF_STATIC.name)
-    fields = type_fields(bag.definitions, messages[0][1].type) if messages else {}
+    fields = bag.typestore(messages[0][1].type).fielddefs if messages else {}
     recording = read_transforms(fields, messages, ignore=[contact_frame(name) for name in names])
     for track in tracks.values():
         track.find_the_sensor(recording)
@@ -89,6 +93,8 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
             arms.append(track.finished(recording))
         except ReplayError as error:
             remarks.append(str(error))
+    if not bag.complete:
+        remarks.insert(0, f"bag not complete: {bag.problem}")
     if not arms:
         raise ReplayError(f"{bag.folder}: no arm can be replayed: " + "; ".join(remarks))
     return Inputs(bag, arms, remarks, _span_s(bag))

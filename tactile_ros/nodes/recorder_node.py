@@ -192,10 +192,12 @@ def _topic(text: str) -> Topic:
 
 
 def _message_type(name: str) -> Any:
-    """The class of `package/msg/Name`; raises ConfigurationError where package or message is missing."""
-    package, _, message = name.split("/")
+    """The class of a topic's type; raises ConfigurationError where package or message is missing."""
+    package, kind, message = name.split("/")
+    action, _, part = message.rpartition("_")
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), message)
+        module = importlib.import_module(f"{package}.{kind}")
+        return getattr(module, message) if kind == "msg" else getattr(getattr(module, action).Impl, part)
     except (ImportError, AttributeError) as error:
         raise ConfigurationError(f"topics: no message {name}: {error}") from error
 

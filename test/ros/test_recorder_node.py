@@ -5,9 +5,13 @@ import signal
 
 import numpy as np
 import pytest
+from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import TwistStamped
+from rclpy.action import ActionServer
 from tf2_msgs.msg import TFMessage
 
+from tactile_base import topics
+from tactile_msgs.action import RunTask
 from tactile_records.bags.reader import read_bag
 from tactile_ros import qos
 from tactile_ros.conversions import transform_stamped
@@ -116,6 +120,38 @@ def test_messages_that_a_slow_disk_makes_overflow_the_recorders_queue_are_told(g
     assert (bag.counts["/tf"], bag.lost["/tf"]) == counts(report) and not bag.complete
 
 
+def test_a_bag_shows_why_a_goal_ended(graph, tmp_path):
+    """What its action publishes, and what nodes log, read by the definitions in the bag."""
+    recorded = [topics.ROSOUT, topics.TASK_STATUS.of("arm"), topics.TASK_FEEDBACK.of("arm")]
+    texts = [f"{topic.name} {topic.type} {topic.qos}" for topic in recorded]
+    graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": texts})
+
+    def refuse(goal):
+        goal.publish_feedback(RunTask.Feedback(phase="approach", reason="no surface was found"))
+        graph.node.get_logger().error("the goal was not reached")
+        goal.abort()
+        return RunTask.Result()
+
+    server = ActionServer(graph.node, RunTask, topics.RUN_TASK, refuse)
+    goal = graph.action(RunTask, topics.RUN_TASK).send_goal_async(RunTask.Goal())
+    assert graph.wait(goal.done)
+
+    def ended() -> bool:
+        if (tmp_path / "bag" / "bag_0.mcap").stat().st_size < 100:
+            return False  # nothing was flushed so far
+        bag = read_bag(tmp_path / "bag")  # while it is being written
+        log, status, feedback = ([m for _, m in bag.decoded(topic.name)] for topic in recorded)
+        return (
+            "the goal was not reached" in [line.msg for line in log]
+            and GoalStatus.STATUS_ABORTED in [entry.status for m in status for entry in m.status_list]
+            and [(m.feedback.phase, m.feedback.reason) for m in feedback]
+            == [("approach", "no surface was found")]
+        )
+
+    assert any(ended() for _ in graph.ticks(0.2))
+    server.destroy()
+
+
 def test_a_full_disk_ends_the_recording_with_a_sentence_and_what_was_written_is_read(graph, tmp_path):
     parameters = {"bag": str(tmp_path / "bag"), "topics": TOPICS}
     process = graph.start_code("full", FULL_DISK, parameters)
@@ -143,8 +179,8 @@ def test_a_bag_that_cannot_be_created_is_an_error_that_names_it(graph, tmp_path)
 
 
 def test_topics_that_cannot_be_recorded_are_an_error_that_says_what_would_be_right(graph, tmp_path):
-    topics = ["/tf tf2_msgs/msg/TFMessage quick"]
-    process = graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": topics}, wait=False)
+    listed = ["/tf tf2_msgs/msg/TFMessage quick"]
+    process = graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": listed}, wait=False)
     assert graph.wait(lambda: process.poll() is not None) and process.returncode == 1
     assert (
         "must be 'NAME TYPE QOS' with a QOS of reliable, latched, sensor" in graph.log(RECORDER).read_text()
