@@ -1,6 +1,7 @@
 """Bags that were made to do harm, or by a program gone wrong: a sentence, in little time and memory."""
 
 import re
+import resource
 import sqlite3
 import tracemalloc
 
@@ -269,3 +270,31 @@ def test_a_type_without_definition_that_is_not_installed_is_a_sentence(tmp_path,
     database(tmp_path, [(1, 1, 10, bytes(8))], topics=[(1, "/arm/contact/estimate", type_name)])
     said = commands(tmp_path)
     assert "no definition of" in said or "is no name of a type" in said, said
+
+
+# ---- where results cannot be written ----
+
+
+@pytest.fixture
+def full_disk():
+    """Files may have 1 kB, as if the disk were full then."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize("command", ["replay", "report"])
+def test_results_that_do_not_fit_onto_the_disk_are_a_sentence(recorded, full_disk, tmp_path, capsys, command):
+    place = tmp_path / "results"
+    assert main([command, str(recorded), "--out", str(place)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.startswith(f"tactile {command}: {place}") and "File too large" in said
+
+
+@pytest.mark.parametrize("command", ["replay", "report"])
+def test_a_folder_for_results_that_cannot_be_made_is_a_sentence(recorded, tmp_path, capsys, command):
+    (tmp_path / "file").write_text("")
+    assert main([command, str(recorded), "--out", str(tmp_path / "file" / "results")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.startswith(f"tactile {command}: {tmp_path / 'file'}") and "Not a directory" in said
