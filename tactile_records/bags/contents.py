@@ -32,16 +32,31 @@ class Recorded(NamedTuple):
     published_ns: int
 
 
+UNKNOWN = 0  # messages of a gap at the end of what a publisher sent
+
+
 class Gap(NamedTuple):
     """Messages of one publisher that did not reach the recorder.
 
-    How many, and when the messages before and after them were published (ns); 0 where there was none.
+    How many, and when the messages before and after them were published (ns). Where nothing more came of a
+    publisher after the recorder was held up, `messages` is `UNKNOWN`, and `before_ns` the end of that.
     """
 
     topic: str
     messages: int
     after_ns: int
     before_ns: int
+
+    def __str__(self) -> str:
+        return f"{self.topic}: {gap_text(self.messages, self.after_ns, self.before_ns)}"
+
+
+def gap_text(messages: int, after_ns: int, before_ns: int, of: int = 0) -> str:
+    """What is missing, of so many messages where that is known, and from when."""
+    when = f"between {after_ns / 1e9:.3f} and {before_ns / 1e9:.3f} s (Unix time)"
+    if messages == UNKNOWN:
+        return f"what was published {when} may be missing: the recorder was held up"
+    return f"{messages}{f' of {of}' if of else ''} messages were published and not recorded, {when}"
 
 
 @dataclass
@@ -102,12 +117,9 @@ class Bag:
         """What the recorder missed, a text for each topic."""
         for topic, lost in self.lost.items():
             gaps = [gap for gap in self.gaps if gap.topic == topic]
-            start_ns, end_ns = min(gap.after_ns for gap in gaps), max(gap.before_ns for gap in gaps)
-            places = f" at {len(gaps)} places" if len(gaps) > 1 else ""
-            yield (
-                f"{topic}: {lost} of {lost + self.counts.get(topic, 0)} messages were published and not "
-                f"recorded{places}, between {start_ns / 1e9:.3f} and {end_ns / 1e9:.3f} s (Unix time)"
-            )
+            span = min(gap.after_ns for gap in gaps), max(gap.before_ns for gap in gaps)
+            places = f" ({len(gaps)} gaps)" if len(gaps) > 1 else ""
+            yield f"{topic}: {gap_text(lost, *span, of=lost + self.counts.get(topic, 0))}{places}"
 
     def add_topic(self, topic: str, type_name: str) -> None:
         """A topic of the bag, which may be announced more than once."""

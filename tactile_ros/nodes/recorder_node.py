@@ -5,7 +5,8 @@ sensor_msgs/CompressedImage on `<topic>/compressed`, since raw ones at 60 Hz are
 
 Being held up for 30 s costs no message of the reliable topics that our nodes publish (docs/replay.md). What
 is lost all the same shows in the numbers that publishers give their messages: it is told with topic, number
-and time in the log, in /diagnostics and in the bag.
+and time in the log, in /diagnostics and in the bag. No number tells what a publisher sent last, if it ended
+while the recorder was held up: then the bag says from when on messages may be missing.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +26,9 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
-from tactile_base.topics import IMAGE, QOS_KINDS, Topic, compressed
-from tactile_records.bags.contents import Gap
+from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import IMAGE, LATCHED, QOS_KINDS, Topic, compressed
+from tactile_records.bags.contents import UNKNOWN, Gap
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MessageError, array_from_image
@@ -33,7 +37,26 @@ from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
+HELD_UP = 1.0  # s by which a flush is late where the recorder was held up
+LATE = 0.5  # s from publication, after which a message shows that more are on their way
+QUIET, CATCH_UP = 1.0, 4.0  # s; at the end the recorder waits for those until none comes, but no longer
+STEADY = 0.5, 10  # s between two messages of a publisher that is missed, and how many of them there were
 PNG_FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+
+@dataclass
+class _Sender:
+    """What is known of one publisher of a topic: times are those of publication."""
+
+    number: int
+    first_ns: int
+    last_ns: int
+    count: int = 1
+
+    @property
+    def steady(self) -> bool:
+        """Whether it published all the time, so that its silence says something."""
+        return self.count > STEADY[1] and self.last_ns - self.first_ns < self.count * STEADY[0] * SECOND_NS
 
 
 class RecorderNode(ManagedNode):
@@ -51,7 +74,10 @@ class RecorderNode(ManagedNode):
         self.bag: BagWriter | None = None
         self.lost: Counter[str] = Counter()  # by topic, as the numbers of its messages show
         self.told: Counter[str] = Counter()  # the same, as the middleware says
-        self.newest: dict[tuple[str, bytes], tuple[int, int]] = {}  # number and time (ns) by topic, publisher
+        self.senders: dict[tuple[str, bytes], _Sender] = {}
+        self.late: set[str] = set()  # topics of which more is on its way
+        self.flushed_ns = 0
+        self.held_up: list[tuple[int, int]] = []  # from when until when, ns
         self.open: list[tuple[Any, _Taker]] = []
 
     def configure(self) -> None:
@@ -73,16 +99,33 @@ class RecorderNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Write what has arrived by now, and finish the bag."""
-        for subscription, take in self.open:
-            with subscription.handle:
-                while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
-                    take(*taken)
+        self._look_at_the_clock()
+        self._catch_up()
         self.open.clear()
         self._lose_the_last()
         if self._try(BagWriter.close):
-            lost = f", {self.lost.total()} lost" if self.lost else ""
+            lost = f", {self.lost.total()} lost" if self.lost.total() else ""
             self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}{lost}")
         self.bag = None
+
+    def _catch_up(self) -> None:
+        """Take what has arrived, and after a delay what is still on its way."""
+        started = heard = time.monotonic()
+        while True:
+            before = self.counters["messages"]
+            for subscription, take in self.open:
+                with subscription.handle:
+                    while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
+                        take(*taken)
+            now = time.monotonic()
+            heard = now if self.counters["messages"] > before else heard
+            if not self.late or now - heard > QUIET:
+                return
+            if now - started > CATCH_UP:
+                for topic in self.late:
+                    self._lose(Gap(topic, UNKNOWN, self._newest_ns(topic), self.now_ns()))
+                return
+            time.sleep(0.01)
 
     def _record(self, topic: Topic) -> None:
         def write(data: Any, published_ns: int) -> None:
@@ -105,7 +148,7 @@ class RecorderNode(ManagedNode):
 
     def _listen(self, topic: Topic, message_type: Any, write: Callable[[Any, int], None], raw: bool) -> None:
         def take(message: Any, info: Any) -> None:
-            self._look_for_gap(topic.name, info)
+            self._look_for_gap(topic, info)
             write(message, info["source_timestamp"])
 
         def lose(info: Any) -> None:
@@ -119,30 +162,52 @@ class RecorderNode(ManagedNode):
         self.open.append((subscription, taker))
         self.release_later(self.destroy_subscription, subscription)
 
-    def _look_for_gap(self, topic: str, info: Any) -> None:
+    def _look_for_gap(self, topic: Topic, info: Any) -> None:
         """Compare the publisher's number with its last one, where the middleware passes numbers on."""
-        number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
-        if number is None or publisher is None:
+        number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
+        if number is None or gid is None:
             return
-        key, published_ns = (topic, publisher["data"]), info["source_timestamp"]
-        last, last_ns = self.newest.get(key, (number - 1, 0))
-        self.newest[key] = number, published_ns
-        if number > last + 1:
-            self._lose(Gap(topic, number - last - 1, last_ns, published_ns))
+        published_ns = info["source_timestamp"]
+        is_late = topic.qos != LATCHED and self.now_ns() - published_ns > LATE * SECOND_NS
+        (self.late.add if is_late else self.late.discard)(topic.name)
+        known = self.senders.get((topic.name, gid["data"]))
+        if known is None:
+            self.senders[topic.name, gid["data"]] = _Sender(number, published_ns, published_ns)
+            return
+        if number > known.number + 1:
+            self._lose(Gap(topic.name, number - known.number - 1, known.last_ns, published_ns))
+        known.number, known.last_ns, known.count = number, published_ns, known.count + 1
+
+    def _look_at_the_clock(self) -> None:
+        """Whether the recorder was held up since the last flush."""
+        now_ns = self.now_ns()
+        if self.flushed_ns and now_ns - self.flushed_ns > (FLUSH_PERIOD + HELD_UP) * SECOND_NS:
+            self.held_up.append((self.flushed_ns, now_ns))
+            self.count("times held up")
+            self.warn("held up", f"held up for {(now_ns - self.flushed_ns) / SECOND_NS:.1f} s")
+        self.flushed_ns = now_ns
 
     def _lose_the_last(self) -> None:
-        """Messages that only the middleware knows to be lost: no later one of their publisher came."""
+        """Messages after which no other of their publisher came: the middleware may know, or nobody."""
         for topic, count in self.told.items():
             if count > self.lost[topic]:
-                last_ns = max((ns for (name, _), (_, ns) in self.newest.items() if name == topic), default=0)
+                last_ns = max(
+                    (p.last_ns for (name, _), p in self.senders.items() if name == topic), default=0
+                )
                 self._lose(Gap(topic, count - self.lost[topic], last_ns, self.now_ns()))
+        for (topic, _), sender in self.senders.items():
+            for start_ns, end_ns in self.held_up:
+                if sender.steady and start_ns - SECOND_NS < sender.last_ns < end_ns:
+                    self._lose(Gap(topic, UNKNOWN, sender.last_ns, end_ns))
+
+    def _newest_ns(self, topic: str) -> int:
+        """When the newest message of a topic was published."""
+        return max((sender.last_ns for (name, _), sender in self.senders.items() if name == topic), default=0)
 
     def _lose(self, gap: Gap) -> None:
         self.lost[gap.topic] += gap.messages
         self.count(lost_counter(gap.topic), gap.messages)
-        when = f"between {gap.after_ns / 1e9:.3f} and {gap.before_ns / 1e9:.3f} s"
-        text = f"{gap.topic}: {gap.messages} messages that were published {when} did not get here"
-        self.warn(f"{gap.topic} lost", f"{text}; {self.lost[gap.topic]} messages lost so far")
+        self.warn(f"{gap.topic} lost", f"{gap}; {self.lost[gap.topic]} messages known to be lost so far")
         self._try(lambda bag: bag.add_gap(gap))
 
     def _write(self, topic: str, data: bytes, published_ns: int) -> None:
@@ -150,6 +215,7 @@ class RecorderNode(ManagedNode):
             self.count("messages")
 
     def _flush(self) -> None:
+        self._look_at_the_clock()
         self._try(BagWriter.flush)
 
     def _try(self, act: Callable[[BagWriter], None]) -> bool:

@@ -12,6 +12,7 @@ from tf2_msgs.msg import TFMessage
 
 from tactile_base import topics
 from tactile_msgs.action import RunTask
+from tactile_records.bags.contents import UNKNOWN
 from tactile_records.bags.reader import read_bag
 from tactile_ros import qos
 from tactile_ros.conversions import transform_stamped
@@ -101,8 +102,44 @@ def test_what_a_recorder_loses_is_told_in_diagnostics_in_the_log_and_in_the_bag(
     published = [message.published_ns for message in bag.messages]
     for gap in bag.gaps:  # between two messages that are in the bag
         assert published.index(gap.before_ns) == published.index(gap.after_ns) + 1
-    assert any("/tf" in r.message and "lost so far" in r.message for r in graph.reports("recorder"))
+    assert any("/tf" in r.message and "known to be lost" in r.message for r in graph.reports("recorder"))
     assert f"{lost} lost" in graph.log(RECORDER).read_text()
+
+
+def test_a_recorder_that_is_asked_to_end_right_after_it_was_held_up_has_all_or_says_so(graph, tmp_path):
+    process = graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": TOPICS})
+    publisher = graph.publisher(TFMessage, "/tf", qos.writer_profile(qos.TF))
+    published = []
+
+    def publish() -> None:
+        publisher.publish(FRAME)
+        published.append(FRAME)
+
+    graph.every(0.002, 0.5, publish)
+    os.kill(process.pid, signal.SIGSTOP)
+    graph.every(0.002, 3.0, publish)
+    os.kill(process.pid, signal.SIGCONT)
+    assert graph.stop(RECORDER) == 0
+    bag = read_bag(tmp_path / "bag")
+    assert bag.counts["/tf"] == len(published) or not bag.complete
+
+
+def test_of_a_publisher_that_ends_while_the_recorder_is_held_up_the_bag_says_from_when_on(graph, tmp_path):
+    process = graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": TOPICS})
+    publisher = graph.publisher(TFMessage, "/tf", qos.writer_profile(qos.TF))
+    graph.every(0.02, 1.0, lambda: publisher.publish(FRAME))
+    graph.wait_for_count("recorder", "messages", 20)
+    os.kill(process.pid, signal.SIGSTOP)
+    graph.every(0.02, 2.0, lambda: publisher.publish(FRAME))
+    graph.node.destroy_publisher(publisher)
+    os.kill(process.pid, signal.SIGCONT)
+    graph.wait_for_count("recorder", "times held up")
+    assert graph.stop(RECORDER) == 0
+    bag = read_bag(tmp_path / "bag")
+    (gap,) = bag.gaps
+    assert (gap.topic, gap.messages) == ("/tf", UNKNOWN) and not bag.complete
+    assert gap.after_ns == max(message.published_ns for message in bag.messages)
+    assert "may be missing: the recorder was held up" in bag.problem
 
 
 def test_messages_that_a_slow_disk_makes_overflow_the_recorders_queue_are_told(graph, tmp_path):
