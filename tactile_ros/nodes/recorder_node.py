@@ -17,7 +17,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,8 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import IMAGE, LATCHED, QOS_KINDS, Topic, compressed
-from tactile_records.bags.contents import UNKNOWN, Gap
+from tactile_records.bags.contents import Gap
+from tactile_records.bags.losses import Losses
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MessageError, array_from_image
@@ -38,25 +38,8 @@ from tactile_ros.qos import recorder_profile
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
 HELD_UP = 1.0  # s by which a flush is late where the recorder was held up
-LATE = 0.5  # s from publication, after which a message shows that more are on their way
-QUIET, CATCH_UP = 1.0, 4.0  # s; at the end the recorder waits for those until none comes, but no longer
-STEADY = 0.5, 10  # s between two messages of a publisher that is missed, and how many of them there were
+QUIET, CATCH_UP = 1.0, 4.0  # s; at the end it waits for what is on its way until none comes, but no longer
 PNG_FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-
-
-@dataclass
-class _Sender:
-    """What is known of one publisher of a topic: times are those of publication."""
-
-    number: int
-    first_ns: int
-    last_ns: int
-    count: int = 1
-
-    @property
-    def steady(self) -> bool:
-        """Whether it published all the time, so that its silence says something."""
-        return self.count > STEADY[1] and self.last_ns - self.first_ns < self.count * STEADY[0] * SECOND_NS
 
 
 class RecorderNode(ManagedNode):
@@ -72,12 +55,9 @@ class RecorderNode(ManagedNode):
         self.images = [name for name in images if name]
         self.note = dict(text.split("=", 1) for text in note if text)
         self.bag: BagWriter | None = None
-        self.lost: Counter[str] = Counter()  # by topic, as the numbers of its messages show
-        self.told: Counter[str] = Counter()  # the same, as the middleware says
-        self.senders: dict[tuple[str, bytes], _Sender] = {}
-        self.late: set[str] = set()  # topics of which more is on its way
-        self.flushed_ns = 0
-        self.held_up: list[tuple[int, int]] = []  # from when until when, ns
+        self.losses = Losses()
+        self.told: Counter[str] = Counter()  # by topic, what the middleware says to have lost
+        self.flushed = 0.0  # s, steady
         self.open: list[tuple[Any, _Taker]] = []
 
     def configure(self) -> None:
@@ -102,9 +82,11 @@ class RecorderNode(ManagedNode):
         self._look_at_the_clock()
         self._catch_up()
         self.open.clear()
-        self._lose_the_last()
+        for gap in self.losses.last(self.told, time.time_ns()):
+            self._lose(gap)
         if self._try(BagWriter.close):
-            lost = f", {self.lost.total()} lost" if self.lost.total() else ""
+            total = self.losses.lost.total()
+            lost = f", {total} lost" if total else ""
             self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}{lost}")
         self.bag = None
 
@@ -119,11 +101,11 @@ class RecorderNode(ManagedNode):
                         take(*taken)
             now = time.monotonic()
             heard = now if self.counters["messages"] > before else heard
-            if not self.late or now - heard > QUIET:
+            if not self.losses.late or now - heard > QUIET:
                 return
             if now - started > CATCH_UP:
-                for topic in self.late:
-                    self._lose(Gap(topic, UNKNOWN, self._newest_ns(topic), self.now_ns()))
+                for gap in self.losses.on_their_way(time.time_ns()):
+                    self._lose(gap)
                 return
             time.sleep(0.01)
 
@@ -163,51 +145,31 @@ class RecorderNode(ManagedNode):
         self.release_later(self.destroy_subscription, subscription)
 
     def _look_for_gap(self, topic: Topic, info: Any) -> None:
-        """Compare the publisher's number with its last one, where the middleware passes numbers on."""
-        number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
-        if number is None or gid is None:
-            return
+        """Look at a message's number, where the middleware passes it on."""
+        number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
         published_ns = info["source_timestamp"]
-        is_late = topic.qos != LATCHED and self.now_ns() - published_ns > LATE * SECOND_NS
-        (self.late.add if is_late else self.late.discard)(topic.name)
-        known = self.senders.get((topic.name, gid["data"]))
-        if known is None:
-            self.senders[topic.name, gid["data"]] = _Sender(number, published_ns, published_ns)
-            return
-        if number > known.number + 1:
-            self._lose(Gap(topic.name, number - known.number - 1, known.last_ns, published_ns))
-        known.number, known.last_ns, known.count = number, published_ns, known.count + 1
+        if topic.qos != LATCHED:  # those come late to who comes late
+            self.losses.delay(topic.name, time.time_ns() - published_ns)
+        if number is not None and publisher is not None:
+            gap = self.losses.seen(topic.name, publisher["data"], number, published_ns)
+            if gap is not None:
+                self._lose(gap)
 
     def _look_at_the_clock(self) -> None:
         """Whether the recorder was held up since the last flush."""
-        now_ns = self.now_ns()
-        if self.flushed_ns and now_ns - self.flushed_ns > (FLUSH_PERIOD + HELD_UP) * SECOND_NS:
-            self.held_up.append((self.flushed_ns, now_ns))
+        now = time.monotonic()
+        delay = now - self.flushed - FLUSH_PERIOD
+        if self.flushed and delay > HELD_UP:
+            now_ns = time.time_ns()
+            self.losses.held_up(now_ns - round((now - self.flushed) * SECOND_NS), now_ns)
             self.count("times held up")
-            self.warn("held up", f"held up for {(now_ns - self.flushed_ns) / SECOND_NS:.1f} s")
-        self.flushed_ns = now_ns
-
-    def _lose_the_last(self) -> None:
-        """Messages after which no other of their publisher came: the middleware may know, or nobody."""
-        for topic, count in self.told.items():
-            if count > self.lost[topic]:
-                last_ns = max(
-                    (p.last_ns for (name, _), p in self.senders.items() if name == topic), default=0
-                )
-                self._lose(Gap(topic, count - self.lost[topic], last_ns, self.now_ns()))
-        for (topic, _), sender in self.senders.items():
-            for start_ns, end_ns in self.held_up:
-                if sender.steady and start_ns - SECOND_NS < sender.last_ns < end_ns:
-                    self._lose(Gap(topic, UNKNOWN, sender.last_ns, end_ns))
-
-    def _newest_ns(self, topic: str) -> int:
-        """When the newest message of a topic was published."""
-        return max((sender.last_ns for (name, _), sender in self.senders.items() if name == topic), default=0)
+            self.warn("held up", f"held up for {delay:.1f} s")
+        self.flushed = now
 
     def _lose(self, gap: Gap) -> None:
-        self.lost[gap.topic] += gap.messages
         self.count(lost_counter(gap.topic), gap.messages)
-        self.warn(f"{gap.topic} lost", f"{gap}; {self.lost[gap.topic]} messages known to be lost so far")
+        known = self.losses.lost[gap.topic]
+        self.warn(f"{gap.topic} lost", f"{gap}; {known} messages known to be lost so far")
         self._try(lambda bag: bag.add_gap(gap))
 
     def _write(self, topic: str, data: bytes, published_ns: int) -> None:
