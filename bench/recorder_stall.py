@@ -25,6 +25,7 @@ from tactile_base.topics import BELIEF, ESTIMATE, PRESENCE, STATE, TF, TRUTH
 from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessGroup, tail
 from tactile_msgs.msg import ContactPresence, ContactState, ContactTruth
+from tactile_records.bags.contents import UNKNOWN
 from tactile_records.bags.reader import read_bag
 from tactile_ros import qos
 from tactile_ros.conversions import transform_stamped
@@ -104,9 +105,11 @@ def measure(node: Any, group: ProcessGroup, variables: dict[str, str], folder: P
         node.destroy_publisher(source.publisher)
     print(tail(folder / "recorder.log"), file=sys.stderr)
     bag = read_bag(folder / "bag", lambda topic, type_name: False)
-    published = sum(source.count for source in found)
-    missing = {s.topic: s.count - bag.counts[s.topic] for s in found if s.count != bag.counts[s.topic]}
-    return f"| {stall:g} | {published} | {sum(bag.counts.values())} | {missing or 'none'} | {bag.problem} |"
+    published, recorded = sum(source.count for source in found), sum(bag.counts.values())
+    told = str(sum(bag.lost.values())) + ", and from when on more may be" * any(
+        gap.messages == UNKNOWN for gap in bag.gaps
+    )
+    return f"| {stall:g} | {published} | {recorded} | {published - recorded} | {told} |"
 
 
 def _type(source: Source) -> str:
@@ -125,7 +128,7 @@ def main() -> None:
         environment = ros_environment(Path(name), base)
         rclpy.init(domain_id=environment.domain_id)
         node = rclpy.create_node("stall", namespace=ARM)
-        print("| stopped s | published | recorded | missing | what the bag says |")
+        print("| stopped s | published | recorded | missing | told by the bag |")
         print("| --- | --- | --- | --- | --- |")
         for number, stall in enumerate(durations):
             folder = Path(name) / str(number)

@@ -37,7 +37,7 @@ from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
-HELD_UP = 1.0  # s by which a flush is late where the recorder was held up
+HELD_UP = 1.0  # s longer than that without anything to do: the recorder was held up
 QUIET, CATCH_UP = 1.0, 4.0  # s; at the end it waits for what is on its way until none comes, but no longer
 PNG_FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
@@ -57,7 +57,7 @@ class RecorderNode(ManagedNode):
         self.bag: BagWriter | None = None
         self.losses = Losses()
         self.told: Counter[str] = Counter()  # by topic, what the middleware says to have lost
-        self.flushed = 0.0  # s, steady
+        self.busy = 0.0  # when it last had something to do (s, steady)
         self.open: list[tuple[Any, _Taker]] = []
 
     def configure(self) -> None:
@@ -146,6 +146,7 @@ class RecorderNode(ManagedNode):
 
     def _look_for_gap(self, topic: Topic, info: Any) -> None:
         """Look at a message's number, where the middleware passes it on."""
+        self._look_at_the_clock()
         number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
         published_ns = info["source_timestamp"]
         if topic.qos != LATCHED:  # those come late to who comes late
@@ -156,15 +157,15 @@ class RecorderNode(ManagedNode):
                 self._lose(gap)
 
     def _look_at_the_clock(self) -> None:
-        """Whether the recorder was held up since the last flush."""
+        """Whether the recorder was held up: it has something to do at least once a `FLUSH_PERIOD`."""
         now = time.monotonic()
-        delay = now - self.flushed - FLUSH_PERIOD
-        if self.flushed and delay > HELD_UP:
+        delay = now - self.busy - FLUSH_PERIOD
+        if self.busy and delay > HELD_UP:
             now_ns = time.time_ns()
-            self.losses.held_up(now_ns - round((now - self.flushed) * SECOND_NS), now_ns)
+            self.losses.held_up(now_ns - round((now - self.busy) * SECOND_NS), now_ns)
             self.count("times held up")
             self.warn("held up", f"held up for {delay:.1f} s")
-        self.flushed = now
+        self.busy = now
 
     def _lose(self, gap: Gap) -> None:
         self.count(lost_counter(gap.topic), gap.messages)

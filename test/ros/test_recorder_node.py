@@ -61,11 +61,12 @@ def record(graph, tmp_path):
         graph.wait_for_count("recorder", "messages")
         os.kill(process.pid, signal.SIGSTOP)
         try:
-            for _ in range(count - 1):
+            for _ in range(count - 2):
                 publisher.publish(message)
         finally:
             os.kill(process.pid, signal.SIGCONT)
-        return publisher
+        graph.wait_for_count("recorder", "messages", 2)  # it goes on
+        publisher.publish(message)
 
     return start
 
