@@ -21,7 +21,7 @@ class Topic:
     name : str
         Below an arm's namespace, or absolute.
     type : str
-        `package/msg/Name`.
+        `package/msg/Name`; of what an action publishes `package/action/Name_FeedbackMessage`.
     qos : str
         "reliable"; "latched": reliable, and late subscribers get the last message; or "sensor": best effort.
     publisher : str
@@ -67,6 +67,10 @@ TRUTH = Topic("sim/truth", "tactile_msgs/msg/ContactTruth", RELIABLE, "simulatio
 LATENCY = Topic("latency", "tactile_msgs/msg/StageLatency", RELIABLE, "every stage")
 
 RUN_TASK = "run_task"  # the action of each arm's controller
+TASK_STATUS = Topic(f"{RUN_TASK}/_action/status", "action_msgs/msg/GoalStatusArray", LATCHED, "controller")
+TASK_FEEDBACK = Topic(
+    f"{RUN_TASK}/_action/feedback", "tactile_msgs/action/RunTask_FeedbackMessage", RELIABLE, "controller"
+)
 
 # ---- of all arms together ----
 
@@ -75,15 +79,24 @@ DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", RELIA
 PARAMETER_EVENTS = Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent", RELIABLE, "every node")
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE, "arm, filter and object")
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED, "arm")
+ROSOUT = Topic("/rosout", "rcl_interfaces/msg/Log", LATCHED, "every node")
 SIM_MARKERS = Topic("/sim/markers", "visualization_msgs/msg/MarkerArray", LATCHED, "simulation")
 OBJECT_BELIEF = Topic("/object/belief", _POSE_WITH_COVARIANCE, RELIABLE, "object")
 OBJECT_LATENCY = Topic("/object/latency", "tactile_msgs/msg/StageLatency", RELIABLE, "object")
 
 # ---- what a graph has, and a recorder records ----
 
-ARM_TOPICS = (ARM_POSE, ARM_STATUS, COMMAND, LIMITED_COMMAND, CONTROLLER_STATUS)
+ARM_TOPICS = (
+    ARM_POSE,
+    ARM_STATUS,
+    COMMAND,
+    LIMITED_COMMAND,
+    CONTROLLER_STATUS,
+    TASK_STATUS,
+    TASK_FEEDBACK,
+)
 SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, TRUTH, LATENCY)
-SHARED_TOPICS = (DIAGNOSTICS, PARAMETER_EVENTS, TF, TF_STATIC, SIM_MARKERS)
+SHARED_TOPICS = (DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF, TF_STATIC, SIM_MARKERS)
 OBJECT_TOPICS = (OBJECT_BELIEF, OBJECT_LATENCY)
 
 

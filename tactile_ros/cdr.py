@@ -44,7 +44,7 @@ class Layout(cdr.Layout):
 
     def __init__(self, example: Any) -> None:
         name = type_name(type(example))
-        found = cdr.layout_of(type_fields({}, name), name, serialize_message(example))
+        found = cdr.layout_of(type_fields(name), name, serialize_message(example))
         vars(self).update(vars(cdr.blank_layout(name, found.texts, found.lengths)))
 
 

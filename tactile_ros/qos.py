@@ -47,7 +47,7 @@ def writer_profile(profile: QoSProfile) -> QoSProfile:
     """
     reliable = profile.reliability == ReliabilityPolicy.RELIABLE
     volatile = profile.durability == DurabilityPolicy.VOLATILE
-    return _profile(RECORDED) if reliable and volatile and profile.depth > 1 else profile
+    return _profile(RECORDED) if reliable and volatile else profile
 
 
 def recorder_profile(topic: Topic) -> QoSProfile:

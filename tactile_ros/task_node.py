@@ -32,7 +32,7 @@ from tactile_ros.cdr import headed_bytes
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import declare_read_only, fixed_settings
-from tactile_ros.qos import COMMAND, STATE
+from tactile_ros.qos import COMMAND, STATE, writer_profile
 from tactile_ros.transforms import TransformListener
 
 ZERO = np.zeros(6)
@@ -142,6 +142,7 @@ class TaskNode(ManagedNode, ABC):
             execute_callback=_nothing_to_execute,
             handle_accepted_callback=self._accept,
             cancel_callback=self._cancel,
+            feedback_pub_qos_profile=writer_profile(STATE),
         )
         self.release_later(self._close_action, action)
 

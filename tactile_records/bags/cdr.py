@@ -167,7 +167,7 @@ class MessageReader:
 
     def __init__(self, type_name: str, before: str = "") -> None:
         self._type, self._before = type_name, before
-        self._fields = type_fields({}, type_name)
+        self._fields = type_fields(type_name)
         self._known: dict[int, list[tuple[Layout, Layout]]] = {}
 
     def __call__(self, data: bytes) -> tuple[Layout, tuple[Any, ...]]:
@@ -216,9 +216,7 @@ def blank_layout(
 
     Strings that are not named are empty, and so are sequences.
     """
-    walk = _Walk(
-        type_fields({}, type_name), bytearray(_LITTLE + b"\x00\x00"), "<", (texts or {}, lengths or {})
-    )
+    walk = _Walk(type_fields(type_name), bytearray(_LITTLE + b"\x00\x00"), "<", (texts or {}, lengths or {}))
     walk.message(type_name, "")
     return walk.layout()
 

@@ -6,7 +6,7 @@ a topic. Definitions are those that the bag brings, so that other versions of a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.cdr import Layout, MessageError, layout_of
 
 Array = NDArray[Any]
+
+_MOST_LAYOUTS = 1000
 
 
 @dataclass
@@ -34,6 +36,19 @@ class Columns:
     def stamps_ns(self, name: str = "header.stamp") -> Array:
         """A Time as int64 nanoseconds (N,)."""
         return stamps_ns(self.values, name)
+
+
+Needed = Mapping[str, tuple[int, ...] | None]  # name -> shape of its numbers, None for a text
+
+
+def lacking(layout: Layout, needed: Needed) -> str:
+    """The first of these fields that messages of a layout do not have; empty where they have all."""
+    fields: Any = layout.dtype.fields or {}
+    for name, shape in needed.items():
+        has = name in layout.texts if shape is None else name in fields and fields[name][0].shape == shape
+        if not has:
+            return name
+    return ""
 
 
 def stamps_ns(values: Array, name: str) -> Array:
@@ -54,10 +69,12 @@ class ColumnReader:
     ----------
     fields : mapping
         Type -> (constants, fields), as `rosbags.typesys` has them: `typestore.fielddefs`.
+    needed : mapping, optional
+        Fields without which a message is of no use.
     """
 
-    def __init__(self, fields: Any, type_name: str) -> None:
-        self._fields, self._type = fields, type_name
+    def __init__(self, fields: Any, type_name: str, needed: Needed | None = None) -> None:
+        self._fields, self._type, self._needed = fields, type_name, needed or {}
         self.unreadable: list[tuple[int, str]] = []  # index and reason
 
     def read(self, messages: Sequence[bytes]) -> list[Columns]:
@@ -66,13 +83,13 @@ class ColumnReader:
         by_length: dict[int, list[int]] = {}
         for index, data in enumerate(messages):
             by_length.setdefault(len(data), []).append(index)
-        groups = []
+        groups: list[Columns] = []
         for length, indices in by_length.items():
             rows = np.array(indices)
             raw = np.frombuffer(b"".join(messages[i] for i in indices), np.uint8).reshape(len(rows), length)
             while len(rows):
                 try:
-                    layout = layout_of(self._fields, self._type, messages[rows[0]])
+                    layout = self._layout(messages[rows[0]], len(groups))
                 except MessageError as error:
                     self.unreadable.append((int(rows[0]), str(error)))
                     rows, raw = rows[1:], raw[1:]
@@ -86,6 +103,14 @@ class ColumnReader:
                 )
                 rows, raw = rows[~same], raw[~same]
         return groups
+
+    def _layout(self, message: bytes, known: int) -> Layout:
+        if known >= _MOST_LAYOUTS:
+            raise MessageError(f"{self._type}: has another layout than {known} others")
+        layout = layout_of(self._fields, self._type, message)
+        if missing := lacking(layout, self._needed):
+            raise MessageError(f"{self._type}: has no field {missing} of its kind")
+        return layout
 
 
 def rows_of(array: Array) -> Iterator[bytes]:

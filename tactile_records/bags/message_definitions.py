@@ -6,20 +6,28 @@ import functools
 import os
 import re
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 _SEPARATOR = "=" * 80
+_TYPE_NAME = re.compile(r"(\w+)/(msg|action)/(\w+)")
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
 _INTEGERS = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 _PRIMITIVES = frozenset(["bool", "byte", "char", "float32", "float64", "string", "wstring", *_INTEGERS])
 
 
+_LONGEST, _DEEPEST, _LARGEST = 1 << 18, 32, 1 << 20  # characters, types within types, elements of fixed size
+
+
 class DefinitionMissing(ValueError):
     """A message type whose .msg file is not installed; the message says where it was looked for."""
+
+
+class DefinitionDamaged(ValueError):
+    """A definition that is none, or cannot be used; the message says why."""
 
 
 def message_definition(type_name: str) -> str:
@@ -48,19 +56,42 @@ def _collect_definitions(type_name: str, texts: dict[str, str]) -> None:
 
 
 def _read_definition(type_name: str) -> str:
-    package, _, name = type_name.split("/")
-    prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    prefixes.append(sys.prefix)
-    files = [Path(prefix) / "share" / package / "msg" / f"{name}.msg" for prefix in prefixes]
-    for path in (*files, Path(__file__).parents[2] / package / "msg" / f"{name}.msg"):
+    match = _TYPE_NAME.fullmatch(type_name)
+    if match is None:
+        raise DefinitionMissing(f"'{type_name}' is no name of a type: must be like 'package/msg/Name'")
+    package, kind, name = match.groups()
+    if kind == "action":
+        return _read_feedback(package, name)
+    file = f"{package}/msg/{name}.msg"
+    return _installed(file) or _known_definition(type_name) or _refuse(type_name, file)
+
+
+def _read_feedback(package: str, name: str) -> str:
+    """What an action publishes, and the feedback in it, which ends the action's file."""
+    action, _, part = name.rpartition("_")
+    if part == "FeedbackMessage":
+        return f"unique_identifier_msgs/UUID goal_id\n{package}/action/{action}_Feedback feedback\n"
+    file = f"{package}/action/{action}.action"
+    parts = re.split(r"^---$", _installed(file), flags=re.MULTILINE)
+    return parts[2] if part == "Feedback" and len(parts) == 3 else _refuse(f"{package}/action/{name}", file)
+
+
+def _installed(file: str) -> str:
+    """Text of a file below share/ that is installed or in our source tree; empty where it is nowhere."""
+    for path in (*(prefix / "share" / file for prefix in _prefixes()), Path(__file__).parents[2] / file):
         if path.is_file():
             return path.read_text()
-    known = _known_definition(type_name)
-    if known:
-        return known
-    raise DefinitionMissing(
-        f"no definition of {type_name}: share/{package}/msg/{name}.msg is under none of {', '.join(prefixes)}"
-    )
+    return ""
+
+
+def _prefixes() -> list[Path]:
+    found = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [Path(prefix) for prefix in (*found, sys.prefix) if prefix]
+
+
+def _refuse(type_name: str, file: str) -> NoReturn:
+    places = ", ".join(map(str, _prefixes()))
+    raise DefinitionMissing(f"no definition of {type_name}: share/{file} is under none of {places}")
 
 
 def _known_definition(type_name: str) -> str:
@@ -72,9 +103,10 @@ def _known_definition(type_name: str) -> str:
 
 
 def _full(name: str, package: str) -> str:
-    """`Header`, `std_msgs/Header` or `std_msgs/msg/Header` as `std_msgs/msg/Header`."""
+    """`Header`, `std_msgs/Header` or `std_msgs/msg/Header` as `std_msgs/msg/Header`; actions alike."""
     parts = name.split("/")
-    return f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}"
+    kind = "action" if parts[1:-1] == ["action"] else "msg"
+    return f"{parts[0] if len(parts) > 1 else package}/{kind}/{parts[-1]}"
 
 
 def _short(name: str) -> str:
@@ -83,30 +115,45 @@ def _short(name: str) -> str:
 
 def type_hash(type_name: str, text: str) -> str:
     """The RIHS01 hash of a type, from its whole definition."""
-    return str(_typestore(type_name, text).hash_rihs01(type_name))
+    return str(typestore(type_name, text).hash_rihs01(type_name))
 
 
-def type_fields(definitions: Mapping[str, str], type_name: str) -> Any:
-    """Type -> (constants, fields) of a type and all that it uses, as `rosbags` has them.
-
-    Parameters
-    ----------
-    definitions : mapping
-        Type -> definition, as a bag brings them; for a type that is not there, or whose definition is
-        damaged, the installed one is taken.
-    """
-    text = definitions.get(type_name)
-    if text:
-        try:
-            return _typestore(type_name, text).fielddefs
-        except TypesysError:
-            pass
-    return _typestore(type_name, message_definition(type_name)).fielddefs
+def type_fields(type_name: str) -> Any:
+    """Type -> (constants, fields) of an installed type and all that it uses, as `rosbags` has them."""
+    return typestore(type_name, message_definition(type_name)).fielddefs
 
 
 @functools.lru_cache(maxsize=64)
-def _typestore(type_name: str, text: str) -> Any:
-    """The types of a definition; to understand one takes milliseconds."""
+def typestore(type_name: str, text: str) -> Any:
+    """The types of a definition, for `rosbags`; to understand one takes milliseconds.
+
+    Raises `DefinitionDamaged` for a text that is no definition, or one of types that hold themselves.
+    """
+    if len(text) > _LONGEST:
+        raise DefinitionDamaged(f"has {len(text)} characters, may have {_LONGEST}")
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, type_name))
+    try:
+        store.register(get_types_from_msg(text, type_name))
+    except (TypesysError, RecursionError, LookupError, TypeError, ValueError, AttributeError) as error:
+        raise DefinitionDamaged("cannot be parsed") from error
+    _size(store.fielddefs, type_name, {}, ())
     return store
+
+
+def _size(fields: Any, type_name: str, known: dict[str, int], within: tuple[str, ...]) -> int:
+    """Least number of elements of a type; raises `DefinitionDamaged` where there is no end to them."""
+    if type_name in within or len(within) > _DEEPEST:
+        raise DefinitionDamaged(f"{within[0]} holds itself, or types more than {_DEEPEST} deep")
+    if type_name not in fields:
+        raise DefinitionDamaged(f"{type_name} is not defined")
+    if type_name not in known:
+        known[type_name] = 1
+        for _, (node, content) in fields[type_name][1]:
+            count = content[1] if node == Nodetype.ARRAY else 1
+            if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                node, content = content[0]
+            inner = node == Nodetype.NAME
+            known[type_name] += count * (_size(fields, content, known, (*within, type_name)) if inner else 1)
+        if known[type_name] > _LARGEST:
+            raise DefinitionDamaged(f"{type_name} has more than {_LARGEST} elements")
+    return known[type_name]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import mmap
 import re
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,10 +17,12 @@ import zstandard
 from tactile_records.bags.contents import Bag, BagError, Recorded, Wanted
 from tactile_records.bags.mcap import McapReader
 from tactile_records.bags.sqlite import read_sqlite
+from tactile_records.bags.unpacking import TooLarge, Unpacker
 from tactile_records.bags.writer import METADATA
 
 __all__ = ["Bag", "BagError", "Recorded", "read_bag"]
 
+_YAML_DEPTH = 50
 SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
@@ -44,52 +45,82 @@ def read_bag(folder: Path, wanted: Wanted | None = None) -> Bag:
     bag.wanted = wanted or bag.wanted
     information = _read_metadata(folder, bag.problems)
     files = _files(folder, information, bag.problems)
-    unpack = _message_unpacker(information)
-    readable = [_read_file(file, bag, unpack) for file in files]
+    packed = _packed_messages(information)
+    readable = [_read_file(file, bag, packed, Unpacker(file.stat().st_size)) for file in files]
     if not any(readable):
         raise BagError(f"{folder}: nothing in it can be read ({bag.problem})")
-    bag.note = {str(key): str(value) for key, value in (information.get("custom_data") or {}).items()}
+    bag.note = {str(key): str(value) for key, value in information["custom_data"].items()}
+    if not bag.problems and folder.is_dir():
+        _compare(bag, information)
     return bag
 
 
-def _read_file(file: Path, bag: Bag, unpack: Callable[[bytes], bytes]) -> bool:
-    """Read one file of a bag into `bag`; False if it holds nothing readable."""
+def _read_file(file: Path, bag: Bag, packed: bool, unpacker: Unpacker) -> bool:
+    """Read one file into `bag`, its messages compressed or not; False if it holds nothing readable."""
     first = len(bag.messages)
     if file.suffix == ".zstd":
         with TemporaryDirectory(prefix="tactile_bag_") as folder:
-            return _read_file(_unpacked_file(file, Path(folder), bag.problems), bag, unpack)
+            target = Path(folder) / file.stem
+            _unpack_file(file, target, bag.problems, unpacker)
+            return _read_file(target, bag, packed, unpacker)
     if file.suffix == ".db3":
-        return read_sqlite(file, bag, unpack)
-    with file.open("rb") as stream:
-        if not file.stat().st_size:
-            bag.problems.append(f"{file.name}: is empty")
-            return False
-        data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        readable = McapReader(data, file.name, bag).read()
-    if unpack is not bytes:
-        bag.messages[first:] = [m._replace(data=unpack(m.data)) for m in bag.messages[first:]]
+        readable = read_sqlite(file, bag, unpacker)
+    elif not file.stat().st_size:
+        bag.problems.append(f"{file.name}: is empty")
+        return False
+    else:
+        with file.open("rb") as stream:
+            data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        readable = McapReader(data, file.name, bag, unpacker).read()
+    if packed:
+        _unpack_messages(file.name, bag, first, unpacker)
     return readable
 
 
-def _unpacked_file(file: Path, folder: Path, problems: list[str]) -> Path:
-    """A file that `ros2 bag` compressed as a whole, decompressed as far as it goes."""
-    target = folder / file.stem
-    with file.open("rb") as packed, target.open("wb") as stream:
-        decompressor = zstandard.ZstdDecompressor().decompressobj(read_across_frames=True)
+def _unpack_file(file: Path, target: Path, problems: list[str], unpacker: Unpacker) -> None:
+    """Decompress a file that `ros2 bag` compressed as a whole, as far as it goes."""
+    with file.open("rb") as packed:
         try:
-            while block := packed.read(1 << 20):
-                stream.write(decompressor.decompress(block))
+            unpacker.file(packed, target)
+        except TooLarge as error:
+            problems.append(f"{file.name}: {error}")
         except zstandard.ZstdError as error:
             problems.append(f"{file.name}: damaged before byte {packed.tell()}: {error}")
-    return target
 
 
-def _message_unpacker(information: dict[str, Any]) -> Callable[[bytes], bytes]:
-    """What decompresses single messages, where the bag was recorded so."""
+def _unpack_messages(name: str, bag: Bag, first: int, unpacker: Unpacker) -> None:
+    """Decompress the messages from the first on, which were compressed one by one."""
+    packed, damaged = bag.messages[first:], []
+    del bag.messages[first:]
+    for message in packed:
+        try:
+            bag.messages.append(message._replace(data=unpacker.zstd(message.data)))
+        except TooLarge as error:
+            bag.problems.append(f"{name}: {error}")
+            break
+        except zstandard.ZstdError as error:
+            damaged.append(f"{message.topic} at {message.received_ns} ns: {error}")
+    if damaged:
+        bag.problems.append(f"{name}: {len(damaged)} messages are damaged, the first: {damaged[0]}")
+
+
+def _packed_messages(information: dict[str, Any]) -> bool:
+    """Whether the messages were compressed one by one."""
     mode, form = (str(information.get(f"compression_{what}") or "") for what in ("mode", "format"))
     if form not in ("", "zstd"):
         raise BagError(f"compression_format '{form}' of {METADATA}: only zstd is known")
-    return zstandard.ZstdDecompressor().decompress if mode.upper() == "MESSAGE" else bytes
+    return mode.upper() == "MESSAGE"
+
+
+def _compare(bag: Bag, information: dict[str, Any]) -> None:
+    """Damage that nothing else has shown."""
+    missing = [
+        f"{bag.counts.get(topic, 0)} of {count} on {topic}"
+        for topic, count in information["counts"].items()
+        if bag.counts.get(topic, 0) < count
+    ]
+    if missing:
+        bag.problems.append(f"messages that were read, of those that {METADATA} names: {', '.join(missing)}")
 
 
 def _files(folder: Path, information: dict[str, Any], problems: list[str]) -> list[Path]:
@@ -99,7 +130,7 @@ def _files(folder: Path, information: dict[str, Any], problems: list[str]) -> li
     if not folder.is_dir():
         raise BagError(f"{folder}: no such bag")
     found = [path for path in folder.iterdir() if path.name.endswith(SUFFIXES) and path.is_file()]
-    named = [folder / Path(name).name for name in information.get("relative_file_paths") or []]
+    named = [folder / Path(name).name for name in information["relative_file_paths"]]
     for path in named:
         if path not in found:
             problems.append(f"{path.name}: the file is missing, {METADATA} names it")
@@ -121,10 +152,36 @@ def _read_metadata(folder: Path, problems: list[str]) -> dict[str, Any]:
     """What metadata.yaml says; empty without one, as after a kill of `ros2 bag record`."""
     file = (folder.parent if folder.is_file() else folder) / METADATA
     if not file.is_file():
-        return {}
+        return _checked({})
     loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the one in C is not everywhere
     try:
-        return dict(yaml.load(file.read_text(), Loader=loader)["rosbag2_bagfile_information"])
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        text = file.read_text()
+        _refuse_depth(text, loader)
+        return _checked(yaml.load(text, Loader=loader)["rosbag2_bagfile_information"])
+    except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:
         problems.append(f"{file.name}: cannot be understood and was passed over: {error}")
-        return {}
+        return _checked({})
+
+
+def _refuse_depth(text: str, loader: Any) -> None:
+    """Raise ValueError for YAML that is nested so deeply that libyaml would overflow the stack."""
+    depth = 0
+    for event in yaml.parse(text, Loader=loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _YAML_DEPTH:
+            raise ValueError(f"nested more than {_YAML_DEPTH} deep")
+
+
+def _checked(information: Any) -> dict[str, Any]:
+    """What is used of metadata.yaml; raises TypeError, ValueError or LookupError for anything else."""
+    if not isinstance(information, dict):
+        raise TypeError("rosbag2_bagfile_information must be a mapping")
+    files, note = information.get("relative_file_paths") or [], information.get("custom_data") or {}
+    if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
+        raise TypeError("relative_file_paths must be a list of texts")
+    if not isinstance(note, dict) or any(isinstance(value, dict | list) for value in note.values()):
+        raise TypeError("custom_data must be a mapping of texts")
+    topics = information.get("topics_with_message_count") or []
+    counts = {str(topic["topic_metadata"]["name"]): int(topic["message_count"]) for topic in topics}
+    texts = {name: information.get(name) for name in ("compression_mode", "compression_format")}
+    return {"relative_file_paths": files, "custom_data": note, "counts": counts, **texts}

@@ -4,35 +4,31 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 from urllib.parse import quote
 
 from tactile_records.bags.contents import Bag, Recorded
+from tactile_records.bags.unpacking import MESSAGE_COST, TooLarge, Unpacker
 
 Row = tuple[int, int, int, bytes]  # id, topic, stamp (ns), data
 
 
-def read_sqlite(file: Path, bag: Bag, unpack: Callable[[bytes], bytes] = bytes) -> bool:
-    """Read one file into `bag`; False if nothing in it can be read.
-
-    Parameters
-    ----------
-    unpack : callable
-        Decompresses one message.
-    """
+def read_sqlite(file: Path, bag: Bag, unpacker: Unpacker) -> bool:
+    """Read one file into `bag`, as far as `unpacker` allows; False if nothing in it can be read."""
     missing, size = _missing(file)
     if not missing:
-        return _read(file, bag, unpack, [])
+        return _read(file, bag, unpacker, [])
     # Of a page that the end of the file cuts sqlite would make messages that end in zeros: leave it out.
     with TemporaryDirectory(prefix="tactile_bag_") as folder:
         whole = Path(folder) / file.name
         shutil.copyfile(file, whole)
         with whole.open("r+b") as stream:
             stream.truncate(size)
-        return _read(whole, bag, unpack, [f"the file ends early, {missing} bytes of it are missing"])
+        return _read(whole, bag, unpacker, [f"the file ends early, {missing} bytes of it are missing"])
 
 
 def _missing(file: Path) -> tuple[int, int]:
@@ -48,7 +44,7 @@ def _missing(file: Path) -> tuple[int, int]:
     return max(0, page * pages - size), size // page * page
 
 
-def _read(file: Path, bag: Bag, unpack: Callable[[bytes], bytes], faults: list[str]) -> bool:
+def _read(file: Path, bag: Bag, unpacker: Unpacker, faults: list[str]) -> bool:
     # A bag whose recorder was killed may have its last rows in a write-ahead log, which only a reader that
     # takes part in the locking sees.
     mode = "mode=ro" if file.with_name(f"{file.name}-wal").exists() else "immutable=1"
@@ -56,15 +52,18 @@ def _read(file: Path, bag: Bag, unpack: Callable[[bytes], bytes], faults: list[s
     try:
         with closing(sqlite3.connect(f"file:{quote(str(file))}?{mode}", uri=True)) as database:
             database.execute("PRAGMA writable_schema = ON")  # else a truncated file is refused as a whole
-            topics = _read_topics(database, bag)
-            _read_definitions(database, bag)
+            _refuse_computed(database)
+            topics = _read_topics(database, bag, faults)
+            _read_definitions(database, bag, faults)
             kept = {number: bag.wanted(*topic) for number, topic in topics.items()}
             for _, number, stamp_ns, data in _rows(database, file.stat().st_size, topics.keys(), faults):
                 topic, type_name = topics[number]
                 bag.counts[topic] += 1
                 if kept[number]:
-                    message = Recorded(topic, type_name, unpack(data), stamp_ns, stamp_ns)
-                    bag.messages.append(message)
+                    unpacker.take(len(data) + MESSAGE_COST)
+                    bag.messages.append(Recorded(topic, type_name, data, stamp_ns, stamp_ns))
+    except TooLarge as error:
+        faults.append(str(error))
     except sqlite3.DatabaseError as error:
         bag.problems.append(f"{file.name}: {'; '.join([*faults, str(error)])}")
         return False
@@ -76,38 +75,69 @@ def _read(file: Path, bag: Bag, unpack: Callable[[bytes], bytes], faults: list[s
     return True
 
 
+def _refuse_computed(database: sqlite3.Connection) -> None:
+    """Only what is stored is read: a view or a computed column may have no end."""
+    for name in ("topics", "messages", "message_definitions"):
+        query = "SELECT type, rootpage FROM sqlite_master WHERE name = ?"
+        for kind, page in database.execute(query, (name,)):
+            if kind != "table" or not page:
+                found = "virtual table" if kind == "table" else kind
+                raise sqlite3.DatabaseError(f"{name} must be a table, is a {found}")
+        hidden = [row[1] for row in database.execute(f"PRAGMA table_xinfo({name})") if row[6]]
+        if hidden:
+            raise sqlite3.DatabaseError(f"column {hidden[0]} of {name} is computed, must be stored")
+
+
 def _rows(
     database: sqlite3.Connection, size: int, topics: Collection[int], faults: list[str]
 ) -> Iterator[Row]:
     """The messages by their ids; behind a damaged page those that sqlite finds when asked for later ids."""
     query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
-    last, step = 0, 1
+    last, step, senseless = 0, 1, []
     while last < size:  # there are fewer rows than bytes
         try:
             for row in database.execute(query, (last,)):
-                if row[0] <= last or row[1] not in topics:
-                    raise sqlite3.DatabaseError(f"row {row[0]} makes no sense")
-                last, step = row[0], 1
-                yield row
-            return
+                number, topic, stamp_ns, data = row
+                if isinstance(number, int):
+                    if number <= last:
+                        raise sqlite3.DatabaseError(f"row {number} comes after row {last}")
+                    last, step = number, 1
+                types = type(number), type(stamp_ns), type(data)
+                if topic in topics and types == (int, int, bytes):
+                    yield row
+                else:
+                    senseless.append(number)
+            break
         except sqlite3.DatabaseError as error:
             faults.append(str(error))
             last, step = last + step, step + step // 4 + 1
+    if senseless:
+        faults.append(
+            f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]!r:.40}"
+        )
 
 
-def _read_topics(database: sqlite3.Connection, bag: Bag) -> dict[int, tuple[str, str]]:
+def _read_topics(database: sqlite3.Connection, bag: Bag, faults: list[str]) -> dict[int, tuple[str, str]]:
     topics = {}
     for number, name, type_name in database.execute("SELECT id, name, type FROM topics ORDER BY id"):
-        topics[number] = name, type_name
-        bag.add_topic(name, type_name)
+        if isinstance(number, int) and isinstance(name, str) and isinstance(type_name, str):
+            topics[number] = name, type_name
+            bag.add_topic(name, type_name)
+        else:
+            faults.append(f"topic {number!r:.40} makes no sense: {name!r:.40} of type {type_name!r:.40}")
     return topics
 
 
-def _read_definitions(database: sqlite3.Connection, bag: Bag) -> None:
+def _read_definitions(database: sqlite3.Connection, bag: Bag, faults: list[str]) -> None:
     """Definitions are in the file since ROS 2 Iron."""
     tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if "message_definitions" not in tables:
         return
     columns = "topic_type, encoded_message_definition"
-    rows = database.execute(f"SELECT {columns} FROM message_definitions WHERE encoding = 'ros2msg'")
-    bag.definitions.update({name: text for name, text in rows if text})
+    rows: Any = database.execute(f"SELECT {columns} FROM message_definitions WHERE encoding = 'ros2msg'")
+    for name, text in rows:
+        if isinstance(name, str) and isinstance(text, str):
+            if text:
+                bag.definitions[name] = text
+        else:
+            faults.append(f"the definition of {name!r:.40} is no text")

@@ -7,9 +7,10 @@ metadata.yaml, which only describe the file, may then be up to `METADATA_PERIOD`
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,12 +20,13 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from tactile_base.topics import LATCHED, SENSOR, Topic
-from tactile_records.bags.contents import BagError
+from tactile_records.bags.contents import BagError, Gap
 from tactile_records.bags.message_definitions import message_definition, type_hash
 
 __all__ = ["METADATA", "BagError", "BagWriter"]
 
 METADATA = "metadata.yaml"
+GAP = "messages_lost"  # name of the MCAP metadata records that tell what a recorder missed
 METADATA_PERIOD = 10.0  # s; writing it takes 10 ms of a core that others are waiting for
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the one in C takes a quarter of the time
 _METADATA_VERSION = 9
@@ -76,7 +78,7 @@ class BagWriter:
     Raises
     ------
     BagError
-        The folder exists.
+        The folder exists or cannot be written, as all that writes says as well: the disk is full.
     DefinitionMissing
         A type's .msg file is not installed.
     """
@@ -88,19 +90,23 @@ class BagWriter:
         definitions: Mapping[str, str] | None = None,
         note: Mapping[str, str] | None = None,
     ) -> None:
-        if folder.exists():
-            raise BagError(f"{folder} exists already; remove it or record elsewhere")
         texts = {t.type: (definitions or {}).get(t.type) or message_definition(t.type) for t in topics}
-        folder.mkdir(parents=True)
         self.folder, self.note = folder, dict(note or {})
         self.file = folder / f"{folder.name}_0.mcap"
-        self._stream = self.file.open("wb")
-        self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library="tactile_servoing")
         self._span = _Span()
-        self._channels = self._register(topics, texts)
-        self._writer.flush()
-        self._write_metadata()
+        try:
+            folder.mkdir(parents=True)
+            self._stream = self.file.open("wb")
+        except FileExistsError as error:
+            raise BagError(f"{folder} exists already; remove it or record elsewhere") from error
+        except OSError as error:
+            raise BagError(f"{folder}: cannot be created: {error.strerror}") from error
+        with self._refusing():
+            self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
+            self._writer.start(profile="ros2", library="tactile_servoing")
+            self._channels = self._register(topics, texts)
+            self._writer.flush()
+            self._write_metadata()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -116,21 +122,39 @@ class BagWriter:
         channel.count += 1
         self._span.add(received_ns)
         published_ns = received_ns if published_ns is None else published_ns
-        self._writer.add_message(channel.id, received_ns, data, published_ns, sequence=channel.count)
+        with self._refusing():
+            self._writer.add_message(channel.id, received_ns, data, published_ns, sequence=channel.count)
+
+    def add_gap(self, gap: Gap) -> None:
+        """Note messages that were published and are not in the bag."""
+        with self._refusing():
+            self._writer.add_metadata(GAP, {name: str(value) for name, value in gap._asdict().items()})
 
     def flush(self) -> None:
         """Hand everything so far to the operating system: it survives the death of this process."""
-        self._writer.flush()
-        if time.monotonic() - self._metadata_s > METADATA_PERIOD:
-            self._write_metadata()
+        with self._refusing():
+            self._writer.flush()
+            if time.monotonic() - self._metadata_s > METADATA_PERIOD:
+                self._write_metadata()
 
     def close(self) -> None:
         """Write index and footer; calling it again does nothing."""
         if self._stream.closed:
             return
-        self._writer.finish()
-        self._stream.close()
-        self._write_metadata()
+        with self._refusing():
+            self._writer.finish()
+            self._stream.close()
+            self._write_metadata()
+
+    @contextlib.contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Make a `BagError` of what the operating system refuses, and write nothing after it."""
+        try:
+            yield
+        except OSError as error:
+            with contextlib.suppress(OSError):  # closing tries to write the rest once more
+                self._stream.close()
+            raise BagError(f"{self.file}: cannot be written: {error.strerror}") from error
 
     def _register(self, topics: Sequence[Topic], texts: Mapping[str, str]) -> dict[str, _Channel]:
         schemas = {

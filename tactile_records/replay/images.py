@@ -27,8 +27,7 @@ from tactile_perception.estimator import Estimator, ModelError
 from tactile_records.bags.cdr import MessageError as Unreadable
 from tactile_records.bags.cdr import blank_layout, layout_of
 from tactile_records.bags.contents import Recorded
-from tactile_records.bags.message_columns import rows_of
-from tactile_records.bags.message_definitions import type_fields
+from tactile_records.bags.message_columns import Needed, lacking, rows_of
 from tactile_records.bags.reader import Bag
 from tactile_records.replay.run import pose_rows
 from tactile_records.replay.topics import ReplayError, wanted_topics
@@ -36,6 +35,8 @@ from tactile_records.replay.topics import ReplayError, wanted_topics
 Array = NDArray[Any]
 
 COMPRESSED = compressed(IMAGE)
+_PACKED: Needed = {"header.stamp.sec": (), "header.stamp.nanosec": (), "header.frame_id": None}
+_RAW: Needed = {**_PACKED, "encoding": None, "height": (), "width": (), "step": ()}
 AHEAD = 64  # images that are decoded before they are needed
 
 
@@ -98,11 +99,8 @@ def _arm_of(topic: str) -> str | None:
 
 def _decoded(bag: Bag) -> Iterator[Recorded | Image]:
     """All messages in their order, images decoded on all cores ahead of their use."""
-    fields = {
-        name: type_fields(bag.definitions, name)
-        for name in set(bag.types.values())
-        if "/Image" in name or "/CompressedImage" in name
-    }
+    names = {message.type for message in bag.messages if _arm_of(message.topic) is not None}
+    fields = {name: bag.typestore(name).fielddefs for name in names}
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         queue: list[Any] = []
         for message in bag.messages:
@@ -123,6 +121,10 @@ def _image(fields: Any, message: Recorded) -> Image:
         layout = layout_of(fields, message.type, message.data)
     except Unreadable as error:
         return Image(message, -1, "", None, str(error))
+    if missing := lacking(layout, _PACKED if "format" in layout.texts else _RAW):
+        return Image(message, -1, "", None, f"{message.type}: has no field {missing} of its kind")
+    if not layout.lengths.get("data"):
+        return Image(message, -1, "", None, "has no pixels")
     values = np.frombuffer(message.data, layout.dtype, 1)[0]
     stamp_ns = int(values["header.stamp.sec"]) * SECOND_NS + int(values["header.stamp.nanosec"])
     frame_id = layout.texts["header.frame_id"]

@@ -7,13 +7,11 @@ serves all runs of a sweep.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
 from tactile_filter.transform_buffer import MotionLimits
-from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.replay.settings import recorded_group
 from tactile_records.replay.topics import (
@@ -70,16 +68,21 @@ def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
 def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     """The same of a bag that was read before."""
     reader = TopicReader(bag)
-    remarks = [] if bag.complete else [f"bag not complete: {bag.problem}"]
+    remarks: list[str] = []
     names = sorted(name for name in reader.arm_names() if bag.counts.get(ESTIMATE.of(name).name))
     if not names:
         topics = ", ".join(sorted(bag.topics)) or "none"
         raise ReplayError(
             f"{bag.folder}: no messages on <arm>/{ESTIMATE.name}; topics with messages: {topics}"
         )
-    tracks = {name: Track(reader, name, base_frame) for name in names}
+    tracks = {}
+    for name in names:
+        try:
+            tracks[name] = Track(reader, name, base_frame)
+        except ReplayError as error:
+            remarks.append(str(error))
     messages = reader.with_places(TF.name, TF_STATIC.name)
-    fields = type_fields(bag.definitions, messages[0][1].type) if messages else {}
+    fields = bag.typestore(messages[0][1].type).fielddefs if messages else {}
     recording = read_transforms(fields, messages, ignore=[contact_frame(name) for name in names])
     for track in tracks.values():
         track.find_the_sensor(recording)
@@ -96,14 +99,11 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
             arms.append(track.finished(own, hint))
         except ReplayError as error:
             remarks.append(str(error))
+    if not bag.complete:
+        remarks.insert(0, f"bag not complete: {bag.problem}")
     if not arms:
         raise ReplayError(f"{bag.folder}: no arm can be replayed: " + "; ".join(remarks))
     return Inputs(bag, arms, remarks, _span_s(bag))
-
-
-def lost_messages(bag: Bag) -> dict[str, int]:
-    """Topic -> messages that the recorder says it has lost."""
-    return {str(name): int(count) for name, count in json.loads(bag.note.get("messages_lost", "{}")).items()}
 
 
 def _span_s(bag: Bag) -> float:
@@ -141,10 +141,6 @@ def _lacking(recording: Recording) -> str:
 
 def _remarks_of(bag: Bag, recording: Recording) -> list[str]:
     remarks = [f"no messages on {name}" for name in (TF.name, TF_STATIC.name) if not bag.counts.get(name)]
-    lost = {name: count for name, count in lost_messages(bag).items() if wanted_topics(name, "")}
-    if lost:
-        topics = ", ".join(f"{name} {count}" for name, count in lost.items())
-        remarks.append(f"messages were lost on their way to the recorder: {topics}")
     if recording.unreadable:
         count, reason = len(recording.unreadable), recording.unreadable[0]
         remarks.append(f"/tf: {count} messages cannot be decoded, the first: {reason}")

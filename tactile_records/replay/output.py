@@ -58,6 +58,9 @@ def write_bag(folder: Path, bag: Bag, runs: Sequence[ArmRun], copies: Sequence[R
     with BagWriter(folder, ordered, definitions, _note(bag, runs)) as writer:
         for message in messages:
             writer.write(message.topic, message.data, message.received_ns, message.published_ns)
+        for gap in bag.gaps:
+            if gap.topic in topics:
+                writer.add_gap(gap)
 
 
 def _messages(run: ArmRun) -> list[Recorded]:

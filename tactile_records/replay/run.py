@@ -23,7 +23,8 @@ from tactile_filter.smoother import smooth
 from tactile_records.bags.cdr import Layout, blank_layout
 from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.replay.settings import Change
-from tactile_records.replay.track import POSE, ArmInputs, LiveStates, Measurement
+from tactile_records.replay.topics import POSE
+from tactile_records.replay.track import ArmInputs, LiveStates, Measurement
 from tactile_records.runs.record import BeliefSeries
 
 Array = NDArray[Any]

@@ -15,10 +15,9 @@ from tactile_base.settings import Settings
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
-from tactile_records.bags.cdr import MessageError, layout_of
+from tactile_records.bags.cdr import Layout, MessageError, layout_of
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import stamps_ns
-from tactile_records.bags.message_definitions import type_fields
 from tactile_records.bags.reader import Bag
 
 Array = NDArray[Any]
@@ -86,22 +85,32 @@ def commanded_resets(stamps_ns: Array, flags: Array, nis: Array, max_prediction_
 
 
 def _changes(bag: Bag, messages: Sequence[Recorded], node: str) -> list[Change]:
-    found = []
+    found, damaged = [], []
     for message in messages:
         try:
-            layout = layout_of(type_fields(bag.definitions, message.type), message.type, message.data)
-        except MessageError:
-            continue
-        if layout.texts["node"] != node:
-            continue
-        numbers = np.frombuffer(message.data, layout.dtype, 1)
-        values = {}
-        for index in range(layout.lengths["changed_parameters"]):
-            prefix = f"changed_parameters.{index}"
-            name, kind = layout.texts[f"{prefix}.name"], _VALUES.get(int(numbers[f"{prefix}.value.type"][0]))
-            if name in NAMES and kind is not None:
-                field = f"{prefix}.value.{kind}"
-                values[name] = layout.texts[field] if field in layout.texts else numbers[field][0].item()
-        if values:
-            found.append(Change(int(stamps_ns(numbers, "stamp")[0]), values))
+            layout = layout_of(bag.typestore(message.type).fielddefs, message.type, message.data)
+            change = _change(layout, message.data, node)
+        except (MessageError, KeyError, ValueError) as error:
+            damaged.append(f"at {message.received_ns} ns: {error}")
+        else:
+            found += [change] if change is not None and change.values else []
+    if damaged:
+        bag.problems.append(
+            f"{PARAMETER_EVENTS.name}: {len(damaged)} messages cannot be decoded, the first {damaged[0]}"
+        )
     return found
+
+
+def _change(layout: Layout, data: bytes, node: str) -> Change | None:
+    """A node's changed settings, of one message; None for another node's. Raises KeyError or ValueError."""
+    if layout.texts["node"] != node:
+        return None
+    numbers = np.frombuffer(data, layout.dtype, 1)
+    values = {}
+    for index in range(layout.lengths["changed_parameters"]):
+        prefix = f"changed_parameters.{index}"
+        name, kind = layout.texts[f"{prefix}.name"], _VALUES.get(int(numbers[f"{prefix}.value.type"][0]))
+        if name in NAMES and kind is not None:
+            field = f"{prefix}.value.{kind}"
+            values[name] = layout.texts[field] if field in layout.texts else numbers[field][0].item()
+    return Change(int(stamps_ns(numbers, "stamp")[0]), values)

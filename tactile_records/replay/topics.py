@@ -24,11 +24,11 @@ from tactile_base.topics import (
     TF,
     TF_STATIC,
     TRUTH,
+    Topic,
 )
 from tactile_filter.events import FUTURE_NS, JUMP_NS
 from tactile_records.bags.contents import Recorded
-from tactile_records.bags.message_columns import ColumnReader, Columns
-from tactile_records.bags.message_definitions import type_fields
+from tactile_records.bags.message_columns import ColumnReader, Columns, Needed, pose_columns
 from tactile_records.bags.reader import Bag
 
 Array = NDArray[Any]
@@ -42,11 +42,22 @@ class ReplayError(ValueError):
     """A bag that cannot be replayed; the message says what is missing."""
 
 
+_HEADER: Needed = {"header.stamp.sec": (), "header.stamp.nanosec": (), "header.frame_id": None}
+POSE = pose_columns("pose.pose.position", "pose.pose.orientation")
+ARM_POSE_PARTS = pose_columns("pose.position", "pose.orientation")
+_NEEDED: dict[Topic, Needed] = {  # what a replay uses of each topic
+    ESTIMATE: {**_HEADER, **dict.fromkeys(POSE, ()), "pose.covariance": (36,)},
+    PRESENCE: {**_HEADER, "in_contact": ()},
+    STATE: {**_HEADER, "flags": (), "nis": (), "latency.sec": (), "latency.nanosec": ()},
+    TRUTH: {**_HEADER, "euler": (6,), "depth": (), "slip_fraction": (), "in_contact": ()},
+    ARM_POSE: {**_HEADER, **dict.fromkeys(ARM_POSE_PARTS, ())},
+}
+
+
 def wanted_topics(topic: str, type_name: str) -> bool:
     """Whether a replay from estimates needs a topic."""
-    of_an_arm = (ESTIMATE, PRESENCE, STATE, TRUTH, ARM_POSE)
     return topic in (TF.name, TF_STATIC.name, PARAMETER_EVENTS.name) or any(
-        kind.arm_of(topic) for kind in of_an_arm
+        kind.arm_of(topic) for kind in _NEEDED
     )
 
 
@@ -91,12 +102,14 @@ class TopicReader:
         """The messages of some topics, with their places in the recording."""
         return [entry for name in topics for entry in self._by_topic.get(name, [])]
 
-    def topic(self, name: str, remarks: list[str]) -> Messages:
-        """All messages of a topic; what cannot be decoded goes into `remarks`."""
+    def topic(self, kind: Topic, arm: str, remarks: list[str]) -> Messages:
+        """All messages of an arm's topic; what cannot be decoded goes into `remarks`."""
+        name = kind.of(arm).name
         messages = self._by_topic.get(name, [])
         if not messages:
             return Messages()
-        reader = ColumnReader(type_fields(self.bag.definitions, messages[0][1].type), messages[0][1].type)
+        type_name = messages[0][1].type
+        reader = ColumnReader(self.bag.typestore(type_name).fielddefs, type_name, _NEEDED[kind])
         columns = reader.read([message.data for _, message in messages])
         if reader.unreadable:
             _, reason = reader.unreadable[0]

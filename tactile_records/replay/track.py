@@ -16,7 +16,6 @@ from tactile_filter.filter_settings import FilterSettings
 from tactile_filter.gaussian import UNUSABLE, PoseGaussian
 from tactile_filter.pose_numbers import gaussians_from_numbers
 from tactile_filter.transform_buffer import TransformUnavailable
-from tactile_records.bags.message_columns import pose_columns
 from tactile_records.replay.settings import (
     Change,
     commanded_resets,
@@ -24,15 +23,20 @@ from tactile_records.replay.settings import (
     recorded_group,
     recorded_settings,
 )
-from tactile_records.replay.topics import NO_STAMP, Messages, ReplayError, TopicReader
+from tactile_records.replay.topics import (
+    ARM_POSE_PARTS,
+    NO_STAMP,
+    POSE,
+    Messages,
+    ReplayError,
+    TopicReader,
+)
 from tactile_records.replay.transforms import Recording, connected, follow_pose, poses_at
 from tactile_records.runs.record import TruthSeries
 
 Array = NDArray[Any]
 
 BASE = "base"
-POSE = pose_columns("pose.pose.position", "pose.pose.orientation")
-ARM_POSE_PARTS = pose_columns("pose.position", "pose.orientation")
 
 
 @dataclass(frozen=True)
@@ -113,10 +117,10 @@ class Track:
         self.reader = reader
         self.arm.bounds = recorded_group(reader.bag.note, name, "bounds.", ContactBounds)
         remarks = self.arm.remarks
-        self.estimate = reader.topic(ESTIMATE.of(name).name, remarks)
-        self.presence = reader.topic(PRESENCE.of(name).name, remarks)
-        self.state = reader.topic(STATE.of(name).name, remarks)
-        self.truth = reader.topic(TRUTH.of(name).name, remarks)
+        self.estimate = reader.topic(ESTIMATE, name, remarks)
+        self.presence = reader.topic(PRESENCE, name, remarks)
+        self.state = reader.topic(STATE, name, remarks)
+        self.truth = reader.topic(TRUTH, name, remarks)
         self.rows, self.gaussians = self._take_estimates()
         for group in self.presence.columns:
             if group.layout.texts["header.frame_id"] != self.arm.sensor_frame:
@@ -130,7 +134,7 @@ class Track:
         arm = self.arm
         if connected(recording, arm.base_frame, arm.sensor_frame):
             return
-        topic = self.reader.topic(ARM_POSE.of(arm.name).name, arm.remarks)
+        topic = self.reader.topic(ARM_POSE, arm.name, arm.remarks)
         frames = {group.layout.texts["header.frame_id"] for group in topic.columns}
         if frames != {arm.base_frame}:
             return
@@ -164,6 +168,8 @@ class Track:
     def _take_estimates(self) -> tuple[Array, list[PoseGaussian]]:
         """Rows of the estimates in the sensor's frame, and the Gaussians; live filters pass others over."""
         topic, remarks = self.estimate, self.arm.remarks
+        if not topic.columns:
+            raise ReplayError(f"{self.arm.name} cannot be replayed: {'; '.join(remarks)}")
         sizes: Counter[str] = Counter()
         for group in topic.columns:
             sizes[group.layout.texts["header.frame_id"]] += len(group.indices)

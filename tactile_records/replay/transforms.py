@@ -15,13 +15,24 @@ from tactile_base.topics import TF, TF_STATIC
 from tactile_filter.pose_numbers import are_poses, pose_from_numbers
 from tactile_filter.transform_buffer import STAMP_SLACK, MotionLimits, TransformBuffer, TransformUnavailable
 from tactile_records.bags.contents import Recorded
-from tactile_records.bags.message_columns import ColumnReader, Columns, pose_columns, stamps_ns
+from tactile_records.bags.message_columns import (
+    ColumnReader,
+    Columns,
+    Needed,
+    lacking,
+    pose_columns,
+    stamps_ns,
+)
 from tactile_records.replay.topics import Timeline, of_the_future
 
 Array = NDArray[Any]
 
 FOREVER_NS = 2**62
 PARTS = pose_columns("translation", "rotation")
+_NEEDED: Needed = {"header.stamp.sec": (), "header.stamp.nanosec": ()} | {
+    **dict.fromkeys(("header.frame_id", "child_frame_id")),
+    **{f"transform.{part}": () for part in PARTS},
+}
 
 
 @dataclass
@@ -95,7 +106,7 @@ def _links(
     reader = ColumnReader(fields, messages[0][1].type)
     parts: dict[str, list[tuple[Array, Array, str, Array]]] = {}
     for columns in reader.read([message.data for _, message in messages]):
-        for stamps, parent, child, numbers in _transforms(columns):
+        for stamps, parent, child, numbers in _transforms(columns, recording.unreadable):
             early = (
                 np.zeros(len(stamps), bool) if static else of_the_future(stamps, received[columns.indices])
             )
@@ -107,11 +118,14 @@ def _links(
     return {child: _link(pieces, child, recording.refused) for child, pieces in parts.items()}
 
 
-def _transforms(columns: Columns) -> Iterable[tuple[Array, str, str, Array]]:
+def _transforms(columns: Columns, unreadable: list[str]) -> Iterable[tuple[Array, str, str, Array]]:
     """Stamps, parent, child and numbers of each of the transforms that the messages of a layout have."""
     texts = columns.layout.texts
-    for index in range(columns.layout.lengths["transforms"]):
+    for index in range(columns.layout.lengths.get("transforms", 1)):
         prefix = f"transforms.{index}"
+        if missing := lacking(columns.layout, {f"{prefix}.{name}": shape for name, shape in _NEEDED.items()}):
+            unreadable += [f"they have no {missing}"] * len(columns.indices)
+            return
         parent, child = texts[f"{prefix}.header.frame_id"], texts[f"{prefix}.child_frame_id"]
         numbers = columns.stack([f"{prefix}.transform.{part}" for part in PARTS])
         stamps = stamps_ns(columns.values, f"{prefix}.header.stamp")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +20,7 @@ from tactile_records.runs.record import RunRecord, Series, StageSeries, SurfaceM
 from tactile_records.runs.surfaces import surface_mesh
 
 Array = NDArray[Any]
+R = TypeVar("R")
 S = TypeVar("S", bound=Series)
 
 DONE = "done"
@@ -72,12 +73,24 @@ class _Rows:
     def __init__(self, bag: Bag, arm: str) -> None:
         self.bag, self.arm = bag, arm
 
-    def messages(self, topic: str) -> Iterator[Any]:
-        return (message for _, message in self.bag.decoded(f"/{self.arm}/{topic}"))
+    def rows(self, topic: str, row: Callable[[Any], R | None]) -> list[R]:
+        """What `row` makes of each message, but None; a message of which it makes nothing is a problem."""
+        found, senseless = [], []
+        for _, message in self.bag.decoded(f"/{self.arm}/{topic}"):
+            try:
+                values = row(message)
+            except (AttributeError, TypeError, ValueError) as error:
+                senseless.append(str(error))
+            else:
+                found += [] if values is None else [values]
+        if senseless:
+            text = f"{len(senseless)} messages cannot be used, the first: {senseless[0]}"
+            self.bag.problems.append(f"/{self.arm}/{topic}: {text}")
+        return found
 
     def series(self, kind: type[S], topic: str, row: Callable[[Any], dict[str, Any] | None]) -> S:
         """One row a message, by stamp; `row` gives its columns, or None for a message that holds nothing."""
-        rows = [values for message in self.messages(topic) if (values := row(message)) is not None]
+        rows = self.rows(topic, row)
         rows.sort(key=lambda values: values["stamp_ns"])
         names = rows[0] if rows else ()
         return kind(**{name: np.array([values[name] for values in rows]) for name in names})
@@ -95,15 +108,21 @@ def stamp_of(message: Any) -> int:
 def pose_matrix(pose: Any) -> Array:
     """T (4, 4) of a geometry_msgs/Pose."""
     q = np.array([pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z])
-    w, x, y, z = q / np.linalg.norm(q)
+    w, x, y, z = _finite(q / (np.linalg.norm(q) or np.nan), "its orientation")
     T = np.eye(4)
     T[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    T[:3, 3] = pose.position.x, pose.position.y, pose.position.z
+    T[:3, 3] = _finite(np.array([pose.position.x, pose.position.y, pose.position.z]), "its position")
     return T
+
+
+def _finite(values: Array, name: str) -> Array:
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} is not finite")
+    return values
 
 
 def _pose_row(message: Any) -> dict[str, Any]:
@@ -125,7 +144,7 @@ def truth_row(message: Any) -> dict[str, Any]:
 def gaussian_row(message: Any) -> dict[str, Any]:
     """Stamp, mean and left covariance of a PoseWithCovarianceStamped."""
     mean = pose_matrix(message.pose.pose)
-    cov = left_from_ros(np.reshape(message.pose.covariance, (6, 6)), mean[:3, 3])
+    cov = left_from_ros(_finite(np.reshape(message.pose.covariance, (6, 6)), "its covariance"), mean[:3, 3])
     return {"stamp_ns": stamp_of(message), "mean": mean, "cov": cov}
 
 
@@ -135,7 +154,7 @@ def _belief_row(message: Any) -> dict[str, Any] | None:
     return {
         "stamp_ns": stamp_of(message),
         "mean": se3.exp(np.asarray(message.xi)),
-        "cov": np.reshape(message.covariance, (6, 6)),
+        "cov": _finite(np.reshape(message.covariance, (6, 6)), "its covariance"),
         "nis": message.nis,
         "nis_dof": message.nis_dof,
         "accepted": not message.flags & (GATED | PREDICTED_ONLY),
@@ -172,6 +191,12 @@ STREAMS: dict[str, tuple[str, Callable[[Any], dict[str, Any] | None]]] = {
 }
 
 
+def _frames(message: Any) -> tuple[str, list[tuple[int, float, int]]]:
+    """Stage, and the frames that it tells of: exposure (ns), latency (s), how many it has dropped by then."""
+    parts = zip(message.exposed, message.emitted, message.dropped, strict=True)
+    return message.stage, [(_ns(e), (_ns(out) - _ns(e)) * 1e-9, int(dropped)) for e, out, dropped in parts]
+
+
 def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
     """Latency of each stage, and the frames that it dropped since its first answer here, by stage in order.
 
@@ -179,12 +204,13 @@ def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
     of this record.
     """
     by_stage: dict[str, list[tuple[int, float, int]]] = {}
-    for message in rows.messages("latency"):
-        frames = by_stage.setdefault(message.stage, [])
-        for exposed, emitted, dropped in zip(message.exposed, message.emitted, message.dropped, strict=True):
-            frames.append((_ns(exposed), (_ns(emitted) - _ns(exposed)) * 1e-9, int(dropped)))
+    for stage, frames in rows.rows("latency", _frames):
+        if frames:
+            by_stage.setdefault(stage, []).extend(frames)
     series, lost = {}, {}
-    for stage in sorted(by_stage, key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)):
+    for stage in sorted(
+        filter(by_stage.get, by_stage), key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)
+    ):
         stamps, seconds_each, counts = zip(*sorted(by_stage[stage]), strict=True)
         series[stage] = StageSeries(np.array(stamps), np.array(seconds_each))
         lost[stage] = max(counts) - counts[0]

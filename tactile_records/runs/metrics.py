@@ -36,6 +36,7 @@ HEAD_FIELDS: dict[str, str] = {
     "reason": "why it failed, in words; empty where it did not",
     "duration_s": "from the first command to the last",
     "wall_s": "wall-clock time of the run",
+    "bag_problem": "what the bag lacks, and why; empty where it lacks nothing, and without a bag",
 }
 
 REPORT_FIELDS: dict[str, str] = {
@@ -113,6 +114,7 @@ def head(record: RunRecord) -> dict[str, Any]:
         "reason": str(record.result.get("reason", "")),
         "duration_s": duration(record.command.stamp_ns),
         "wall_s": record.result.get("wall_s"),
+        "bag_problem": str(record.result.get("bag_problem", "")),
     }
 
 

@@ -63,12 +63,20 @@ def write_reports(run: Run, folder: Path) -> dict[str, dict[str, Any]]:
     -------
     dict
         The numbers of each arm; NaN is None, as it is null in the file.
+
+    Raises
+    ------
+    OSError
+        Naming the folder, which cannot be written.
     """
     values = {}
     for arm, place in places(run, folder).items():
-        place.mkdir(parents=True, exist_ok=True)
-        values[arm] = write_numbers(run, arm, place / "report.json")
-        write_pictures(run, arm, place)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            values[arm] = write_numbers(run, arm, place / "report.json")
+            write_pictures(run, arm, place)
+        except OSError as error:  # a full disk comes without a name
+            raise OSError(error.errno, error.strerror, str(place)) from error
     return values
 
 

@@ -3,15 +3,18 @@
 Images are recorded only where `images` names their topics: compressed without loss (PNG), as
 sensor_msgs/CompressedImage on `<topic>/compressed`, since raw ones at 60 Hz are 18 MB a second.
 
-Being held up for 30 s costs no message of the reliable topics that our nodes publish. Messages that are lost
-all the same are counted, by topic, in /diagnostics and, as `messages_lost`, in the bag's note.
+Being held up for 30 s costs no message of the reliable topics that our nodes publish (docs/replay.md). What
+is lost all the same shows in the numbers that publishers give their messages: it is told with topic, number
+and time in the log, in /diagnostics and in the bag. No number tells what a publisher sent last, if it ended
+while the recorder was held up: then the bag says from when on messages may be missing.
 """
 
 from __future__ import annotations
 
 import importlib
-import json
+import inspect
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +25,10 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
-from tactile_base.topics import COMMAND, IMAGE, QOS_KINDS, Topic, compressed
+from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import COMMAND, IMAGE, LATCHED, QOS_KINDS, Topic, compressed
+from tactile_records.bags.contents import Gap
+from tactile_records.bags.losses import Losses
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MessageError, array_from_image
@@ -31,6 +37,8 @@ from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
+HELD_UP = 1.0  # s longer than that without anything to do: the recorder was held up
+QUIET, CATCH_UP = 1.0, 4.0  # s; at the end it waits for what is on its way until none comes, but no longer
 PNG_FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
@@ -47,8 +55,10 @@ class RecorderNode(ManagedNode):
         self.images = [name for name in images if name]
         self.note = dict(text.split("=", 1) for text in note if text)
         self.bag: BagWriter | None = None
-        self.lost: Counter[str] = Counter()
-        self.open: list[tuple[Any, Callable[[Any], None]]] = []
+        self.losses = Losses()
+        self.told: Counter[str] = Counter()  # by topic, what the middleware says to have lost
+        self.busy = 0.0  # when it last had something to do (s, steady)
+        self.open: list[tuple[Any, _Taker]] = []
 
     def configure(self) -> None:
         """Create the bag and subscribe."""
@@ -57,7 +67,7 @@ class RecorderNode(ManagedNode):
         packed = [compressed(Topic(name, IMAGE.type, IMAGE.qos)) for name in self.images]
         try:
             self.bag = BagWriter(self.folder, [*self.topics, *packed], note=self.note)
-        except (BagError, DefinitionMissing, OSError) as error:
+        except (BagError, DefinitionMissing) as error:
             raise ConfigurationError(str(error)) from error
         for topic in self.topics:
             self._record(topic)
@@ -69,30 +79,48 @@ class RecorderNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Write what has arrived by now, and finish the bag."""
-        for subscription, write in self.open:
-            with subscription.handle:
-                while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
-                    write(taken[0])
+        self._look_at_the_clock()
+        self._catch_up()
         self.open.clear()
-        if self.bag is not None:
-            self.bag.close()
-            lost = f", {self.lost.total()} lost" if self.lost else ""
+        for gap in self.losses.last(self.told, time.time_ns()):
+            self._lose(gap)
+        if self._try(BagWriter.close):
+            total = self.losses.lost.total()
+            lost = f", {total} lost" if total else ""
             self.get_logger().info(f"{self.counters['messages']} messages in {self.folder}{lost}")
-            self.bag = None
+        self.bag = None
+
+    def _catch_up(self) -> None:
+        """Take what has arrived, and after a delay what is still on its way."""
+        started = heard = time.monotonic()
+        while True:
+            before = self.counters["messages"]
+            for subscription, take in self.open:
+                with subscription.handle:
+                    while taken := subscription.handle.take_message(subscription.msg_type, subscription.raw):
+                        take(*taken)
+            now = time.monotonic()
+            heard = now if self.counters["messages"] > before else heard
+            if not self.losses.late or now - heard > QUIET:
+                return
+            if now - started > CATCH_UP:
+                for gap in self.losses.on_their_way(time.time_ns()):
+                    self._lose(gap)
+                return
+            time.sleep(0.01)
 
     def command_topics(self) -> list[str]:
         """Those that are recorded: the bag holds how the arms came to rest."""
         return [topic.name for topic in self.topics if COMMAND.arm_of(topic.name)]
 
     def _record(self, topic: Topic) -> None:
-        # Without MessageInfo, whose time of publication would be welcome: the events executor cannot pass it.
-        def write(data: Any) -> None:
-            self._write(topic.name, data)
+        def write(data: Any, published_ns: int) -> None:
+            self._write(topic.name, data, published_ns)
 
         self._listen(topic, _message_type(topic.type), write, raw=True)
 
     def _record_images(self, name: str) -> None:
-        def write(message: Image) -> None:
+        def write(message: Image, published_ns: int) -> None:
             try:
                 data = cv2.imencode(".png", array_from_image(message), PNG_FAST)[1].tobytes()
             except MessageError as error:
@@ -100,33 +128,92 @@ class RecorderNode(ManagedNode):
                 self.warn("image", f"{name} refused: {error}")
                 return
             packed = CompressedImage(header=message.header, format=f"{message.encoding}; png", data=data)
-            self._write(f"{name}/compressed", serialize_message(packed))
+            self._write(f"{name}/compressed", serialize_message(packed), published_ns)
 
         self._listen(Topic(name, IMAGE.type, IMAGE.qos), Image, write, raw=False)
 
-    def _listen(self, topic: Topic, message_type: Any, write: Callable[[Any], None], raw: bool) -> None:
+    def _listen(self, topic: Topic, message_type: Any, write: Callable[[Any, int], None], raw: bool) -> None:
+        def take(message: Any, info: Any) -> None:
+            self._look_for_gap(topic, info)
+            write(message, info["source_timestamp"])
+
         def lose(info: Any) -> None:
-            self.lost[topic.name] += info.total_count_change
-            self.count(lost_counter(topic.name), info.total_count_change)
-            self.warn(f"{topic.name} lost", f"{topic.name}: {self.lost[topic.name]} messages lost so far")
-            if self.bag is not None:
-                self.bag.note["messages_lost"] = json.dumps(self.lost)
+            self.told[topic.name] += info.total_count_change
 
         events = SubscriptionEventCallbacks(message_lost=lose)
+        taker = _Taker(take)
         subscription: Any = self.create_subscription(
-            message_type, topic.name, write, recorder_profile(topic), event_callbacks=events, raw=raw
+            message_type, topic.name, taker, recorder_profile(topic), event_callbacks=events, raw=raw
         )
-        self.open.append((subscription, write))
+        self.open.append((subscription, taker))
         self.release_later(self.destroy_subscription, subscription)
 
-    def _write(self, topic: str, data: bytes) -> None:
-        if self.bag is not None:
+    def _look_for_gap(self, topic: Topic, info: Any) -> None:
+        """Look at a message's number, where the middleware passes it on."""
+        self._look_at_the_clock()
+        number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
+        published_ns = info["source_timestamp"]
+        if topic.qos != LATCHED:  # those come late to who comes late
+            self.losses.delay(topic.name, time.time_ns() - published_ns)
+        if number is not None and publisher is not None:
+            gap = self.losses.seen(topic.name, publisher["data"], number, published_ns)
+            if gap is not None:
+                self._lose(gap)
+
+    def _look_at_the_clock(self) -> None:
+        """Whether the recorder was held up: it has something to do at least once a `FLUSH_PERIOD`."""
+        now = time.monotonic()
+        delay = now - self.busy - FLUSH_PERIOD
+        if self.busy and delay > HELD_UP:
+            now_ns = time.time_ns()
+            self.losses.held_up(now_ns - round((now - self.busy) * SECOND_NS), now_ns)
+            self.count("times held up")
+            self.warn("held up", f"held up for {delay:.1f} s")
+        self.busy = now
+
+    def _lose(self, gap: Gap) -> None:
+        self.count(lost_counter(gap.topic), gap.messages)
+        known = self.losses.lost[gap.topic]
+        self.warn(f"{gap.topic} lost", f"{gap}; {known} messages known to be lost so far")
+        self._try(lambda bag: bag.add_gap(gap))
+
+    def _write(self, topic: str, data: bytes, published_ns: int) -> None:
+        if self._try(lambda bag: bag.write(topic, data, self.now_ns(), published_ns)):
             self.count("messages")
-            self.bag.write(topic, data, self.now_ns())
 
     def _flush(self) -> None:
-        if self.bag is not None:
-            self.bag.flush()
+        self._look_at_the_clock()
+        self._try(BagWriter.flush)
+
+    def _try(self, act: Callable[[BagWriter], None]) -> bool:
+        """Do something with the bag, if there is one; once it cannot be written, the recording ends."""
+        if self.bag is None:
+            return False
+        try:
+            act(self.bag)
+        except BagError as error:
+            text = f"the recording ends after {self.counters['messages']} messages: {error}"
+            self.report.fault = text
+            self.get_logger().error(text)
+            self.stop(text, exit_code=1)
+            self.bag = None
+            return False
+        return True
+
+
+class _Taker:
+    """A callback that gets each message with its MessageInfo.
+
+    rclpy's events executor hands both over as one tuple, other executors as two arguments.
+    """
+
+    __signature__ = inspect.signature(lambda message, info: None)
+
+    def __init__(self, take: Callable[[Any, Any], None]) -> None:
+        self._take = take
+
+    def __call__(self, *arguments: Any) -> None:
+        self._take(*(arguments if len(arguments) == 2 else arguments[0]))
 
 
 def _topic(text: str) -> Topic:
@@ -138,10 +225,12 @@ def _topic(text: str) -> Topic:
 
 
 def _message_type(name: str) -> Any:
-    """The class of `package/msg/Name`; raises ConfigurationError where package or message is missing."""
-    package, _, message = name.split("/")
+    """The class of a topic's type; raises ConfigurationError where package or message is missing."""
+    package, kind, message = name.split("/")
+    action, _, part = message.rpartition("_")
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), message)
+        module = importlib.import_module(f"{package}.{kind}")
+        return getattr(module, message) if kind == "msg" else getattr(getattr(module, action).Impl, part)
     except (ImportError, AttributeError) as error:
         raise ConfigurationError(f"topics: no message {name}: {error}") from error
 

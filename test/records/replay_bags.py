@@ -13,6 +13,7 @@ from tactile_base.topics import Topic
 from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.gaussian import PoseGaussian, left_from_ros, ros_from_left
+from tactile_records.bags.contents import Gap
 from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.writer import BagWriter
 
@@ -70,6 +71,7 @@ class Recording:
 
     messages: list[tuple[str, str, bytes, int]] = dataclasses.field(default_factory=list)
     note: dict[str, str] = dataclasses.field(default_factory=dict)
+    gaps: list[Gap] = dataclasses.field(default_factory=list)
     late_ns: int = 5_000_000  # from a message's stamp to its reception
 
     def add(self, topic: str, type_name: str, message, stamp_ns: int) -> None:
@@ -133,12 +135,16 @@ class Recording:
     def without(self, topic: str) -> Recording:
         return dataclasses.replace(self, messages=[m for m in self.messages if m[0] != topic])
 
-    def write(self, folder: Path) -> Path:
-        """As our recorder does."""
+    def write(self, folder: Path, flush_every: int = 0) -> Path:
+        """As our recorder does, with a flush after so many messages."""
         topics = [Topic(topic, type_name) for topic, type_name in dict(m[:2] for m in self.messages).items()]
         with BagWriter(folder, topics, note=self.note) as bag:
-            for topic, _, data, received_ns in self.messages:
+            for number, (topic, _, data, received_ns) in enumerate(self.messages, 1):
                 bag.write(topic, data, received_ns)
+                if flush_every and number % flush_every == 0:
+                    bag.flush()
+            for gap in self.gaps:
+                bag.add_gap(gap)
         return folder
 
     def write_as_ros2_bag(

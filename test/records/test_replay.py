@@ -14,6 +14,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from tactile_bringup.cli import main
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 from tactile_filter.belief import invalid_belief
+from tactile_records.bags.contents import Gap
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import Agreement, agreement, run_filter
@@ -159,12 +160,15 @@ def test_beliefs_after_one_whose_inputs_were_lost_are_not_compared_until_the_con
     lost_ns = START_NS + 30 * STEP_NS
     received_ns = lost_ns + source.late_ns
     source.messages = [m for m in source.messages if m[0] == "/arm/contact/state" or m[3] != received_ns]
-    source.note["messages_lost"] = json.dumps({"/tf": 1, "/arm/contact/estimate": 1, "/other": 7})
+    source.gaps = [Gap("/arm/contact/estimate", 1, lost_ns - STEP_NS, lost_ns + STEP_NS)]
     inputs, (run,) = replayed(source.write(tmp_path / "bag"))
     found = agreement(run.states, inputs.arms[0].live)
     assert found == Agreement(50, 50, only_live=1, only_replayed=0, after_gap=9)
-    lost = "messages were lost on their way to the recorder: /tf 1, /arm/contact/estimate 1"
-    assert lost in inputs.remarks
+    (remark,) = inputs.remarks
+    assert (
+        "bag not complete: /arm/contact/estimate: 1 of 45 messages were published and not recorded" in remark
+    )
+    assert f"between {(lost_ns - STEP_NS) / 1e9:.3f} and {(lost_ns + STEP_NS) / 1e9:.3f} s" in remark
 
 
 def test_a_single_bit_that_differs_is_found(tmp_path):

@@ -244,7 +244,7 @@ def test_columns_are_the_numbers_of_the_messages():
     ]
     data.insert(11, data[20][:37])
     messages.insert(11, None)
-    reader = ColumnReader(type_fields({}, TRANSFORMS), TRANSFORMS)
+    reader = ColumnReader(type_fields(TRANSFORMS), TRANSFORMS)
     seen = []
     for columns in reader.read(data):
         seen += columns.indices.tolist()
