@@ -74,7 +74,7 @@ TASK_FEEDBACK = Topic(
 
 # ---- of all arms together ----
 
-ESTOP = Topic("/estop", "std_msgs/msg/Bool", RELIABLE)
+ESTOP = Topic("/estop", "std_msgs/msg/Bool", RELIABLE, "whoever stops all arms")
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", RELIABLE, "every node")
 PARAMETER_EVENTS = Topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent", RELIABLE, "every node")
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE, "arm, filter and object")
@@ -96,7 +96,7 @@ ARM_TOPICS = (
     TASK_FEEDBACK,
 )
 SENSOR_TOPICS = (PRESENCE, ESTIMATE, BELIEF, STATE, TRUTH, LATENCY)
-SHARED_TOPICS = (DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, TF, TF_STATIC, SIM_MARKERS)
+SHARED_TOPICS = (DIAGNOSTICS, PARAMETER_EVENTS, ROSOUT, ESTOP, TF, TF_STATIC, SIM_MARKERS)
 OBJECT_TOPICS = (OBJECT_BELIEF, OBJECT_LATENCY)
 
 

@@ -10,7 +10,7 @@ def test_each_topic_stands_in_the_table_once_with_who_publishes_it():
     assert len({topic.name for topic in TABLE}) == len(TABLE)
     for topic in TABLE:
         assert topic.publisher and topic.qos in QOS_KINDS
-        assert topic.type.count("/") == 2 and "/msg/" in topic.type
+        assert topic.type.count("/") == 2 and topic.type.split("/")[1] in ("msg", "action")
 
 
 def test_an_arm_is_found_in_the_name_of_its_topic():

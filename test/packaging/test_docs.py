@@ -6,6 +6,7 @@ import dataclasses
 import re
 import shlex
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from tactile_bringup.cli import _parser
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task
 from tactile_drivers.arm import open_arm
+from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import load_scene
 from tactile_records.runs import metrics, object_tracking
 from tactile_records.runs.report import write_numbers
@@ -207,19 +209,32 @@ def test_the_shape_and_the_motion_of_the_docs_run(examples: Path):
 
 def test_the_arm_driver_of_the_docs_follows_twists_and_stops(examples: Path):
     scene = load_scene(examples / "own_arm.md" / "my_lab" / "my_cell.yaml").arms["arm"]
-    driver = open_arm(scene, lambda state: None)
+    safe = SafeArm(scene, time.time_ns)
+    safe.drive(open_arm(scene, safe.take_state))
     try:
-        while driver.state is None:
+        while safe.state is None:
             pass
-        assert driver.command(driver.state.stamp_ns, [0.0, 0.0, 0.01, 0.0, 0.0, 0.0])
-        while not driver.state.twist.any():
+        assert safe.command(time.time_ns(), [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]) == ""
+        while not safe.state.twist.any():
             pass
-        while driver.state.twist.any():  # commands have ended
+        safe.stop("enough")
+        while safe.state.twist.any():
             pass
-        assert "no command for" in driver.state.reason
-        assert not driver.command(driver.state.stamp_ns, np.full(6, np.nan))
+        assert safe.state.reason == "enough"
+        assert "not finite" in safe.command(time.time_ns(), np.full(6, np.nan))
     finally:
-        driver.close()
+        safe.close()
+
+
+def test_each_fault_of_the_docs_has_its_test(root: Path):
+    text = (root / "docs" / "safety.md").read_text()
+    rows = [line for line in text[text.index("## Faults") :].splitlines() if line.startswith("| ")][2:]
+    assert len(rows) >= 100
+    for row in rows:
+        file, _, name = row.strip("| ").split(" | ")[-1].partition("::")
+        assert f"def {name}(" in (root / file).read_text(), row
+    faults = [row.split(" | ")[0] for row in rows]
+    assert len(set(faults)) == len(faults)
 
 
 def test_settings_of_the_drivers_in_the_docs_are_declared(examples: Path):
