@@ -167,12 +167,12 @@ class SafeArm:
 
     def _refusal(self, now_ns: int, stamp_ns: int, twist: Array, owner: str) -> str:
         """Why the command is not followed; '' if it is."""
-        if self.driver is None or self.state is None:
-            return "nobody drives the arm yet" if self.driver is None else "the arm has no state yet"
         if twist.shape != (6,):
             return f"a twist has 6 elements, this one has shape {twist.shape}"
         if not np.isfinite(twist).all():
             return f"the twist is not finite: {twist.tolist()}"
+        if self.driver is None or self.state is None:
+            return "nobody drives the arm yet" if self.driver is None else "the arm has no state yet"
         quiet = (now_ns - self._heard_ns) / SECOND_NS > self.settings.owner_timeout
         if self._owner and owner != self._owner and not quiet:
             return f"the arm is commanded by {self._owner}, not by {owner or 'somebody without a name'}"

@@ -39,6 +39,7 @@ from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE, STATE
 
 #: Counters of what has been dropped.
+LONGEST_GAP = 600 * SECOND_NS  # a longer one between two stamps is another time, not lost images
 DROPPED = ("images lost", "images refused", "images out of order", "estimates refused")
 
 
@@ -129,7 +130,7 @@ class EstimatorNode(ManagedNode):
         """Count what is missing since the last image; False for an image that is not later than it."""
         last_ns, self.last_stamp_ns = self.last_stamp_ns, stamp_ns
         gap = stamp_ns - last_ns
-        if last_ns == 0 or gap < -SECOND_NS:  # the first image, or the clock was set back
+        if last_ns == 0 or not -SECOND_NS <= gap < LONGEST_GAP:  # the first image, or the clock was set
             return True
         if gap <= 0:
             self.last_stamp_ns = last_ns
