@@ -17,8 +17,10 @@ def set_priority(priority: int) -> str:
         return ""
     missing = []
     try:
-        # threads that exist already keep their own: the middleware's are started later, with this one's
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        for thread in os.listdir(
+            "/proc/self/task"
+        ):  # the middleware's, too
+            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         missing.append(f"SCHED_FIFO {priority} (rtprio in /etc/security/limits.conf allows it)")
     libc = ctypes.CDLL(None, use_errno=True)

@@ -1,0 +1,33 @@
+"""A node that is to run under a real-time priority."""
+
+import os
+
+import pytest
+
+FILTER = "tactile_ros.nodes.filter_node"
+
+
+def may_have(priority: int) -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+def test_all_threads_of_a_node_have_its_priority_or_it_says_how_to_get_it(graph):
+    process = graph.start(FILTER, {"priority": 5})
+    threads = [int(name) for name in os.listdir(f"/proc/{process.pid}/task")]
+    if may_have(5):
+        assert {os.sched_getscheduler(thread) for thread in threads} == {os.SCHED_FIFO}
+        assert {os.sched_getparam(thread).sched_priority for thread in threads} == {5}
+    else:
+        assert "SCHED_FIFO 5 (rtprio in /etc/security/limits.conf allows it)" in graph.log(FILTER).read_text()
+
+
+@pytest.mark.parametrize("priority", [-1, 100])
+def test_a_priority_that_there_is_not_is_refused(graph, priority):
+    process = graph.start(FILTER, {"priority": priority}, wait=False)
+    assert graph.wait(lambda: process.poll() is not None)
+    assert process.returncode == 1 and "must lie in [0, 99]" in graph.log(FILTER).read_text()
