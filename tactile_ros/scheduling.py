@@ -17,9 +17,7 @@ def set_priority(priority: int) -> str:
         return ""
     missing = []
     try:
-        for thread in os.listdir(
-            "/proc/self/task"
-        ):  # the middleware's, too
+        for thread in os.listdir("/proc/self/task"):  # the middleware's, too
             os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError:
         missing.append(f"SCHED_FIFO {priority} (rtprio in /etc/security/limits.conf allows it)")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rosbags.serde import SerdeError
 
+from tactile_base.input_file import parse_json
 from tactile_records.bags.message_definitions import DefinitionDamaged, message_definition, typestore
 
 # What `rosbags` raises for bytes that are no message of their type.
@@ -57,6 +58,23 @@ def gap_text(messages: int, after_ns: int, before_ns: int, of: int = 0) -> str:
     if messages == UNKNOWN:
         return f"what was published {when} may be missing: the recorder was held up"
     return f"{messages}{f' of {of}' if of else ''} messages were published and not recorded, {when}"
+
+
+def noted(note: Mapping[str, str], name: str) -> dict[str, dict[str, Any]]:
+    """What a bag's note holds by name as JSON: mappings by node or arm; empty without it.
+
+    Raises
+    ------
+    BagError
+        If it holds anything else.
+    """
+    try:
+        found = parse_json(note.get(name, "{}"))
+    except ValueError as error:
+        raise BagError(f"the bag's note '{name}' is no JSON: {error}") from error
+    if not isinstance(found, dict) or not all(isinstance(value, dict) for value in found.values()):
+        raise BagError(f"the bag's note '{name}': must hold mappings by name")
+    return found
 
 
 @dataclass

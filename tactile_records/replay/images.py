@@ -6,7 +6,6 @@ They go through messages as they would from node to node, so that the filter tak
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -26,7 +25,7 @@ from tactile_perception.estimating.presence import ContactPresence, PresenceSett
 from tactile_perception.estimator import Estimator, ModelError
 from tactile_records.bags.cdr import MessageError as Unreadable
 from tactile_records.bags.cdr import blank_layout, layout_of
-from tactile_records.bags.contents import Recorded
+from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import Needed, lacking, rows_of
 from tactile_records.bags.reader import Bag
 from tactile_records.replay.run import pose_rows
@@ -148,7 +147,7 @@ class _Estimates:
 
     def __init__(self, bag: Bag, arm: str, model: Path | None, remarks: list[str]) -> None:
         self.arm = arm
-        parameters = json.loads(bag.note.get("parameters", "{}")).get(f"/{arm}/estimator", {})
+        parameters = noted(bag.note, "parameters").get(f"/{arm}/estimator", {})
         recorded = parameters.get("model", "")
         if model is None and recorded and not Path(recorded).exists():
             remarks.append(f"{arm}: the model {recorded} is not there: the shipped one is taken")

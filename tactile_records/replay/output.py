@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_base.topics import BELIEF, RELIABLE, SMOOTHED, STATE, TF_STATIC, Topic
 from tactile_filter.belief import Belief
-from tactile_records.bags.contents import Recorded
+from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import rows_of
 from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.reader import Bag
@@ -88,7 +88,7 @@ def _recorded(run: ArmRun, topic: Topic, rows: Array, received: list[int]) -> li
 
 
 def _note(bag: Bag, runs: Sequence[ArmRun]) -> dict[str, str]:
-    parameters = json.loads(bag.note.get("parameters", "{}"))
+    parameters = noted(bag.note, "parameters")
     settings = {f"/{run.inputs.name}/filter": dataclasses.asdict(run.settings) for run in runs}
     return bag.note | {
         "parameters": json.dumps(parameters | settings),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar
@@ -16,7 +15,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
 from tactile_records.bags.cdr import Layout, MessageError, layout_of
-from tactile_records.bags.contents import Recorded
+from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.bags.reader import Bag
 
@@ -46,14 +45,14 @@ def recorded_settings(note: Mapping[str, str], arm: str) -> tuple[dict[str, Any]
 
     Empty where the recording does not say.
     """
-    parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
+    parameters = noted(note, "parameters").get(f"/{arm}/filter", {})
     own = {name: value for name, value in parameters.items() if "." not in name}
     return {n: v for n, v in own.items() if n in NAMES}, sorted(n for n in own if n not in NAMES)
 
 
 def recorded_group(note: Mapping[str, str], arm: str, prefix: str, kind: type[S]) -> S:
     """Settings of the filter of a recording that have a prefix; the defaults where they are not recorded."""
-    parameters = json.loads(note.get("parameters", "{}")).get(f"/{arm}/filter", {})
+    parameters = noted(note, "parameters").get(f"/{arm}/filter", {})
     own = {n.removeprefix(prefix): v for n, v in parameters.items() if n.startswith(prefix)}
     return kind.from_mapping(own)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +14,7 @@ from tactile_control.tasks import TASKS
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_filter import se3
 from tactile_filter.gaussian import left_from_ros
+from tactile_records.bags.contents import noted
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.record import RunRecord, Series, StageSeries, SurfaceMesh
 from tactile_records.runs.surfaces import surface_mesh
@@ -44,7 +44,7 @@ def read_arms(folder: Path) -> dict[str, RunRecord]:
 def run_from_bag(bag: Bag, arm: str) -> RunRecord:
     """The run of one arm, from a bag that was read before."""
     rows = _Rows(bag, arm)
-    role = json.loads(bag.note.get("roles", "{}")).get(arm, {})
+    role = noted(bag.note, "roles").get(arm, {})
     task = role.get("task", "surface_following")
     record = RunRecord(
         scene=bag.note.get("scene", ""),
@@ -241,7 +241,7 @@ def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:
 
 def arms_of(bag: Bag) -> list[str]:
     """The arms that had something to do, by name."""
-    roles = json.loads(bag.note.get("roles", "{}"))
+    roles = noted(bag.note, "roles")
     if roles:
         return sorted(roles)
     suffix = "/controller/status"

@@ -12,7 +12,8 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from tactile_bringup.cli import main
-from tactile_records.bags.reader import BagError, read_bag
+from tactile_records.bags.contents import BagError, noted
+from tactile_records.bags.reader import read_bag
 
 LARGE = 300_000_000  # bytes that a small file says to hold
 ALLOWED = 120_000_000  # bytes that reading it may take
@@ -299,3 +300,11 @@ def test_a_folder_for_results_that_cannot_be_made_is_a_sentence(recorded, tmp_pa
     said = " ".join(capsys.readouterr().err.split())
     assert said.startswith(f"tactile {command}: {tmp_path / 'file'}")
     assert "Not a directory" in said or "cannot be a folder" in said
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, "{", "[1]", '{"/arm/filter": 3}', '{"a": ' + "9" * 5000 + "}"]
+)
+def test_a_note_of_a_bag_that_is_not_what_it_should_be_is_a_sentence(text):
+    with pytest.raises(BagError, match="the bag's note 'parameters'"):
+        noted({"parameters": text}, "parameters")
