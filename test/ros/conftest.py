@@ -60,12 +60,12 @@ class Graph:
     def close(self) -> None:
         for publisher in list(self.node.publishers):  # nodes go on while somebody moves their arm
             self.node.destroy_publisher(publisher)
-        self.processes.close()
         for action in self.actions:  # one that is left keeps the whole participant alive
             action.destroy()
         self.executor.remove_node(self.node)
-        self.node.destroy_node()
+        self.node.destroy_node()  # before the others: they go on while somebody commands their arm
         self.context.shutdown()
+        self.processes.close()
 
     # ---- nodes under test ----
 
