@@ -21,6 +21,7 @@ from rclpy.serialization import serialize_message
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.gaussian import ros_from_left
 from tactile_filter.pose_numbers import numbers_from_pose
+from tactile_msgs.msg import ContactState
 from tactile_records.bags import cdr
 from tactile_records.bags.cdr import Number as Number
 from tactile_records.bags.message_definitions import type_fields
@@ -205,3 +206,7 @@ read_gaussian = HeadedReader(PoseWithCovarianceStamped)
 _read_command = cdr.MessageReader("tactile_msgs/msg/ArmCommand")
 IMAGE, PIXELS = "sensor_msgs/msg/Image", "data"
 _read_head = cdr.MessageReader(IMAGE, before=PIXELS)
+
+read_state = HeadedReader(ContactState)
+"""Stamp (ns), frame and numbers; xi and flags among them are at `STATE_XI` and `STATE_FLAGS`."""
+STATE_XI, STATE_FLAGS = read_state.place("xi"), read_state.index("flags")

@@ -37,15 +37,21 @@ from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
-from tactile_ros.cdr import HeadedReader, Layout, command_from_bytes, headed_bytes, split_stamp, twist_bytes
+from tactile_ros.cdr import (
+    STATE_FLAGS,
+    STATE_XI,
+    Layout,
+    command_from_bytes,
+    headed_bytes,
+    read_state,
+    split_stamp,
+    twist_bytes,
+)
 from tactile_ros.conversions import MessageError, numbers_from_pose, transform_stamped
 from tactile_ros.external_arm import ExternalArm
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
-
-read_state = HeadedReader(ContactState)
-XI, FLAGS = read_state.place("xi"), read_state.index("flags")
 
 
 @dataclass(frozen=True)
@@ -223,7 +229,7 @@ class ArmNode(ManagedNode):
     def _take_contact(self, data: bytes) -> None:
         """What the sensor feels bounds the motion."""
         stamp_ns, _, numbers = read_state(data)
-        xi, flags = np.array(numbers[XI]), int(numbers[FLAGS])
+        xi, flags = np.array(numbers[STATE_XI]), int(numbers[STATE_FLAGS])
         if flags & ContactState.NO_CONTACT:
             self.safe.take_contact(stamp_ns, None)
         elif not flags & ContactState.INVALID:

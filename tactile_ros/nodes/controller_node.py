@@ -25,7 +25,7 @@ from tactile_filter import se3
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
-from tactile_ros.cdr import HeadedReader
+from tactile_ros.cdr import STATE_FLAGS, STATE_XI, read_state
 from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
@@ -33,9 +33,6 @@ from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_
 from tactile_ros.qos import STATE
 from tactile_ros.task_messages import feedback_message, named_goal, status_bytes, with_settings
 from tactile_ros.task_node import ZERO, Run, TaskNode
-
-read_state = HeadedReader(ContactState)
-XI, FLAGS = read_state.place("xi"), read_state.index("flags")
 
 
 @dataclass(frozen=True)
@@ -124,7 +121,7 @@ class ControllerNode(TaskNode):
         if self.belief is not None and stamp_ns < self.belief.stamp_ns:
             behind = (self.belief.stamp_ns - stamp_ns) / SECOND_NS
             raise MessageError(f"its stamp is {behind:.3f} s before that of the last belief")
-        xi, flags = numbers[XI], int(numbers[FLAGS])
+        xi, flags = numbers[STATE_XI], int(numbers[STATE_FLAGS])
         if self.presence is None or stamp_ns > self.presence.stamp_ns:
             self.presence = StampedPresence(stamp_ns, not flags & ContactState.NO_CONTACT)
         if not flags & ContactState.INVALID:

@@ -33,7 +33,7 @@ from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
 from tactile_filter.transform_buffer import MotionLimits
 from tactile_msgs.msg import ContactState
-from tactile_ros.cdr import HeadedReader, gaussian_bytes, read_gaussian
+from tactile_ros.cdr import STATE_FLAGS, gaussian_bytes, read_gaussian, read_state
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter, run
@@ -48,8 +48,6 @@ from tactile_ros.transforms import (
 )
 
 MERGE_PERIOD = 0.005  # s; how late a deadline may be kept
-read_state = HeadedReader(ContactState)
-FLAGS = read_state.index("flags")
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,7 @@ class ArmInput:
 
     def _take_state(self, data: bytes) -> None:
         stamp_ns, _, numbers = read_state(data)
-        if int(numbers[FLAGS]) & ContactState.NO_CONTACT:
+        if int(numbers[STATE_FLAGS]) & ContactState.NO_CONTACT:
             self._take("presence", stamp_ns, False)
 
     def _take(self, source: str, stamp_ns: int, content: Any) -> None:
