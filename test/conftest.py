@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # tests import `launched`
 
 if "ROS_DOMAIN_ID" in os.environ:  # one for each process that runs tests beside others
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    os.environ["ROS_DOMAIN_ID"] = str((int(os.environ["ROS_DOMAIN_ID"]) + 50 * worker - 1) % 100 + 1)
+    os.environ["ROS_DOMAIN_ID"] = str((int(os.environ["ROS_DOMAIN_ID"]) + 25 * worker - 1) % 100 + 1)
 
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)

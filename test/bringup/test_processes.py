@@ -1,5 +1,6 @@
 """Children are stopped, reported and never left behind."""
 
+import fcntl
 import mmap
 import os
 import signal
@@ -196,6 +197,22 @@ def test_a_dead_segment_goes_though_a_reader_still_maps_it(tmp_path):
     for mapped in maps:
         mapped.close()
     assert shared_memory.remove_orphans(folder=tmp_path) == names[2:]
+
+
+def test_two_who_look_at_once_both_see_that_a_segment_is_dead(tmp_path, monkeypatch):
+    dead = [tmp_path / "fastdds_0123456789abcdef", tmp_path / "fastdds_0123456789abcdef_el"]
+    for path in dead:
+        path.touch()
+    seen, flock = [], fcntl.flock
+
+    def look_again(*arguments):
+        flock(*arguments)
+        monkeypatch.setattr(fcntl, "flock", flock)
+        seen.append(shared_memory.orphans(folder=tmp_path))
+
+    monkeypatch.setattr(fcntl, "flock", look_again)
+    assert shared_memory.orphans(folder=tmp_path) == dead
+    assert seen == [dead]
 
 
 def mmap_of(path: Path) -> mmap.mmap:
