@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_filter import se3
 from tactile_filter.transform_buffer import MotionLimits
 
 Array = NDArray[np.float64]
@@ -63,6 +64,15 @@ class ContactBounds(Settings):
         for least, largest in zip(self.least_sigma, self.largest_sigma, strict=True):
             if least >= largest:
                 raise SettingError(f"least_sigma = {least:g}: must be below largest_sigma = {largest:g}")
+
+    def pose(self, xi: Array) -> Array:
+        """X_sf (4, 4) of its tangent vector (6,); raises `se3.PoseError` for one that no sensor can feel."""
+        if not np.isfinite(xi).all():
+            raise se3.PoseError(f"xi is not finite: {xi.tolist()}")
+        X_sf = se3.exp(xi)
+        if objection := self.objection(X_sf):
+            raise se3.PoseError(objection)
+        return X_sf
 
     def objection(self, mean: Array) -> str:
         """Why X_sf (4, 4) is no pose that the sensor can feel; empty if it is one."""

@@ -77,7 +77,7 @@ def _mapped_files(folder: Path) -> set[str]:
 
 
 def _is_locked(path: Path) -> bool:
-    """Whether a process holds the lock; with a shared one, so that two who look at once do not see each other."""
+    """Whether a process holds the lock; by a shared one: two who look at once do not see each other."""
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

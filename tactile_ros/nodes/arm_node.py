@@ -229,14 +229,14 @@ class ArmNode(ManagedNode):
     def _take_contact(self, data: bytes) -> None:
         """What the sensor feels bounds the motion."""
         stamp_ns, _, numbers = read_state(data)
-        xi, flags = np.array(numbers[STATE_XI]), int(numbers[STATE_FLAGS])
+        flags = int(numbers[STATE_FLAGS])
         if flags & ContactState.NO_CONTACT:
             self.safe.take_contact(stamp_ns, None)
         elif not flags & ContactState.INVALID:
-            X_sf = se3.exp(xi) if np.isfinite(xi).all() else np.full((4, 4), np.nan)
-            if objection := self.bounds.objection(X_sf):
-                raise MessageError(objection)
-            self.safe.take_contact(stamp_ns, X_sf)
+            try:
+                self.safe.take_contact(stamp_ns, self.bounds.pose(np.array(numbers[STATE_XI])))
+            except se3.PoseError as error:
+                raise MessageError(str(error)) from error
 
     def _on_estop(self, message: Bool) -> None:
         """An emergency stop of all arms; the topic cannot take it back."""

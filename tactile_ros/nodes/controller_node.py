@@ -132,14 +132,11 @@ class ControllerNode(TaskNode):
 
     def _take_belief(self, stamp_ns: int, xi: NDArray[np.float64]) -> None:
         """Keep the belief; one that cannot be is as if it had not come, and the watchdog acts on that."""
-        finite = np.isfinite(xi).all()
-        mean = se3.exp(xi) if finite else np.full((4, 4), np.nan)
-        objection = self.bounds.objection(mean) if finite else f"xi is not finite: {xi.tolist()}"
-        if objection:
+        try:
+            self.belief = StampedPose(stamp_ns, self.bounds.pose(xi))
+        except se3.PoseError as error:
             self.count("beliefs refused")
-            self.warn("belief", f"contact/state refused: {objection}")
-            return
-        self.belief = StampedPose(stamp_ns, mean)
+            self.warn("belief", f"contact/state refused: {error}")
 
     # ---- steps ----
 

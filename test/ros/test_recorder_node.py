@@ -149,7 +149,7 @@ def test_messages_that_a_slow_disk_makes_overflow_the_recorders_queue_are_told(g
     graph.start_code("slow", SLOW_DISK.format(gate=tmp_path / "gate"), parameters)
     publisher = graph.publisher(TFMessage, "/tf", qos.writer_profile(qos.TF))
     publisher.publish(FRAME)
-    assert graph.wait((tmp_path / "gate.reached").exists)  # what is lost after the first message is known by numbers
+    assert graph.wait((tmp_path / "gate.reached").exists)  # numbers tell what is lost after the first
     for _ in range(999):
         publisher.publish(FRAME)
     (tmp_path / "gate").touch()

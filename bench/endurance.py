@@ -1,0 +1,126 @@
+"""Surface following over and over, as real nodes: what grows with time, process by process.
+
+A task of many equal goals runs on the simulated ramp, recorded; every ten seconds memory, threads and file
+descriptors of each process and the shared memory in use are read. The table has their means over each sixth
+of the time, and the latency from exposure to command over the same, from the bag::
+
+    python bench/endurance.py [--minutes 60] [--priority 0] [--out out/endurance]
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from tactile_base.config_paths import config_path
+from tactile_records.runs.from_bag import read_arms
+
+PERIOD, PARTS = 10.0, 6
+GOAL_SECONDS = 24.0  # about: way there, path and way back
+
+
+def task_file(folder: Path, minutes: float) -> Path:
+    """The shipped task with its one goal on the ramp as often as the time has room for."""
+    task = yaml.safe_load((config_path("tasks/surface_following.yaml")).read_text())
+    goals = task["scenes"]["ramp"]["follower"]["goals"]
+    count = max(1, round(60 * minutes / GOAL_SECONDS))
+    repeated = [goals[0] | {"name": f"ramp_{number:03d}"} for number in range(count)]
+    task["scenes"] = {"ramp": {"follower": {"goals": repeated}}}
+    path = folder / "surface_following.yaml"
+    path.write_text(yaml.safe_dump(task))
+    return path
+
+
+def look(folder: Path) -> dict[str, tuple[float, int, int]]:
+    """Memory (MB), threads and descriptors by process of the run, and MB of shared memory in all."""
+    found = {}
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        process = Path("/proc", pid)
+        try:
+            words = process.joinpath("cmdline").read_bytes().decode(errors="replace").split("\0")
+            if str(folder) not in " ".join(words) and "tactile_ros.nodes" not in " ".join(words):
+                continue
+            if str(folder) not in process.joinpath("environ").read_bytes().decode(errors="replace"):
+                continue
+            status = dict(line.split(":", 1) for line in process.joinpath("status").read_text().splitlines())
+            name = next(
+                (word.rsplit(".", 1)[-1] for word in words if "tactile_ros.nodes" in word), "launcher"
+            )
+            memory, threads = int(status["VmRSS"].split()[0]) / 1024, int(status["Threads"])
+            found[f"{name} {pid}"] = (memory, threads, len(os.listdir(process / "fd")))
+        except (OSError, KeyError):  # it has ended
+            continue
+    shared = sum(path.stat().st_size for path in Path("/dev/shm").glob("fastdds_*"))
+    return found | {"shared memory": (shared / 2**20, 0, 0)}
+
+
+def table(samples: list[dict[str, tuple[float, int, int]]]) -> None:
+    """Means over each part of the time, by process."""
+    parts = np.array_split(np.arange(len(samples)), PARTS)
+    print("| process | " + " | ".join(f"part {n + 1}" for n in range(PARTS)) + " |")
+    print("| --- |" + " --- |" * PARTS)
+    for name in samples[-1]:
+        cells = []
+        for part in parts:
+            rows = [samples[index][name] for index in part if name in samples[index]]
+            mean = np.mean(rows, axis=0) if rows else np.full(3, np.nan)
+            cells.append(f"{mean[0]:.1f} MB, {mean[1]:.1f}, {mean[2]:.1f}")
+        print(f"| {name.split()[0]} | " + " | ".join(cells) + " |")
+
+
+def latencies(bag: Path) -> None:
+    """Median and p99 from exposure to command in each part, and how many goals were begun."""
+    (record,) = read_arms(bag).values()
+    commands = record.commands.rows(record.commands.exposure_ns > 0)
+    first = np.unique(commands.exposure_ns, return_index=True)[1]
+    ms = (commands.stamp_ns[first] - commands.exposure_ns[first]) / 1e6
+    cells = [f"{np.median(part):.1f}, {np.percentile(part, 99):.1f}" for part in np.array_split(ms, PARTS)]
+    print("| latency p50, p99 (ms) | " + " | ".join(cells) + " |")
+    print(f"\n{len(np.unique(record.commands.goal))} goals, {len(ms)} beliefs acted on; {record.success=}")
+
+
+def main() -> int:
+    """Run, watch and tell."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--priority", type=int, default=0, help="of the nodes, as in tactile launch")
+    parser.add_argument("--out", type=Path, default=Path("out/endurance"))
+    arguments = parser.parse_args()
+    folder = arguments.out.resolve()
+    folder.mkdir(parents=True, exist_ok=False)
+    command = [
+        sys.executable,
+        "-m",
+        "tactile_bringup.cli",
+        "launch",
+        str(task_file(folder, arguments.minutes)),
+    ]
+    command += [
+        "--scene",
+        "ramp",
+        "--headless",
+        "--out",
+        str(folder / "run"),
+        "--record",
+        str(folder / "bag"),
+    ]
+    command += ["--priority", str(arguments.priority)]
+    samples = []
+    with (folder / "log").open("w") as log:
+        run = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | {"ENDURANCE": str(folder)})
+        while run.poll() is None:
+            time.sleep(PERIOD)
+            samples.append(look(folder))
+    settled = samples[3:-3]  # neither while it starts nor while it ends
+    table(settled)
+    latencies(folder / "bag")
+    return run.returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
