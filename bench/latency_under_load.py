@@ -2,10 +2,13 @@
 
 Each row is one run of surface following on the simulated ramp, as real nodes, recorded::
 
-    python bench/latency_under_load.py [--loops 0 2 4 8] [--priorities 0 20]
+    python bench/latency_under_load.py [--loops 0 2 4 8] [--priorities 0 20] [--composed]
+
+With --composed, each row also with estimator, filter and controller in one process (bench/composed_nodes.py).
 """
 
 import argparse
+import itertools
 import json
 import subprocess
 import sys
@@ -18,12 +21,14 @@ def busy(count: int) -> list[subprocess.Popen]:
     return [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
 
 
-def measure(loops: int, priority: int, task: list[str]) -> dict:
+def measure(loops: int, priority: int, composed: bool, task: list[str]) -> dict:
     """The report of one run; empty if there is none."""
     with tempfile.TemporaryDirectory() as folder:
         others = busy(loops)
         try:
-            command = [sys.executable, "-m", "tactile_bringup.cli", "launch", *task, "--headless"]
+            separate = [sys.executable, "-m", "tactile_bringup.cli", "launch"]
+            one = [sys.executable, str(Path(__file__).with_name("composed_nodes.py"))]
+            command = [*(one if composed else separate), *task, "--headless"]
             command += ["--priority", str(priority), "--out", folder, "--record", f"{folder}/bag"]
             done = subprocess.run(command, capture_output=True, text=True)
         finally:
@@ -43,19 +48,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--loops", type=int, nargs="+", default=[0, 2, 4, 8])
     parser.add_argument("--priorities", type=int, nargs="+", default=[0, 20])
+    parser.add_argument("--composed", action="store_true", help="in one process, too")
     parser.add_argument("task", nargs="*", default=["surface_following"])
     arguments = parser.parse_args()
-    print("| busy loops | priority | p50, p99 (ms) | frames dropped: counted, in silence | exit code |")
-    print("| --- | --- | --- | --- | --- |")
-    for loops in arguments.loops:
-        for priority in arguments.priorities:
-            values = measure(loops, priority, arguments.task)
+    print("| busy loops | priority | processes | p50, p99 (ms) | dropped: counted, in silence | exit code |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    ways = [(False, "3"), (True, "1")] if arguments.composed else [(False, "3")]
+    for loops, priority in itertools.product(arguments.loops, arguments.priorities):
+        for composed, processes in ways:
+            values = measure(loops, priority, composed, arguments.task)
             latency, frames = values.get("latency_ms", {}), values.get("frames", {})
             both = f"{latency['p50']:.1f}, {latency['p99']:.1f}" if latency else "no run: " + values["end"]
             lost = (
                 f"{sum(frames['lost'].values())} of {frames['exposed']}, {frames['silent']}" if frames else ""
             )
-            print(f"| {loops} | {priority} | {both} | {lost} | {values['exit']} |", flush=True)
+            print(f"| {loops} | {priority} | {processes} | {both} | {lost} | {values['exit']} |", flush=True)
 
 
 if __name__ == "__main__":
