@@ -26,13 +26,15 @@ from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
 from tactile_drivers.shapes.surface import Surface, contact_pose
 from tactile_drivers.sim.arm import SimArm
+from tactile_drivers.sim.fitted_sensor import FittedSensor
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
 from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
-from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
+from tactile_drivers.sim.settings import FittedSensorSettings, SkinSettings, TacTipSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 
 if TYPE_CHECKING:
+    from tactile_drivers.sim.network_view import ViewSettings
     from tactile_drivers.sim.simulation import SimulatedSensor
     from tactile_drivers.sim.skin import Skin
     from tactile_drivers.sim.tactip import ContactTruth, TacTip
@@ -93,10 +95,10 @@ class Frame:
     ----------
     sequence : int
         Number of the exposure, from 0.
-    image : ndarray (480, 640) uint8 or None
-        None for a sensor of fidelity "ideal".
+    image : ndarray (480, 640) uint8, or (size, size) with a view of a network, or None
+        None for a sensor that gives estimates.
     estimate : PoseGaussian or None
-        X_sf from a sensor of fidelity "ideal" in contact; else None.
+        X_sf from a sensor of fidelity "fitted" or "ideal" in contact; else None.
     truth : Truth
     T_base_sensor : ndarray (4, 4)
     """
@@ -120,6 +122,8 @@ class Cell:
         Of all noise; the same seed and commands give the same bits.
     stamp_ns : int
         Time of the first state, ns.
+    views : mapping, optional
+        Arm -> the network whose input its sensor gives in place of a camera image.
 
     Raises
     ------
@@ -127,7 +131,13 @@ class Cell:
         If the scene has no simulated arm, or what it says of a body's motion is wrong.
     """
 
-    def __init__(self, scene: Scene, seed: int = 0, stamp_ns: int = 0) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int = 0,
+        stamp_ns: int = 0,
+        views: Mapping[str, ViewSettings] | None = None,
+    ) -> None:
         self.scene = scene
         self._rate = scene.simulation.rate
         self._start_ns, self._ticks = int(stamp_ns), 0
@@ -138,7 +148,9 @@ class Cell:
         self._moving = [body for body in self._bodies.values() if not body.fixed]
         seeds = np.random.SeedSequence(seed).generate_state(len(simulated))
         self._arms = {
-            arm.name: _CellArm(scene, arm, self._bodies, int(arm_seed), self._start_ns)
+            arm.name: _CellArm(
+                scene, arm, self._bodies, int(arm_seed), self._start_ns, (views or {}).get(arm.name)
+            )
             for arm, arm_seed in zip(simulated, seeds, strict=True)
         }
         self._tools = {  # of arms that are not simulated: where they start
@@ -301,7 +313,13 @@ class _CellArm:
     """An arm with what it carries and what it can touch."""
 
     def __init__(
-        self, scene: Scene, arm: ArmScene, bodies: Mapping[str, _Body], seed: int, stamp_ns: int
+        self,
+        scene: Scene,
+        arm: ArmScene,
+        bodies: Mapping[str, _Body],
+        seed: int,
+        stamp_ns: int,
+        view: ViewSettings | None,
     ) -> None:
         self.name = arm.name
         self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns)
@@ -314,7 +332,7 @@ class _CellArm:
         self._sequence = 0
         self._moved, self._rate = 0.0, scene.simulation.rate
         if arm.sensor is not None and arm.simulated_sensor:
-            self.sensor = _Sensor(scene.simulation.sensors[arm.name], seed)
+            self.sensor = _Sensor(scene.simulation.sensors[arm.name], seed, view)
             self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             self._protective_depth = arm.sensor.settings.protective_depth
             self._targets = [_Target(bodies[name], arm.T_world_base) for name in scene.bodies_of(arm.name)]
@@ -415,15 +433,16 @@ class _CellArm:
 class _Sensor:
     """A TacTip, whose answer is an image, or an ideal sensor, whose answer is an estimate."""
 
-    def __init__(self, sensor: SimulatedSensor, seed: int) -> None:
+    def __init__(self, sensor: SimulatedSensor, seed: int, view: ViewSettings | None) -> None:
         self.radius = sensor.tip_radius
         self.model: TacTip | IdealSensor
         if isinstance(sensor.model, TacTipSettings):
             from tactile_drivers.sim.tactip import TacTip  # needs the compiled contact solver
 
-            self.model = TacTip(sensor.model, seed, _skin(sensor.model.skin))
+            self.model = TacTip(sensor.model, seed, _skin(sensor.model.skin), view)
         else:
-            self.model = IdealSensor(sensor.model, seed)
+            fitted = isinstance(sensor.model, FittedSensorSettings)
+            self.model = FittedSensor(sensor.model, seed) if fitted else IdealSensor(sensor.model, seed)
 
     def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
         if isinstance(self.model, IdealSensor):
