@@ -35,6 +35,12 @@ class ArmPlan:
     role: Role
     goals: tuple[NamedGoal, ...]
 
+    @property
+    def targets(self) -> NDArray[np.float64]:
+        """The position in the base (G, 3) that each goal is to reach, m; NaN for one that has none."""
+        given = [getattr(goal.goal, "target", ()) or (np.nan,) * 3 for goal in self.goals]
+        return np.array(given, dtype=float)
+
 
 def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
     """What each arm of the scene does.
