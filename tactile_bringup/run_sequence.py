@@ -19,12 +19,9 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactile_base.settings import SettingError
 from tactile_control.task_file import NamedGoal, Role, Task
-from tactile_drivers.scene import Scene
+from tactile_drivers.scene import ArmScene, Scene
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence
                 raise SettingError(
                     f"task {task.name}: arm '{arm}' has two roles, {plans[arm].role.name} and {role.name}"
                 )
-            plans[arm] = ArmPlan(arm, role, _begun(role, scene.arms[arm].T_base_start))
+            plans[arm] = ArmPlan(arm, role, _begun(role, scene.arms[arm]))
     _check_goals(list(plans.values()), goals)
     chosen = [_only_goals(plan, goals) for plan in plans.values() if only is None or plan.arm == only]
     if not chosen:
@@ -81,15 +78,16 @@ def _arms_of(role: Role, scene: Scene) -> list[str]:
     return list(role.arms) or able
 
 
-def _begun(role: Role, T_base_start: NDArray[np.float64]) -> tuple[NamedGoal, ...]:
-    """The goals, those without a start of their own from where the arm starts.
+def _begun(role: Role, arm: ArmScene) -> tuple[NamedGoal, ...]:
+    """The goals in the arm's base, those without a start of their own from where the arm starts.
 
     Only the first goal of a task that feels nothing has a start: it goes on from where the last one ended.
     """
     begun = []
     for index, goal in enumerate(role.goals):
         returns = goal.start is None and (role.task_type.needs_sensor or index == 0)
-        begun.append(dataclasses.replace(goal, start=T_base_start) if returns else goal)
+        start = arm.T_base_start if returns else goal.start
+        begun.append(dataclasses.replace(goal, goal=goal.goal.in_base(arm.T_world_base), start=start))
     return tuple(begun)
 
 

@@ -61,9 +61,16 @@ class TaskInputs:
     sensor_pose: StampedPose | None = None
 
 
+G = TypeVar("G", bound="Goal")
+
+
 @dataclass(frozen=True)
 class Goal(Settings):
     """What one run of a task is to do, where its settings say how; each task has a class of its own."""
+
+    def in_base(self: G, T_world_base: Array) -> G:
+        """The same goal with all that it gives in the world in the arm's base, which stands there."""
+        return self
 
 
 @dataclass(frozen=True)

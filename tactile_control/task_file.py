@@ -187,11 +187,12 @@ def _role(
     roles: dict[str, Section],
 ) -> Role:
     section.allow("task", "controller", "settings")
-    on_scene.allow("arms", "after", "ends_run", "settings", "goals")
+    on_scene.allow("arms", "after", "ends_run", "controller", "settings", "goals")
     task = section.choice("task", list(TASKS.names()))
     task_type = TASKS.load(task)
     names = sorted(file.stem for file in folder.glob("*.yaml"))
-    chosen = section.choice("controller", names) if "controller" in section.values else ""
+    named = [place for place in (on_scene, section) if "controller" in place.values]
+    chosen = named[0].choice("controller", names) if named else ""
     if controller is not None and task_type.needs_sensor:
         if controller not in names:
             raise SettingError(f"controller: {unknown_name(controller, names)}")
