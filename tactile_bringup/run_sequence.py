@@ -19,6 +19,9 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactile_base.settings import SettingError
 from tactile_control.task_file import NamedGoal, Role, Task
 from tactile_drivers.scene import ArmScene, Scene

@@ -28,6 +28,7 @@ from tactile_records.runs.tracking import poses_at
 Array = NDArray[Any]
 
 TOPPLED_DEG = 30.0  # a body that leans more than this has toppled: no profile stands again from there
+WIDTH = 9.0  # inches of the picture
 DRAWN_EVERY = 0.030  # m of the pusher's way between two tips in the picture
 FOLLOWER, TARGET, TICK = "#8a4fa3", "#d62728", 12.0  # colours; length of a contact normal's tick, mm
 
@@ -246,7 +247,7 @@ def from_above(record: RunRecord, run: Run) -> Figure:
     pusher = pusher if len(pusher) else believed_contacts(record)
     if not len(pusher):
         return message("the run did not come to pushing: there is nothing to show")
-    figure, axes = plt.subplots(figsize=(9, 8), layout="constrained")
+    figure, axes = plt.subplots(layout="constrained")
     chosen = _every(pusher.center, DRAWN_EVERY * 1e3)
     _draw_body(axes, record, pusher.stamp_ns[chosen])
     arms = [(record, pusher, BELIEF)]
@@ -263,6 +264,8 @@ def from_above(record: RunRecord, run: Run) -> Figure:
     axes.set_aspect("equal")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title=_title(record, pusher, target))
     axes.legend(loc="best")
+    wide, high = (np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim()))
+    figure.set_size_inches(WIDTH, float(np.clip(WIDTH * high / wide, 0.4 * WIDTH, WIDTH)))
     return figure
 
 
