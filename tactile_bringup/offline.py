@@ -118,6 +118,12 @@ class _OfflineLoop:
     def __init__(self, scene: Scene, task: Task, options: OfflineOptions, progress: Progress | None) -> None:
         self.options, self.progress = options, progress
         plans = arm_plans(task, scene, options.arm, options.goals)
+        if not any(goal.goal.ends for plan in plans for goal in plan.goals):
+            arms = ", ".join(f"{plan.arm} ({plan.role.task})" for plan in plans)
+            raise SettingError(
+                f"task {task.name}: nothing ends this run: {arms} would go on for ever. Run the arm that "
+                "leads as well, or give a goal a duration"
+            )
         self.sequence = RunSequence(plans)
         self.cell = Cell(scene, options.seed, START_NS)
         self.arms = {

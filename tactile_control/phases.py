@@ -72,6 +72,11 @@ class Goal(Settings):
         """The same goal with all that it gives in the world in the arm's base, which stands there."""
         return self
 
+    @property
+    def ends(self) -> bool:
+        """Whether it is reached some time, without being asked to finish."""
+        return True
+
 
 @dataclass(frozen=True)
 class Command:

@@ -18,7 +18,8 @@ from tactile_control.contact_task import (
     ContactTaskSettings,
 )
 from tactile_control.motion import smooth_ramp
-from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
+from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal, StampedPose
+from tactile_control.steering import SteeringController, SteeringSettings
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
@@ -55,6 +56,7 @@ class PushingSettings(ContactTaskSettings):
         default_factory=lambda: ContactSettings(lost_contact="fail", leave_first=False)
     )
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
+    steering: SteeringSettings = field(default_factory=SteeringSettings)
     task: PushSettings = field(default_factory=PushSettings)
 
 
@@ -99,8 +101,10 @@ class Pushing(ContactTask):
     def __init__(self, settings: PushingSettings, goal: PushingGoal, start: Array | None = None) -> None:
         super().__init__(settings, goal, start)
         self.alignment = AlignmentController(settings.alignment)
+        self.steering = SteeringController(settings.steering)
         self._target = np.array(goal.target)
         self._sideways = np.zeros(6)
+        self._steered_ns = 0
         self._way = 0.0
         self._checked = False
 
@@ -108,14 +112,25 @@ class Pushing(ContactTask):
         """Replace the settings, as in all tasks."""
         super().configure(settings)
         self.alignment.configure(self.settings.alignment)
+        self.steering.configure(self.settings.steering)
 
     def reference_velocity(self, elapsed: float) -> Array:
         """Into the surface, and sideways as target alignment says."""
         speed = self.settings.task.speed * smooth_ramp(elapsed, self.settings.task.ramp_time)
         assert self._belief is not None
-        if self.alignment.pid.stamp_ns is None or self._belief.stamp_ns > self.alignment.pid.stamp_ns:
-            self._sideways = self.alignment.step(self._belief.stamp_ns, self._bearing(), self._limited)
+        if self._belief.stamp_ns > self._steered_ns:
+            self._steered_ns = self._belief.stamp_ns
+            self._sideways = self._steer(self._belief, speed)
         return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]) + self._sideways
+
+    def _steer(self, belief: StampedPose, speed: float) -> Array:
+        """The sideways velocity (6,) in {s'} for a new belief."""
+        T_base_sensor = self._sensor_pose()
+        if not self.settings.steering.enabled:
+            return self.alignment.step(belief.stamp_ns, self._bearing(), self._limited)
+        down = T_base_sensor[:3, 0]
+        self.steering.model.update(T_base_sensor[:3, 3], (T_base_sensor @ belief.T)[:3, 2], down)
+        return self.steering.step(self._bearing().position, speed)
 
     def finished(self, elapsed: float) -> bool:
         """The sensor's centre is nearer to the target than its radius."""
