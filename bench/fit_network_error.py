@@ -3,9 +3,9 @@
     python bench/fit_network_error.py [--model FILE] [--contacts 600] [--held-out 200] [--write]
 
 Simulates the skin along random ways in contact (pressed, rolled, sheared until it slips, turned), has the
-network answer, and fits `tactile_drivers.sim.network_error.ErrorModel`. Images are drawn at the network's size
-for the fit and in full for the contacts held out, on which it then prints the network's statistics beside the
-model's. About ten minutes of one core. `--write` replaces the file that the package ships.
+network answer, and fits `tactile_drivers.sim.network_error.ErrorModel`. Images are drawn at the network's
+size for the fit and in full for the contacts held out, on which it then prints the network's statistics
+beside the model's. About ten minutes of one core. `--write` replaces the file that the package ships.
 """
 
 from __future__ import annotations
@@ -250,7 +250,7 @@ def compare(network: Contacts, model: Contacts, bias: Array) -> None:
     explained = 1.0 - np.mean((network.error - bias) ** 2, axis=0) / np.mean(network.error**2, axis=0)
     print(f"{'part of the square that is bias':34s}" + "".join(f"{v:9.3f}" for v in explained))
     (way, ours), (_, theirs) = correlations(network, network.error), correlations(model, model.error)
-    for k, lag in enumerate(LAGS):
+    for k in range(len(LAGS)):
         for who, row in (("network", ours[k]), ("model", theirs[k])):
             text = f"correlation after {way[k] * 1e3:.2f} mm"
             print(f"{text:26s}{who:8s}" + "".join(f"{v:9.3f}" for v in row))

@@ -334,8 +334,9 @@ def network_view(estimator: Estimator) -> ViewSettings:
     settings = estimator.metadata.preprocessing
     if settings.redraw_radius or settings.threshold_method != "mean":
         raise SettingError(
-            f"{estimator.path}: fidelity '{INPUT}' draws the input of networks with threshold_method mean and "
-            f"redraw_radius 0, this one has {settings.threshold_method} and {settings.redraw_radius:g}; use image"
+            f"{estimator.path}: fidelity '{INPUT}' is for networks with threshold_method mean and "
+            f"redraw_radius 0, this one has {settings.threshold_method} and {settings.redraw_radius:g}; "
+            "use image"
         )
     x0, y0, x1, y1 = settings.bbox
     return ViewSettings(
@@ -351,7 +352,7 @@ def network_view(estimator: Estimator) -> ViewSettings:
 def _perception(
     scene: Scene, arm: str, options: OfflineOptions
 ) -> tuple[Perception | None, ViewSettings | None]:
-    """What makes percepts of an arm's frames, the network or the sensor's own answer, and how it is to see."""
+    """What makes percepts of an arm's frames, the network or the sensor itself, and how the former sees."""
     if scene.arms[arm].sensor is None:
         return None, None
     if not scene.gives_images(arm):

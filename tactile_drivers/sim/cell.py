@@ -439,9 +439,10 @@ class _Sensor:
             from tactile_drivers.sim.tactip import TacTip  # needs the compiled contact solver
 
             self.model = TacTip(sensor.model, seed, _skin(sensor.model.skin), view)
+        elif isinstance(sensor.model, FittedSensorSettings):
+            self.model = FittedSensor(sensor.model, seed)
         else:
-            fitted = isinstance(sensor.model, FittedSensorSettings)
-            self.model = FittedSensor(sensor.model, seed) if fitted else IdealSensor(sensor.model, seed)
+            self.model = IdealSensor(sensor.model, seed)
 
     def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
         if isinstance(self.model, IdealSensor):

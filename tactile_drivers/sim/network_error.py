@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parent / "data" / "network_error.npz"
 #: m of way for each m, and for each rad at the tip's radius, of (x, y, z, alpha, beta, gamma).
 WAY = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+_ARRAYS = ("lower", "upper", "coefficients", "lasting", "way", "noise")
 _FIRST, _SECOND = np.triu_indices(7)
 
 
@@ -78,8 +79,8 @@ class ErrorModel:
 def load_error_model(path: Path = SHIPPED) -> ErrorModel:
     """Read what `ErrorModel.save` wrote."""
     with np.load(path) as file:
-        values = {name: file[name] for name in ErrorModel.__dataclass_fields__}
-    return ErrorModel(**{n: v if v.ndim else float(v) for n, v in values.items()})
+        arrays = {name: file[name] for name in _ARRAYS}
+        return ErrorModel(**arrays, touch=float(file["touch"]), leave=float(file["leave"]))
 
 
 class NetworkError:
