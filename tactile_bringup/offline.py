@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -263,7 +263,7 @@ class _OfflineArm:
                 f"{self.plan.arm}: the cell gives a state that cannot be: {self.safe.bad_state}"
             )
         pose = StampedPose(state.stamp_ns, state.T_base_controlled)
-        self.inputs = replace(self.inputs, sensor_pose=pose)
+        self.inputs = TaskInputs(self.inputs.belief, self.inputs.presence, pose)
         self.log.pose(pose, state.twist)
         if state.mode is ArmMode.FAULT and self.task is not None:
             self.task.abort(f"the arm is in fault: {state.reason}")
@@ -274,9 +274,8 @@ class _OfflineArm:
         for event in due:
             if event.belief is not None or not event.presence.in_contact:
                 self.safe.take_contact(event.stamp_ns, event.belief.T if event.belief else None)
-            self.inputs = replace(
-                self.inputs, belief=event.belief or self.inputs.belief, presence=event.presence
-            )
+            belief = event.belief or self.inputs.belief
+            self.inputs = TaskInputs(belief, event.presence, self.inputs.sensor_pose)
             command = self._step(event.due_ns)
             if command is not None:
                 self.log.latency(event.stamp_ns, event.due_ns)

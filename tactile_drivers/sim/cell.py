@@ -24,7 +24,7 @@ from tactile_base.settings import unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
-from tactile_drivers.shapes.surface import Surface, contact_pose
+from tactile_drivers.shapes.surface import ContactGeometry, Surface, contact_pose
 from tactile_drivers.sim.arm import SimArm
 from tactile_drivers.sim.fitted_sensor import FittedSensor
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
@@ -292,7 +292,7 @@ class _Target:
         """
         if not self.body.fixed:
             center = self.sensor_in_body(T_base_sensor)[:3, 3]
-            moved = np.inf if self._center is None else float(np.linalg.norm(center - self._center))
+            moved = np.inf if self._center is None else se3.norm(center - self._center)
             self._center = center
         self._slack -= moved
         if self._slack > brakes(moved):
@@ -350,7 +350,7 @@ class _CellArm:
     def step(self, stamp_ns: int) -> None:
         before = self.arm.T_base_controlled
         T_base_sensor = self.arm.advance_to(stamp_ns)
-        self._moved = float(np.linalg.norm(T_base_sensor[:3, 3] - before[:3, 3]))
+        self._moved = se3.norm(T_base_sensor[:3, 3] - before[:3, 3])
 
     def protect(self, arms: Mapping[str, _CellArm]) -> None:
         """Fault this arm if it came too deep into a body, braking now, and those that press it there."""
@@ -388,7 +388,7 @@ class _CellArm:
         return [R @ (twist[:3] + np.cross(twist[3:], arm)) for twist in (self.arm.twist, self.arm.target)]
 
     def _brakes(self, moved: float) -> float:
-        return self._braking_distance(moved * self._rate + float(np.linalg.norm(self.arm.target[:3])))
+        return self._braking_distance(moved * self._rate + se3.norm(self.arm.target[:3]))
 
     def _braking_distance(self, speed: float) -> float:
         """Way (m) from a speed to rest; the next look is a step from now."""
@@ -414,9 +414,10 @@ class _CellArm:
             T_body_sensor = target.sensor_in_body(T_base_sensor)
             self.sensor.model.advance(target.body.surface, T_body_sensor)
             known = self.sensor.model.truth()
-            truth = _truth(target, T_base_sensor, self.sensor.radius, known)
+            geometry = self.sensor.geometry(target.body.surface, T_body_sensor)
+            truth = _truth(target, geometry, known)
             if truth.in_contact:
-                self.contact = _contact(self.name, self.arm.stamp_ns, target, T_body_sensor, truth, known)
+                self.contact = _contact(self.name, self.arm.stamp_ns, geometry, T_body_sensor, truth, known)
         self._touched = target if truth.in_contact else None
         image, estimate = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
@@ -444,6 +445,12 @@ class _Sensor:
         else:
             self.model = IdealSensor(sensor.model, seed)
 
+    def geometry(self, surface: Surface, T_surface_sensor: Array) -> ContactGeometry:
+        """Where the undeformed tip meets the surface, to which the model has advanced."""
+        if isinstance(self.model, IdealSensor):
+            return self.model.geometry
+        return contact_pose(surface, T_surface_sensor, self.radius)
+
     def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
         if isinstance(self.model, IdealSensor):
             return None, self.model.estimate() if in_contact else None
@@ -459,14 +466,17 @@ def _skin(settings: SkinSettings) -> Skin:
 
 
 def _contact(
-    arm: str, stamp_ns: int, target: _Target, T: Array, truth: Truth, known: ContactTruth | IdealTruth
+    arm: str,
+    stamp_ns: int,
+    geometry: ContactGeometry,
+    T: Array,
+    truth: Truth,
+    known: ContactTruth | IdealTruth,
 ) -> BodyContact:
     """What the body feels of the sensor: the force acts at the nearest point, or, where it is modelled,
     where its line of action meets the surface's tangent plane there.
     """
-    R = T[:3, :3]
-    distance, normals = target.body.surface.query(T[None, :3, 3])
-    normal, point = normals[0], T[:3, 3] - distance[0] * normals[0]
+    R, normal, point = T[:3, :3], geometry.normal, geometry.point
     force, torque = -R @ known.force, -R @ known.torque
     press = -float(force @ normal)
     if press > 0:  # not without contact, and not where no force is modelled
@@ -475,10 +485,9 @@ def _contact(
     return BodyContact(arm, stamp_ns, T, truth, force, point, normal)
 
 
-def _truth(target: _Target, T_base_sensor: Array, radius: float, known: ContactTruth | IdealTruth) -> Truth:
+def _truth(target: _Target, geometry: ContactGeometry, known: ContactTruth | IdealTruth) -> Truth:
     """What the sensor's model knows, with the geometry of the surface in the arm's base."""
     T_base_body = target.T_base_body
-    geometry = contact_pose(target.body.surface, target.sensor_in_body(T_base_sensor), radius)
     rotation, origin, T_fs = T_base_body[:3, :3], T_base_body[:3, 3], known.T_fs
     return Truth(
         surface=target.body.name,
