@@ -163,12 +163,12 @@ def _table(name: str, section: Section) -> Table:
     choices = section.section("controllers")
     controllers = {choice: choices.text(choice) for choice in choices.values}
     paper = {
-        (name, floor): tuple(floors.numbers(floor, 2))
-        for name, floors in section.sections("paper").items()
+        (thing, floor): (floors.numbers(floor, 2)[0], floors.numbers(floor, 2)[1])
+        for thing, floors in section.sections("paper").items()
         for floor in floors.values
     }
-    texts = (section.text(key) for key in ("title", "task", "scene"))
-    return Table(name, *texts, controllers, paper)  # type: ignore[arg-type]
+    title, task, scene = (section.text(key) for key in ("title", "task", "scene"))
+    return Table(name, title, task, scene, controllers, paper)
 
 
 @functools.cache
@@ -189,7 +189,8 @@ def _map(name: str, section: Section) -> Map:
     if not 1 <= len(variables.values) <= 2:
         section.fail(f"{section.name}.variables: must be one or two", "variables")
     values = {key: tuple(each) for key, each in variables.values.items()}
-    return Map(name, section.choice("table", list(load_tables())), *map(str, row), values)
+    table = section.choice("table", list(load_tables()))
+    return Map(name, table, str(row[0]), str(row[1]), values)
 
 
 def map_of(name: str) -> Map:
