@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.controller,
         arguments.fidelity,
         arguments.filter,
-        arguments.latency * 1e-3,
+        arguments.latency,
         tuple(arguments.changes),
         arguments.arm,
     )
