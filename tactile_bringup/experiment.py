@@ -28,6 +28,7 @@ from tactile_control.task_file import Task, load_task, task_path
 from tactile_control.tasks.pushing import Pushing
 from tactile_drivers.scene import load_scene
 from tactile_drivers.sim.pushing_scene import PushVariation, read_profiles
+from tactile_drivers.sim.simulation import FIDELITIES
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.runs.metrics import without_nan
 from tactile_records.runs.report import Run, report_of
@@ -106,7 +107,7 @@ class Common:
     controller : one of the table's choices
     fidelity : of all sensors; None: as the scene says
     filter : one of config/filters, or a path; empty: config/filter.yaml
-    latency : from exposure to command, s
+    latency : from exposure to command, ms
     changes : settings on top of all files, each as ROLE.GROUP.NAME=VALUE
     arm : only this arm runs; empty: all
     """
@@ -115,7 +116,7 @@ class Common:
     controller: str = "paper"
     fidelity: str | None = "ideal"
     filter: str = ""
-    latency: float = 0.010
+    latency: float = 10.0
     changes: tuple[str, ...] = ()
     arm: str = ""
 
@@ -163,12 +164,12 @@ def _table(name: str, section: Section) -> Table:
     choices = section.section("controllers")
     controllers = {choice: choices.text(choice) for choice in choices.values}
     paper = {
-        (name, floor): tuple(floors.numbers(floor, 2))
-        for name, floors in section.sections("paper").items()
+        (thing, floor): (floors.numbers(floor, 2)[0], floors.numbers(floor, 2)[1])
+        for thing, floors in section.sections("paper").items()
         for floor in floors.values
     }
-    texts = (section.text(key) for key in ("title", "task", "scene"))
-    return Table(name, *texts, controllers, paper)  # type: ignore[arg-type]
+    title, task, scene = (section.text(key) for key in ("title", "task", "scene"))
+    return Table(name, title, task, scene, controllers, paper)
 
 
 @functools.cache
@@ -189,7 +190,8 @@ def _map(name: str, section: Section) -> Map:
     if not 1 <= len(variables.values) <= 2:
         section.fail(f"{section.name}.variables: must be one or two", "variables")
     values = {key: tuple(each) for key, each in variables.values.items()}
-    return Map(name, section.choice("table", list(load_tables())), *map(str, row), values)
+    table = section.choice("table", list(load_tables()))
+    return Map(name, table, str(row[0]), str(row[1]), values)
 
 
 def map_of(name: str) -> Map:
@@ -219,13 +221,13 @@ def task_of(common: Common) -> Task:
 
 def trial_run(trial: Trial) -> Run:
     """What happened to each arm; `SettingError` where the trial cannot be."""
-    setup = _setup(trial)
+    setup = setup_of(trial)
     return run_arms_offline(setup.pushing_scene(), setup.task, setup.options)
 
 
 def trial_row(trial: Trial) -> Row:
     """The row of a trial: what it was, what was drawn for it, and what came of it; NaN is None."""
-    setup = _setup(trial)
+    setup = setup_of(trial)
     scene = setup.pushing_scene()
     run = run_arms_offline(scene, setup.task, setup.options)
     numbers = numbers_of(run)
@@ -247,24 +249,26 @@ def trial_row(trial: Trial) -> Row:
 
 def check_trial(trial: Trial) -> None:
     """`SettingError` where a trial cannot be, before many are begun."""
-    setup = _setup(trial)
+    setup = setup_of(trial)
     arm_plans(setup.task, setup.pushing_scene(), setup.options.arm)
 
 
-def _setup(trial: Trial) -> Setup:
+def setup_of(trial: Trial) -> Setup:
+    """What a trial is made of; `SettingError` or `FileNotFoundError` for what is not there or is wrong."""
     common = trial.common
     options = OfflineOptions(
         seed=trial.number,
-        latency=common.latency,
         arm=common.arm or None,
         filter=load_filter_settings(common.filter),
     )
     scene = load_scene(table_of(common.table).scene)
     if common.fidelity is not None:
+        if common.fidelity not in FIDELITIES:
+            raise SettingError(f"fidelity: {unknown_name(common.fidelity, FIDELITIES)}")
         scene = scene.with_fidelity(common.fidelity)
     names = trial.object, trial.floor
     setup = Setup(scene, task_of(common), options, *names, read_profiles(), PushVariation())
-    return varied(setup, trial.varied)
+    return varied(setup, [("latency", common.latency), *trial.varied])
 
 
 def numbers_of(run: Run) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.controller,
         arguments.fidelity,
         arguments.filter,
-        arguments.latency * 1e-3,
+        arguments.latency,
         tuple(arguments.changes),
         arguments.arm,
     )
@@ -154,8 +154,8 @@ def _deliver(arguments: argparse.Namespace, trials: list[Trial], rows: list[Row]
     else:
         table = table_of(arguments.table)
         shown = number_table(f"{table.title}: final target error", COLUMNS, box=box.SIMPLE_HEAD)
-        for line in table_rows(table, rows):
-            shown.add_row(*map(cell, line))
+        for cells in table_rows(table, rows):
+            shown.add_row(*map(cell, cells))
         console.print(shown)
         paths = write_table(folder, table, rows)
     for path in (folder / "trials.jsonl", *paths):

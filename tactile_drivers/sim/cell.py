@@ -28,7 +28,7 @@ from tactile_drivers.shapes.surface import ContactGeometry, Surface, contact_pos
 from tactile_drivers.sim.arm import SimArm
 from tactile_drivers.sim.fitted_sensor import FittedSensor
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
-from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
+from tactile_drivers.sim.motions import FIXED, BodyContact, Motion, make_motion
 from tactile_drivers.sim.settings import FittedSensorSettings, SkinSettings, TacTipSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
@@ -200,6 +200,12 @@ class Cell:
         if body not in self._bodies:
             raise KeyError(unknown_name(body, list(self._bodies)))
         return self._bodies[body].T_world_body.copy()
+
+    def motion(self, body: str) -> Motion:
+        """The motion of a body, with the state that its model has."""
+        if body not in self._bodies:
+            raise KeyError(unknown_name(body, list(self._bodies)))
+        return self._bodies[body].motion
 
     def exposure_due(self, arm: str) -> bool:
         """Whether the camera of the arm's sensor exposes at the present step."""

@@ -36,11 +36,14 @@ class Foot:
     arm : float
         Mean distance of its area from there, m: the largest torque of friction over the largest force, for
         a pressure that is the same all over.
+    spread : ndarray (2, 2)
+        Second moments of its area about the center over the area, m^2.
     """
 
     corners: Array
     center: Array
     arm: float
+    spread: Array
 
     @classmethod
     def around(cls, points: ArrayLike) -> Foot:
@@ -54,13 +57,31 @@ class Foot:
         a, b = corners, np.roll(corners, -1, axis=0)
         doubled = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
         center = ((a + b) * doubled[:, None]).sum(axis=0) / (3 * doubled.sum())
-        return cls(corners, center, _mean_distance(corners - center) / (0.5 * float(doubled.sum())))
+        a, b, area = a - center, b - center, 0.5 * float(doubled.sum())
+        products = [np.outer(p, q) for p, q in zip(a + b, a + b, strict=True)]
+        own = [np.outer(p, p) + np.outer(q, q) for p, q in zip(a, b, strict=True)]
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        spread = sum(w * (p + q) for w, p, q in zip(cross / 24, products, own, strict=True)) / area
+        return cls(corners, center, _mean_distance(corners - center) / area, np.asarray(spread))
 
-    def inside(self, point: Sequence[float]) -> float:
+    def inside(self, point: ArrayLike) -> float:
         """How far (m) a point (2,) lies inside the nearest edge; negative outside."""
         return float(self._inside(np.asarray(point)).min())
 
-    def edge_before(self, point: Sequence[float]) -> tuple[Array, Array]:
+    def edge_share(self, center: ArrayLike) -> float:
+        """Part of the load on the edge that a centre of pressure (2,) is ahead to.
+
+        A pressure that is linear over the foot leaves its far corner when its centre leaves the core of the
+        area; from there the share grows to 1 with the centre on the edge.
+        """
+        ahead = np.asarray(center) - self.center
+        over = float(-((self.corners - self.center) @ np.linalg.solve(self.spread, ahead)).min())
+        if over <= 1.0:
+            return 0.0
+        there = float((1.0 - self._inside(np.asarray(center)) / self._inside(self.center)).max())
+        return 1.0 if there >= 1.0 else (over - 1.0) / (over / there - 1.0)
+
+    def edge_before(self, point: ArrayLike) -> tuple[Array, Array]:
         """The two corners (2,) of the edge that a point (2,) is nearest to, or farthest beyond."""
         first = int(self._inside(np.asarray(point)).argmin())
         return self.corners[first], self.corners[(first + 1) % len(self.corners)]

@@ -10,6 +10,8 @@ The floor presses with the weight less what the tips lift, centred where the mom
 balance: pushed at a height h the pressure runs ahead of the centre of gravity by mu h. Its centre is that of
 friction, plus `center_of_friction` for a floor or foot that is not even.
 
+Where a scene says so (`edge_friction`), the leading edge catches and the object can topple: `toppling`.
+
 Assumed: no inertia; one friction for sticking and sliding; the shape of the limit surface that of an even
 pressure, whose centre alone moves (bench/pushed_objects.py says what this is off by); the skin's torsion
 presses nothing.
@@ -20,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -29,6 +32,7 @@ from tactile_base.settings import SettingError, Settings, setting
 from tactile_drivers.sim.held import GRAVITY
 from tactile_drivers.sim.limit_surface import Foot, return_to_surface
 from tactile_drivers.sim.skin_force import SkinForces
+from tactile_drivers.sim.toppling import Tipping, Touch
 from tactile_filter import se3
 
 if TYPE_CHECKING:
@@ -41,6 +45,17 @@ _FLAT = 5e-4  # m: points this near to the lowest are on the floor
 _LIFTED = 0.05  # least part of the weight on the floor: below, it would be carried, which is not modelled
 _ROUNDS = 5  # of return mapping in a step, while a tip slips
 _STILL = 1e-7  # m: motion that ends them
+# A toppled object lies out of the tips' reach at once: the quasi-static skin could not push it aside.
+_BELOW = 0.5  # m
+
+
+class PushedState(Enum):
+    """What a pushed object does."""
+
+    RESTING = "resting"
+    SLIDING = "sliding"
+    TILTED = "tilted"
+    TOPPLED = "toppled"
 
 
 @dataclass(frozen=True)
@@ -54,43 +69,12 @@ class PushedSettings(SkinForces):
     friction: float = setting(0.3, lower=1e-3, upper=5.0, doc="between object and floor")
     center_of_friction: tuple[float, ...] = setting(
         (0.0, 0.0), unit="m", lower=-0.1, upper=0.1, length=2,
-        doc="of floor and foot, off the centre of pressure, along the body's x and y at the start",
+        doc="of floor and foot, off the centre of pressure, along the world's x and y at the start",
     )  # fmt: skip
-
-
-@dataclass
-class _Push:
-    """The force of one tip on the object, while it stays where it is in this step; all in the world.
-
-    Attributes
-    ----------
-    force, point : ndarray (3,)
-        N, and where it acts, m.
-    normal : ndarray (3,)
-        Of the body, outward.
-    along, across : float
-        Stiffness of the skin, N/m.
-    slips : bool
-        Whether the force is what the friction of the skin leaves of it.
-    """
-
-    force: Array
-    point: Array
-    normal: Array
-    along: float
-    across: float
-    slips: bool
-
-    def jacobian(self, center: Array) -> Array:
-        """(2, 3): how the point moves with the object, by dx, dy and turn about `center` (2,)."""
-        x, y = self.point[:2] - center
-        return np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
-
-    @property
-    def stiffness(self) -> Array:
-        """(2, 2): how fast the horizontal force falls as the object gives way."""
-        n = self.normal[:2]
-        return (self.along - self.across) * np.outer(n, n) + self.across * np.eye(2)
+    edge_friction: float = setting(
+        0.0, lower=0.0, upper=5.0,
+        doc="of the leading edge where it catches on the floor, so that the object can topple; 0: never",
+    )  # fmt: skip
 
 
 class _Tip:
@@ -106,7 +90,7 @@ class _Tip:
         self._along = settings.normal_stiffness(depth, -float(self._force @ self._normal))
         self._across = settings.shear_stiffness(depth)
 
-    def push(self, T_world_body: Array, T_world_sensor: Array) -> _Push:
+    def push(self, T_world_body: Array, T_world_sensor: Array) -> Touch:
         """Its force with body and sensor where they are now.
 
         What stretches the skin is the way of the tip's matter at the contact over that of the body: a tip
@@ -123,7 +107,7 @@ class _Tip:
         slips = size > limit
         if slips:
             shear = shear * (limit / size)
-        return _Push(shear - press * normal, point, normal, self._along, self._across, slips)
+        return Touch(shear - press * normal, point, normal, self._along, self._across, slips)
 
 
 class Pushed:
@@ -138,30 +122,38 @@ class Pushed:
         self.settings = settings
         self.foot = _foot(scene, body)
         self._T_tool_sensor = {name: arm.T_tool_controlled for name, arm in scene.arms.items()}
-        self._T = self._start = scene.T_world_body(body.name).copy()
-        self._turn = 0.0
+        self._T = self._upright = scene.T_world_body(body.name).copy()
+        self._turn, self._weight = 0.0, settings.mass * -GRAVITY[2]
         self._tips: dict[str, _Tip] = {}
-        center = self._start[:3, :3] @ np.array(settings.center_of_gravity)
+        center = self._T[:3, :3] @ np.array(settings.center_of_gravity)
         if self.foot.inside(center[:2]) <= 0:
             raise SettingError(
                 f"body '{body.name}': center_of_gravity is {-1e3 * self.foot.inside(center[:2]):.1f} mm "
                 "outside what the body stands on, so that it would fall over: move it inside"
             )
+        self.state = PushedState.RESTING
         self.pressure = center[:2]  # its centre, from the body's origin, along the world's axes at the start
         self.load = 1.0  # on the floor, over the weight
+        self.friction = settings.friction  # over all of the foot
+        self._tipping = Tipping()
         _check_clear(scene, body)
+
+    @property
+    def tilt(self) -> float:
+        """How far (rad) it is tilted about an edge of its foot."""
+        return self._tipping.angle
 
     def step(self, dt: float, tools: Mapping[str, Array], contacts: Sequence[BodyContact]) -> Array:
         """T_world_body (4, 4), where the floor carries what the tips press."""
+        if self.state is PushedState.TOPPLED:
+            return self._T
         self._tips = {contact.arm: self._tip(contact) for contact in contacts}
-        if not self._tips:
+        if not self._tips and not self.tilt:
+            self.state = PushedState.RESTING
             return self._T
         sensors = {arm: tools[arm] @ self._T_tool_sensor[arm] for arm in self._tips}
-        for _ in range(_ROUNDS):
-            pushes = [tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()]
-            moved = self._slide(pushes)
-            if moved < _STILL or not any(push.slips for push in pushes):
-                break
+        moved = self._slide_on(sensors)
+        self.state = PushedState.SLIDING if moved > 0.0 else PushedState.RESTING
         self._settle([tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()])
         return self._T
 
@@ -169,50 +161,76 @@ class Pushed:
         known = self._tips.get(contact.arm)
         return known if known and known.stamp_ns == contact.stamp_ns else _Tip(contact, self.settings)
 
-    def _slide(self, pushes: Sequence[_Push]) -> float:
-        """Move until friction carries the pushes; how far (m)."""
-        s = self.settings
-        cos, sin = math.cos(self._turn), math.sin(self._turn)
-        turned = np.array([[cos, -sin], [sin, cos]])
-        center = self._T[:2, 3] + turned @ (self.pressure + np.array(s.center_of_friction))
+    def _slide_on(self, sensors: Mapping[str, Array]) -> float:
+        """Move until friction carries the pushes; how far (m). More than once only while a tip slips."""
+        way = 0.0
+        for _ in range(_ROUNDS):
+            pushes = [tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()]
+            moved = self._slide(pushes)
+            way += moved
+            if moved < _STILL or not any(push.slips for push in pushes):
+                break
+        return way
+
+    def _slide(self, pushes: Sequence[Touch]) -> float:
+        center = self._upright[:2, 3] + _turned(
+            self._turn, self.pressure + np.array(self.settings.center_of_friction)
+        )
         load, stiffness = np.zeros(3), np.zeros((3, 3))
         for push in pushes:
-            G = push.jacobian(center)
+            x, y = push.point[:2] - center
+            G = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])  # how the point moves
             load += G.T @ push.force[:2]
-            stiffness += G.T @ push.stiffness @ G
-        force = s.friction * self.load * s.mass * -GRAVITY[2]
-        (dx, dy, turn), _ = return_to_surface(load.tolist(), stiffness, force, force * self.foot.arm)
+            stiffness += G.T @ push.stiffness[:2, :2] @ G
+        force = self.friction * self.load * self._weight
+        arm = self._tipping.arm if self.tilt else self.foot.arm
+        (dx, dy, turn), _ = return_to_surface(load.tolist(), stiffness, force, force * arm)
         if dx == dy == turn == 0.0:
             return 0.0
         self._turn += turn
-        arm = self._T[:2, 3] - center
-        cos, sin = math.cos(turn), math.sin(turn)
         T = np.eye(4)
-        T[:2, :2] = [[cos, -sin], [sin, cos]]
-        T[:3, :3] = T[:3, :3] @ self._T[:3, :3]
-        T[0, 3] = center[0] + dx + cos * arm[0] - sin * arm[1]
-        T[1, 3] = center[1] + dy + sin * arm[0] + cos * arm[1]
-        T[2, 3] = self._T[2, 3]
-        self._T = T
+        T[:2, :2] = [[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]]
+        T[:2, 3] = center + np.array([dx, dy]) - T[:2, :2] @ center
+        self._upright, self._T = T @ self._upright, T @ self._T
         return math.hypot(dx, dy) + abs(turn) * self.foot.arm
 
-    def _settle(self, pushes: Sequence[_Push]) -> None:
+    def _settle(self, pushes: Sequence[Touch]) -> None:
         """Where the floor presses, and how much, from moments about the floor and vertical forces."""
-        s = self.settings
-        weight = s.mass * -GRAVITY[2]
-        gravity = self._T[:3, :3] @ np.array(s.center_of_gravity)
-        moment, lifted = weight * gravity[:2], 0.0
+        s, weight = self.settings, self._weight
+        middle = self._T[:3, :3] @ np.array(s.center_of_gravity) + self._T[:3, 3]
+        moment, lifted = weight * middle[:2], 0.0
         for push in pushes:
-            arm = push.point - self._T[:3, 3]
-            moment = moment + push.point[2] * push.force[:2] - push.force[2] * arm[:2]
+            moment = moment + push.point[2] * push.force[:2] - push.force[2] * push.point[:2]
             lifted += float(push.force[2])
         self.load = max(1.0 - lifted / weight, _LIFTED)
-        cos, sin = math.cos(self._turn), math.sin(self._turn)
-        pressure = np.array([[cos, sin], [-sin, cos]]) @ moment / (self.load * weight)
-        inside = self.foot.inside(pressure)
-        if inside < 0:
-            pressure = _onto(pressure, *self.foot.edge_before(pressure))
-        self.pressure = pressure
+        pressure = _turned(-self._turn, moment / (self.load * weight) - self._upright[:2, 3])
+        inside, edge = self.foot.inside(pressure), self.foot.edge_before(pressure)
+        if s.edge_friction > 0:
+            self._tip_over(pushes, edge, middle, inside < 0)
+            share = 1.0 if self.tilt else self.foot.edge_share(pressure)
+            self.friction = s.friction + share * (s.edge_friction - s.friction)
+            edge = self._tipping.edge or edge
+        self.pressure = _onto(pressure, *edge) if inside < 0 or self.tilt else pressure
+
+    def _tip_over(
+        self, pushes: Sequence[Touch], edge: tuple[Array, Array], middle: Array, beyond: bool
+    ) -> None:
+        """Tilt about an edge of the foot, back again, or over."""
+        if not (beyond or self.tilt):
+            return
+        origin = self._upright[:2, 3]
+        T = self._tipping.step(edge, lambda p: origin + _turned(self._turn, p), pushes, middle, self._weight)
+        self._T = T @ self._upright
+        if self.tilt:
+            self.state = PushedState.TILTED
+        if self._tipping.over:
+            self.state = PushedState.TOPPLED
+            self._T[2, 3] -= _BELOW
+
+
+def _turned(angle: float, point: Array) -> Array:
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]])
 
 
 def _onto(point: Array, a: Array, b: Array) -> Array:

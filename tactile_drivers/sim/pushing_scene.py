@@ -31,7 +31,7 @@ _CLOSE = 1e-9  # m
 
 @dataclass(frozen=True)
 class PushVariation(Settings):
-    """What differs from trial to trial: each is drawn evenly from minus to plus the number. Assumed."""
+    """What differs from trial to trial: the first four are drawn evenly from minus to plus. Assumed."""
 
     friction: float = setting(0.15, lower=0.0, upper=0.9, doc="of the floor, as a part of it")
     center_of_friction: float = setting(
@@ -41,6 +41,12 @@ class PushVariation(Settings):
         0.003, unit="m", lower=0.0, upper=0.1, doc="of the object, across the tip's axis"
     )
     angle_deg: float = setting(2.0, unit="deg", lower=0.0, upper=30.0, doc="of the object about the vertical")
+    offset: float = setting(
+        0.0, unit="m", lower=-0.1, upper=0.1, doc="of the object to the left, on top of what is drawn"
+    )
+    turn_deg: float = setting(
+        0.0, unit="deg", lower=-180.0, upper=180.0, doc="of the object, on top of what is drawn"
+    )
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,8 @@ def pushing_scene(
     }
     new = replace(body, shape=shape, parameters=parameters, motion_settings=_motion_settings(body, settings))
     first, *others = scene.arms.values()
-    new = _placed(new, first, vary.placement * draw[3], np.radians(vary.angle_deg) * draw[4])
+    aside, turn = vary.offset + vary.placement * draw[3], vary.turn_deg + vary.angle_deg * draw[4]
+    new = _placed(new, first, aside, np.radians(turn))
     arms = {arm.name: _facing(arm, new) for arm in others}
     return replace(scene, arms={first.name: first, **arms}, bodies={**scene.bodies, body.name: new})
 

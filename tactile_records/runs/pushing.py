@@ -29,7 +29,7 @@ Array = NDArray[Any]
 
 TOPPLED_DEG = 30.0  # a body that leans more than this has toppled: no profile stands again from there
 WIDTH = 9.0  # inches of the picture
-DRAWN_EVERY = 0.030  # m of the pusher's way between two tips in the picture
+DRAWN_EVERY = 0.040  # m of the pusher's way between two tips in the picture
 FOLLOWER, TARGET, TICK = "#8a4fa3", "#d62728", 12.0  # colours; length of a contact normal's tick, mm
 
 FIELDS = {
@@ -230,7 +230,7 @@ def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         rows += [
             (f"{push['follower']}: contact kept", percent(push["follower_contact_fraction"]), "100 %"),
             (
-                f"{push['follower']}: depth RMS about reference",
+                f"{push['follower']}: depth RMS",
                 text(push["follower_depth_rms_mm"], "mm", 2),
                 "",
             ),
@@ -329,7 +329,7 @@ def _draw_tips(axes: Any, found: Contacts, rows: Array, radius: float, color: st
 def errors(record: RunRecord, run: Run) -> Figure:
     """Distance from the target to the contact normal, depth and shear, on the way to the target."""
     target = target_of(record)
-    lines = [(true_contacts(record), TRUTH, "true"), (believed_contacts(record), BELIEF, "believed")]
+    lines = [(believed_contacts(record), BELIEF, "believed"), (true_contacts(record), TRUTH, "true")]
     if not any(len(found) for found, _, _ in lines):
         return message("the run did not come to pushing: there is nothing to show")
     figure, (error, depth, shear) = plt.subplots(
@@ -338,9 +338,9 @@ def errors(record: RunRecord, run: Run) -> Figure:
     for found, color, name in lines:
         if len(found):
             left = np.linalg.norm(target - found.center, axis=1)
-            error.plot(left, found.error(target), color=color, lw=1.3, label=f"{name} normal")
-            depth.plot(left, found.depth, color=color, lw=1.2)
-            shear.plot(left, found.shear, color=color, lw=1.2)
+            error.plot(left, found.error(target), color=color, lw=1.0, label=f"{name} normal")
+            depth.plot(left, found.depth, color=color, lw=1.0)
+            shear.plot(left, found.shear, color=color, lw=1.0)
     error.axhline(0.0, color=REFERENCE, ls="--", lw=1.2)
     error.set(ylabel="target to contact normal [mm]", title=f"{record.scene}: on the way to the target")
     error.legend()
