@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,9 @@ from tactile_bringup.trials import Row
 from tactile_bringup.variations import VARIABLES, Setup, Value, drawn, varied
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_control.tasks.pushing import Pushing
-from tactile_drivers.scene import load_scene
-from tactile_drivers.sim.pushing_scene import PushVariation, read_profiles
+from tactile_drivers.scene import Scene, load_scene
+from tactile_drivers.sim.motions import make_motion
+from tactile_drivers.sim.pushing_scene import PushedProfiles, PushVariation, read_profiles
 from tactile_drivers.sim.simulation import FIDELITIES
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.runs.metrics import without_nan
@@ -210,15 +211,6 @@ def table_of(name: str) -> Table:
     return tables[name]
 
 
-def task_of(common: Common) -> Task:
-    """The task with the controllers and settings that are chosen; `SettingError` for what is not there."""
-    table = table_of(common.table)
-    if common.controller not in table.controllers:
-        raise SettingError(f"controller: {unknown_name(common.controller, list(table.controllers))}")
-    chosen = table.controllers[common.controller] or None
-    return load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
-
-
 def trial_run(trial: Trial) -> Run:
     """What happened to each arm; `SettingError` where the trial cannot be."""
     setup = setup_of(trial)
@@ -248,27 +240,35 @@ def trial_row(trial: Trial) -> Row:
 
 
 def check_trial(trial: Trial) -> None:
-    """`SettingError` where a trial cannot be, before many are begun."""
+    """`SettingError` or `FileNotFoundError` where a trial cannot be, before many are begun."""
     setup = setup_of(trial)
-    arm_plans(setup.task, setup.pushing_scene(), setup.options.arm)
+    scene = setup.pushing_scene()
+    arm_plans(setup.task, scene, setup.options.arm)
+    for body in scene.bodies.values():
+        make_motion(scene, body)
 
 
 def setup_of(trial: Trial) -> Setup:
     """What a trial is made of; `SettingError` or `FileNotFoundError` for what is not there or is wrong."""
-    common = trial.common
-    options = OfflineOptions(
-        seed=trial.number,
-        arm=common.arm or None,
-        filter=load_filter_settings(common.filter),
-    )
-    scene = load_scene(table_of(common.table).scene)
-    if common.fidelity is not None:
-        if common.fidelity not in FIDELITIES:
-            raise SettingError(f"fidelity: {unknown_name(common.fidelity, FIDELITIES)}")
-        scene = scene.with_fidelity(common.fidelity)
-    names = trial.object, trial.floor
-    setup = Setup(scene, task_of(common), options, *names, read_profiles(), PushVariation())
-    return varied(setup, [("latency", common.latency), *trial.varied])
+    scene, task, profiles, options = _loaded(trial.common)
+    options = replace(options, seed=trial.number)
+    setup = Setup(scene, task, options, trial.object, trial.floor, profiles, PushVariation())
+    return varied(setup, [("latency", trial.common.latency), *trial.varied])
+
+
+@functools.cache
+def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions]:
+    """What is the same for all trials."""
+    table, fidelity = table_of(common.table), common.fidelity
+    if common.controller not in table.controllers:
+        raise SettingError(f"controller: {unknown_name(common.controller, list(table.controllers))}")
+    if fidelity is not None and fidelity not in FIDELITIES:
+        raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
+    scene = load_scene(table.scene)
+    chosen = table.controllers[common.controller] or None
+    task = load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
+    options = OfflineOptions(arm=common.arm or None, filter=load_filter_settings(common.filter))
+    return scene if fidelity is None else scene.with_fidelity(fidelity), task, read_profiles(), options
 
 
 def numbers_of(run: Run) -> dict[str, Any]:
