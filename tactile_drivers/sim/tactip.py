@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tactile_drivers.sim import _contact
 from tactile_drivers.sim.camera import Camera
 from tactile_drivers.sim.markers import Markers
+from tactile_drivers.sim.network_view import NetworkView, ViewSettings
 from tactile_drivers.sim.settings import TacTipSettings
 from tactile_drivers.sim.skin import Skin, load_skin
 from tactile_filter import se3
@@ -51,6 +52,8 @@ class ContactTruth:
         The feature frame {f} in the surface's frame.
     force : (3,) N
         Total force of the surface on the skin, in {s}.
+    torque : (3,) N m
+        Its torque about the origin of {s}, in {s}.
     normal_force, tangential_force : float, N
         Its parts along and across the surface's normal under the dome's centre.
     contact_nodes : int
@@ -63,6 +66,7 @@ class ContactTruth:
     T_fs: Array
     T_surface_contact: Array
     force: Array
+    torque: Array
     normal_force: float
     tangential_force: float
     contact_nodes: int
@@ -70,16 +74,24 @@ class ContactTruth:
 
 
 class TacTip:
-    """One sensor with its contact history; deterministic by seed (the seed selects image noise only)."""
+    """One sensor with its contact history; deterministic by seed (the seed selects image noise only).
+
+    With a `view` its images are what that network would see of them, drawn at its size and without noise.
+    """
 
     def __init__(
-        self, settings: TacTipSettings | None = None, seed: int = 0, skin: Skin | None = None
+        self,
+        settings: TacTipSettings | None = None,
+        seed: int = 0,
+        skin: Skin | None = None,
+        view: ViewSettings | None = None,
     ) -> None:
         self.settings = settings or TacTipSettings()
         self._skin = skin or load_skin(self.settings.skin)
         tip = self.settings.skin
         self._markers = Markers(self.settings.markers, self._skin, tip.radius, tip.skin_thickness)
         self._camera = Camera(self.settings.camera)
+        self._view = NetworkView(self._camera, view) if view is not None else None
         self._friction = self.settings.contact.friction
         self.reset(seed)
 
@@ -143,7 +155,12 @@ class TacTip:
         self._T = target
 
     def image(self) -> NDArray[np.uint8]:
-        """Expose one frame: gray image (height, width); the noise differs from frame to frame."""
+        """Expose one frame: gray image (height, width), whose noise differs from frame to frame.
+
+        With a view, what crop, threshold and resizing would leave of it: black and white (size, size).
+        """
+        if self._view is not None:
+            return self._view.draw(self.marker_positions)
         seed = (self._seed * 0x9E3779B97F4A7C15 + self._frames * 0xD1B54A32D192ED03) % 2**64
         self._frames += 1
         return self._camera.draw(self.marker_positions, seed)
@@ -249,8 +266,8 @@ def _truth(T: Array, surface: SurfaceShape, radius: float, contact: _ContactStat
     press = np.maximum(np.einsum("ij,ij->i", contact.force, contact.normal), 0.0)
     total = contact.force.sum(axis=0)
     shear, gamma = np.zeros(2), 0.0
+    anchors = (contact.anchor - T[:3, 3]) @ T[:3, :3]
     if press.sum() > 0:
-        anchors = (contact.anchor - T[:3, 3]) @ T[:3, :3]
         shear, gamma = _rigid_shear((contact.touch @ tilt.T)[:, :2], (anchors @ tilt.T)[:, :2], press)
     turn = np.array([[np.cos(gamma), -np.sin(gamma), 0], [np.sin(gamma), np.cos(gamma), 0], [0, 0, 1.0]])
     T_fs = np.eye(4)
@@ -259,7 +276,8 @@ def _truth(T: Array, surface: SurfaceShape, radius: float, contact: _ContactStat
     T_fs[:3, 3] = [*(turn[:2, :2] @ shear), depth]
     along = float(-total @ into_surface)
     return ContactTruth(
-        depth=depth, T_fs=T_fs, T_surface_contact=T @ se3.inverse(T_fs), force=total, normal_force=along,
+        depth=depth, T_fs=T_fs, T_surface_contact=T @ se3.inverse(T_fs), force=total,
+        torque=np.cross(anchors, contact.force).sum(axis=0), normal_force=along,
         tangential_force=float(np.linalg.norm(total + along * into_surface)),
         contact_nodes=int((press > 0).sum()),
         slip_fraction=float(press[contact.state == _SLIP].sum() / press.sum()) if press.sum() > 0 else 0.0,
