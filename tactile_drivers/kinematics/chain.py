@@ -61,7 +61,7 @@ class Chain:
     acceleration: Array
     ready: Array
     links: Capsules
-    _last: tuple[Array, Array] | None = field(default=None, init=False, repr=False)
+    _last: tuple[Array, Array, Array] | None = field(default=None, init=False, repr=False)
 
     @property
     def middle(self) -> Array:
@@ -92,27 +92,8 @@ class Chain:
         return replace(self, steps=steps, links=links)
 
     def frames(self, q: Array) -> Array:
-        """Frames (n + 2, 4, 4) of the base, of each joint, turned, and of the tool, at joint angles (n,).
-
-        The last are kept: within a step the same ones are asked for several times.
-        """
-        last = self._last
-        if last is not None and np.array_equal(last[0], q):
-            return last[1]
-        turns = np.zeros((len(q), 4, 4))
-        turns[:, 2, 2] = turns[:, 3, 3] = 1.0
-        turns[:, 0, 0] = turns[:, 1, 1] = np.cos(q)
-        turns[:, 1, 0] = np.sin(q)
-        turns[:, 0, 1] = -turns[:, 1, 0]
-        found = np.empty((len(turns) + 2, 4, 4))
-        found[0] = np.eye(4)
-        found[1:-1] = self.steps[:-1] @ turns
-        for i in range(2, len(turns) + 1):
-            found[i] = found[i - 1] @ found[i]
-        found[-1] = found[-2] @ self.steps[-1]
-        found.flags.writeable = False
-        self._last = q.copy(), found
-        return found
+        """Frames (n + 2, 4, 4) of the base, of each joint, turned, and of the tool, at joint angles (n,)."""
+        return self._posture(q)[1]
 
     def pose(self, q: Array) -> Array:
         """Pose (4, 4) of the tool at joint angles (n,)."""
@@ -120,7 +101,7 @@ class Chain:
 
     def jacobian(self, q: Array) -> Array:
         """Jacobian (6, n) of the tool's twist [v, omega], in the tool's frame, at joint angles (n,)."""
-        return _jacobian(self.frames(q))
+        return self._posture(q)[2]
 
     def capsules(self, q: Array) -> Capsules:
         """The links at joint angles (n,)."""
@@ -172,6 +153,27 @@ class Chain:
         way, turn = np.linalg.norm(error6[:3]) * 1e3, np.degrees(np.linalg.norm(error6[3:]))
         raise ValueError(f"out of reach of the {self.name}: it comes within {way:.0f} mm, {turn:.0f} degrees")
 
+    def _posture(self, q: Array) -> tuple[Array, Array, Array]:
+        """Angles, frames and Jacobian; the last are kept, since within a step several ask for the same."""
+        last = self._last
+        if last is not None and np.array_equal(last[0], q):
+            return last
+        turns = np.zeros((len(q), 4, 4))
+        turns[:, 2, 2] = turns[:, 3, 3] = 1.0
+        turns[:, 0, 0] = turns[:, 1, 1] = np.cos(q)
+        turns[:, 1, 0] = np.sin(q)
+        turns[:, 0, 1] = -turns[:, 1, 0]
+        frames = np.empty((len(turns) + 2, 4, 4))
+        frames[0] = np.eye(4)
+        frames[1:-1] = self.steps[:-1] @ turns
+        for i in range(2, len(turns) + 1):
+            frames[i] = frames[i - 1] @ frames[i]
+        frames[-1] = frames[-2] @ self.steps[-1]
+        jacobian = _jacobian(frames)
+        frames.flags.writeable = jacobian.flags.writeable = False
+        self._last = q.copy(), frames, jacobian
+        return self._last
+
     def _search(self, q: Array, T: Array) -> tuple[Array, float]:
         """Steps from a guess to a pose, within the ranges; the angles, and how far (m) the tool is off."""
         error = np.inf
@@ -189,9 +191,9 @@ class Chain:
         """A step of the joints (n,) towards a pose (4, 4), and one halfway to their middle that the tool does
         not feel, zero with six joints; and how far (m) the tool is off the pose.
         """
-        frames = self.frames(q)
+        _, frames, jacobian = self._posture(q)
         error = _SCALE * se3.log(se3.inverse(frames[-1]) @ T)
-        U, values, Vt = np.linalg.svd(_SCALE[:, None] * _jacobian(frames))
+        U, values, Vt = np.linalg.svd(_SCALE[:, None] * jacobian)
         count = len(values)
         step = Vt[:count].T @ (values / (values**2 + _DAMPING**2) * (U[:, :count].T @ error))
         unfelt = Vt[count:]
