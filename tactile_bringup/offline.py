@@ -25,6 +25,7 @@ from tactile_bringup.run_sequence import ArmPlan, RunSequence, arm_plans
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_drivers.arm import ArmMode
+from tactile_drivers.arm_distance import neighbours
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
@@ -201,6 +202,7 @@ class _OfflineArm:
         self.plan, self.cell, self.options = plan, cell, options
         self.safe = SafeArm(scene.arms[plan.arm], lambda: cell.stamp_ns)
         self.safe.drive(cell.arm(plan.arm))
+        self.safe.neighbours = neighbours(scene, plan.arm, cell.status, cell.arms)
         sensor = scene.arms[plan.arm].sensor
         self.perceive = perceive
         self.filter = ContactFilter(options.filter, TACTIP)

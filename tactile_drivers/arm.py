@@ -124,6 +124,10 @@ class SafetySettings(Settings):
     singularity_stop: float = setting(
         0.01, lower=0.0, upper=1.0, unit="m/rad", doc="at which it comes no nearer; below singularity_slow"
     )
+    min_arm_distance: float = setting(
+        0.02, lower=0.0, upper=1.0, unit="m",
+        doc="links and tool come no nearer to those of another arm with known kinematics; 0: nobody looks",
+    )  # fmt: skip
     jump: float = setting(
         0.005, lower=1e-4, upper=1.0, unit="m",
         doc="a state further from the last than the largest speed takes the arm, and this, is refused",
@@ -160,7 +164,7 @@ class ArmState:
     limited : bool
         True while the arm does less than it is asked for.
     held_back : str
-        Which bound of depth, shear or workspace, or of speed, makes the command less; empty for none.
+        Which bound of speed, depth, shear, workspace, joints or other arms makes the command less; or empty.
     """
 
     stamp_ns: int

@@ -39,15 +39,19 @@ def smallest_singular_value(kinematics: Kinematics, q: Array) -> float:
     return float(np.linalg.svd(scale * kinematics.jacobian(q), compute_uv=False).min())
 
 
+def joint_rates(kinematics: Kinematics, q: Array, twist: Array) -> Array:
+    """The smallest speeds (n,) of the joints, rad/s, that make a twist (6,) at joint angles (n,)."""
+    return np.asarray(np.linalg.lstsq(kinematics.jacobian(q), twist, rcond=None)[0])
+
+
 def allowed_part(
-    kinematics: Kinematics, q: Array, twist: Array, delay: float, slow: float, stop: float
+    kinematics: Kinematics, q: Array, rates: Array, delay: float, slow: float, stop: float
 ) -> tuple[float, str]:
-    """The part 0..1 of a twist (6,) that the joints at angles (n,) allow, and what makes it less ('' for 1).
+    """The part 0..1 of their speeds (n,) that the joints at angles (n,) allow, and what makes it less.
 
     No joint is faster than it may be, or than it can brake before the end of its range, `delay` (s) from now.
     Towards a singularity the twist fades between the smallest singular values `slow` and `stop` (m/rad).
     """
-    rates = np.linalg.lstsq(kinematics.jacobian(q), twist, rcond=None)[0]
     if not rates.any():
         return 1.0, ""
     a = kinematics.acceleration

@@ -8,13 +8,13 @@ A command is refused from anybody but the arm's owner, out of time, not finite, 
 fault. What is followed is made less, at each command and again at each state of the driver, so that the arm
 can still come to rest before the sensor is too deep or sheared too far, before it leaves its workspace or
 enters a box that is kept out (`ArmLimits.braking_speed`), and where its kinematics are known before a joint
-ends or a singularity. The states, and what leads from one to another, are drawn in docs/safety.md.
+ends, a singularity, or another arm. docs/safety.md draws the states, and what leads from one to another.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import Arm, ArmMode, ArmState, Box, shortened
-from tactile_drivers.joint_limits import allowed_part
+from tactile_drivers.arm_distance import Neighbour
+from tactile_drivers.joint_limits import allowed_part, joint_rates
 from tactile_drivers.twist_profile import TwistProfile
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
@@ -66,6 +67,8 @@ class SafeArm:
         The newest state, completed; None before the first.
     bad_state : str
         Why the last state of the driver cannot be true; '' if it can.
+    neighbours : sequence of Neighbour
+        The other arms that it minds; none until somebody says so (`mind_others`).
     """
 
     def __init__(self, arm: ArmScene, clock: Callable[[], int]) -> None:
@@ -73,6 +76,7 @@ class SafeArm:
         sensor = arm.sensor.settings if arm.sensor is not None else None
         self.largest_depth = sensor.protective_depth if sensor is not None else np.inf
         self._radius = sensor.tip_radius if sensor is not None else 0.0
+        self.neighbours: Sequence[Neighbour] = ()
         self._clock = clock
         self._lock = threading.RLock()
         self._estop = ""
@@ -311,13 +315,18 @@ class SafeArm:
         return part * out, "; ".join([*reasons, *([reason] if reason else [])])
 
     def _joints_allow(self, twist: Array) -> tuple[float, str]:
-        """See `allowed_part`; all of it where nothing is known of the joints."""
+        """What joints and neighbours allow; all of it where nothing is known of the joints."""
         kinematics = getattr(self.driver, "kinematics", None)
         assert self.state is not None
-        if kinematics is None or self.state.joints is None:
+        if kinematics is None or self.state.joints is None or not twist.any():
             return 1.0, ""
+        rates = joint_rates(kinematics, self.state.joints, twist)
         slow, stop = self.settings.singularity_slow, self.settings.singularity_stop
-        return allowed_part(kinematics, self.state.joints, twist, self._delay, slow, stop)
+        part, reason = allowed_part(kinematics, self.state.joints, rates, self._delay, slow, stop)
+        for neighbour in self.neighbours:
+            apart, other = neighbour.allowed_part(self.state, part * twist, part * rates, self._delay)
+            part, reason = (part * apart, other) if apart < 1.0 else (part, reason)
+        return part, reason
 
     def _bounds(self, speed: float) -> list[_Bound]:
         """What can bound a velocity of that size (m/s) where the arm is now."""

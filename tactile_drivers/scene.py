@@ -24,6 +24,8 @@ from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
 from tactile_drivers.arm import ARMS, ArmLimits, Box, SafetySettings
 from tactile_drivers.camera import CAMERAS
+from tactile_drivers.kinematics.arm_file import load_arm
+from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.shapes import SHAPES
 from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.motions import CARRIED, FIXED, MOTIONS
@@ -36,6 +38,9 @@ SIM = "sim"  # driven or exposed by the simulated cell
 EXTERNAL = "external"  # somebody else's driver or camera, which runs already
 _NAME = re.compile(r"[a-z][a-z0-9_]*")  # a ROS namespace and frame prefix
 _POSE_KEYS = ("position", "rotation_deg")
+_ARM_KEYS = (
+    "driver", "driver_settings", "base", "start", "limits", "safety", "keep_out", "sensor", "kinematics",
+)  # fmt: skip
 
 
 class SceneError(SettingError):
@@ -98,6 +103,8 @@ class ArmScene:
         Where the tip must not go, in the arm's base.
     sensor : SensorScene or None
         None for an arm that feels nothing.
+    kinematics : Chain or None
+        From the base to the controlled frame; None where they are not known.
     """
 
     name: str
@@ -109,6 +116,7 @@ class ArmScene:
     safety: SafetySettings
     keep_out: tuple[Box, ...]
     sensor: SensorScene | None
+    kinematics: Chain | None = field(default=None, compare=False)
 
     @property
     def controlled_frame(self) -> str:
@@ -288,7 +296,7 @@ def _body(name: str, section: Section, arms: Iterable[str]) -> BodyScene:
 
 
 def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmScene:
-    section.allow("driver", "driver_settings", "base", "start", "limits", "safety", "keep_out", "sensor")
+    section.allow(*_ARM_KEYS)
     section.value("start")  # an arm has to start somewhere: there is no default
     driver = _registered(section, "driver", ARMS, (SIM, EXTERNAL), SIM)
     _check_no_settings(section, "driver", driver)
@@ -297,6 +305,7 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
         section.fail(f"{section.name}.safety: workspace_lower must be below workspace_upper", "safety")
     if not safety.singularity_stop < safety.singularity_slow:
         section.fail(f"{section.name}.safety: singularity_stop must be below singularity_slow", "safety")
+    sensor = _sensor(section.section("sensor"), name, driver, bodies) if "sensor" in section.values else None
     return ArmScene(
         name=name,
         driver=driver,
@@ -306,10 +315,36 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
         limits=section.settings("limits", ArmLimits),
         safety=safety,
         keep_out=tuple(_box(name, box) for name, box in section.sections("keep_out").items()),
-        sensor=_sensor(section.section("sensor"), name, driver, bodies)
-        if "sensor" in section.values
+        sensor=sensor,
+        kinematics=_kinematics(section.section("kinematics"), sensor)
+        if "kinematics" in section.values
         else None,
     )
+
+
+def _kinematics(section: Section, sensor: SensorScene | None) -> Chain:
+    """The chain of a known arm to the controlled frame, with capsules from flange to tool and to tip."""
+    section.allow("description", "tool", "tool_radius", "ready_deg")
+    name = section.text("description")
+    is_path = name.endswith((".yaml", ".yml"))
+    try:
+        chain = load_arm(section.path.parent / name if is_path else name)
+    except SettingError as error:
+        section.fail(f"{section.name}.description: {error}", "description")
+    if "ready_deg" in section.values:
+        chain = replace(chain, ready=np.radians(section.numbers("ready_deg", len(chain.names))))
+        if beyond := chain.out_of_range(chain.ready):
+            section.fail(f"{section.name}.ready_deg: {beyond}", "ready_deg")
+    radius = section.number("tool_radius", 0.035)
+    if radius <= 0.0:
+        section.fail(f"{section.name}.tool_radius = {radius:g} m: must be above 0", "tool_radius")
+    T_tool = _pose(section.section("tool"))
+    T_end = T_tool if sensor is None else T_tool @ sensor.T_tool_sensor
+    parts = [(np.zeros(3), T_tool[:3, 3], radius)]
+    if sensor is not None:  # it ends where the tip does, which is round with a radius of its own
+        front = T_end[:3, 3] + (sensor.settings.tip_radius - radius) * T_end[:3, 2]
+        parts.append((T_tool[:3, 3], front, radius))
+    return chain.with_tool(T_end, *parts)
 
 
 def _box(name: str, section: Section) -> Box:

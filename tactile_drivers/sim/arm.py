@@ -3,7 +3,10 @@
 It stands for an arm with a velocity interface such as libfranka's: each commanded twist becomes the fastest
 motion that keeps the limits, the pose is the integral of the twist that results, and a watchdog of its own
 brings the arm to rest when commands stop coming. What an arm should not be asked for is not its business but
-that of the safe command stage before it (`tactile_drivers.safety`)::
+that of the safe command stage before it (`tactile_drivers.safety`).
+
+An arm with kinematics has joints besides, which follow the pose as those of a real one would; where they
+cannot, it stops in fault::
 
     arm = SimArm(ArmLimits(), T_base_start, stamp_ns=0)
     arm.command(stamp_ns, twist)             # [v (m/s), omega (rad/s)] of the controlled frame, in that frame
@@ -17,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
+from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.twist_profile import TwistProfile
 from tactile_filter import se3
 
@@ -33,16 +37,29 @@ class SimArm:
         Where the controlled frame starts, at rest.
     stamp_ns : int
         Time at the start, ns.
+    kinematics : Chain, optional
+        From the base to the controlled frame.
+
+    Raises
+    ------
+    ValueError
+        If the start is out of reach of the kinematics.
     """
 
     keeps_limits = True
 
     def __init__(
-        self, limits: ArmLimits | None = None, T_base_controlled: Array | None = None, stamp_ns: int = 0
+        self,
+        limits: ArmLimits | None = None,
+        T_base_controlled: Array | None = None,
+        stamp_ns: int = 0,
+        kinematics: Chain | None = None,
     ) -> None:
         self.limits = limits or ArmLimits()
         self._stamp_ns = int(stamp_ns)
         self._pose = np.eye(4) if T_base_controlled is None else np.array(T_base_controlled, dtype=np.float64)
+        self.kinematics = kinematics
+        self._joints = kinematics.reach(self._pose, kinematics.ready) if kinematics is not None else None
         self._motion = TwistProfile(self.limits)
         self._target = np.zeros(6)
         self._command_ns: int | None = None  # stamp of the command in force
@@ -77,7 +94,9 @@ class SimArm:
     @property
     def state(self) -> ArmState:
         """Where the arm is, what it does, and why."""
-        return ArmState(self._stamp_ns, self.T_base_controlled, self.twist, self._mode, self._reason)
+        return ArmState(
+            self._stamp_ns, self.T_base_controlled, self.twist, self._mode, self._reason, self._joints
+        )
 
     def command(self, stamp_ns: int, twist: ArrayLike) -> None:
         """Follow a twist [v (m/s), omega (rad/s)] of the controlled frame, in it; not while in fault."""
@@ -150,6 +169,18 @@ class SimArm:
         moved = self._motion.advance(dt, self._target)
         if moved.any():
             self._pose = _orthonormal(self._pose @ se3.exp(moved))
+            self._move_joints()
+
+    def _move_joints(self) -> None:
+        """Have the joints follow the pose; the arm comes to rest, in fault, where they cannot."""
+        if self.kinematics is None or self._joints is None:
+            return
+        self._joints = self.kinematics.follow(self._joints, self._pose)
+        beyond = self.kinematics.out_of_range(self._joints)
+        if not beyond and not self.kinematics.follows(self._joints, self._pose):
+            beyond = "the joints cannot follow, so near to a singularity"
+        if beyond and self._mode is not ArmMode.FAULT:
+            self.fault(beyond)
 
     def _settle(self) -> None:
         """A stop that has come to its end is rest; so is a command of zero once it is reached."""

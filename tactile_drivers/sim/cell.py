@@ -128,7 +128,8 @@ class Cell:
     Raises
     ------
     ValueError
-        If the scene has no simulated arm, or what it says of a body's motion is wrong.
+        If the scene has no simulated arm, what it says of a body's motion is wrong, or an arm with known
+        kinematics cannot reach its start.
     """
 
     def __init__(
@@ -328,7 +329,13 @@ class _CellArm:
         view: ViewSettings | None,
     ) -> None:
         self.name = arm.name
-        self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns)
+        try:
+            self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns, arm.kinematics)
+        except ValueError as error:
+            raise ValueError(
+                f"scene {scene.name}, arm '{arm.name}': its start is {error}; see its base, start, "
+                "sensor.in_tool and kinematics.tool"
+            ) from error
         self.sensor: _Sensor | None = None
         self.contact: BodyContact | None = None
         self._T_world_base = arm.T_world_base

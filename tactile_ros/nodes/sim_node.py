@@ -30,6 +30,7 @@ from tactile_base import topics
 from tactile_base.settings import LARGEST_SEED, Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmState
+from tactile_drivers.arm_distance import neighbours
 from tactile_drivers.camera import CameraFrame
 from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
@@ -172,6 +173,7 @@ class SimNode(ManagedNode):
         self.cell = Cell(self.scene, self.settings.value.seed, self.now_ns() + round(START_DELAY * SECOND_NS))
         for name, node in self.arms.items():
             node.attach(self.cell.arm(name))
+            node.safe.neighbours = neighbours(self.scene, name, self.cell.status, self.cell.arms)
         for outlet in self.outlets:
             outlet.lost = 0
         self.markers_out.publish(MarkerArray(markers=body_markers(self.scene)))

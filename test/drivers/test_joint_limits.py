@@ -1,58 +1,22 @@
 """What the joints of an arm with known kinematics allow of a twist."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from tactile_drivers.joint_limits import allowed_part, smallest_singular_value
+from tactile_drivers.joint_limits import allowed_part, joint_rates, smallest_singular_value
+from tactile_drivers.kinematics.arm_file import load_arm
 
-#: a, d, alpha of an arm like the UR5e, by its maker's table of Denavit-Hartenberg parameters
-LINKS = [
-    (0.0, 0.1625, np.pi / 2),
-    (-0.425, 0.0, 0.0),
-    (-0.3922, 0.0, 0.0),
-    (0.0, 0.1333, np.pi / 2),
-    (0.0, 0.0997, -np.pi / 2),
-    (0.0, 0.0996, 0.0),
-]
+ARM = replace(load_arm("ur5e"), velocity=np.full(6, 2.0), acceleration=np.full(6, 10.0))
 READY = np.array([0.0, -1.6, 1.8, -1.8, -1.57, 0.0])
 STRETCHED = np.array([0.3, -1.0, 0.01, -1.8, -1.57, 0.0])  # the elbow cannot reach further
 
 
-class SixJoints:
-    lower, upper = np.full(6, -np.pi), np.full(6, np.pi)
-    velocity, acceleration = np.full(6, 2.0), np.full(6, 10.0)
-
-    def pose(self, q):
-        T = np.eye(4)
-        for angle, (a, d, alpha) in zip(q, LINKS, strict=True):
-            step = np.eye(4)
-            step[:3, :3] = Rotation.from_euler("ZX", [angle, alpha]).as_matrix()
-            step[:3, 3] = [a * np.cos(angle), a * np.sin(angle), d]
-            T = T @ step
-        return T
-
-    def jacobian(self, q):
-        """By differences of the pose: slow, and right."""
-        columns = []
-        for joint in range(6):
-            step = np.zeros(6)
-            step[joint] = 1e-6
-            there, back = self.pose(q + step), self.pose(q - step)
-            T = self.pose(q)
-            v = T[:3, :3].T @ (there[:3, 3] - back[:3, 3]) / 2e-6
-            turn = Rotation.from_matrix(back[:3, :3].T @ there[:3, :3]).as_rotvec() / 2e-6
-            columns.append(np.concatenate([v, turn]))
-        return np.array(columns).T
-
-
-ARM = SixJoints()
-
-
 def allowed(q, twist, **changes):
-    arm = SixJoints()
-    vars(arm).update(changes)
-    return allowed_part(arm, q, np.asarray(twist, dtype=float), 0.02, 0.03, 0.01)
+    arm = replace(ARM, **changes)
+    rates = joint_rates(arm, q, np.asarray(twist, dtype=float))
+    return allowed_part(arm, q, rates, 0.02, 0.03, 0.01)
 
 
 def go(q, twist, seconds, step=0.005, **changes):

@@ -146,6 +146,28 @@ def test_each_arm_of_a_scene_has_its_own_topics_and_frames(graph, tmp_path):
     assert not graph.node.get_publishers_info_by_topic("/arm/arm/pose")
 
 
+def test_an_arm_with_known_kinematics_stops_before_it_is_too_near_to_another(graph, tmp_path):
+    arm = (
+        "  {name}:\n    base: {{position: [{base}, 0, 0], rotation_deg: [0, 0, {turned}]}}\n"
+        "    start: {{position: [{start}, 0, 0.4], rotation_deg: [180, 0, {turned}]}}\n"
+        "    safety: {{min_arm_distance: 0.06}}\n"
+        "    kinematics: {{description: panda, tool: {{position: [0, 0, 0.1]}}}}\n"
+    )
+    (tmp_path / "near.yaml").write_text(
+        "arms:\n"
+        + arm.format(name="arm", base=-0.5, turned=0, start=-0.1)
+        + arm.format(name="other", base=0.5, turned=180, start=0.1)
+    )
+    statuses = graph.collect(ArmStatus, "arm/status")
+    graph.start(SIM, {"scene": str(tmp_path / "near.yaml")}, namespace="")
+    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+    for _ in graph.ticks(0.02):
+        twists.publish(arm_command(graph.now_ns(), "arm/tool", np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])))
+        if statuses and statuses[-1].held_back:
+            break
+    assert statuses[-1].held_back == "0.06 m from other"
+
+
 def test_a_scene_with_a_typo_ends_the_process_with_file_line_and_choices(graph, tmp_path):
     path = scene_file(tmp_path, ("shape: ramp", "shape: rmap"))
     process = graph.start(SIM, {"scene": path}, wait=False, namespace="")
