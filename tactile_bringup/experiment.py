@@ -257,16 +257,22 @@ def setup_of(trial: Trial) -> Setup:
 
 
 @functools.cache
-def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions]:
-    """What is the same for all trials."""
-    table, fidelity = table_of(common.table), common.fidelity
+def task_of(common: Common) -> Task:
+    """The task with the controllers and settings that are chosen; `SettingError` for what is not there."""
+    table = table_of(common.table)
     if common.controller not in table.controllers:
         raise SettingError(f"controller: {unknown_name(common.controller, list(table.controllers))}")
+    chosen = table.controllers[common.controller] or None
+    return load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
+
+
+@functools.cache
+def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions]:
+    """What is the same for all trials."""
+    fidelity = common.fidelity
     if fidelity is not None and fidelity not in FIDELITIES:
         raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
-    scene = load_scene(table.scene)
-    chosen = table.controllers[common.controller] or None
-    task = load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
+    scene, task = load_scene(table_of(common.table).scene), task_of(common)
     options = OfflineOptions(arm=common.arm or None, filter=load_filter_settings(common.filter))
     return scene if fidelity is None else scene.with_fidelity(fidelity), task, read_profiles(), options
 
