@@ -103,7 +103,7 @@ class _Tip:
         force = R @ self._force + self._across * way + (self._along - self._across) * into * normal
         press = max(0.0, -float(force @ normal))
         shear = force - float(force @ normal) * normal
-        limit, size = self._settings.friction_tip * press, float(np.linalg.norm(shear))
+        limit, size = self._settings.friction_tip * press, se3.norm(shear)
         slips = size > limit
         if slips:
             shear = shear * (limit / size)

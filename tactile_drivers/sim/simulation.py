@@ -13,25 +13,31 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from tactile_base.config_paths import named_file
-from tactile_base.settings import SettingError
+from tactile_base.settings import SettingError, unknown_name
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.sim.settings import IdealSensorSettings, TacTipSettings
+from tactile_drivers.sim.settings import FittedSensorSettings, IdealSensorSettings, TacTipSettings
 
-FIDELITIES = ("image", "ideal")
+#: By fidelity, the settings of the sensor's model.
+MODELS: Mapping[str, type[TacTipSettings | IdealSensorSettings]] = {
+    "image": TacTipSettings,
+    "fitted": FittedSensorSettings,
+    "ideal": IdealSensorSettings,
+}
+FIDELITIES = tuple(MODELS)
 _SENSOR_GROUPS = tuple(item.name for item in fields(TacTipSettings))
 _DATA_GROUPS = ("collection", "variation")
 
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """How a sensor is simulated: as camera images of a soft tip, or as its contact pose plus noise."""
+    """How a sensor is simulated: as camera images of a soft tip, or as its contact pose with errors."""
 
     model: TacTipSettings | IdealSensorSettings = field(default_factory=TacTipSettings)
 
     @property
     def fidelity(self) -> str:
         """One of `FIDELITIES`."""
-        return "image" if isinstance(self.model, TacTipSettings) else "ideal"
+        return next(name for name, model in MODELS.items() if type(self.model) is model)
 
     @property
     def tip_radius(self) -> float:
@@ -51,8 +57,9 @@ class SimulatedSensor:
         """
         base = self
         if fidelity != self.fidelity:
-            default = SimulatedSensor(TacTipSettings() if fidelity == "image" else IdealSensorSettings())
-            base = default.with_tip_radius(self.tip_radius)
+            if fidelity not in MODELS:
+                raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
+            base = SimulatedSensor(MODELS[fidelity]()).with_tip_radius(self.tip_radius)
         return SimulatedSensor(replace(base.model, **model)) if model else base
 
 
@@ -95,9 +102,10 @@ def read_sensor_groups(root: Section) -> TacTipSettings:
 def _sensor(section: Section) -> SimulatedSensor:
     section.allow("fidelity", *FIDELITIES)
     fidelity = section.choice("fidelity", FIDELITIES, "image")
-    if fidelity == "ideal":
-        return SimulatedSensor(section.settings("ideal", IdealSensorSettings))
-    return SimulatedSensor(_image_model(section.section("image")))
+    kind = MODELS[fidelity]
+    if issubclass(kind, IdealSensorSettings):
+        return SimulatedSensor(section.settings(fidelity, kind))
+    return SimulatedSensor(_image_model(section.section(fidelity)))
 
 
 def _image_model(groups: Section) -> TacTipSettings:
