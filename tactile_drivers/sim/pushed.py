@@ -75,6 +75,10 @@ class PushedSettings(SkinForces):
         0.0, lower=0.0, upper=5.0,
         doc="of the leading edge where it catches on the floor, so that the object can topple; 0: never",
     )  # fmt: skip
+    edge_way: float = setting(
+        0.02, unit="m", lower=0.0, upper=10.0,
+        doc="how far an edge slides under load until it meets something to catch on",
+    )  # fmt: skip
 
 
 class _Tip:
@@ -136,6 +140,7 @@ class Pushed:
         self.load = 1.0  # on the floor, over the weight
         self.friction = settings.friction  # over all of the foot
         self._tipping = Tipping()
+        self._edge_way = 0.0  # m, that the edge has slid under load
         _check_clear(scene, body)
 
     @property
@@ -154,7 +159,7 @@ class Pushed:
         sensors = {arm: tools[arm] @ self._T_tool_sensor[arm] for arm in self._tips}
         moved = self._slide_on(sensors)
         self.state = PushedState.SLIDING if moved > 0.0 else PushedState.RESTING
-        self._settle([tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()])
+        self._settle([tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()], moved)
         return self._T
 
     def _tip(self, contact: BodyContact) -> _Tip:
@@ -194,7 +199,7 @@ class Pushed:
         self._upright, self._T = T @ self._upright, T @ self._T
         return math.hypot(dx, dy) + abs(turn) * self.foot.arm
 
-    def _settle(self, pushes: Sequence[Touch]) -> None:
+    def _settle(self, pushes: Sequence[Touch], moved: float) -> None:
         """Where the floor presses, and how much, from moments about the floor and vertical forces."""
         s, weight = self.settings, self._weight
         middle = self._T[:3, :3] @ np.array(s.center_of_gravity) + self._T[:3, 3]
@@ -207,10 +212,15 @@ class Pushed:
         inside, edge = self.foot.inside(pressure), self.foot.edge_before(pressure)
         if s.edge_friction > 0:
             self._tip_over(pushes, edge, middle, inside < 0)
-            share = 1.0 if self.tilt else self.foot.edge_share(pressure)
+            share = self._caught(1.0 if self.tilt else self.foot.edge_share(pressure), moved)
             self.friction = s.friction + share * (s.edge_friction - s.friction)
             edge = self._tipping.edge or edge
         self.pressure = _onto(pressure, *edge) if inside < 0 or self.tilt else pressure
+
+    def _caught(self, share: float, moved: float) -> float:
+        """The part of the load on the leading edge, once that has caught."""
+        self._edge_way = self._edge_way + moved if share > 0.0 else 0.0
+        return share if self._edge_way > self.settings.edge_way else 0.0
 
     def _tip_over(
         self, pushes: Sequence[Touch], edge: tuple[Array, Array], middle: Array, beyond: bool
