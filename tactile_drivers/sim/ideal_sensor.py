@@ -18,8 +18,8 @@ from tactile_filter.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 
-# Of the depth, by which the skin that touches is pressed in on average: the simulated TacTip, rolled by up to 20
-# degrees over a plane at depths of 2 and 4 mm, shears as if it rolled on the radius less this part of the depth.
+# Of the depth, by which the skin that touches is pressed in on average: the simulated TacTip, rolled by up to
+# 20 degrees over a plane at depths of 2 and 4 mm, shears as if it rolled on the radius less this part of it.
 _PRESSED = 0.42
 
 

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.held import GRAVITY
 from tactile_drivers.sim.limit_surface import Foot, return_to_surface
 from tactile_drivers.sim.skin_force import SkinForces
@@ -41,7 +42,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_FLAT = 5e-4  # m: points this near to the lowest are on the floor
+_FLAT = 1e-6  # m: points this near to the lowest carry the body
+_NEAR = 5e-4  # m: off the floor, or into another body, that is taken for rounding
 _LIFTED = 0.05  # least part of the weight on the floor: below, it would be carried, which is not modelled
 _ROUNDS = 5  # of return mapping in a step, while a tip slips
 _STILL = 1e-7  # m: motion that ends them
@@ -254,7 +256,7 @@ def _foot(scene: Scene, body: BodyScene) -> Foot:
     T = scene.T_world_body(body.name)
     points = body.make().grid().reshape(-1, 3) @ T[:3, :3].T
     lowest = float(points[:, 2].min())
-    if abs(lowest + T[2, 3]) > _FLAT:
+    if abs(lowest + T[2, 3]) > _NEAR:
         raise SettingError(
             f"body '{body.name}': its lowest point is at z = {lowest + T[2, 3]:.4f} m, must stand on the "
             f"floor z = 0: set its position's z to {-lowest:.4f}"
@@ -280,14 +282,21 @@ def _check_clear(scene: Scene, body: BodyScene) -> None:
                 f"body '{body.name}' overlaps the tip of arm '{name}' by {1e3 * depth:.1f} mm at the start: "
                 f"move the body or the arm's start apart by that much"
             )
-    points = surface.grid().reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
     for name, other in scene.bodies.items():
         if name == body.name:
             continue
-        T_other = se3.inverse(scene.T_world_body(name))
-        depth = -float(other.make().distance(points @ T_other[:3, :3].T + T_other[:3, 3]).min())
-        if depth > _FLAT:
+        there = (other.make(), scene.T_world_body(name))
+        depth = max(_depth((surface, T), there), _depth(there, (surface, T)))
+        if depth > _NEAR:
             raise SettingError(
                 f"body '{body.name}' overlaps body '{name}' by {1e3 * depth:.1f} mm at the start: "
                 "move one of them"
             )
+
+
+def _depth(one: tuple[Surface, Array], other: tuple[Surface, Array]) -> float:
+    """How deep (m) the surface or the middle of one body is in the other; each with its pose (4, 4)."""
+    (surface, T), (around, T_other) = one, other
+    points = np.concatenate([surface.grid().reshape(-1, 3), np.zeros((1, 3))])
+    T_there = se3.inverse(T_other) @ T
+    return -float(around.distance(points @ T_there[:3, :3].T + T_there[:3, 3]).min())
