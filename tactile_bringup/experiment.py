@@ -218,10 +218,16 @@ def trial_run(trial: Trial) -> Run:
 
 
 def trial_row(trial: Trial) -> Row:
-    """The row of a trial: what it was, what was drawn for it, and what came of it; NaN is None."""
+    """The row of a trial: what it was, what was drawn for it, and what came of it; NaN is None.
+
+    Raises `ValueError` with the trial's name where it cannot be run.
+    """
     setup = setup_of(trial)
     scene = setup.pushing_scene()
-    run = run_arms_offline(scene, setup.task, setup.options)
+    try:
+        run = run_arms_offline(scene, setup.task, setup.options)
+    except ValueError as error:
+        raise ValueError(f"trial {trial.name}: {error}") from error
     numbers = numbers_of(run)
     push = numbers["push"]
     contact = [numbers["contact_fraction"], push["follower_contact_fraction"]]
