@@ -155,6 +155,7 @@ def _deliver(arguments: argparse.Namespace, trials: list[Trial], rows: list[Row]
     else:
         table = table_of(arguments.table)
         shown = number_table(f"{table.title}: final target error", COLUMNS, box=box.SIMPLE_HEAD)
+        shown.columns[0].no_wrap = True
         for cells in table_rows(table, rows):
             shown.add_row(*map(cell, cells))
         console.print(shown)

@@ -86,7 +86,7 @@ def test_a_map_names_a_trial_where_it_breaks(tmp_path, name):
     picture, table = write_map(tmp_path, chosen, rows, trials)
     assert picture.stat().st_size > 20_000
     first, second = table.read_text().splitlines()[2:4]
-    assert f"{trials[0].name.replace('_', ' ')}: the target was passed" in first and "| 2 | 1 |" in first
+    assert f"{trials[0].name}: the target was passed" in first and "| 2 | 1 |" in first
     assert "| 2 | 2 |" in second and "passed" not in second
 
 
