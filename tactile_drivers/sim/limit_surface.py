@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,9 +87,16 @@ class Foot:
         return self.corners[first], self.corners[(first + 1) % len(self.corners)]
 
     def _inside(self, point: Array) -> Array:
+        return np.asarray(self._inward @ point - self._offset)
+
+    @cached_property
+    def _inward(self) -> Array:
         along = np.roll(self.corners, -1, axis=0) - self.corners
-        off = point - self.corners
-        return np.asarray((along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / np.hypot(*along.T))
+        return np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+
+    @cached_property
+    def _offset(self) -> Array:
+        return np.asarray(np.einsum("ij,ij->i", self._inward, self.corners))
 
 
 def return_to_surface(
