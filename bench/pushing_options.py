@@ -2,7 +2,7 @@
 
 python bench/pushing_options.py                        # 25 trials of each row; docs/results/pushing_options.md
 python bench/pushing_options.py --trials 5 --options paper steering
-python bench/pushing_options.py --check 2              # against the loop without ROS, trial by trial
+python bench/pushing_options.py --check 2    # against the loop without ROS, trial by trial
 """
 
 from __future__ import annotations
@@ -87,19 +87,22 @@ def trials_of(table: str, count: int) -> list[tuple[str, str, int]]:
 
 
 def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]], paper: Outcome) -> str:
-    """Of one option: all pushes count, those that miss with the distance at which they pass the target."""
-    error = np.abs(found.error)
-    rows = {trial[:2]: row_mean(error, trials, trial[:2]) for trial in trials}
+    """Of one option: errors of the pushes that arrived, and how many missed the target."""
+    arrived = ~found.missed & np.isfinite(found.error)
+    error, rest = np.abs(found.error[arrived]), [t for t, well in zip(trials, arrived, strict=True) if well]
+    if not rest:
+        return f"| {name} | " + " | ".join(["", "", "", "", f"{len(trials)}", "", "", ""]) + " |"
+    rows = {trial[:2]: row_mean(error, rest, trial[:2]) for trial in rest}
     worst = max(rows, key=lambda row: rows[row])
-    better = 100.0 * np.mean(error < np.abs(paper.error))
+    nearer = np.mean(np.abs(found.error) < np.where(paper.missed, np.inf, np.abs(paper.error)))
     numbers = [
         f"{error.mean():.2f} ± {error.std():.2f}",
         f"{np.percentile(error, 95):.2f}",
         f"{error.max():.2f}",
         f"{rows[worst]:.2f} ({', '.join(worst)})",
-        f"{found.missed.sum()}",
+        f"{len(trials) - len(rest)}",
         f"{found.lost.sum()}",
-        f"{better:.0f} %",
+        f"{100.0 * nearer:.0f} %",
         " / ".join(f"{1e3 * depth.mean():.1f}" for depth in found.depth),
     ]
     return f"| {name} | {' | '.join(numbers)} |"
