@@ -1,8 +1,8 @@
 """What each option of pushing does to the final error: the same trials for all, in the plane.
 
-python bench/pushing_options.py                        # 25 trials of each row; docs/results/pushing_options.md
+    python bench/pushing_options.py            # 25 trials of each row: docs/results/pushing_options.md
 python bench/pushing_options.py --trials 5 --options paper steering
-python bench/pushing_options.py --check 2    # against the loop without ROS, trial by trial
+    python bench/pushing_options.py --check 2  # against the loop without ROS, trial by trial
 """
 
 from __future__ import annotations
@@ -128,9 +128,9 @@ def compare(table: str, names: Sequence[str], count: int) -> None:
         print(line(name, found, trials, paper[option.variation]), flush=True)
 
 
-def check(count: int) -> None:
+def check(tables: Sequence[str], count: int) -> None:
     """Signed errors here and in the loop without ROS, mm."""
-    for table in OPTIONS:
+    for table in tables:
         trials = trials_of(table, count)
         for name in ("paper", "steering"):
             option = OPTIONS[table][name]
@@ -151,7 +151,7 @@ def main() -> None:
     parser.add_argument("--check", type=int, default=0, metavar="TRIALS", help="compare the two simulations")
     arguments = parser.parse_args()
     if arguments.check:
-        check(arguments.check)
+        check(arguments.tables, arguments.check)
         return
     for table in arguments.tables:
         compare(table, arguments.options, arguments.trials)

@@ -40,7 +40,7 @@ class PushSettings(Settings):
         lower=0.0,
         upper=10.0,
         unit="s",
-        doc="time in which the velocity comes in, smoothly; a tip that hardly presses yet would slip sideways",
+        doc="time in which the velocity comes in, smoothly; a tip that hardly presses yet slips sideways",
     )
     tip_radius: float = setting(
         0.020,
