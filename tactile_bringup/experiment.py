@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,9 @@ from tactile_bringup.trials import Row
 from tactile_bringup.variations import VARIABLES, Setup, Value, drawn, varied
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_control.tasks.pushing import Pushing
-from tactile_drivers.scene import load_scene
-from tactile_drivers.sim.pushing_scene import PushVariation, read_profiles
+from tactile_drivers.scene import Scene, load_scene
+from tactile_drivers.sim.motions import make_motion
+from tactile_drivers.sim.pushing_scene import PushedProfiles, PushVariation, read_profiles
 from tactile_drivers.sim.simulation import FIDELITIES
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.runs.metrics import without_nan
@@ -210,15 +211,6 @@ def table_of(name: str) -> Table:
     return tables[name]
 
 
-def task_of(common: Common) -> Task:
-    """The task with the controllers and settings that are chosen; `SettingError` for what is not there."""
-    table = table_of(common.table)
-    if common.controller not in table.controllers:
-        raise SettingError(f"controller: {unknown_name(common.controller, list(table.controllers))}")
-    chosen = table.controllers[common.controller] or None
-    return load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
-
-
 def trial_run(trial: Trial) -> Run:
     """What happened to each arm; `SettingError` where the trial cannot be."""
     setup = setup_of(trial)
@@ -226,10 +218,16 @@ def trial_run(trial: Trial) -> Run:
 
 
 def trial_row(trial: Trial) -> Row:
-    """The row of a trial: what it was, what was drawn for it, and what came of it; NaN is None."""
+    """The row of a trial: what it was, what was drawn for it, and what came of it; NaN is None.
+
+    Raises `ValueError` with the trial's name where it cannot be run.
+    """
     setup = setup_of(trial)
     scene = setup.pushing_scene()
-    run = run_arms_offline(scene, setup.task, setup.options)
+    try:
+        run = run_arms_offline(scene, setup.task, setup.options)
+    except ValueError as error:
+        raise ValueError(f"trial {trial.name}: {error}") from error
     numbers = numbers_of(run)
     push = numbers["push"]
     contact = [numbers["contact_fraction"], push["follower_contact_fraction"]]
@@ -248,27 +246,41 @@ def trial_row(trial: Trial) -> Row:
 
 
 def check_trial(trial: Trial) -> None:
-    """`SettingError` where a trial cannot be, before many are begun."""
+    """`SettingError` or `FileNotFoundError` where a trial cannot be, before many are begun."""
     setup = setup_of(trial)
-    arm_plans(setup.task, setup.pushing_scene(), setup.options.arm)
+    scene = setup.pushing_scene()
+    arm_plans(setup.task, scene, setup.options.arm)
+    for body in scene.bodies.values():
+        make_motion(scene, body)
 
 
 def setup_of(trial: Trial) -> Setup:
     """What a trial is made of; `SettingError` or `FileNotFoundError` for what is not there or is wrong."""
-    common = trial.common
-    options = OfflineOptions(
-        seed=trial.number,
-        arm=common.arm or None,
-        filter=load_filter_settings(common.filter),
-    )
-    scene = load_scene(table_of(common.table).scene)
-    if common.fidelity is not None:
-        if common.fidelity not in FIDELITIES:
-            raise SettingError(f"fidelity: {unknown_name(common.fidelity, FIDELITIES)}")
-        scene = scene.with_fidelity(common.fidelity)
-    names = trial.object, trial.floor
-    setup = Setup(scene, task_of(common), options, *names, read_profiles(), PushVariation())
-    return varied(setup, [("latency", common.latency), *trial.varied])
+    scene, task, profiles, options = _loaded(trial.common)
+    options = replace(options, seed=trial.number)
+    setup = Setup(scene, task, options, trial.object, trial.floor, profiles, PushVariation())
+    return varied(setup, [("latency", trial.common.latency), *trial.varied])
+
+
+@functools.cache
+def task_of(common: Common) -> Task:
+    """The task with the controllers and settings that are chosen; `SettingError` for what is not there."""
+    table = table_of(common.table)
+    if common.controller not in table.controllers:
+        raise SettingError(f"controller: {unknown_name(common.controller, list(table.controllers))}")
+    chosen = table.controllers[common.controller] or None
+    return load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
+
+
+@functools.cache
+def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions]:
+    """What is the same for all trials."""
+    fidelity = common.fidelity
+    if fidelity is not None and fidelity not in FIDELITIES:
+        raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
+    scene, task = load_scene(table_of(common.table).scene), task_of(common)
+    options = OfflineOptions(arm=common.arm or None, filter=load_filter_settings(common.filter))
+    return scene if fidelity is None else scene.with_fidelity(fidelity), task, read_profiles(), options
 
 
 def numbers_of(run: Run) -> dict[str, Any]:

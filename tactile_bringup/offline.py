@@ -13,9 +13,9 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from tactile_drivers.arm import ArmMode
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
+from tactile_drivers.sim.network_view import ViewSettings
+from tactile_drivers.sim.simulation import INPUT
 from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
@@ -35,6 +37,9 @@ from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_records.runs.log import RunLog
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
+
+if TYPE_CHECKING:
+    from tactile_perception.estimator import Estimator
 
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 
@@ -48,7 +53,7 @@ class OfflineOptions:
 
     Attributes
     ----------
-    fidelity : "image" (skin, camera image, network) or "ideal" (noisy truth); None: as the scene says
+    fidelity : of all sensors, one of `FIDELITIES`; None: as the scene says
     model : ONNX model for images; None: that of each sensor in the scene
     latency : from exposure to command emission, s
     jitter : uniform part added to each latency, s
@@ -125,9 +130,11 @@ class _OfflineLoop:
                 "leads as well, or give a goal a duration"
             )
         self.sequence = RunSequence(plans)
-        self.cell = Cell(scene, options.seed, START_NS)
+        seeing = {plan.arm: _perception(scene, plan.arm, options) for plan in plans}
+        views = {arm: view for arm, (_, view) in seeing.items() if view is not None}
+        self.cell = Cell(scene, options.seed, START_NS, views)
         self.arms = {
-            plan.arm: _OfflineArm(scene, task.name, plan, self.cell, options, number)
+            plan.arm: _OfflineArm(scene, task.name, plan, self.cell, options, number, seeing[plan.arm][0])
             for number, plan in enumerate(plans)
         }
 
@@ -177,13 +184,20 @@ class _OfflineArm:
     """One arm with its perception, filter and task."""
 
     def __init__(
-        self, scene: Scene, task: str, plan: ArmPlan, cell: Cell, options: OfflineOptions, number: int
+        self,
+        scene: Scene,
+        task: str,
+        plan: ArmPlan,
+        cell: Cell,
+        options: OfflineOptions,
+        number: int,
+        perceive: Perception | None,
     ) -> None:
         self.plan, self.cell, self.options = plan, cell, options
         self.safe = SafeArm(scene.arms[plan.arm], lambda: cell.stamp_ns)
         self.safe.drive(cell.arm(plan.arm))
         sensor = scene.arms[plan.arm].sensor
-        self.perceive = perception(scene, plan.arm, options.model) if sensor is not None else None
+        self.perceive = perceive
         self.filter = ContactFilter(options.filter, TACTIP)
         self.random = np.random.default_rng([options.seed, number] if number else options.seed)
         self.log = RunLog(
@@ -244,7 +258,7 @@ class _OfflineArm:
                 f"{self.plan.arm}: the cell gives a state that cannot be: {self.safe.bad_state}"
             )
         pose = StampedPose(state.stamp_ns, state.T_base_controlled)
-        self.inputs = replace(self.inputs, sensor_pose=pose)
+        self.inputs = TaskInputs(self.inputs.belief, self.inputs.presence, pose)
         self.log.pose(pose, state.twist)
         if state.mode is ArmMode.FAULT and self.task is not None:
             self.task.abort(f"the arm is in fault: {state.reason}")
@@ -255,9 +269,8 @@ class _OfflineArm:
         for event in due:
             if event.belief is not None or not event.presence.in_contact:
                 self.safe.take_contact(event.stamp_ns, event.belief.T if event.belief else None)
-            self.inputs = replace(
-                self.inputs, belief=event.belief or self.inputs.belief, presence=event.presence
-            )
+            belief = event.belief or self.inputs.belief
+            self.inputs = TaskInputs(belief, event.presence, self.inputs.sensor_pose)
             command = self._step(event.due_ns)
             if command is not None:
                 self.log.latency(event.stamp_ns, event.due_ns)
@@ -310,18 +323,50 @@ class _OfflineArm:
         self.queue.append(_Event(due_ns, stamp_ns, StampedPresence(stamp_ns, in_contact), belief))
 
 
-def perception(scene: Scene, arm: str, model: Path | None = None) -> Perception:
-    """What makes percepts of an arm's frames: the network, or the ideal sensor's own answer."""
+def network_view(estimator: Estimator) -> ViewSettings:
+    """What has to be known of a network to draw its input; `SettingError` where it cannot be drawn."""
+    settings = estimator.metadata.preprocessing
+    if settings.redraw_radius or settings.threshold_method != "mean":
+        raise SettingError(
+            f"{estimator.path}: fidelity '{INPUT}' is for networks with threshold_method mean and "
+            f"redraw_radius 0, this one has {settings.threshold_method} and {settings.redraw_radius:g}; "
+            "use image"
+        )
+    x0, y0, x1, y1 = settings.bbox
+    return ViewSettings(
+        bbox=(x0, y0, x1, y1),
+        median=settings.median,
+        block=settings.threshold_block,
+        offset=settings.threshold_offset,
+        circle=settings.circle_mask_radius,
+        size=settings.size,
+    )
+
+
+def _perception(
+    scene: Scene, arm: str, options: OfflineOptions
+) -> tuple[Perception | None, ViewSettings | None]:
+    """What makes percepts of an arm's frames, the network or the sensor itself, and how the former sees."""
+    if scene.arms[arm].sensor is None:
+        return None, None
     if not scene.gives_images(arm):
-        return lambda frame: Percept(frame.truth.in_contact, float(frame.truth.in_contact), frame.estimate)
-    # here, since runs with an ideal sensor do without onnxruntime
+        return _own_answer, None
+    # here, since runs without images do without onnxruntime
     from tactile_perception.estimating.presence import ContactPresence
     from tactile_perception.estimator import Estimator
 
-    perceiver = Perceiver(Estimator(model or scene.model_file(arm) or ""), ContactPresence())
+    drawn = scene.simulation.sensors[arm].at_input
+    estimator = Estimator(options.model or scene.model_file(arm) or "")
+    perceiver = Perceiver(estimator, ContactPresence())
 
     def perceive(frame: Frame) -> Percept:
         assert frame.image is not None
-        return perceiver(frame.image)
+        return perceiver(frame.image, processed=drawn)
 
-    return perceive
+    return perceive, network_view(estimator) if drawn else None
+
+
+def _own_answer(frame: Frame) -> Percept:
+    """The percept of a sensor that gives estimates."""
+    touches = frame.estimate is not None
+    return Percept(touches, float(touches), frame.estimate)

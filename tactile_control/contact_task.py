@@ -17,7 +17,7 @@ stops and fails is in `phases`.
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -328,7 +328,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if self._touch_position is None:
             self._touch_position = position.copy()
             self._touch_ns = self._contact_ns = self._presence.stamp_ns
-        return float(np.linalg.norm(position - self._touch_position))
+        return se3.norm(position - self._touch_position)
 
     def _settle(self, now_ns: int) -> Array:
         settings = self.settings.contact
@@ -337,7 +337,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         pid = self.settings.pid
         controlled = (np.asarray(pid.kp) > 0.0) | (np.asarray(pid.ki) > 0.0)
         error = np.where(controlled, output.error, 0.0)
-        depth, tilt = abs(error[2]), float(np.linalg.norm(error[3:5]))
+        depth, tilt = abs(error[2]), se3.norm(error[3:5])
         if depth > settings.settle_depth_tolerance or tilt > settings.settle_angle_tolerance:
             self._settled_ns = None
         elif self._settled_ns is None:
@@ -437,7 +437,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         pose = self._sensor_pose()
         if self._phase_pose is None:
             self._phase_pose = pose.copy()
-        return float(np.linalg.norm(pose[:3, 3] - self._phase_pose[:3, 3]))
+        return se3.norm(pose[:3, 3] - self._phase_pose[:3, 3])
 
     # ---- output ----
 
@@ -445,16 +445,15 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         common = self._command(wanted, waiting)
         self._limited = "speed" in common.limited
         servo = self._servo if self.phase in (SETTLE, self.work) else None
-        shown = replace(common, progress=self._advance_progress(), travelled=self._odometer.length)
-        if servo is None or self._belief is None:
-            return shown
-        return replace(
-            shown,
-            error=servo.error,
-            feedforward=servo.feedforward,
-            reference=servo.reference,
-            exposure_ns=self._belief.stamp_ns,
-        )
+        shown = vars(common) | {"progress": self._advance_progress(), "travelled": self._odometer.length}
+        if servo is not None and self._belief is not None:
+            shown |= {
+                "error": servo.error,
+                "feedforward": servo.feedforward,
+                "reference": servo.reference,
+                "exposure_ns": self._belief.stamp_ns,
+            }
+        return Command(**shown)
 
     def _advance_progress(self) -> float:
         if self.phase == self.work:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_control.pid import CHANNELS
+from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
@@ -85,29 +86,29 @@ class TwistLimiter:
         """Seconds since the last step within [0, longest_step]; zero at the first step."""
         last = now_ns if self._stamp_ns is None else self._stamp_ns
         self._stamp_ns = now_ns
-        return float(np.clip((now_ns - last) * NANOSECOND, 0.0, self.settings.longest_step))
+        return min(max((now_ns - last) * NANOSECOND, 0.0), self.settings.longest_step)
 
 
 def _finite(twist: Array) -> tuple[Array, str]:
     """The twist, or zero and the reason where it cannot be used."""
     if twist.shape != (6,):
         return np.zeros(6), f"twist of shape {twist.shape} refused, must be (6,): decelerating to rest"
-    bad = [channel for channel, number in zip(CHANNELS, twist, strict=True) if not np.isfinite(number)]
-    if bad:
+    if not np.isfinite(twist).all():
+        bad = [channel for channel, number in zip(CHANNELS, twist, strict=True) if not np.isfinite(number)]
         return np.zeros(6), f"twist not finite in {', '.join(bad)}: decelerating to rest"
-    return np.clip(twist, -HUGE, HUGE), ""
+    return twist.clip(-HUGE, HUGE), ""
 
 
 def _limit(
     name: str, last: Array, wanted: Array, speed: float, largest_change: float, unit: str
 ) -> tuple[Array, str]:
     reasons = []
-    norm = float(np.linalg.norm(wanted))
+    norm = se3.norm(wanted)
     if norm > speed:
         wanted = wanted * (speed / norm)
         reasons.append(f"{name} speed {norm:.3g} over {speed:g} {unit}")
     change = wanted - last
-    size = float(np.linalg.norm(change))
+    size = se3.norm(change)
     if size > largest_change * (1.0 + 1e-9):
         wanted = last + change * (largest_change / size)
         reasons.append(f"{name} acceleration")

@@ -100,7 +100,7 @@ class Odometer:
         """Take in a position (3,) m and return the length so far, m."""
         if self._last is None:
             self._last = position.copy()
-        moved = float(np.linalg.norm(position - self._last))
+        moved = se3.norm(position - self._last)
         if moved > self.step:
             self.length += moved
             self._last = position.copy()
@@ -120,7 +120,7 @@ def smooth_ramp(elapsed: float, duration: float) -> float:
 
 
 def _capped(vector: Array, largest: float) -> Array:
-    norm = float(np.linalg.norm(vector))
+    norm = se3.norm(vector)
     return vector if norm <= largest else vector * (largest / norm)
 
 

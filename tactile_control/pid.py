@@ -224,12 +224,13 @@ def checked_vector(name: str, value: ArrayLike) -> Array:
     vector = np.array(value, dtype=np.float64)
     if vector.shape != (6,):
         raise ControlInputError(f"{name}: shape {vector.shape}, must be (6,)")
-    named = zip(CHANNELS, vector, strict=True)
-    bad = [f"{channel} = {number}" for channel, number in named if not abs(number) <= LARGEST_INPUT]
-    if bad:
+    if not (abs(vector) <= LARGEST_INPUT).all():
+        named = zip(CHANNELS, vector, strict=True)
+        bad = [f"{channel} = {number}" for channel, number in named if not abs(number) <= LARGEST_INPUT]
         raise ControlInputError(f"{name} is no number within {LARGEST_INPUT:g}: {', '.join(bad)}")
     return vector
 
 
 def _clip(value: Array, limit: ArrayLike) -> Array:
-    return np.clip(value, -np.asarray(limit), np.asarray(limit))
+    bound = np.asarray(limit)
+    return value.clip(-bound, bound)

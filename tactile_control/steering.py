@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
@@ -101,7 +102,7 @@ class TurningModel:
             step = np.array([moved @ sideways, moved @ before])
             self._heading += math.atan2(float(np.cross(before, normal) @ down), float(before @ normal))
             self._way += step
-            self._fit(float(np.linalg.norm(step)))
+            self._fit(se3.norm(step))
         self._last = position.copy(), normal.copy()
 
     def _fit(self, way: float) -> None:

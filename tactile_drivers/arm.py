@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.registry import Registry
 from tactile_base.settings import Settings, setting
+from tactile_filter import se3
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene
@@ -239,7 +240,7 @@ def shortened(twist: Array, limits: ArmLimits) -> Array:
     """The twist (6,) with both speeds within limits, directions kept."""
     out = twist.copy()
     for part, limit in ((slice(0, 3), limits.linear_velocity), (slice(3, 6), limits.angular_velocity)):
-        norm = float(np.linalg.norm(out[part]))
+        norm = se3.norm(out[part])
         if norm > limit:
             out[part] *= limit / norm
     return out

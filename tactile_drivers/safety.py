@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 
 _SAME_TWIST = 1e-9  # m/s and rad/s: below this, a twist is as commanded
 _AXES = "xyz"
+_ROUNDING = 1e-6  # m: further than this beyond a reach, rounding does not decide whether a bound counts
 _ROUNDS = 4  # a bound that another one has pushed the velocity over is met by going through all of them again
 
 
@@ -247,7 +248,7 @@ class SafeArm:
         elapsed = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS
         if elapsed < 0.0:
             return f"the state is {-elapsed:.3f} s older than the last one"
-        way = float(np.linalg.norm(state.T_base_controlled[:3, 3] - self.state.T_base_controlled[:3, 3]))
+        way = se3.norm(state.T_base_controlled[:3, 3] - self.state.T_base_controlled[:3, 3])
         # each axis has the limit, and the clock of an arm is not ours
         if way > self.settings.jump + 2.0 * self.limits.linear_velocity * elapsed:
             return f"the arm cannot have moved by {way * 1e3:.1f} mm in {elapsed * 1e3:.1f} ms"
@@ -260,15 +261,15 @@ class SafeArm:
         reason = state.reason
         if reason and self._last_refusal and state.mode in (ArmMode.STOPPING, ArmMode.RESTING):
             reason = f"{reason}; last refused: {self._last_refusal}"
-        return replace(
-            state,
-            mode=ArmMode.ESTOP if self._estop else state.mode,
-            reason=f"emergency stop: {self._estop}" if self._estop else reason,
-            owner=self._owner,
-            command_age=age,
-            limited=in_force and bool(np.abs(self._wanted - state.twist).max() > _SAME_TWIST),
-            held_back=self._held_back,
-        )
+        known = vars(state) | {
+            "mode": ArmMode.ESTOP if self._estop else state.mode,
+            "reason": f"emergency stop: {self._estop}" if self._estop else reason,
+            "owner": self._owner,
+            "command_age": age,
+            "limited": in_force and bool(np.abs(self._wanted - state.twist).max() > _SAME_TWIST),
+            "held_back": self._held_back,
+        }
+        return ArmState(**known)
 
     # ---- what is passed on ----
 
@@ -296,7 +297,7 @@ class SafeArm:
         """The part of a twist that is followed, and what makes it less ('' where nothing does)."""
         out = shortened(twist, self.limits)
         reasons = ["speed"] if (out != twist).any() else []
-        bounds = self._bounds()
+        bounds = self._bounds(se3.norm(out[:3]))
         for _ in range(_ROUNDS):
             passed = [b for b in bounds if float(b.direction @ out[:3]) > b.speed * (1 + 1e-9) + 1e-12]
             if not passed:
@@ -318,27 +319,30 @@ class SafeArm:
         slow, stop = self.settings.singularity_slow, self.settings.singularity_stop
         return allowed_part(kinematics, self.state.joints, twist, self._delay, slow, stop)
 
-    def _bounds(self) -> list[_Bound]:
-        """What bounds the velocity where the arm is now."""
+    def _bounds(self, speed: float) -> list[_Bound]:
+        """What can bound a velocity of that size (m/s) where the arm is now."""
         assert self.state is not None
         T = self.state.T_base_controlled
         R, p = T[:3, :3], T[:3, 3]
         found = []
-        reach = self.limits.braking_distance(self.limits.linear_velocity, self._delay)
-        for axis, name in enumerate(_AXES):
+        reach = self.limits.braking_distance(speed, self._delay) + _ROUNDING
+        for axis, (name, at) in enumerate(zip(_AXES, p.tolist(), strict=True)):
             low, high = self.settings.workspace_lower[axis], self.settings.workspace_upper[axis]
-            if high - p[axis] < reach:
-                found.append(self._bound(R[axis], high - p[axis], f"workspace {name} <= {high:g} m"))
-            if p[axis] - low < reach:
-                found.append(self._bound(-R[axis], p[axis] - low, f"workspace {name} >= {low:g} m"))
+            if high - at < reach:
+                found.append(self._bound(R[axis], high - at, f"workspace {name} <= {high:g} m"))
+            if at - low < reach:
+                found.append(self._bound(-R[axis], at - low, f"workspace {name} >= {low:g} m"))
         for box in self.keep_out:
             towards, room = _way_into(box, p)
             if room - self._radius < reach:
                 found.append(self._bound(R.T @ towards, room - self._radius, f"kept out of {box.name}"))
-        return found + self._contact_bounds(T)
+        return found + self._contact_bounds(T, reach)
 
-    def _contact_bounds(self, T_base_sensor: Array) -> list[_Bound]:
-        """What the sensor's skin bounds: no deeper and sheared no further, as the contact is now."""
+    def _contact_bounds(self, T_base_sensor: Array, reach: float) -> list[_Bound]:
+        """What the sensor's skin bounds: no deeper and sheared no further, as the contact is now.
+
+        Only where there is less room than `reach` (m).
+        """
         assert self.state is not None
         if self._contact is None:
             return []
@@ -346,10 +350,11 @@ class SafeArm:
         if self.state.stamp_ns - stamp_ns > self.settings.contact_memory * SECOND_NS:
             return []
         X_fs = se3.inverse(T_base_feature) @ T_base_sensor
-        R_sf, (x, y, depth) = X_fs[:3, :3].T, X_fs[:3, 3]
-        limit, shear = self.settings.largest_shear, float(np.hypot(x, y))
-        found = [self._bound(R_sf[:, 2], self.largest_depth - depth, f"depth {self.largest_depth:g} m")]
-        if shear > 0.0:
+        R_sf, (x, y, depth) = X_fs[:3, :3].T, X_fs[:3, 3].tolist()
+        limit, shear, found = self.settings.largest_shear, float(np.hypot(x, y)), []
+        if self.largest_depth - depth < reach:
+            found += [self._bound(R_sf[:, 2], self.largest_depth - depth, f"depth {self.largest_depth:g} m")]
+        if shear > 0.0 and limit - shear < reach:
             outward = R_sf @ np.array([x / shear, y / shear, 0.0])
             found.append(self._bound(outward, limit - shear, f"shear {limit:g} m"))
         return found
@@ -367,7 +372,7 @@ def _way_into(box: Box, p: Array) -> tuple[Array, float]:
     """The direction (3,) in which a point is nearest to a box, and how far; negative inside of it."""
     nearest = np.clip(p, box.lower, box.upper)
     way = nearest - p
-    distance = float(np.linalg.norm(way))
+    distance = se3.norm(way)
     if distance > 0.0:
         return way / distance, distance
     depths = np.concatenate([p - box.lower, box.upper - p])

@@ -31,6 +31,7 @@ def register(subparsers: Any) -> None:
         description="Runs trials of pushing without ROS, on all cores or a cluster, and makes the paper's "
         "table of them or a map. The same command goes on after an interruption: each trial is kept as a "
         "line of trials.jsonl and is not done again.",
+        epilog="exit codes: 0 all trials came to the target; 1 some did not; 2 wrong input; 130 interrupted",
     )
     add = parser.add_argument
     add("what", choices=("pushing",), help="what is tried")

@@ -206,4 +206,4 @@ class Pushing(ContactTask):
 
     def _distance(self, T_base_sensor: Array) -> float:
         """Of the sensor's centre from the target, m."""
-        return float(np.linalg.norm(T_base_sensor[:3, 3] - self._target))
+        return se3.norm(T_base_sensor[:3, 3] - self._target)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Box(Surface):
     settings_class = BoxSettings
     settings: BoxSettings
 
-    @property
+    @cached_property
     def _core(self) -> Array:
         """Half the core's size (3,), m."""
         return np.array(self.settings.size) / 2 - self.settings.rounding

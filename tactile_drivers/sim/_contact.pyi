@@ -27,3 +27,10 @@ def render(
     seed: int,
     canvas: NDArray[np.float32],
 ) -> None: ...
+def draw_input(
+    input: NDArray[np.uint8],
+    discs: NDArray[np.float64],
+    ground: NDArray[np.float32],
+    mask: NDArray[np.float32],
+    view: tuple[float, ...],
+) -> None: ...

@@ -17,13 +17,21 @@ _NOISE_LEVELS = 4096
 
 
 class Camera:
-    """Projects and draws markers; images depend only on the settings, the markers and the frame's seed."""
+    """Projects and draws markers; images depend only on the settings, the markers and the frame's seed.
+
+    Attributes
+    ----------
+    ground : (height, width) float32
+        Gray levels where there is no marker.
+    """
 
     def __init__(self, settings: CameraSettings) -> None:
         self.settings = settings
         shape = (settings.height, settings.width)
         self._gain_at = _vignette(settings)
-        self._background = (settings.gain * settings.ground_gray * self._gain_at).astype(np.float32)
+        self.ground: NDArray[np.float32] = (settings.gain * settings.ground_gray * self._gain_at).astype(
+            np.float32
+        )
         self._canvas = np.empty(shape, dtype=np.float32)
         quantiles = _normal_quantiles(_NOISE_LEVELS)
         self._noise = (settings.noise_gray * quantiles).astype(np.float32) if settings.noise_gray else None
@@ -44,6 +52,13 @@ class Camera:
 
     def draw(self, points: Array, seed: int) -> NDArray[np.uint8]:
         """Gray image (height, width) of markers at points (n, 3) m in {s}; `seed` selects the noise."""
+        settings, discs = self.settings, self.discs(points)
+        image = np.empty((settings.height, settings.width), dtype=np.uint8)
+        _contact.render(image, self.ground, discs, settings.edge_width, self._noise, seed, self._canvas)
+        return image
+
+    def discs(self, points: Array) -> Array:
+        """Markers (n, 4) in the image: column, row, radius (px) and gray level."""
         settings = self.settings
         pixels, scale = self.project(points)
         blobs = np.empty((len(points), 4))
@@ -53,9 +68,7 @@ class Camera:
         column, row = np.rint(pixels).astype(int).T
         shade = self._gain_at[row.clip(0, settings.height - 1), column.clip(0, settings.width - 1)]
         blobs[:, 3] = settings.gain * settings.marker_gray * shade
-        image = np.empty((settings.height, settings.width), dtype=np.uint8)
-        _contact.render(image, self._background, blobs, settings.edge_width, self._noise, seed, self._canvas)
-        return image
+        return blobs
 
 
 def _vignette(settings: CameraSettings) -> Array:

@@ -24,15 +24,17 @@ from tactile_base.settings import unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
-from tactile_drivers.shapes.surface import Surface, contact_pose
+from tactile_drivers.shapes.surface import ContactGeometry, Surface, contact_pose
 from tactile_drivers.sim.arm import SimArm
+from tactile_drivers.sim.fitted_sensor import FittedSensor
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
 from tactile_drivers.sim.motions import FIXED, BodyContact, Motion, make_motion
-from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
+from tactile_drivers.sim.settings import FittedSensorSettings, SkinSettings, TacTipSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
 
 if TYPE_CHECKING:
+    from tactile_drivers.sim.network_view import ViewSettings
     from tactile_drivers.sim.simulation import SimulatedSensor
     from tactile_drivers.sim.skin import Skin
     from tactile_drivers.sim.tactip import ContactTruth, TacTip
@@ -93,10 +95,10 @@ class Frame:
     ----------
     sequence : int
         Number of the exposure, from 0.
-    image : ndarray (480, 640) uint8 or None
-        None for a sensor of fidelity "ideal".
+    image : ndarray (480, 640) uint8, or (size, size) with a view of a network, or None
+        None for a sensor that gives estimates.
     estimate : PoseGaussian or None
-        X_sf from a sensor of fidelity "ideal" in contact; else None.
+        X_sf from a sensor of fidelity "fitted" or "ideal" in contact; else None.
     truth : Truth
     T_base_sensor : ndarray (4, 4)
     """
@@ -120,6 +122,8 @@ class Cell:
         Of all noise; the same seed and commands give the same bits.
     stamp_ns : int
         Time of the first state, ns.
+    views : mapping, optional
+        Arm -> the network whose input its sensor gives, for sensors of fidelity "input".
 
     Raises
     ------
@@ -127,7 +131,13 @@ class Cell:
         If the scene has no simulated arm, or what it says of a body's motion is wrong.
     """
 
-    def __init__(self, scene: Scene, seed: int = 0, stamp_ns: int = 0) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int = 0,
+        stamp_ns: int = 0,
+        views: Mapping[str, ViewSettings] | None = None,
+    ) -> None:
         self.scene = scene
         self._rate = scene.simulation.rate
         self._start_ns, self._ticks = int(stamp_ns), 0
@@ -138,7 +148,9 @@ class Cell:
         self._moving = [body for body in self._bodies.values() if not body.fixed]
         seeds = np.random.SeedSequence(seed).generate_state(len(simulated))
         self._arms = {
-            arm.name: _CellArm(scene, arm, self._bodies, int(arm_seed), self._start_ns)
+            arm.name: _CellArm(
+                scene, arm, self._bodies, int(arm_seed), self._start_ns, (views or {}).get(arm.name)
+            )
             for arm, arm_seed in zip(simulated, seeds, strict=True)
         }
         self._tools = {  # of arms that are not simulated: where they start
@@ -286,7 +298,7 @@ class _Target:
         """
         if not self.body.fixed:
             center = self.sensor_in_body(T_base_sensor)[:3, 3]
-            moved = np.inf if self._center is None else float(np.linalg.norm(center - self._center))
+            moved = np.inf if self._center is None else se3.norm(center - self._center)
             self._center = center
         self._slack -= moved
         if self._slack > brakes(moved):
@@ -307,7 +319,13 @@ class _CellArm:
     """An arm with what it carries and what it can touch."""
 
     def __init__(
-        self, scene: Scene, arm: ArmScene, bodies: Mapping[str, _Body], seed: int, stamp_ns: int
+        self,
+        scene: Scene,
+        arm: ArmScene,
+        bodies: Mapping[str, _Body],
+        seed: int,
+        stamp_ns: int,
+        view: ViewSettings | None,
     ) -> None:
         self.name = arm.name
         self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns)
@@ -320,7 +338,13 @@ class _CellArm:
         self._sequence = 0
         self._moved, self._rate = 0.0, scene.simulation.rate
         if arm.sensor is not None and arm.simulated_sensor:
-            self.sensor = _Sensor(scene.simulation.sensors[arm.name], seed)
+            sensor = scene.simulation.sensors[arm.name]
+            if sensor.at_input and view is None:
+                raise ValueError(
+                    f"arm '{arm.name}': a sensor of fidelity '{sensor.fidelity}' draws for a network that is "
+                    "known beforehand, which `tactile simulate` does; with nodes choose 'image'"
+                )
+            self.sensor = _Sensor(sensor, seed, view)
             self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             self._protective_depth = arm.sensor.settings.protective_depth
             self._targets = [_Target(bodies[name], arm.T_world_base) for name in scene.bodies_of(arm.name)]
@@ -338,7 +362,7 @@ class _CellArm:
     def step(self, stamp_ns: int) -> None:
         before = self.arm.T_base_controlled
         T_base_sensor = self.arm.advance_to(stamp_ns)
-        self._moved = float(np.linalg.norm(T_base_sensor[:3, 3] - before[:3, 3]))
+        self._moved = se3.norm(T_base_sensor[:3, 3] - before[:3, 3])
 
     def protect(self, arms: Mapping[str, _CellArm]) -> None:
         """Fault this arm if it came too deep into a body, braking now, and those that press it there."""
@@ -376,7 +400,7 @@ class _CellArm:
         return [R @ (twist[:3] + np.cross(twist[3:], arm)) for twist in (self.arm.twist, self.arm.target)]
 
     def _brakes(self, moved: float) -> float:
-        return self._braking_distance(moved * self._rate + float(np.linalg.norm(self.arm.target[:3])))
+        return self._braking_distance(moved * self._rate + se3.norm(self.arm.target[:3]))
 
     def _braking_distance(self, speed: float) -> float:
         """Way (m) from a speed to rest; the next look is a step from now."""
@@ -402,9 +426,10 @@ class _CellArm:
             T_body_sensor = target.sensor_in_body(T_base_sensor)
             self.sensor.model.advance(target.body.surface, T_body_sensor)
             known = self.sensor.model.truth()
-            truth = _truth(target, T_base_sensor, self.sensor.radius, known)
+            geometry = self.sensor.geometry(target.body.surface, T_body_sensor)
+            truth = _truth(target, geometry, known)
             if truth.in_contact:
-                self.contact = _contact(self.name, self.arm.stamp_ns, target, T_body_sensor, truth, known)
+                self.contact = _contact(self.name, self.arm.stamp_ns, geometry, T_body_sensor, truth, known)
         self._touched = target if truth.in_contact else None
         image, estimate = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
@@ -420,15 +445,23 @@ class _CellArm:
 class _Sensor:
     """A TacTip, whose answer is an image, or an ideal sensor, whose answer is an estimate."""
 
-    def __init__(self, sensor: SimulatedSensor, seed: int) -> None:
+    def __init__(self, sensor: SimulatedSensor, seed: int, view: ViewSettings | None) -> None:
         self.radius = sensor.tip_radius
         self.model: TacTip | IdealSensor
         if isinstance(sensor.model, TacTipSettings):
             from tactile_drivers.sim.tactip import TacTip  # needs the compiled contact solver
 
-            self.model = TacTip(sensor.model, seed, _skin(sensor.model.skin))
+            self.model = TacTip(sensor.model, seed, _skin(sensor.model.skin), view)
+        elif isinstance(sensor.model, FittedSensorSettings):
+            self.model = FittedSensor(sensor.model, seed)
         else:
             self.model = IdealSensor(sensor.model, seed)
+
+    def geometry(self, surface: Surface, T_surface_sensor: Array) -> ContactGeometry:
+        """Where the undeformed tip meets the surface, to which the model has advanced."""
+        if isinstance(self.model, IdealSensor):
+            return self.model.geometry
+        return contact_pose(surface, T_surface_sensor, self.radius)
 
     def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
         if isinstance(self.model, IdealSensor):
@@ -445,14 +478,17 @@ def _skin(settings: SkinSettings) -> Skin:
 
 
 def _contact(
-    arm: str, stamp_ns: int, target: _Target, T: Array, truth: Truth, known: ContactTruth | IdealTruth
+    arm: str,
+    stamp_ns: int,
+    geometry: ContactGeometry,
+    T: Array,
+    truth: Truth,
+    known: ContactTruth | IdealTruth,
 ) -> BodyContact:
     """What the body feels of the sensor: the force acts at the nearest point, or, where it is modelled,
     where its line of action meets the surface's tangent plane there.
     """
-    R = T[:3, :3]
-    distance, normals = target.body.surface.query(T[None, :3, 3])
-    normal, point = normals[0], T[:3, 3] - distance[0] * normals[0]
+    R, normal, point = T[:3, :3], geometry.normal, geometry.point
     force, torque = -R @ known.force, -R @ known.torque
     press = -float(force @ normal)
     if press > 0:  # not without contact, and not where no force is modelled
@@ -461,10 +497,9 @@ def _contact(
     return BodyContact(arm, stamp_ns, T, truth, force, point, normal)
 
 
-def _truth(target: _Target, T_base_sensor: Array, radius: float, known: ContactTruth | IdealTruth) -> Truth:
+def _truth(target: _Target, geometry: ContactGeometry, known: ContactTruth | IdealTruth) -> Truth:
     """What the sensor's model knows, with the geometry of the surface in the arm's base."""
     T_base_body = target.T_base_body
-    geometry = contact_pose(target.body.surface, target.sensor_in_body(T_base_sensor), radius)
     rotation, origin, T_fs = T_base_body[:3, :3], T_base_body[:3, 3], known.T_fs
     return Truth(
         surface=target.body.name,

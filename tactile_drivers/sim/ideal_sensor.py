@@ -55,6 +55,7 @@ class IdealSensor:
         self._surface: Surface | None = None
         self._T = np.eye(4)
         self._geometry: ContactGeometry | None = None
+        self._truth: IdealTruth | None = None
         self._release()
 
     def advance(self, surface: Surface, T_surface_sensor: Array) -> None:
@@ -73,11 +74,22 @@ class IdealSensor:
             self._anchor = geometry.point
         else:
             self._drag(geometry, self._geometry, T)
-        self._surface, self._T, self._geometry = surface, T, geometry
+        self._surface, self._T, self._geometry, self._truth = surface, T, geometry, None
+
+    @property
+    def geometry(self) -> ContactGeometry:
+        """Where the undeformed tip meets the surface, after the last `advance`."""
+        if self._geometry is None:
+            raise RuntimeError("the ideal sensor has no pose before the first advance()")
+        return self._geometry
 
     def truth(self) -> IdealTruth:
         """The contact pose after the last `advance`."""
-        geometry = self._known()
+        if self._truth is None:
+            self._truth = self._contact_truth(self.geometry)
+        return self._truth
+
+    def _contact_truth(self, geometry: ContactGeometry) -> IdealTruth:
         T_fs = geometry.T_fs.copy()
         cos, sin = np.cos(self._turn), np.sin(self._turn)
         T_fs[:3, :3] = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ T_fs[:3, :3]
@@ -88,15 +100,10 @@ class IdealSensor:
 
     def estimate(self) -> PoseGaussian | None:
         """A Gaussian over X_sf about a noisy mean, new noise each time; None without contact."""
-        if self._known().depth <= 0:
+        if self.geometry.depth <= 0:
             return None
         error = self._sigma * self._random.standard_normal(6)
         return PoseGaussian(se3.exp(error) @ se3.inverse(self.truth().T_fs), np.diag(self._sigma**2))
-
-    def _known(self) -> ContactGeometry:
-        if self._geometry is None:
-            raise RuntimeError("the ideal sensor has no pose before the first advance()")
-        return self._geometry
 
     def _release(self) -> None:
         self._anchor, self._turn, self._slips = np.zeros(3), 0.0, False
@@ -111,7 +118,7 @@ class IdealSensor:
         moved = (T @ se3.inverse(self._T) @ np.append(matter, 1.0))[:3] - matter
         offset = before.point + moved - self._anchor
         offset = offset - (offset @ geometry.normal) * geometry.normal
-        length = float(np.linalg.norm(offset))
+        length = se3.norm(offset)
         turn = self._turn + _turn_between(self._T, T, -(geometry.normal + before.normal))
         self._slips = length > limit or abs(turn) > turn_limit
         self._turn = float(np.clip(turn, -turn_limit, turn_limit))

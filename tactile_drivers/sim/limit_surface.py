@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,10 +86,16 @@ class Foot:
         first = int(self._inside(np.asarray(point)).argmin())
         return self.corners[first], self.corners[(first + 1) % len(self.corners)]
 
-    def _inside(self, point: Array) -> Array:
+    @cached_property
+    def _edges(self) -> tuple[Array, Array]:
+        """From corner to corner (n, 2), and how far (n,), m."""
         along = np.roll(self.corners, -1, axis=0) - self.corners
+        return along, np.hypot(*along.T)
+
+    def _inside(self, point: Array) -> Array:
+        along, length = self._edges
         off = point - self.corners
-        return np.asarray((along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / np.hypot(*along.T))
+        return np.asarray((along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / length)
 
 
 def return_to_surface(

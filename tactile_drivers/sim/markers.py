@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from tactile_drivers.sim.settings import MarkerSettings
 from tactile_drivers.sim.skin import Skin, ring_directions
@@ -34,8 +35,7 @@ class Markers:
         self._depth = skin_thickness + settings.pin_length
         self._base = radius * normals
         self._tangents = _tangents(normals)
-        self._neighbors, weights = _least_squares_weights(self._base, self._tangents, skin, radius)
-        self._weights = weights.astype(np.float32)
+        self._interpolate = _interpolation(self._base, self._tangents, skin, radius)
         self.rest = (radius - self._depth) * normals
 
     def __len__(self) -> int:
@@ -43,11 +43,20 @@ class Markers:
 
     def positions(self, displacement: NDArray[np.float32]) -> Array:
         """Marker positions (n, 3) m in {s} for displacements (nodes, 3) m of the skin."""
-        near = displacement[self._neighbors]
-        moved, along, across = np.einsum("nck,nkd->cnd", self._weights, near)
+        moved, along, across = (self._interpolate @ displacement).reshape(3, -1, 3)
         normal = np.cross(self._tangents[0] + along, self._tangents[1] + across)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         return np.asarray(self._base + moved - self._depth * normal)
+
+
+def _interpolation(base: Array, tangents: Array, skin: Skin, radius: float) -> csr_array:
+    """Sparse (3 n, nodes) float32: values at the n markers, then their derivatives along both tangents."""
+    neighbors, weights = _least_squares_weights(base, tangents, skin, radius)
+    rows, count = 3 * len(base), neighbors.shape[1]
+    values = weights.transpose(1, 0, 2).astype(np.float32).ravel()
+    columns = np.tile(neighbors.ravel(), 3).astype(np.int32)
+    starts = np.arange(0, rows * count + 1, count, dtype=np.int32)
+    return csr_array((values, columns, starts), shape=(rows, len(skin.nodes)))
 
 
 def _tangents(normals: Array) -> Array:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -109,7 +109,7 @@ class _Tip:
         force = R @ self._force + self._across * way + (self._along - self._across) * into * normal
         press = max(0.0, -float(force @ normal))
         shear = force - float(force @ normal) * normal
-        limit, size = self._settings.friction_tip * press, float(np.linalg.norm(shear))
+        limit, size = self._settings.friction_tip * press, se3.norm(shear)
         slips = size > limit
         if slips:
             shear = shear * (limit / size)
@@ -183,15 +183,19 @@ class Pushed:
         center = self._upright[:2, 3] + _turned(
             self._turn, self.pressure + np.array(self.settings.center_of_friction)
         )
-        load, stiffness = np.zeros(3), np.zeros((3, 3))
+        load, stiffness, sticking = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
         for push in pushes:
             x, y = push.point[:2] - center
             G = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])  # how the point moves
             load += G.T @ push.force[:2]
             stiffness += G.T @ push.stiffness[:2, :2] @ G
+            sticking += G.T @ replace(push, slips=False).stiffness[:2, :2] @ G
         force = self.friction * self.load * self._weight
         arm = self._tipping.arm if self.tilt else self.foot.arm
-        (dx, dy, turn), _ = return_to_surface(load.tolist(), stiffness, force, force * arm)
+        try:
+            (dx, dy, turn), _ = return_to_surface(load.tolist(), stiffness, force, force * arm)
+        except ValueError:  # slipping tips press more across than the floor carries: as if they stuck
+            (dx, dy, turn), _ = return_to_surface(load.tolist(), sticking, force, force * arm)
         if dx == dy == turn == 0.0:
             return 0.0
         self._turn += turn

@@ -149,3 +149,17 @@ class IdealSensorSettings(Settings):
             raise SettingError("shear_depths, shear_limits and turn_limits must be of one length, at least 1")
         if any(np.diff(self.shear_depths) <= 0):
             raise SettingError(f"shear_depths = {self.shear_depths}: must increase")
+
+
+@dataclass(frozen=True)
+class FittedSensorSettings(IdealSensorSettings):
+    """Contact and shear of the ideal sensor; its noise, on top of the errors of the network, is zero."""
+
+    sigma_position: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), unit="m", lower=0.0, upper=0.1, length=3,
+        doc="standard deviation of rho on top of the network's errors",
+    )  # fmt: skip
+    sigma_rotation: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), unit="rad", lower=0.0, upper=1.0, length=3,
+        doc="standard deviation of phi on top of the network's errors",
+    )  # fmt: skip

@@ -13,25 +13,47 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from tactile_base.config_paths import named_file
-from tactile_base.settings import SettingError
+from tactile_base.settings import SettingError, unknown_name
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.sim.settings import IdealSensorSettings, TacTipSettings
+from tactile_drivers.sim.settings import FittedSensorSettings, IdealSensorSettings, TacTipSettings
 
-FIDELITIES = ("image", "ideal")
+#: Images drawn as the network sees them, at its size: for runs without nodes, where nobody else looks.
+INPUT = "input"
+#: By fidelity, from the slowest to the fastest, the settings of the sensor's model (docs/simulator.md).
+MODELS: Mapping[str, type[TacTipSettings | IdealSensorSettings]] = {
+    "image": TacTipSettings,
+    INPUT: TacTipSettings,
+    "fitted": FittedSensorSettings,
+    "ideal": IdealSensorSettings,
+}
+FIDELITIES = tuple(MODELS)
 _SENSOR_GROUPS = tuple(item.name for item in fields(TacTipSettings))
 _DATA_GROUPS = ("collection", "variation")
 
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """How a sensor is simulated: as camera images of a soft tip, or as its contact pose plus noise."""
+    """How a sensor is simulated: as images of a soft tip, or as its contact pose with errors.
+
+    Attributes
+    ----------
+    model : TacTipSettings or IdealSensorSettings
+    at_input : bool
+        Images are drawn as a network sees them, see `Cell`.
+    """
 
     model: TacTipSettings | IdealSensorSettings = field(default_factory=TacTipSettings)
+    at_input: bool = False
 
     @property
     def fidelity(self) -> str:
         """One of `FIDELITIES`."""
-        return "image" if isinstance(self.model, TacTipSettings) else "ideal"
+        return INPUT if self.at_input else next(n for n, kind in MODELS.items() if type(self.model) is kind)
+
+    @property
+    def gives_images(self) -> bool:
+        """Whether it does, and not estimates."""
+        return isinstance(self.model, TacTipSettings)
 
     @property
     def tip_radius(self) -> float:
@@ -41,19 +63,20 @@ class SimulatedSensor:
     def with_tip_radius(self, radius: float) -> SimulatedSensor:
         """The same sensor with a tip of this radius (m)."""
         if isinstance(self.model, TacTipSettings):
-            return SimulatedSensor(replace(self.model, skin=self.model.skin.replaced(radius=radius)))
+            model = replace(self.model, skin=self.model.skin.replaced(radius=radius))
+            return SimulatedSensor(model, self.at_input)
         return SimulatedSensor(self.model.replaced(radius=radius))
 
     def changed(self, fidelity: str, **model: Any) -> SimulatedSensor:
         """A sensor of this fidelity with settings of its model given by name.
 
-        They start from those of this sensor where the fidelity is the same, else from the defaults.
+        They start from those of this sensor where the model is the same, else from the defaults.
         """
-        base = self
-        if fidelity != self.fidelity:
-            default = SimulatedSensor(TacTipSettings() if fidelity == "image" else IdealSensorSettings())
-            base = default.with_tip_radius(self.tip_radius)
-        return SimulatedSensor(replace(base.model, **model)) if model else base
+        if fidelity not in MODELS:
+            raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
+        base = SimulatedSensor(MODELS[fidelity]()).with_tip_radius(self.tip_radius)
+        settings = self.model if type(self.model) is MODELS[fidelity] else base.model
+        return SimulatedSensor(replace(settings, **model), fidelity == INPUT)
 
 
 @dataclass(frozen=True)
@@ -93,11 +116,12 @@ def read_sensor_groups(root: Section) -> TacTipSettings:
 
 
 def _sensor(section: Section) -> SimulatedSensor:
-    section.allow("fidelity", *FIDELITIES)
+    section.allow("fidelity", *(name for name in FIDELITIES if name != INPUT))
     fidelity = section.choice("fidelity", FIDELITIES, "image")
-    if fidelity == "ideal":
-        return SimulatedSensor(section.settings("ideal", IdealSensorSettings))
-    return SimulatedSensor(_image_model(section.section("image")))
+    kind = MODELS[fidelity]
+    if issubclass(kind, IdealSensorSettings):
+        return SimulatedSensor(section.settings(fidelity, kind))
+    return SimulatedSensor(_image_model(section.section("image")), fidelity == INPUT)
 
 
 def _image_model(groups: Section) -> TacTipSettings:

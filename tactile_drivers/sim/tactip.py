@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tactile_drivers.sim import _contact
 from tactile_drivers.sim.camera import Camera
 from tactile_drivers.sim.markers import Markers
+from tactile_drivers.sim.network_view import NetworkView, ViewSettings
 from tactile_drivers.sim.settings import TacTipSettings
 from tactile_drivers.sim.skin import Skin, load_skin
 from tactile_filter import se3
@@ -73,16 +74,24 @@ class ContactTruth:
 
 
 class TacTip:
-    """One sensor with its contact history; deterministic by seed (the seed selects image noise only)."""
+    """One sensor with its contact history; deterministic by seed (the seed selects image noise only).
+
+    With a `view` its images are what that network would see of them, drawn at its size and without noise.
+    """
 
     def __init__(
-        self, settings: TacTipSettings | None = None, seed: int = 0, skin: Skin | None = None
+        self,
+        settings: TacTipSettings | None = None,
+        seed: int = 0,
+        skin: Skin | None = None,
+        view: ViewSettings | None = None,
     ) -> None:
         self.settings = settings or TacTipSettings()
         self._skin = skin or load_skin(self.settings.skin)
         tip = self.settings.skin
         self._markers = Markers(self.settings.markers, self._skin, tip.radius, tip.skin_thickness)
         self._camera = Camera(self.settings.camera)
+        self._view = NetworkView(self._camera, view) if view is not None else None
         self._friction = self.settings.contact.friction
         self.reset(seed)
 
@@ -146,7 +155,12 @@ class TacTip:
         self._T = target
 
     def image(self) -> NDArray[np.uint8]:
-        """Expose one frame: gray image (height, width); the noise differs from frame to frame."""
+        """Expose one frame: gray image (height, width), whose noise differs from frame to frame.
+
+        With a view, what crop, threshold and resizing would leave of it: black and white (size, size).
+        """
+        if self._view is not None:
+            return self._view.draw(self.marker_positions)
         seed = (self._seed * 0x9E3779B97F4A7C15 + self._frames * 0xD1B54A32D192ED03) % 2**64
         self._frames += 1
         return self._camera.draw(self.marker_positions, seed)

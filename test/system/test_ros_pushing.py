@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 # a machine that holds up a process only delays the task
 PATIENT = "watchdog: {patience: 30.0, start_timeout: 60.0}"
 CONTACT = "contact: {approach_timeout: 100.0, settle_timeout: 100.0}"
-TARGET = "target: [0.115, -0.115, 0.045]"  # some 115 mm of pushing, the first of them with target alignment
+TARGET = "target: [0.105, -0.175, 0.045]"  # 55 mm of pushing
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,6 @@ def configuration(tmp_path_factory) -> Path:
         wanted = f"    task: {name}\n"
         assert text.count(wanted) == 1
         text = text.replace(wanted, f"{wanted}    settings: {{{PATIENT}, {CONTACT}}}\n")
-    text, changed = re.subn(r"alignment: \{ki: 0.5\}", r"\g<0>, task: {speed: 0.02}", text)
-    assert changed == 1
     task.write_text(text)
     text, changed = re.subn(r"( +)image: \{skin:", r"\1fidelity: ideal\n\1image: {skin:", scene.read_text())
     assert changed == 2
@@ -80,7 +78,7 @@ def test_the_bag_tells_of_contact_body_and_target(finished):
     assert values["contact_fraction"] == 1.0 and push["follower_contact_fraction"] == 1.0
     assert push["distance_mm"] < 20.5
     assert push["follower"] == "follower" and push["toppled"] is False
-    assert 60.0 < push["body_way_mm"] < 120.0
+    assert 40.0 < push["body_way_mm"] < 70.0
     assert abs(push["error_mm"] - push["error_believed_mm"]) < 2.0
 
 

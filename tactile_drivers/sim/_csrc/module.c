@@ -8,6 +8,7 @@
 #include <limits.h>
 
 #include "contact.h"
+#include "draw_input.h"
 #include "render.h"
 
 
@@ -177,10 +178,50 @@ static PyObject* py_render(PyObject* self, PyObject* args) {
 }
 
 
+PyDoc_STRVAR(draw_input_doc,
+             "draw_input(input, discs, ground, mask, view)\n\n"
+             "Draw discs (n,4) float64 (column, row, radius, gray) over the gray levels ground (s,s) "
+             "float32 into a\nnetwork's input (s,s) uint8, of which mask (s,s) float32 is left; view: "
+             "left, top, width and height of a\ncell, softness, bend, block, level, noise.");
+
+static PyObject* py_draw_input(PyObject* self, PyObject* args) {
+  PyArrayObject *input, *discs, *ground, *mask;
+  InputView view;
+  (void)self;
+  if (!PyArg_ParseTuple(args, "O!O!O!O!(ddddddddd)", &PyArray_Type, &input, &PyArray_Type, &discs,
+                        &PyArray_Type, &ground, &PyArray_Type, &mask, &view.left, &view.top,
+                        &view.width, &view.height, &view.softness, &view.bend, &view.block,
+                        &view.level, &view.noise)) {
+    return NULL;
+  }
+  if (!check_result(input, "input", NPY_UINT8, -1, -1)) return NULL;
+  view.size = (int)PyArray_DIM(input, 0);
+  if (!check(input, "input", NPY_UINT8, view.size, view.size) ||
+      !check(discs, "discs", NPY_DOUBLE, -1, 4) ||
+      !check(ground, "ground", NPY_FLOAT, view.size, view.size) ||
+      !check(mask, "mask", NPY_FLOAT, view.size, view.size)) {
+    return NULL;
+  }
+  if (!(view.width > 0 && view.height > 0 && view.softness > 0 && view.block > 0 && view.noise > 0)) {
+    PyErr_SetString(PyExc_ValueError, "view: width, height, softness, block and noise must be above 0");
+    return NULL;
+  }
+  float* scratch = PyMem_RawMalloc(draw_input_scratch(&view) * sizeof(float));
+  if (!scratch) return PyErr_NoMemory();
+  Py_BEGIN_ALLOW_THREADS;
+  draw_input(PyArray_DATA(input), &view, PyArray_DATA(discs), (int)PyArray_DIM(discs, 0),
+             PyArray_DATA(ground), PyArray_DATA(mask), scratch);
+  Py_END_ALLOW_THREADS;
+  PyMem_RawFree(scratch);
+  Py_RETURN_NONE;
+}
+
+
 static PyMethodDef methods[] = {
     {"solve", py_solve, METH_VARARGS, solve_doc},
     {"displacement", py_displacement, METH_VARARGS, displacement_doc},
     {"render", py_render, METH_VARARGS, render_doc},
+    {"draw_input", py_draw_input, METH_VARARGS, draw_input_doc},
     {NULL, NULL, 0, NULL},
 };
 

@@ -1,0 +1,291 @@
+"""Fits how a network errs on simulated images, for sensors of fidelity "fitted", and checks it on others.
+
+    python bench/fit_network_error.py [--model FILE] [--contacts 600] [--held-out 200] [--write]
+
+Simulates the skin along random ways in contact (pressed, rolled, sheared until it slips, turned), has the
+network answer, and fits `tactile_drivers.sim.network_error.ErrorModel`. Images are drawn at the network's
+size for the fit and in full for the contacts held out, on which it then prints the network's statistics
+beside the model's. About ten minutes of one core. `--write` replaces the file that the package ships.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import curve_fit
+
+from tactile_bringup.offline import network_view
+from tactile_drivers.shapes.plane import Plane
+from tactile_drivers.sim.collection import _along_surface, _Sphere
+from tactile_drivers.sim.network_error import SHIPPED, WAY, ErrorModel, NetworkError
+from tactile_drivers.sim.tactip import ContactTruth, TacTip
+from tactile_filter import se3
+from tactile_perception.estimating.presence import ContactPresence
+from tactile_perception.estimator import Estimator
+
+Array = NDArray[np.float64]
+
+FRICTION = (0.6, 1.2)  # as in the network's training data
+CURVATURE = (-5.0, 16.0)  # 1/m
+EXPOSURES = 90  # of a contact
+LEAST, LARGEST = 1e-3, 6e-3  # depth on the way, m
+TILT = 0.40  # rad: largest angle of both together
+APPROACH = 6.7e-5  # m between two exposures at 4 mm/s
+LAGS = (1, 2, 4, 8, 16, 32, 48, 64, 80)  # exposures
+RIDGE = 3.0  # keeps what hardly matters small
+NAMES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")
+SHOWN = np.array([1e3] * 3 + [180.0 / np.pi] * 3)  # mm and degrees
+
+
+@dataclass
+class Contacts:
+    """Exposures (N rows): what was true, and what the network said.
+
+    Attributes
+    ----------
+    contact : (N,) int
+    truth : (N, 4, 4)
+        X_fs as the picture can know it.
+    slips : (N,) bool
+        Whether more than half of the normal force is on nodes that slip.
+    error : (N, 6)
+        log(X_sf stated  X_sf true^-1), m and rad.
+    again : (N, 6)
+        Of a second image of the same contact.
+    sigma : (N, 6)
+        Standard deviations stated, of the left perturbation.
+    nees : (N,)
+        Of the error by the stated covariance.
+    touch, leave : (contacts,)
+        Depths (m) at which contact presence began and ended; empty where images are not drawn in full.
+    """
+
+    contact: NDArray[np.int64]
+    truth: Array
+    slips: NDArray[np.bool_]
+    error: Array
+    again: Array
+    sigma: Array
+    nees: Array
+    touch: Array
+    leave: Array
+
+    @property
+    def pose(self) -> Array:
+        """Euler numbers (N, 6) of the truth."""
+        return se3.euler_from_pose(self.truth)
+
+    @property
+    def way(self) -> Array:
+        """Length (N,) of the way so far, m."""
+        return np.cumsum(np.r_[0.0, np.linalg.norm(WAY * np.diff(self.pose, axis=0), axis=1)])
+
+
+def way_of(rng: np.random.Generator) -> Array:
+    """Poses (n, 6) of the tip over the surface, x and y along it: about a reference, as servoing keeps it."""
+    reference = np.array([0.0, 0.0, rng.uniform(LEAST, LARGEST), *rng.normal(0.0, 0.12, 2), 0.0])
+    poses = [_kept(reference)]
+    while len(poses) < EXPOSURES:
+        change = rng.normal(size=6) * [4e-3, 4e-3, 5e-4, 0.08, 0.08, 0.05] * (rng.random(6) < 0.6)
+        following = _kept(reference + change)
+        length = float(np.linalg.norm(WAY * (following - poses[-1])))
+        steps = max(1, round(length / rng.uniform(8e-5, 4e-4)))
+        last = poses[-1]
+        poses += [last + (following - last) * k / steps for k in range(1, steps + 1)]
+    return np.array(poses[:EXPOSURES])
+
+
+def _kept(pose: Array) -> Array:
+    """Within the ranges that the network was trained for."""
+    pose = pose.copy()
+    pose[2] = np.clip(pose[2], LEAST, LARGEST)
+    pose[3:5] *= min(1.0, TILT / max(float(np.hypot(*pose[3:5])), 1e-9))
+    return pose
+
+
+class Skin:
+    """One sensor pressed onto surfaces, and the network that looks at it."""
+
+    def __init__(self, estimator: Estimator, full: bool) -> None:
+        self.estimator, self.full = estimator, full
+        self.sensor = TacTip(view=None if full else network_view(estimator))
+
+    def contacts(self, seeds: range) -> Contacts:
+        """One contact a seed."""
+        found = [self._contact(seed) for seed in seeds]
+        joined = {f.name: [getattr(each, f.name) for each in found] for f in fields(Contacts)}
+        return Contacts(**{name: np.concatenate(parts) for name, parts in joined.items()})
+
+    def _contact(self, seed: int) -> Contacts:
+        rng = np.random.default_rng([7, seed])
+        self.sensor.reset(seed)
+        self.sensor.friction = float(rng.uniform(*FRICTION))
+        curvature = float(rng.uniform(*CURVATURE))
+        self.curvature = curvature if abs(curvature) > 0.1 else 0.0
+        self.surface = _Sphere(curvature) if self.curvature else Plane()
+        way = way_of(rng)
+        touch = self._approach(way[0]) if self.full else []
+        rows = [self._exposed(seed, pose) for pose in way]
+        leave = self._retreat(way[-1]) if self.full else []
+        columns = [np.array(column) for column in zip(*rows, strict=True)]
+        return Contacts(*columns, touch=np.array(touch), leave=np.array(leave))
+
+    def _exposed(self, seed: int, pose: Array) -> tuple[int, Array, bool, Array, Array, Array, float]:
+        truth = self._move(pose, pose[2])
+        stated = [self.estimator.estimate_prepared(self._image()) for _ in range(2 if self.full else 1)]
+        errors = [se3.log(each.mean @ truth.T_fs) for each in stated]  # X_sf^-1 = X_fs
+        nees = float(errors[0] @ np.linalg.solve(stated[0].cov, errors[0]))
+        sigma = np.sqrt(np.diag(stated[0].cov))
+        return seed, truth.T_fs, truth.slip_fraction > 0.5, errors[0], errors[-1], sigma, nees
+
+    def _approach(self, pose: Array) -> list[float]:
+        self.presence = ContactPresence()
+        for _ in range(self.presence.settings.reference_frames):
+            self._sees(pose, -1e-3)
+        depths = np.arange(-2e-4, pose[2], APPROACH)
+        seen = [self._sees(pose, float(depth)) for depth in depths]
+        return [float(depths[seen.index(True)])]
+
+    def _retreat(self, pose: Array) -> list[float]:
+        depth = float(pose[2])
+        while self._sees(pose, depth) and depth > -5e-4:
+            depth -= APPROACH
+        return [depth]
+
+    def _sees(self, pose: Array, depth: float) -> bool:
+        self._move(pose, depth)
+        return bool(self.presence.update(self._image()).in_contact)
+
+    def _image(self) -> NDArray[np.float32]:
+        image = self.sensor.image()
+        prepare = self.estimator.preprocessor
+        return prepare(image) if self.full else prepare.from_processed(image)
+
+    def _move(self, pose: Array, depth: float) -> ContactTruth:
+        along = _along_surface(pose[0], -pose[1], self.curvature)
+        T_surface_f = se3.pose_from_euler([0.0, 0.0, self.sensor.settings.skin.radius, np.pi, 0.0, 0.0])
+        self.sensor.advance(self.surface, along @ T_surface_f @ se3.pose_from_euler([0, 0, depth, *pose[3:]]))
+        return self.sensor.truth()
+
+
+def fit(data: Contacts, held: Contacts) -> ErrorModel:
+    """Least squares for bias, log of the spread and of the stated deviation, then how the rest lasts.
+
+    The noise of images and the depths of presence are those of the contacts held out, drawn in full.
+    """
+    pose = data.pose
+    model = ErrorModel(
+        lower=np.quantile(pose, 0.005, axis=0), upper=np.quantile(pose, 0.995, axis=0),
+        coefficients=np.zeros((35, 18)), lasting=np.zeros(6), way=np.ones(6),
+        noise=np.sqrt(0.5 * np.mean((held.error - held.again) ** 2, axis=0)),
+        touch=float(np.median(held.touch)), leave=float(np.median(held.leave)),
+    )  # fmt: skip
+    features = model.features(pose, data.slips)
+    bias = _least_squares(features, data.error)
+    rest = data.error - features @ bias
+    least = 0.05 * rest.std(axis=0)
+    spread = _least_squares(features, 0.5 * np.log(rest**2 + least**2))
+    spread[0] += 0.5 * np.log(np.mean((rest / np.exp(features @ spread)) ** 2, axis=0))
+    sigma = _least_squares(features, np.log(data.sigma))
+    model.coefficients[:] = np.hstack([bias, spread, sigma])
+    lag_way, similar = correlations(data, rest / np.exp(features @ spread))
+    for k in range(6):
+        (model.lasting[k], model.way[k]), _ = curve_fit(
+            lambda x, part, way: part + (1.0 - part) * np.exp(-x / way),
+            lag_way, similar[:, k], p0=(0.1, 3e-3), bounds=((0.0, 1e-5), (0.95, 0.1)),
+        )  # fmt: skip
+    return model
+
+
+def _least_squares(features: Array, values: Array) -> Array:
+    ridge = RIDGE * np.eye(features.shape[1])
+    ridge[0, 0] = 0.0
+    zero = np.zeros((len(ridge), values.shape[1]))
+    return np.linalg.lstsq(np.vstack([features, ridge]), np.vstack([values, zero]), rcond=None)[0]
+
+
+def correlations(data: Contacts, values: Array) -> tuple[Array, Array]:
+    """Mean way (lags,) in m and correlation (lags, 6) of values (N, 6) of one contact, by `LAGS`."""
+    way, square = data.way, np.mean(values**2, axis=0)
+    ways, found = [], []
+    for lag in LAGS:
+        same = data.contact[lag:] == data.contact[:-lag]
+        ways.append((way[lag:] - way[:-lag])[same].mean())
+        found.append((values[lag:][same] * values[:-lag][same]).mean(axis=0) / square)
+    return np.array(ways), np.array(found)
+
+
+def drawn(model: ErrorModel, data: Contacts, seed: int) -> Contacts:
+    """The same contacts with answers of the model."""
+    errors, rows = NetworkError(model, seed), []
+    for k in range(len(data.contact)):
+        if k == 0 or data.contact[k] != data.contact[k - 1]:
+            errors.begin()
+        stated = errors.estimate(data.truth[k], bool(data.slips[k]))
+        error = se3.log(stated.mean @ data.truth[k])
+        rows.append((error, np.sqrt(np.diag(stated.cov)), error @ np.linalg.solve(stated.cov, error)))
+    error, sigma, nees = (np.array(column) for column in zip(*rows, strict=True))
+    return Contacts(data.contact, data.truth, data.slips, error, error, sigma, nees, data.touch, data.leave)
+
+
+def compare(network: Contacts, model: Contacts, bias: Array) -> None:
+    """Print the statistics of both."""
+    print(f"{'':34s}" + "".join(f"{name:>9s}" for name in NAMES) + "   mm, degrees")
+    for name, of in (
+        ("RMS error", lambda c: np.sqrt(np.mean(c.error**2, axis=0))),
+        ("mean error", lambda c: c.error.mean(axis=0)),
+        ("median of |error|", lambda c: np.median(np.abs(c.error), axis=0)),
+        ("95 % of |error|", lambda c: np.quantile(np.abs(c.error), 0.95, axis=0)),
+        ("RMS error where it slips", lambda c: np.sqrt(np.mean(c.error[c.slips] ** 2, axis=0))),
+        ("RMS error where it sticks", lambda c: np.sqrt(np.mean(c.error[~c.slips] ** 2, axis=0))),
+        ("median of stated sigma", lambda c: np.median(c.sigma, axis=0)),
+    ):
+        for who, contacts in (("network", network), ("model", model)):
+            print(f"{name:26s}{who:8s}" + "".join(f"{v:9.3f}" for v in of(contacts) * SHOWN))
+    explained = 1.0 - np.mean((network.error - bias) ** 2, axis=0) / np.mean(network.error**2, axis=0)
+    print(f"{'part of the square that is bias':34s}" + "".join(f"{v:9.3f}" for v in explained))
+    (way, ours), (_, theirs) = correlations(network, network.error), correlations(model, model.error)
+    for k in range(len(LAGS)):
+        for who, row in (("network", ours[k]), ("model", theirs[k])):
+            text = f"correlation after {way[k] * 1e3:.2f} mm"
+            print(f"{text:26s}{who:8s}" + "".join(f"{v:9.3f}" for v in row))
+    for who, contacts in (("network", network), ("model", model)):
+        quantiles = ", ".join(f"{q:.2f}: {np.quantile(contacts.nees, q):.1f}" for q in (0.1, 0.5, 0.9, 0.95))
+        print(f"NEES of 6, {who}: mean {contacts.nees.mean():.1f}; quantiles {quantiles}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--model", default="", help="ONNX model (default: the shipped one)")
+    parser.add_argument("--contacts", type=int, default=600, help="to fit to")
+    parser.add_argument("--held-out", type=int, default=200, help="to check with")
+    parser.add_argument("--out", type=Path, help="write the model into this file")
+    parser.add_argument("--write", action="store_true", help="replace the file that the package ships")
+    arguments = parser.parse_args()
+    started = time.process_time()
+    estimator = Estimator(arguments.model)
+    data = Skin(estimator, full=False).contacts(range(arguments.contacts))
+    held = Skin(estimator, full=True).contacts(range(10**6, 10**6 + arguments.held_out))
+    model = fit(data, held)
+    print(f"{len(data.error)} exposures fitted to, {len(held.error)} held out, "
+          f"{time.process_time() - started:.0f} s")  # fmt: skip
+    bias = (model.features(held.pose, held.slips) @ model.coefficients)[:, :6]
+    compare(held, drawn(model, held, seed=1), bias)
+    print("lasting part", model.lasting.round(3), "way (mm)", (model.way * 1e3).round(2))
+    print(
+        "noise",
+        (model.noise * SHOWN).round(4),
+        f"touch {model.touch * 1e3:.3f} mm, leave {model.leave * 1e3:.3f}",
+    )
+    target = SHIPPED if arguments.write else arguments.out
+    if target:
+        model.save(target, made_by="bench/fit_network_error.py", network=estimator.path.name)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""How a network errs on simulated images: bias, spread and stated uncertainty by contact, and how they last.
+
+What a network says of a soft tip is wrong by a smooth function of the contact (its bias), and by what that
+function does not know: the way on which the contact came about, friction, curvature. The latter stays while
+the contact stays as it is, and changes on the way to another one; only a small part is new in each image.
+`bench/fit_network_error.py` fits all of it to a network's answers and writes the file that is loaded here::
+
+    errors = NetworkError(load_error_model(), seed=1)
+    errors.begin()                                   # a new contact
+    estimate = errors.estimate(T_fs, slips=False)    # Gaussian over X_sf, as the network would state it
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_filter import se3
+from tactile_filter.gaussian import PoseGaussian
+
+Array = NDArray[np.float64]
+
+SHIPPED = Path(__file__).parent / "data" / "network_error.npz"
+#: m of way for each m, and for each rad at the tip's radius, of (x, y, z, alpha, beta, gamma).
+WAY = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+_ARRAYS = ("lower", "upper", "coefficients", "lasting", "way", "noise")
+_FIRST, _SECOND = np.triu_indices(7)
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Coefficients; errors are log(X_sf stated  X_sf true^-1), rho in m and phi in rad.
+
+    Attributes
+    ----------
+    lower, upper : (6,)
+        Of the Euler contact pose (x, y, z, alpha, beta, gamma) of X_fs (m, rad) in the data; beyond, the
+        model goes on as at the border.
+    coefficients : (35, 18)
+        From `features` to bias (6, m and rad), log of the spread (6) and log of the stated standard
+        deviation (6).
+    lasting : (6,)
+        Part of the spread's variance that stays as long as the contact.
+    way : (6,)
+        Length (m) on which the rest of it is forgotten, see `WAY`.
+    noise : (6,)
+        Standard deviation of what is new in each image.
+    touch, leave : float
+        Depths (m) at which contact presence begins and ends.
+    """
+
+    lower: Array
+    upper: Array
+    coefficients: Array
+    lasting: Array
+    way: Array
+    noise: Array
+    touch: float
+    leave: float
+
+    def features(self, pose: Array, slips: Array | float) -> Array:
+        """Features (..., 35) of contact poses (..., 6) that slip (1) or stick (0)."""
+        middle, half = 0.5 * (self.upper + self.lower), 0.5 * (self.upper - self.lower)
+        scaled = np.minimum(np.maximum((pose - middle) / half, -1.0), 1.0)
+        linear = np.concatenate([np.ones((*scaled.shape[:-1], 1)), scaled], axis=-1)
+        slipping = linear * np.asarray(slips, dtype=np.float64)[..., None]
+        return np.concatenate([linear[..., _FIRST] * linear[..., _SECOND], slipping], axis=-1)
+
+    def save(self, path: Path, **about: str) -> None:
+        """Write all of it, and texts about where it is from, into an .npz file."""
+        np.savez(path, **vars(self), **about)  # type: ignore[arg-type]
+
+
+@functools.cache
+def load_error_model(path: Path = SHIPPED) -> ErrorModel:
+    """Read what `ErrorModel.save` wrote."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in _ARRAYS}
+        return ErrorModel(**arrays, touch=float(file["touch"]), leave=float(file["leave"]))
+
+
+class NetworkError:
+    """Draws answers of a network for true contacts, one after the other; deterministic by seed."""
+
+    def __init__(self, model: ErrorModel, seed: int = 0) -> None:
+        self.model = model
+        self._random = np.random.default_rng(seed)
+        self._of_contact, self._of_way = np.sqrt(model.lasting), np.sqrt(1.0 - model.lasting)
+        self.begin()
+
+    def begin(self) -> None:
+        """A new contact: what lasted of the last one is forgotten."""
+        self._contact, self._along = self._random.standard_normal((2, 6))
+        self._pose: Array | None = None
+
+    def estimate(self, T_fs: Array, slips: bool) -> PoseGaussian:
+        """A Gaussian over X_sf about what the network would say of the true X_fs (4, 4)."""
+        pose = se3.euler_from_pose(T_fs)
+        bias, spread, sigma = (self.model.features(pose, slips) @ self.model.coefficients).reshape(3, 6)
+        fresh = self._random.standard_normal((2, 6))
+        if self._pose is not None:
+            way = float(np.linalg.norm(WAY * (pose - self._pose)))
+            kept = np.exp(-way / self.model.way)
+            self._along = kept * self._along + np.sqrt(1.0 - kept * kept) * fresh[0]
+        self._pose = pose
+        lasting = self._of_contact * self._contact + self._of_way * self._along
+        error = bias + np.exp(spread) * lasting + self.model.noise * fresh[1]
+        return PoseGaussian(se3.exp(error) @ se3.inverse(T_fs), np.diag(np.exp(2.0 * sigma)))
