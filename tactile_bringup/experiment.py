@@ -218,10 +218,16 @@ def trial_run(trial: Trial) -> Run:
 
 
 def trial_row(trial: Trial) -> Row:
-    """The row of a trial: what it was, what was drawn for it, and what came of it; NaN is None."""
+    """The row of a trial: what it was, what was drawn for it, and what came of it; NaN is None.
+
+    Raises `ValueError` with the trial's name where it cannot be run.
+    """
     setup = setup_of(trial)
     scene = setup.pushing_scene()
-    run = run_arms_offline(scene, setup.task, setup.options)
+    try:
+        run = run_arms_offline(scene, setup.task, setup.options)
+    except ValueError as error:
+        raise ValueError(f"trial {trial.name}: {error}") from error
     numbers = numbers_of(run)
     push = numbers["push"]
     contact = [numbers["contact_fraction"], push["follower_contact_fraction"]]
@@ -257,16 +263,22 @@ def setup_of(trial: Trial) -> Setup:
 
 
 @functools.cache
-def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions]:
-    """What is the same for all trials."""
-    table, fidelity = table_of(common.table), common.fidelity
+def task_of(common: Common) -> Task:
+    """The task with the controllers and settings that are chosen; `SettingError` for what is not there."""
+    table = table_of(common.table)
     if common.controller not in table.controllers:
         raise SettingError(f"controller: {unknown_name(common.controller, list(table.controllers))}")
+    chosen = table.controllers[common.controller] or None
+    return load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
+
+
+@functools.cache
+def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions]:
+    """What is the same for all trials."""
+    fidelity = common.fidelity
     if fidelity is not None and fidelity not in FIDELITIES:
         raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
-    scene = load_scene(table.scene)
-    chosen = table.controllers[common.controller] or None
-    task = load_task(task_path(table.task), table.scene, controller=chosen, changes=common.changes)
+    scene, task = load_scene(table_of(common.table).scene), task_of(common)
     options = OfflineOptions(arm=common.arm or None, filter=load_filter_settings(common.filter))
     return scene if fidelity is None else scene.with_fidelity(fidelity), task, read_profiles(), options
 

@@ -30,6 +30,7 @@ from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.network_view import ViewSettings
+from tactile_drivers.sim.simulation import INPUT
 from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
@@ -43,11 +44,6 @@ if TYPE_CHECKING:
 
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 
-INPUT = "input"
-#: From the slowest to the fastest: skin, camera image and network; the same with what the network sees drawn
-#: at once; the true contact with the network's errors; the true contact with noise (docs/simulator.md).
-FIDELITIES = ("image", INPUT, "fitted", "ideal")
-
 Perception = Callable[[Frame], Percept]
 Progress = Callable[[str, str, Command], None]
 
@@ -58,7 +54,7 @@ class OfflineOptions:
 
     Attributes
     ----------
-    fidelity : one of `FIDELITIES`; None: as the scene says
+    fidelity : of all sensors, one of `FIDELITIES`; None: as the scene says
     model : ONNX model for images; None: that of each sensor in the scene
     latency : from exposure to command emission, s
     jitter : uniform part added to each latency, s
@@ -117,8 +113,7 @@ def run_arms_offline(
     options = options or OfflineOptions()
     scene = load_scene(scene) if isinstance(scene, str) else scene
     if options.fidelity is not None:
-        fidelity = "image" if options.fidelity == INPUT else options.fidelity
-        scene = scene.with_fidelity(fidelity, **options.sensor)
+        scene = scene.with_fidelity(options.fidelity, **options.sensor)
     task = load_task(task_path(task), scene.name) if isinstance(task, str) else task
     return _OfflineLoop(scene, task, options, progress).run()
 
@@ -362,7 +357,7 @@ def _perception(
     from tactile_perception.estimating.presence import ContactPresence
     from tactile_perception.estimator import Estimator
 
-    drawn = options.fidelity == INPUT
+    drawn = scene.simulation.sensors[arm].at_input
     estimator = Estimator(options.model or scene.model_file(arm) or "")
     perceiver = Perceiver(estimator, ContactPresence())
 

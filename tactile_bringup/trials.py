@@ -10,8 +10,10 @@ and what work makes of it is a row, a mapping that JSON can hold::
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -65,12 +67,13 @@ class TrialRows:
     def add(self, row: Row) -> None:
         """Keep a row."""
         line = json.dumps(row).encode() + b"\n"
-        file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         try:
-            if os.write(file, line) < len(line):
-                raise OSError(28, "No space left on device", str(self.path))
-        finally:
-            os.close(file)
+            with self.path.open("ab", buffering=0) as file:
+                whole = file.write(line) == len(line)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from error
+        if not whole:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         self._rows[row["name"]] = row
 
     def _read(self) -> Iterator[Row]:
@@ -103,7 +106,9 @@ def run_trials(
     elif processes == 1:
         yield from map(work, trials)
     else:
-        with ProcessPoolExecutor(min(processes, max(1, len(trials))), get_context("spawn")) as pool:
+        ending = (signal.SIGINT, signal.SIG_DFL)  # Ctrl-C, which they get as well, ends them at once
+        count, context = min(processes, max(1, len(trials))), get_context("spawn")
+        with ProcessPoolExecutor(count, context, signal.signal, ending) as pool:
             futures = [pool.submit(work, trial) for trial in trials]
             try:
                 for future in as_completed(futures):

@@ -128,7 +128,7 @@ def _noise(setup: Setup, factor: float) -> Setup:
     models = {name: sensor.model for name, sensor in setup.scene.simulation.sensors.items()}
     sensors = {}
     for name, model in models.items():
-        if not isinstance(model, IdealSensorSettings):
+        if type(model) is not IdealSensorSettings:
             raise SettingError("noise: can be set of fidelity 'ideal' alone; choose it with --fidelity ideal")
         scaled = {
             key: tuple(factor * sigma for sigma in asdict(model)[key])

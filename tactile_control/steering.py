@@ -8,12 +8,12 @@ frame {s'}, whose origin moves at u along y and v along z, and about whose x-axi
 
 a is the paper's alpha / r0; b is the turning with the way ahead, of a centre of friction beside the contact
 normal. Both come of the motion so far: the heading of the contact normal is a y-way, b z-way and a constant,
-fitted by recursive least squares that forget with the way, towards what was assumed before. The sideways
-velocity that takes y away at the rate k,
+fitted by recursive least squares that forget with the way, towards what was assumed before, which holds again
+where nothing is learnt. The sideways velocity that takes y away at the rate k,
 
-    u = -(k y + b v z) g / (g^2 + z^2 var(a) + floor^2)        g = a z - 1
+    u = -(k y + b v z) g / (g^2 + floor^2)        g = a z - 1
 
-changes its sign with g, and is cautious where g is small or hardly known.
+changes its sign with g, and is small where g is: there the object cannot be steered.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ from tactile_base.settings import Settings, setting
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
+
+
+LARGEST = 100.0  # rad/m: no object that a tip pushes turns faster
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,6 @@ class TurningModel:
     ----------
     turning, drift : float
         a and b, rad/m.
-    covariance : ndarray (2, 2)
-        Of these.
     """
 
     def __init__(self, settings: SteeringSettings) -> None:
@@ -116,10 +117,9 @@ class TurningModel:
         self._solve()
 
     def _solve(self) -> None:
-        covariance = np.linalg.inv(self._information)
-        fitted = covariance @ self._weighted
-        self.covariance = covariance[:2, :2]
-        self.turning, self.drift = max(0.0, float(fitted[0])), float(fitted[1])
+        turning, drift, _ = np.linalg.solve(self._information, self._weighted)
+        self.turning = float(np.clip(turning, 0.0, LARGEST))
+        self.drift = float(np.clip(drift, -LARGEST, LARGEST))
 
 
 class SteeringController:
@@ -138,6 +138,5 @@ class SteeringController:
         settings, model = self.settings, self.model
         _, y, z = target
         gain = model.turning * z - 1.0
-        spread = z**2 * model.covariance[0, 0] + settings.floor**2
-        wanted = -(settings.gain * y + model.drift * speed * z) * gain / (gain**2 + spread)
+        wanted = -(settings.gain * y + model.drift * speed * z) * gain / (gain**2 + settings.floor**2)
         return np.array([0.0, np.clip(wanted, -settings.limit, settings.limit), 0.0, 0.0, 0.0, 0.0])

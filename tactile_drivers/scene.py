@@ -191,10 +191,10 @@ class Scene:
         return any(arm.driver == SIM for arm in self.arms.values())
 
     def gives_images(self, arm: str) -> bool:
-        """Whether the arm has a sensor with a camera; an ideal simulated sensor has none."""
+        """Whether the arm has a sensor with a camera; a simulated one may give estimates itself."""
         scene = self.arms[arm]
-        simulated = scene.simulated_sensor and self.simulation.sensors[arm].fidelity != "image"
-        return scene.sensor is not None and not simulated
+        without = scene.simulated_sensor and not self.simulation.sensors[arm].gives_images
+        return scene.sensor is not None and not without
 
     def bodies_of(self, arm: str) -> dict[str, BodyScene]:
         """The bodies that the sensor of an arm can touch, by name."""
@@ -223,9 +223,9 @@ class Scene:
         return self.path.parent / sensor.settings.model if sensor and sensor.settings.model else None
 
     def with_fidelity(self, fidelity: str, **model: Any) -> Scene:
-        """The same scene with all simulated sensors "image" or "ideal", and their model's settings by name.
+        """The same scene with all simulated sensors of a fidelity, and their model's settings by name.
 
-        Names are those of the model's settings class; it starts from its defaults where the fidelity changes.
+        Names are those of the model's settings class; it starts from its defaults where the model changes.
         """
         sensors = {
             name: sensor.changed(fidelity, **model) for name, sensor in self.simulation.sensors.items()

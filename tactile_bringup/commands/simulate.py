@@ -10,6 +10,7 @@ from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
 from tactile_bringup.commands.changes import refusing
 from tactile_bringup.commands.launch import TASK_HELP, add_task_options
+from tactile_drivers.sim.simulation import FIDELITIES
 
 if TYPE_CHECKING:
     from tactile_control.phases import Command
@@ -26,7 +27,7 @@ def register(subparsers: Any) -> None:
     add = parser.add_argument
     add("task", nargs="?", default="surface_following", help=TASK_HELP)
     add_task_options(parser)
-    add("--fidelity", choices=("image", "ideal"), help="image or ideal sensor (default: the scene's)")
+    add("--fidelity", choices=FIDELITIES, help="of the sensors, slowest first (default: the scene's)")
     add("--arm", metavar="NAME", help="run this arm only (default: all with a role)")
     add("--latency", type=float, default=10.0, help="exposure to command in ms (default: 10)")
     add("--out", type=Path, help="folder for report, pictures and record (default: out/simulate)")

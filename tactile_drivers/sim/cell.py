@@ -123,7 +123,7 @@ class Cell:
     stamp_ns : int
         Time of the first state, ns.
     views : mapping, optional
-        Arm -> the network whose input its sensor gives in place of a camera image.
+        Arm -> the network whose input its sensor gives, for sensors of fidelity "input".
 
     Raises
     ------
@@ -345,7 +345,13 @@ class _CellArm:
         self._sequence = 0
         self._moved, self._rate = 0.0, scene.simulation.rate
         if arm.sensor is not None and arm.simulated_sensor:
-            self.sensor = _Sensor(scene.simulation.sensors[arm.name], seed, view)
+            sensor = scene.simulation.sensors[arm.name]
+            if sensor.at_input and view is None:
+                raise ValueError(
+                    f"arm '{arm.name}': a sensor of fidelity '{sensor.fidelity}' draws for a network that is "
+                    "known beforehand, which `tactile simulate` does; with nodes choose 'image'"
+                )
+            self.sensor = _Sensor(sensor, seed, view)
             self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             self._protective_depth = arm.sensor.settings.protective_depth
             self._targets = [_Target(bodies[name], arm.T_world_base) for name in scene.bodies_of(arm.name)]

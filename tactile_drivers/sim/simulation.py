@@ -17,9 +17,12 @@ from tactile_base.settings import SettingError, unknown_name
 from tactile_base.yaml_file import Section, read_yaml
 from tactile_drivers.sim.settings import FittedSensorSettings, IdealSensorSettings, TacTipSettings
 
-#: By fidelity, the settings of the sensor's model.
+#: Images drawn as the network sees them, at its size: for runs without nodes, where nobody else looks.
+INPUT = "input"
+#: By fidelity, from the slowest to the fastest, the settings of the sensor's model (docs/simulator.md).
 MODELS: Mapping[str, type[TacTipSettings | IdealSensorSettings]] = {
     "image": TacTipSettings,
+    INPUT: TacTipSettings,
     "fitted": FittedSensorSettings,
     "ideal": IdealSensorSettings,
 }
@@ -30,14 +33,27 @@ _DATA_GROUPS = ("collection", "variation")
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """How a sensor is simulated: as camera images of a soft tip, or as its contact pose with errors."""
+    """How a sensor is simulated: as images of a soft tip, or as its contact pose with errors.
+
+    Attributes
+    ----------
+    model : TacTipSettings or IdealSensorSettings
+    at_input : bool
+        Images are drawn as a network sees them, see `Cell`.
+    """
 
     model: TacTipSettings | IdealSensorSettings = field(default_factory=TacTipSettings)
+    at_input: bool = False
 
     @property
     def fidelity(self) -> str:
         """One of `FIDELITIES`."""
-        return next(name for name, model in MODELS.items() if type(self.model) is model)
+        return INPUT if self.at_input else next(n for n, kind in MODELS.items() if type(self.model) is kind)
+
+    @property
+    def gives_images(self) -> bool:
+        """Whether it does, and not estimates."""
+        return isinstance(self.model, TacTipSettings)
 
     @property
     def tip_radius(self) -> float:
@@ -47,20 +63,20 @@ class SimulatedSensor:
     def with_tip_radius(self, radius: float) -> SimulatedSensor:
         """The same sensor with a tip of this radius (m)."""
         if isinstance(self.model, TacTipSettings):
-            return SimulatedSensor(replace(self.model, skin=self.model.skin.replaced(radius=radius)))
+            model = replace(self.model, skin=self.model.skin.replaced(radius=radius))
+            return SimulatedSensor(model, self.at_input)
         return SimulatedSensor(self.model.replaced(radius=radius))
 
     def changed(self, fidelity: str, **model: Any) -> SimulatedSensor:
         """A sensor of this fidelity with settings of its model given by name.
 
-        They start from those of this sensor where the fidelity is the same, else from the defaults.
+        They start from those of this sensor where the model is the same, else from the defaults.
         """
-        base = self
-        if fidelity != self.fidelity:
-            if fidelity not in MODELS:
-                raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
-            base = SimulatedSensor(MODELS[fidelity]()).with_tip_radius(self.tip_radius)
-        return SimulatedSensor(replace(base.model, **model)) if model else base
+        if fidelity not in MODELS:
+            raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
+        base = SimulatedSensor(MODELS[fidelity]()).with_tip_radius(self.tip_radius)
+        settings = self.model if type(self.model) is MODELS[fidelity] else base.model
+        return SimulatedSensor(replace(settings, **model), fidelity == INPUT)
 
 
 @dataclass(frozen=True)
@@ -100,12 +116,12 @@ def read_sensor_groups(root: Section) -> TacTipSettings:
 
 
 def _sensor(section: Section) -> SimulatedSensor:
-    section.allow("fidelity", *FIDELITIES)
+    section.allow("fidelity", *(name for name in FIDELITIES if name != INPUT))
     fidelity = section.choice("fidelity", FIDELITIES, "image")
     kind = MODELS[fidelity]
     if issubclass(kind, IdealSensorSettings):
         return SimulatedSensor(section.settings(fidelity, kind))
-    return SimulatedSensor(_image_model(section.section(fidelity)))
+    return SimulatedSensor(_image_model(section.section("image")), fidelity == INPUT)
 
 
 def _image_model(groups: Section) -> TacTipSettings:

@@ -305,7 +305,7 @@ def _draw_body(axes: Any, record: RunRecord, stamps: Array) -> None:
             axes.fill(*outline.T, fc=SURFACE, ec="none", alpha=0.6, zorder=1)
         axes.plot(
             *outline.T, color="#7d7564", lw=1.8 if ends else 0.7, alpha=1.0 if ends else 0.45, zorder=2,
-            label=label if row == rows[0] else None,
+            solid_capstyle="butt", label=label if row == rows[0] else None,
         )  # fmt: skip
 
 

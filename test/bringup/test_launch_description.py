@@ -116,8 +116,10 @@ def test_a_launch_ends_with_1_when_a_node_dies_and_with_0_when_the_task_is_done(
     assert service.run() == ends_with
 
 
-def test_the_launch_file_is_one_of_its_task():
-    text = (
-        config_path("tasks/surface_following.yaml").parents[2] / "launch" / "surface_following.launch.py"
-    ).read_text()
-    assert re.search(r'describe\("surface_following"\)', text)
+def test_each_launch_file_is_one_of_its_task():
+    files = sorted((config_path("tasks/pushing.yaml").parents[2] / "launch").glob("*.launch.py"))
+    tasks = [file.name.removesuffix(".launch.py") for file in files]
+    assert {"surface_following", "object_tracking", "pushing", "dual_pushing"} <= set(tasks)
+    for task, file in zip(tasks, files, strict=True):
+        assert f'describe("{task}")' in file.read_text()
+        assert load_graph(task).task == task

@@ -138,7 +138,7 @@ def test_all_packaged_scenes_load():
         (
             "fidelity: ideal",
             "fidelity: real",
-            "fidelity: unknown name 'real' (did you mean 'ideal'?); valid: ideal, image",
+            "fidelity: unknown name 'real' (did you mean 'ideal'?); valid: fitted, ideal, image, input",
         ),
         (
             "camera_rate: 60",

@@ -1,9 +1,9 @@
 // A network's input drawn directly (see draw_input.h).
 //
-// A white pixel is one above the mean of its neighborhood. That mean changes so little from one cell to
-// the next that the cells' own gray levels give it; and it says at which radius a disc's edge is cut. So
-// each disc is drawn once for the means and once, with that radius, into the input. Beyond the discs the
-// ground is white where no disc brightens the neighborhood.
+// A white pixel is one above the mean of its neighborhood. That mean changes so little from one
+// cell to the next that the cells' own gray levels give it; and it says at which radius a disc's
+// edge is cut. So each disc is drawn once for the means and once, with that radius, into the input.
+// Beyond the discs the ground is white where no disc brightens the neighborhood.
 
 #include "draw_input.h"
 
@@ -30,7 +30,7 @@ static int clamp(double value, int low, int high) {
 }
 
 
-// Cells that a disc may touch, from `first` on `count` of a row, and where their middles are from its own.
+// Cells that a disc may touch, from `first` on `count` of a row, and where they are from its middle.
 typedef struct {
   int top, bottom, first, count;
   float x, y, width, height;
@@ -38,10 +38,12 @@ typedef struct {
 
 
 static Cells cells_of(const InputView* view, const double disc[4], double reach) {
-  double x = (disc[0] + 0.5 - view->left) / view->width, y = (disc[1] + 0.5 - view->top) / view->height;
+  double x = (disc[0] + 0.5 - view->left) / view->width;
+  double y = (disc[1] + 0.5 - view->top) / view->height;
   // a ramp as wide as a cell ends half a cell beyond
   double across = reach / view->width + 0.5, down = reach / view->height + 0.5;
-  Cells cells = {clamp(ceil(y - down - 0.5), 0, view->size), clamp(floor(y + down + 0.5), 0, view->size),
+  Cells cells = {clamp(ceil(y - down - 0.5), 0, view->size),
+                 clamp(floor(y + down + 0.5), 0, view->size),
                  clamp(ceil(x - across - 0.5), 0, view->size), 0, 0, 0, (float)view->width,
                  (float)view->height};
   int last = clamp(floor(x + across + 0.5), 0, view->size);
@@ -60,7 +62,8 @@ static float clamped(float value) {
 
 
 // a disc into the cells' mean gray levels
-CLONES static void add_disc(float* restrict gray, int stride, Cells cells, float radius, float level) {
+CLONES static void add_disc(float* restrict gray, int stride, Cells cells, float radius,
+                            float level) {
   float scale = 1 / cells.width;
   for (int row = cells.top; row < cells.bottom; row++) {
     float y = cells.y + (float)(row - cells.top) * cells.height;
@@ -76,24 +79,24 @@ CLONES static void add_disc(float* restrict gray, int stride, Cells cells, float
 }
 
 
-// where an edge that fades as 3 t^2 - 2 t^3 has this part of its height: t = 1/2 - sin(asin(1 - 2 part)/3),
-// to 0.001 between 0.05 and 0.95
+// where an edge that fades as 3 t^2 - 2 t^3 has this part of its height:
+// t = 1/2 - sin(asin(1 - 2 part)/3), to 0.001 between 0.05 and 0.95
 static float edge_at(float part) {
   float u = 1 - 2*part, u2 = u*u;
   return 0.5f - u*(1/3.f + u2*(0.05602f + u2*(-0.01602f + u2*0.06807f)));
 }
 
 
-// One disc as it is cut: it ends `reach` from its middle where the threshold is `under`, the ground, and
-// `softness` less where it is 1/scale higher, the disc's own level.
+// One disc as it is cut: it ends `reach` from its middle where the threshold is `under`, the
+// ground, and `softness` less where it is 1/scale higher, the disc's own level.
 typedef struct {
   float reach, softness, under, scale;
 } Edge;
 
 
 // a disc into the parts of the cells that are black, cut at each cell where its threshold says
-CLONES static void cut_disc(float* restrict black, const float* restrict threshold, int stride, Cells cells,
-                            Edge edge) {
+CLONES static void cut_disc(float* restrict black, const float* restrict threshold, int stride,
+                            Cells cells, Edge edge) {
   float scale = 1 / cells.width;
   for (int row = cells.top; row < cells.bottom; row++) {
     float y = cells.y + (float)(row - cells.top) * cells.height;
@@ -113,10 +116,10 @@ CLONES static void cut_disc(float* restrict black, const float* restrict thresho
 }
 
 
-// mean (size rows of `stride`) = offset + means of `block` rows around each of gray; beyond the first and
-// the last row come more of these. total: size + 1 rows
-CLONES static void means_down(float* restrict mean, const float* restrict gray, int size, int stride,
-                              float block, float offset, float* restrict total) {
+// mean (size rows of `stride`) = offset + means of `block` rows around each of gray; beyond the
+// first and the last row come more of these. total: size + 1 rows
+CLONES static void means_down(float* restrict mean, const float* restrict gray, int size,
+                              int stride, float block, float offset, float* restrict total) {
   memset(total, 0, (size_t)stride * sizeof(float));
   for (int row = 0; row < size; row++) {
     const float *line = gray + (size_t)row*stride, *before = total + (size_t)row*stride;
@@ -135,8 +138,8 @@ CLONES static void means_down(float* restrict mean, const float* restrict gray, 
     const float *sum_a = total + (size_t)a*stride, *sum_b = total + (size_t)b*stride;
     float* line = mean + (size_t)row*stride;
     for (int x = 0; x < stride; x++) {
-      float sum = over*first[x] + under*last[x] + sum_b[x] + part_b*at_b[x] - sum_a[x] - part_a*at_a[x];
-      line[x] = sum * scale + offset;
+      float inside = sum_b[x] + part_b*at_b[x] - sum_a[x] - part_a*at_a[x];
+      line[x] = (over*first[x] + under*last[x] + inside) * scale + offset;
     }
   }
 }
@@ -162,7 +165,8 @@ CLONES static void ground_black(float* restrict black, const float* restrict thr
 }
 
 
-CLONES static void to_bytes(uint8_t* input, const float* black, const float* mask, int size, int stride) {
+CLONES static void to_bytes(uint8_t* input, const float* black, const float* mask, int size,
+                            int stride) {
   for (int row = 0; row < size; row++) {
     for (int x = 0; x < size; x++) {
       float white = 1 - black[(size_t)row*stride + x];
@@ -177,7 +181,7 @@ size_t draw_input_scratch(const InputView* view) {
 }
 
 
-// median and cells take as much off the radius all around as where the threshold is that of the middle
+// median and cells take as much off the radius everywhere as where the threshold is the middle's
 static Edge edge_of(const InputView* view, const double disc[4], const float* ground,
                     const float* threshold) {
   int row = clamp((disc[1] - view->top) / view->height, 0, view->size - 1);
@@ -186,30 +190,34 @@ static Edge edge_of(const InputView* view, const double disc[4], const float* gr
   float soft = (float)view->softness, reach = (float)disc[2] + soft/2, under = ground[middle];
   float scale = 1 / ((float)disc[3] - under), cell = (float)(view->width * view->height / 12);
   float radius = reach - soft * edge_at(clamped((threshold[middle] - under) * scale));
-  return (Edge) {reach - (float)view->bend / (radius*radius) - cell / (2*radius), soft, under, scale};
+  reach -= (float)view->bend / (radius*radius) + cell / (2*radius);
+  return (Edge) {reach, soft, under, scale};
 }
 
 
-static int drawable(const double disc[4], double radius) {
-  return radius > 0 && isfinite(disc[0]) && isfinite(disc[1]) && isfinite(radius);
+static int drawable(const double disc[4]) {
+  return disc[2] > 0 && isfinite(disc[0]) && isfinite(disc[1]) && isfinite(disc[2]);
 }
 
 
 // the threshold of each cell from the gray levels; `turned` and `total` are scratch
-static void thresholds(float* threshold, float* gray, const InputView* view, float* turned, float* total) {
+static void thresholds(float* threshold, float* gray, const InputView* view, float* turned,
+                       float* total) {
   int size = view->size, stride = stride_of(view);
   transpose(threshold, gray, size, stride);
   means_down(turned, threshold, size, stride, (float)(view->block / view->width), 0, total);
   transpose(gray, turned, size, stride);
-  means_down(threshold, gray, size, stride, (float)(view->block / view->height), (float)view->level, total);
+  means_down(threshold, gray, size, stride, (float)(view->block / view->height),
+             (float)view->level, total);
 }
 
 
-void draw_input(uint8_t* input, const InputView* view, const double* discs, int n, const float* ground,
-                const float* mask, float* scratch) {
+void draw_input(uint8_t* input, const InputView* view, const double* discs, int n,
+                const float* ground, const float* mask, float* scratch) {
   int size = view->size, stride = stride_of(view);
   size_t count = (size_t)size * stride;
-  float *under = scratch, *gray = under + count, *threshold = gray + count, *black = threshold + count;
+  float *under = scratch, *gray = under + count, *threshold = gray + count;
+  float* black = threshold + count;
   double soft = view->softness, cell = view->width * view->height / 12;
   memset(under, 0, count * sizeof(float));
   for (int row = 0; row < size; row++) {
@@ -219,16 +227,16 @@ void draw_input(uint8_t* input, const InputView* view, const double* discs, int 
   for (int i = 0; i < n; i++) {
     const double* disc = discs + 4*i;
     // a soft edge holds as much as a sharp one a little further out; a ramp as wide as a cell, too
-    double radius = disc[2] - view->bend / (disc[2]*disc[2]);
+    if (!drawable(disc)) continue;
+    double radius = fmax(disc[2] - view->bend / (disc[2]*disc[2]), 0);
     radius = sqrt(fmax(radius*radius + soft*soft/20 - cell, 0));
-    if (!drawable(disc, radius)) continue;
     add_disc(gray, stride, cells_of(view, disc, radius), (float)radius, (float)disc[3]);
   }
   thresholds(threshold, gray, view, black, black + count);
   ground_black(black, threshold, under, (float)view->noise, count);
   for (int i = 0; i < n; i++) {
     const double* disc = discs + 4*i;
-    if (!drawable(disc, disc[2])) continue;
+    if (!drawable(disc)) continue;
     Edge edge = edge_of(view, disc, under, threshold);
     cut_disc(black, threshold, stride, cells_of(view, disc, edge.reach), edge);
   }
