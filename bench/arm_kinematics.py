@@ -156,6 +156,38 @@ def apart(first: Solution, second: Solution) -> float:
     )
 
 
+def as_scenes(*solutions: Solution) -> list[SimpleNamespace]:
+    """What `Neighbour` wants to know of arms, with all limits at their defaults."""
+    return [
+        SimpleNamespace(
+            name=role,
+            kinematics=solution.arm,
+            T_world_base=solution.T_world_base,
+            limits=ArmLimits(),
+            safety=SafetySettings(),
+        )
+        for role, solution in zip(("leader", "follower"), solutions, strict=True)
+    ]
+
+
+def followed_part(first: Solution, second: Solution) -> float:
+    """The least part of their way's twists that the safe command stage leaves the two arms."""
+    scenes, least, safety = as_scenes(first, second), 1.0, SafetySettings()
+    for own, other, mine, theirs in ((first, second, *scenes), (second, first, *scenes[::-1])):
+        for i in range(0, len(own.path) - 1, 20):
+            states = [
+                ArmState(0, np.eye(4), np.zeros(6), ArmMode.MOVING, "", solution.path[i])
+                for solution in (own, other)
+            ]
+            q, q_next = own.path[i], own.path[i + 1]
+            twist = se3.log(se3.inverse(own.arm.pose(q)) @ own.arm.pose(q_next)) / STEP
+            rates = joint_rates(own.arm, q, twist)
+            part, _ = allowed_part(own.arm, q, rates, 0.04, safety.singularity_slow, safety.singularity_stop)
+            neighbour = Neighbour(mine, theirs, lambda states=states: states[1])
+            least = min(least, part, neighbour.allowed_part(states[0], twist, rates, 0.04)[0])
+    return least
+
+
 def microseconds(call: Callable[[], object], repeat: int = 1000) -> float:
     """Of one call, the best of five rounds."""
     rounds = []
@@ -172,17 +204,8 @@ def costs(first: Solution, second: Solution) -> dict[str, float]:
     arm, q = first.arm, first.path[0]
     random = np.random.default_rng(1)
     twist = np.array([0.01, 0.0, 0.01, 0.05, 0.0, 0.0])
-    limits, safety = ArmLimits(), SafetySettings()
-    scenes = [
-        SimpleNamespace(
-            name=name,
-            kinematics=solution.arm,
-            T_world_base=solution.T_world_base,
-            limits=limits,
-            safety=safety,
-        )
-        for name, solution in (("leader", first), ("follower", second))
-    ]
+    safety = SafetySettings()
+    scenes = as_scenes(first, second)
     middle = len(first.path) // 2
     own, other = (
         ArmState(0, np.eye(4), np.zeros(6), ArmMode.MOVING, "", solution.path[middle])
@@ -241,7 +264,9 @@ def main() -> None:
     args = parser.parse_args()
     leader = pushed_path(args.speed)
     follower = facing(leader, args.width)
-    print("arm    bases    role    adapter   end of range  joint speed  singular value   floor       apart")
+    print(
+        "arm    bases    role    adapter   end of range  joint speed  singular value   floor       apart  followed"
+    )
     for name in args.arms:
         for layout, bases in LAYOUTS.items():
             pair = [solve(name, base, poses) for base, poses in zip(bases, (leader, follower), strict=True)]
@@ -254,7 +279,11 @@ def main() -> None:
                 print(
                     f"{name:7}{layout:9}{role:10}{solution.turned_deg:4d} deg{m.range_deg:12.1f} deg"
                     f"{100 * m.speed_share:11.1f} %{m.singular:10.4f} m/rad{m.floor_mm:10.1f} mm"
-                    + (f"{1e3 * apart(*pair):7.1f} mm" if both and role == "leader" else "")
+                    + (
+                        f"{1e3 * apart(*pair):7.1f} mm{100 * followed_part(*pair):6.0f} %"
+                        if both and role == "leader"
+                        else ""
+                    )
                 )
         if both:
             print(f"{name}: " + ", ".join(f"{k} {v:.0f} us" for k, v in costs(*pair).items()))
