@@ -1,5 +1,5 @@
 # make         set up and build into .venv and install
-# make demo    follow a curved ramp by touch in simulation; results in out/demo
+# make demo    follow a curved ramp by touch in simulation; results in out/demo     (TASK=pushing: push an object)
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
 # make lowest  run tests with the lowest versions that setup.cfg allows
 # make lint    ruff and mypy
@@ -13,6 +13,7 @@
 SHELL := bash
 TORCH ?= torch==2.13.0
 ARGS ?=
+TASK ?= surface_following
 export PYTHON TORCH
 
 .PHONY: build demo test lowest lint model lock clean distclean
@@ -22,7 +23,7 @@ build:
 	@scripts/build.sh
 
 demo: build
-	@. scripts/env.sh && exec tactile demo --out out/demo $(ARGS)
+	@. scripts/env.sh && exec tactile demo $(TASK) --out out/demo $(ARGS)
 
 test:
 	@scripts/setup.sh test train cluster

@@ -129,3 +129,8 @@ def sensor_frame(arm: str) -> str:
 def contact_frame(arm: str) -> str:
     """The feature {f} that the sensor touches, by the filter's belief."""
     return f"{arm}/contact"
+
+
+def body_frame(body: str) -> str:
+    """A body of the simulated cell that a motion model moves."""
+    return f"body/{body}"

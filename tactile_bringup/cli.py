@@ -16,6 +16,7 @@ COMMANDS = (
     "tactile_bringup.commands.run",
     "tactile_bringup.commands.demo",
     "tactile_bringup.commands.simulate",
+    "tactile_bringup.commands.experiment",
     "tactile_bringup.commands.report",
     "tactile_bringup.commands.replay",
     "tactile_bringup.commands.estimate",

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from tactile_base.config_paths import named_file
@@ -310,6 +311,7 @@ def _role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
         "role": plan.role.name,
         "task": plan.role.task,
         "goals": [goal.name for goal in plan.goals],
+        "targets": [list(target) if np.isfinite(target).all() else None for target in plan.targets],
         "T_world_base": arm.T_world_base.tolist(),
         "tip_radius": arm.sensor.settings.tip_radius if arm.sensor is not None else 0.0,
     }

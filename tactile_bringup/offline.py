@@ -35,7 +35,7 @@ from tactile_filter.filter_settings import FilterSettings, load_filter_settings
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_records.runs.log import RunLog
 from tactile_records.runs.record import RunRecord
-from tactile_records.runs.surfaces import surface_mesh
+from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
 
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 
@@ -119,6 +119,12 @@ class _OfflineLoop:
     def __init__(self, scene: Scene, task: Task, options: OfflineOptions, progress: Progress | None) -> None:
         self.options, self.progress = options, progress
         plans = arm_plans(task, scene, options.arm, options.goals)
+        if not any(goal.goal.ends for plan in plans for goal in plan.goals):
+            arms = ", ".join(f"{plan.arm} ({plan.role.task})" for plan in plans)
+            raise SettingError(
+                f"task {task.name}: nothing ends this run: {arms} would go on for ever. Run the arm that "
+                "leads as well, or give a goal a duration"
+            )
         self.sequence = RunSequence(plans)
         self.cell = Cell(scene, options.seed, START_NS)
         self.arms = {
@@ -194,10 +200,13 @@ class _OfflineArm:
                 seed=options.seed,
                 goals=[goal.name for goal in plan.goals],
                 tip_radius=sensor.settings.tip_radius if sensor is not None else 0.0,
+                targets=plan.targets,
                 T_world_base=scene.arms[plan.arm].T_world_base,
+                loose=loose_outline(scene, plan.arm),
                 surface=surface_mesh(scene, plan.arm),
             )
         )
+        self.loose = loose_body(scene, plan.arm)
         self.queue: deque[_Event] = deque()
         self.inputs = TaskInputs()
         self.stepped_ns = START_NS
@@ -274,6 +283,8 @@ class _OfflineArm:
         frame = self.cell.expose(self.plan.arm)
         percept = self.perceive(frame)
         self.log.truth(frame.stamp_ns, frame.truth)
+        if self.loose:
+            self.log.body(frame.stamp_ns, self.cell.T_world_body(self.loose))
         self.log.percept(frame.stamp_ns, percept)
         if percept.in_contact is None:
             return

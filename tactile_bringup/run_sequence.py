@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError
 from tactile_control.task_file import NamedGoal, Role, Task
-from tactile_drivers.scene import Scene
+from tactile_drivers.scene import ArmScene, Scene
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,12 @@ class ArmPlan:
     arm: str
     role: Role
     goals: tuple[NamedGoal, ...]
+
+    @property
+    def targets(self) -> NDArray[np.float64]:
+        """The position in the base (G, 3) that each goal is to reach, m; NaN for one that has none."""
+        given = [getattr(goal.goal, "target", ()) or (np.nan,) * 3 for goal in self.goals]
+        return np.array(given, dtype=float)
 
 
 def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
@@ -54,7 +60,7 @@ def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence
                 raise SettingError(
                     f"task {task.name}: arm '{arm}' has two roles, {plans[arm].role.name} and {role.name}"
                 )
-            plans[arm] = ArmPlan(arm, role, _begun(role, scene.arms[arm].T_base_start))
+            plans[arm] = ArmPlan(arm, role, _begun(role, scene.arms[arm]))
     _check_goals(list(plans.values()), goals)
     chosen = [_only_goals(plan, goals) for plan in plans.values() if only is None or plan.arm == only]
     if not chosen:
@@ -75,15 +81,16 @@ def _arms_of(role: Role, scene: Scene) -> list[str]:
     return list(role.arms) or able
 
 
-def _begun(role: Role, T_base_start: NDArray[np.float64]) -> tuple[NamedGoal, ...]:
-    """The goals, those without a start of their own from where the arm starts.
+def _begun(role: Role, arm: ArmScene) -> tuple[NamedGoal, ...]:
+    """The goals in the arm's base, those without a start of their own from where the arm starts.
 
     Only the first goal of a task that feels nothing has a start: it goes on from where the last one ended.
     """
     begun = []
     for index, goal in enumerate(role.goals):
         returns = goal.start is None and (role.task_type.needs_sensor or index == 0)
-        begun.append(dataclasses.replace(goal, start=T_base_start) if returns else goal)
+        start = arm.T_base_start if returns else goal.start
+        begun.append(dataclasses.replace(goal, goal=goal.goal.in_base(arm.T_world_base), start=start))
     return tuple(begun)
 
 

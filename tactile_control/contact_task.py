@@ -82,10 +82,18 @@ class ContactSettings(Settings):
         0.00025, lower=1e-6, upper=0.005, unit="m", doc="settled when the error along z stays below this"
     )
     settle_angle_tolerance: float = setting(
-        0.03, lower=1e-4, upper=0.5, unit="rad", doc="and the tilt error (phi_x, phi_y) below this"
+        0.03,
+        lower=1e-4,
+        upper=0.5,
+        unit="rad",
+        doc="and the tilt error (phi_x, phi_y) below this; errors that have no gain (pid.kp, pid.ki) are not "
+        "waited for",
     )
     settle_time: float = setting(0.3, lower=0.0, upper=60.0, unit="s", doc="for this long")
     settle_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest settling")
+    leave_first: bool = setting(
+        True, doc="a task that begins in contact leaves the surface and approaches; else it settles at once"
+    )
     lost_contact_time: float = setting(
         0.1, lower=0.0, upper=10.0, unit="s", doc="contact counts as lost when it was absent for this long"
     )
@@ -264,8 +272,16 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if self._begins and self._presence is not None and self._pose is not None:
             self._begins = False
             if self._presence.in_contact:
-                self._enter(LEAVE)
+                self._begin_in_contact(self._presence.stamp_ns)
         return super()._next_twist(now_ns)
+
+    def _begin_in_contact(self, stamp_ns: int) -> None:
+        """Leave the contact, which was not made by the task, or go on with it."""
+        if self.settings.contact.leave_first:
+            self._enter(LEAVE)
+        else:
+            self._touch_ns = self._contact_ns = stamp_ns
+            self._enter(SETTLE)
 
     def _leave(self, now_ns: int) -> Array:
         """Back out of a contact that was there before the task."""
@@ -318,7 +334,10 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         settings = self.settings.contact
         # the way in is no steady error: an integral of it would only be an offset on the path
         output = self._serve(np.zeros(6), hold_integral=True)
-        depth, tilt = abs(output.error[2]), float(np.linalg.norm(output.error[3:5]))
+        pid = self.settings.pid
+        controlled = (np.asarray(pid.kp) > 0.0) | (np.asarray(pid.ki) > 0.0)
+        error = np.where(controlled, output.error, 0.0)
+        depth, tilt = abs(error[2]), float(np.linalg.norm(error[3:5]))
         if depth > settings.settle_depth_tolerance or tilt > settings.settle_angle_tolerance:
             self._settled_ns = None
         elif self._settled_ns is None:

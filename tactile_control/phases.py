@@ -61,9 +61,21 @@ class TaskInputs:
     sensor_pose: StampedPose | None = None
 
 
+G = TypeVar("G", bound="Goal")
+
+
 @dataclass(frozen=True)
 class Goal(Settings):
     """What one run of a task is to do, where its settings say how; each task has a class of its own."""
+
+    def in_base(self: G, T_world_base: Array) -> G:
+        """The same goal with all that it gives in the world in the arm's base, which stands there."""
+        return self
+
+    @property
+    def ends(self) -> bool:
+        """Whether it is reached some time, without being asked to finish."""
+        return True
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ def load_task(
         Folder of the controller files, by default `../controllers` seen from the task file if there is one,
         else the packaged ones.
     controller
-        Name of one of them in place of those that the task names for the roles that feel.
+        Name of one of them in place of those that the task names for the roles that feel; ROLE=NAME for one.
     changes
         Settings on top of all files, each as ROLE.GROUP.NAME=VALUE; with one role its name may be left out.
 
@@ -168,6 +168,9 @@ def load_task(
         root.fail(f"no goals for this scene: {unknown_name(scene, list(scenes))}", "scenes")
     scenes[scene].allow(*roles)
     folder = Path(controllers) if controllers is not None else _controllers_of(Path(path))
+    only = (controller or "").rpartition("=")[0]
+    if only and only not in roles:
+        raise SettingError(f"controller {controller}: role {unknown_name(only, list(roles))}")
     loaded = [
         _role(name, section, scenes[scene].section(name), folder, controller, roles)
         for name, section in roles.items()
@@ -187,15 +190,17 @@ def _role(
     roles: dict[str, Section],
 ) -> Role:
     section.allow("task", "controller", "settings")
-    on_scene.allow("arms", "after", "ends_run", "settings", "goals")
+    on_scene.allow("arms", "after", "ends_run", "controller", "settings", "goals")
     task = section.choice("task", list(TASKS.names()))
     task_type = TASKS.load(task)
     names = sorted(file.stem for file in folder.glob("*.yaml"))
-    chosen = section.choice("controller", names) if "controller" in section.values else ""
-    if controller is not None and task_type.needs_sensor:
-        if controller not in names:
-            raise SettingError(f"controller: {unknown_name(controller, names)}")
-        chosen = controller
+    named = [place for place in (on_scene, section) if "controller" in place.values]
+    chosen = named[0].choice("controller", names) if named else ""
+    only, _, wanted = (controller or "").rpartition("=")
+    if controller is not None and (only == name if only else task_type.needs_sensor):
+        if wanted not in names:
+            raise SettingError(f"controller: {unknown_name(wanted, names)}")
+        chosen = wanted
     settings = task_type.settings_class()
     if chosen:
         settings = load_controller(folder / f"{chosen}.yaml", settings)

@@ -1,4 +1,4 @@
-"""`tactile demo`: follows the ramp with real nodes, records it, shows the result in numbers and pictures."""
+"""`tactile demo`: runs a task with real nodes, records it, shows the result in numbers and pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.commands.launch import EXIT_CODES, add_scene_options
+from tactile_bringup.commands.launch import EXIT_CODES, TASK_HELP, add_scene_options
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,10 +21,11 @@ BAG, MARKER = "bag", "metadata.yaml"
 
 def register(subparsers: Any) -> None:
     """Add `demo`."""
-    doc = "follow a curved ramp in simulation, with pictures"
+    doc = "follow a curved ramp in simulation, or run another task, with pictures"
     parser = subparsers.add_parser("demo", help=doc, description=__doc__, epilog=EXIT_CODES)
-    add_scene_options(parser)
     add = parser.add_argument
+    add("task", nargs="?", default=TASK, help=f"{TASK_HELP} (default: {TASK})")
+    add_scene_options(parser)
     add("--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="(default: out/demo)")
     add("--record-images", action="store_true", help="images into the bag as well")
     add("--headless", action="store_true", help="plain lines in place of the live display")
@@ -42,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not _make_room(bag):
         return 2
     options = graph_options(arguments, record=bag)
-    outcome = launch(TASK, arguments.scene, options, folder, console, arguments.headless)
+    outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2
     if not bag.is_dir():

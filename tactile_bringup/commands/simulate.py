@@ -60,10 +60,11 @@ def _simulate(arguments: argparse.Namespace) -> int:
             progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
 
         run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
-    return _deliver(run, folder)
+    return deliver(run, folder)
 
 
-def _deliver(run: Run, folder: Path) -> int:
+def deliver(run: Run, folder: Path) -> int:
+    """Write report, pictures and record of each arm, and say what a person wants to see first."""
     from tactile_records.runs.report import places, summary, write_reports
 
     values = write_reports(run, folder)

@@ -13,6 +13,7 @@ TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
     {
         "surface_following": "tactile_control.tasks.surface_following:SurfaceFollowing",
         "object_tracking": "tactile_control.tasks.object_tracking:ObjectTracking",
+        "pushing": "tactile_control.tasks.pushing:Pushing",
         "trajectory": "tactile_control.tasks.trajectory:Trajectory",
         "data_collection": "tactile_control.tasks.data_collection:DataCollection",
     },

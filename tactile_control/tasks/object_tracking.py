@@ -49,6 +49,11 @@ class TrackingGoal(Goal):
         0.0, lower=0.0, upper=86400.0, unit="s", doc="track for so long; 0: until the task is asked to end"
     )
 
+    @property
+    def ends(self) -> bool:
+        """With a duration."""
+        return self.duration > 0.0
+
 
 class ObjectTracking(ContactTask):
     """Follows a surface wherever it moves."""

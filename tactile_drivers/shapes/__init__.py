@@ -28,6 +28,7 @@ SHAPES: Registry[type[Surface]] = Registry(
         "box": "tactile_drivers.shapes.box:Box",
         "cylinder": "tactile_drivers.shapes.cylinder:Cylinder",
         "sphere": "tactile_drivers.shapes.sphere:Sphere",
+        "prism": "tactile_drivers.shapes.prism:Prism",
     },
 )
 

@@ -27,7 +27,7 @@ from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
 from tactile_drivers.shapes.surface import Surface, contact_pose
 from tactile_drivers.sim.arm import SimArm
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
-from tactile_drivers.sim.motions import FIXED, BodyContact, make_motion
+from tactile_drivers.sim.motions import FIXED, BodyContact, Motion, make_motion
 from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
@@ -189,6 +189,12 @@ class Cell:
         if body not in self._bodies:
             raise KeyError(unknown_name(body, list(self._bodies)))
         return self._bodies[body].T_world_body.copy()
+
+    def motion(self, body: str) -> Motion:
+        """The motion of a body, with the state that its model has."""
+        if body not in self._bodies:
+            raise KeyError(unknown_name(body, list(self._bodies)))
+        return self._bodies[body].motion
 
     def exposure_due(self, arm: str) -> bool:
         """Whether the camera of the arm's sensor exposes at the present step."""
@@ -405,8 +411,7 @@ class _CellArm:
             known = self.sensor.model.truth()
             truth = _truth(target, T_base_sensor, self.sensor.radius, known)
             if truth.in_contact:
-                force = -T_body_sensor[:3, :3] @ known.force
-                self.contact = BodyContact(self.name, self.arm.stamp_ns, T_body_sensor, truth, force)
+                self.contact = _contact(self.name, self.arm.stamp_ns, target, T_body_sensor, truth, known)
         self._touched = target if truth.in_contact else None
         image, estimate = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
@@ -444,6 +449,23 @@ def _skin(settings: SkinSettings) -> Skin:
     from tactile_drivers.sim.skin import load_skin
 
     return load_skin(settings)
+
+
+def _contact(
+    arm: str, stamp_ns: int, target: _Target, T: Array, truth: Truth, known: ContactTruth | IdealTruth
+) -> BodyContact:
+    """What the body feels of the sensor: the force acts at the nearest point, or, where it is modelled,
+    where its line of action meets the surface's tangent plane there.
+    """
+    R = T[:3, :3]
+    distance, normals = target.body.surface.query(T[None, :3, 3])
+    normal, point = normals[0], T[:3, 3] - distance[0] * normals[0]
+    force, torque = -R @ known.force, -R @ known.torque
+    press = -float(force @ normal)
+    if press > 0:  # not without contact, and not where no force is modelled
+        nearest = np.cross(force, torque) / float(force @ force) + T[:3, 3]
+        point = nearest + float((nearest - point) @ normal) / press * force
+    return BodyContact(arm, stamp_ns, T, truth, force, point, normal)
 
 
 def _truth(target: _Target, T_base_sensor: Array, radius: float, known: ContactTruth | IdealTruth) -> Truth:

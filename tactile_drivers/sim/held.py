@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_drivers.sim.skin_force import SkinForces
 from tactile_filter import se3
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, in the world
-_REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper holds objects at
 _STEEPEST_DEG = 85.0  # of the friction cone and the rim together
 _TIP_SLIPS = 0.95  # of the tip's friction: from here on its force grows no more
 _TOPPLED = math.radians(15.0)  # tilt that nothing comes back from
@@ -60,12 +60,11 @@ class HeldState(Enum):
 
 
 @dataclass(frozen=True)
-class HeldSettings(Settings):
+class HeldSettings(SkinForces):
     """A held object; the default is a Rubik's cube on foam pads.
 
     Mass and size of the cube are those of the YCB object set. Stiffness (four foam pads, 20 x 20 x 5 mm, of
-    50 kPa) and frictions are assumed. The skin's curves are fitted to the simulated TacTip on a plane by
-    bench/held_objects.py; a sensor that knows no force (fidelity "ideal") has that of the curves.
+    50 kPa) and frictions are assumed.
     """
 
     mass: float = setting(0.094, unit="kg", lower=1e-3, upper=10.0, doc="of the object")
@@ -86,21 +85,12 @@ class HeldSettings(Settings):
     rim_deg: float = setting(
         0.0, unit="deg", lower=0.0, upper=80.0, doc="slope of the plate at its edge: 0 flat, above concave"
     )
-    friction_tip: float = setting(0.9, lower=0.0, upper=5.0, doc="between object and the tip's skin")
     stiffness: float = setting(
         1.6e4, unit="N/m", lower=1.0, upper=1e9, doc="of object and pads along the plate's normal"
     )
     hand_time: float = setting(
         2.0, unit="s", lower=0.0, upper=60.0, doc="after the first touch, until the hand lets go"
     )
-    skin_force: float = setting(
-        1.69, unit="N", lower=0.0, upper=1000.0, doc="normal force of the tip at a depth of 6 mm"
-    )
-    skin_exponent: float = setting(1.68, lower=1.0, upper=3.0, doc="of the normal force over depth")
-    skin_shear: float = setting(
-        211.0, unit="N/m", lower=0.0, upper=1e6, doc="of the tip, tangential, at 6 mm"
-    )
-    skin_shear_exponent: float = setting(0.47, lower=0.0, upper=3.0, doc="of that stiffness over depth")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -115,20 +105,6 @@ class HeldSettings(Settings):
     def friction(self) -> float:
         """Of the plate, with the rim that the object would have to climb."""
         return math.tan(math.atan(self.friction_plate) + math.radians(self.rim_deg))
-
-    def normal_force(self, depth: float) -> float:
-        """Of the tip (N) at a depth (m) of its skin."""
-        return self.skin_force * max(depth / _REFERENCE_DEPTH, 0.0) ** self.skin_exponent
-
-    def shear_stiffness(self, depth: float) -> float:
-        """Of the tip's skin across the normal (N/m) at a depth (m)."""
-        return self.skin_shear * max(depth / _REFERENCE_DEPTH, 0.0) ** self.skin_shear_exponent
-
-    def depth(self, normal_force: float) -> float:
-        """Of the tip (m) at a normal force (N)."""
-        if normal_force <= 0 or self.skin_force == 0:
-            return 0.0
-        return _REFERENCE_DEPTH * float((normal_force / self.skin_force) ** (1 / self.skin_exponent))
 
 
 @dataclass(frozen=True)
@@ -239,7 +215,7 @@ class HeldObject:
         """Yield by a Newton step towards stiffness x yield = press, as if the tip stood still."""
         s = self.settings
         depth = s.depth(press)
-        skin = s.skin_exponent * press / depth if depth > 0 else 0.0
+        skin = s.normal_stiffness(depth, press)
         self._yield = max(0.0, self._yield + (press - s.stiffness * self._yield) / (s.stiffness + skin))
 
     def _load(self, weight: Array, force: Array, point: Array) -> HeldLoad:
@@ -282,7 +258,7 @@ class HeldObject:
             return True
         depth = s.depth(press)
         shear = 0.0 if self._tip_slips(force) else s.shear_stiffness(depth)
-        normal = s.skin_exponent * press / depth if depth > 0 else 0.0
+        normal = s.normal_stiffness(depth, press)
         lever = side * (point[:2] - middle) - half
         stiffness = (shear * height + press) * height + normal * lever**2
         if (stiffness <= 0).any():
@@ -351,20 +327,10 @@ class Held:
         """Force of all sensors on the object, and the point where it acts, in the plate's frame."""
         force, point, sizes, T = np.zeros(3), np.zeros(3), 0.0, self.object.T_plate_object
         for contact in contacts:
-            known = contact.force if np.isfinite(contact.force).all() else self._by_curve(contact)
+            known = self.object.settings.force_on_body(contact)
             size = float(np.linalg.norm(known))
             force += T[:3, :3] @ known
             touched = self._surface.closest(contact.T_body_sensor[None, :3, 3])[0]
             point += size * (T[:3, :3] @ touched + T[:3, 3])
             sizes += size
         return force, point / sizes if sizes > 0 else point
-
-    def _by_curve(self, contact: BodyContact) -> Array:
-        """Force (3,) on the body, in its frame, of a sensor that models none: from depth and shear."""
-        s, depth = self.object.settings, contact.truth.depth
-        press = s.normal_force(depth)
-        shear = s.shear_stiffness(depth) * contact.truth.T_fs[:2, 3]
-        limit, size = s.friction_tip * press, float(np.linalg.norm(shear))
-        if size > limit:
-            shear = shear * (limit / size)
-        return contact.T_body_sensor[:3, :3] @ contact.truth.T_fs[:3, :3].T @ np.array([*shear, press])

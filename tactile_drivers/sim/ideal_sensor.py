@@ -32,6 +32,7 @@ class IdealTruth:
     slip_fraction: float
     normal_force: float = float("nan")
     force: Array = field(default_factory=lambda: np.full(3, np.nan))
+    torque: Array = field(default_factory=lambda: np.full(3, np.nan))
 
 
 class IdealSensor:
@@ -101,7 +102,9 @@ class IdealSensor:
         s = self.settings
         limit = float(np.interp(geometry.depth, s.shear_depths, s.shear_limits))
         turn_limit = float(np.interp(geometry.depth, s.shear_depths, s.turn_limits))
-        offset = geometry.point - self._anchor
+        # the way of the tip's matter over the surface: a tip that rolls moves its centre without it
+        touched = T @ se3.inverse(self._T) @ np.append(before.point, 1.0)
+        offset = touched[:3] - self._anchor
         offset = offset - (offset @ geometry.normal) * geometry.normal
         length = float(np.linalg.norm(offset))
         turn = self._turn + _turn_between(self._T, T, -(geometry.normal + before.normal))

@@ -3,10 +3,10 @@
 A motion is a class in the registry `MOTIONS`; a scene names it for a body, and another package adds its own
 by an entry point of the group "tactile_servoing.motions"::
 
-    class Pushed:
-        settings_class = PushedSettings               # checked against `motion_settings` of the scene
+    class Swinging:
+        settings_class = SwingingSettings             # checked against `motion_settings` of the scene
 
-        def __init__(self, scene: Scene, body: BodyScene, settings: PushedSettings) -> None: ...
+        def __init__(self, scene: Scene, body: BodyScene, settings: SwingingSettings) -> None: ...
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ class BodyContact:
         Depth, shear and normal force.
     force : ndarray (3,)
         Force of the sensor on the body, N, in the body's frame; NaN where the sensor does not model it.
+    point, normal : ndarray (3,)
+        Where it acts on the body's surface (m), and the outward normal there, in the body's frame.
     """
 
     arm: str
@@ -51,6 +53,8 @@ class BodyContact:
     T_body_sensor: Array
     truth: Truth
     force: Array
+    point: Array
+    normal: Array
 
 
 class Motion(Protocol):
@@ -87,6 +91,7 @@ MOTIONS: Registry[MotionType] = Registry(
         FIXED: "tactile_drivers.sim.motions:Fixed",
         CARRIED: "tactile_drivers.sim.motions:Carried",
         "held": "tactile_drivers.sim.held:Held",
+        "pushed": "tactile_drivers.sim.pushed:Pushed",
     },
 )
 

@@ -51,6 +51,8 @@ class ContactTruth:
         The feature frame {f} in the surface's frame.
     force : (3,) N
         Total force of the surface on the skin, in {s}.
+    torque : (3,) N m
+        Its torque about the origin of {s}, in {s}.
     normal_force, tangential_force : float, N
         Its parts along and across the surface's normal under the dome's centre.
     contact_nodes : int
@@ -63,6 +65,7 @@ class ContactTruth:
     T_fs: Array
     T_surface_contact: Array
     force: Array
+    torque: Array
     normal_force: float
     tangential_force: float
     contact_nodes: int
@@ -249,8 +252,8 @@ def _truth(T: Array, surface: SurfaceShape, radius: float, contact: _ContactStat
     press = np.maximum(np.einsum("ij,ij->i", contact.force, contact.normal), 0.0)
     total = contact.force.sum(axis=0)
     shear, gamma = np.zeros(2), 0.0
+    anchors = (contact.anchor - T[:3, 3]) @ T[:3, :3]
     if press.sum() > 0:
-        anchors = (contact.anchor - T[:3, 3]) @ T[:3, :3]
         shear, gamma = _rigid_shear((contact.touch @ tilt.T)[:, :2], (anchors @ tilt.T)[:, :2], press)
     turn = np.array([[np.cos(gamma), -np.sin(gamma), 0], [np.sin(gamma), np.cos(gamma), 0], [0, 0, 1.0]])
     T_fs = np.eye(4)
@@ -259,7 +262,8 @@ def _truth(T: Array, surface: SurfaceShape, radius: float, contact: _ContactStat
     T_fs[:3, 3] = [*(turn[:2, :2] @ shear), depth]
     along = float(-total @ into_surface)
     return ContactTruth(
-        depth=depth, T_fs=T_fs, T_surface_contact=T @ se3.inverse(T_fs), force=total, normal_force=along,
+        depth=depth, T_fs=T_fs, T_surface_contact=T @ se3.inverse(T_fs), force=total,
+        torque=np.cross(anchors, contact.force).sum(axis=0), normal_force=along,
         tangential_force=float(np.linalg.norm(total + along * into_surface)),
         contact_nodes=int((press > 0).sum()),
         slip_fraction=float(press[contact.state == _SLIP].sum() / press.sum()) if press.sum() > 0 else 0.0,

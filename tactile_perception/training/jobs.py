@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tactile_base.cluster import cluster_client
 from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.run_folder import RESULT_NAME, STATE_NAME, RunFolder
 
@@ -21,7 +22,7 @@ _POLL_SECONDS = 0.3
 
 
 class JobError(ValueError):
-    """A run that failed, or a cluster that cannot be used."""
+    """A run that failed."""
 
 
 @dataclass(frozen=True)
@@ -98,19 +99,11 @@ def run_cluster(jobs: list[Job], scheduler: str, report: Callable[[Job, str], No
 
     Data and project have to be at the same paths on every machine.
 
-    Raises `JobError` if Dask is not installed or the scheduler does not answer.
+    Raises `ClusterError` if Dask is not installed or the scheduler does not answer.
     """
-    try:
-        from distributed import Client, as_completed
-    except ModuleNotFoundError as error:
-        if error.name not in ("distributed", "dask"):
-            raise
-        raise JobError("--scheduler needs Dask: pip install 'tactile_servoing[cluster]'") from error
-    try:
-        client = Client(scheduler, timeout=10)
-    except (OSError, ValueError, TypeError) as error:
-        raise JobError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
-    with client:
+    with cluster_client(scheduler) as client:
+        from distributed import as_completed
+
         futures = {client.submit(run_on_worker, job, pure=False): job for job in jobs}
         for future in as_completed(futures):
             job = futures[future]

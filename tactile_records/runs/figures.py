@@ -36,6 +36,7 @@ PHASES = {
     "settle": "#dff0e0",
     "follow": "#ffffff",
     "track": "#ffffff",
+    "push": "#ffffff",
     "move": "#ffffff",
     "stopping": "#f6d5d5",
     "retreat": "#ececec",

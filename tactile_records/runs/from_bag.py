@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import ns_from_parts
+from tactile_base.topics import TF, body_frame
 from tactile_control.tasks import TASKS
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_filter import se3
 from tactile_filter.gaussian import left_from_ros
 from tactile_records.bags.contents import noted
 from tactile_records.bags.reader import Bag, read_bag
-from tactile_records.runs.record import RunRecord, Series, StageSeries, SurfaceMesh
-from tactile_records.runs.surfaces import surface_mesh
+from tactile_records.runs.record import BodySeries, RunRecord, Series, StageSeries
+from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
 
 Array = NDArray[Any]
 R = TypeVar("R")
@@ -57,12 +58,13 @@ def run_from_bag(bag: Bag, arm: str) -> RunRecord:
         seed=int(bag.note.get("seed", 0)),
         goals=role.get("goals", []),
         tip_radius=role.get("tip_radius", RunRecord.tip_radius),
+        targets=np.array([target or [np.nan] * 3 for target in role.get("targets", [])]).reshape(-1, 3),
         T_world_base=np.array(role.get("T_world_base", np.eye(4).tolist())),
     )
     for stream, (topic, row) in STREAMS.items():
         setattr(record, stream, rows.series(type(getattr(record, stream)), topic, row))
     record.latency, record.lost = _latency(rows)
-    record.surface, problem = _surface(bag, arm)
+    problem = _add_bodies(record, bag)
     record.result = _result(bag, record) | ({"surface_problem": problem} if problem else {})
     return record
 
@@ -107,7 +109,11 @@ def stamp_of(message: Any) -> int:
 
 def pose_matrix(pose: Any) -> Array:
     """T (4, 4) of a geometry_msgs/Pose."""
-    q = np.array([pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z])
+    return _matrix(pose.position, pose.orientation)
+
+
+def _matrix(position: Any, orientation: Any) -> Array:
+    q = np.array([orientation.w, orientation.x, orientation.y, orientation.z])
     w, x, y, z = _finite(q / (np.linalg.norm(q) or np.nan), "its orientation")
     T = np.eye(4)
     T[:3, :3] = [
@@ -115,7 +121,7 @@ def pose_matrix(pose: Any) -> Array:
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    T[:3, 3] = _finite(np.array([pose.position.x, pose.position.y, pose.position.z]), "its position")
+    T[:3, 3] = _finite(np.array([position.x, position.y, position.z]), "its position")
     return T
 
 
@@ -217,12 +223,34 @@ def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
     return series, lost
 
 
-def _surface(bag: Bag, arm: str) -> tuple[SurfaceMesh, str]:
-    """The surfaces that the arm can touch; or none, and why: the scene file may have gone or changed."""
+def _add_bodies(record: RunRecord, bag: Bag) -> str:
+    """The bodies that the arm can touch; or none, and why: the scene file may have gone or changed."""
     try:
-        return surface_mesh(load_scene(bag.note.get("scene_file", "scene_file.yaml")), arm), ""
+        scene = load_scene(bag.note.get("scene_file", "scene_file.yaml"))
+        record.surface, record.loose = surface_mesh(scene, record.arm), loose_outline(scene, record.arm)
     except (SceneError, KeyError) as error:
-        return SurfaceMesh(), f"the true surface is not drawn: {error}"
+        return f"the true surface is not drawn: {error}"
+    name = loose_body(scene, record.arm)
+    if name:
+        record.body = _body_series(bag, body_frame(name))
+    return ""
+
+
+def _body_series(bag: Bag, frame: str) -> BodySeries:
+    """The poses in the world of a frame that only the simulation publishes."""
+    rows = []
+    for _, message in bag.decoded(TF.name):
+        for transform in message.transforms:
+            if transform.child_frame_id != frame:
+                continue
+            try:
+                T = _matrix(transform.transform.translation, transform.transform.rotation)
+            except ValueError as error:
+                bag.problems.append(f"{TF.name}: {frame}: {error}")
+            else:
+                rows.append((_ns(transform.header.stamp), T))
+    rows.sort(key=lambda row: row[0])
+    return BodySeries(*map(np.array, zip(*rows, strict=True))) if rows else BodySeries()
 
 
 def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:

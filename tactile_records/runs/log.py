@@ -40,6 +40,10 @@ class RunLog:
         """What the simulation knows of an exposure."""
         self._rows["truth"].append((stamp_ns, truth.T_fs, truth.slip_fraction, truth.in_contact))
 
+    def body(self, stamp_ns: int, T_world_body: Array) -> None:
+        """Where the simulation has the body that the arm touches and a motion model moves."""
+        self._rows["body"].append((stamp_ns, T_world_body))
+
     def percept(self, stamp_ns: int, percept: Percept) -> None:
         """What perception says of an exposure."""
         self._rows["presence"].append((stamp_ns, percept.score, bool(percept.in_contact)))

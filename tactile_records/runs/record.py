@@ -133,11 +133,34 @@ class StageSeries(Series):
 
 
 @dataclass
+class BodySeries(Series):
+    """A body that a motion model moves, in the world, as the simulation knows it."""
+
+    T_world_body: Array = _array(4, 4)
+
+
+@dataclass
 class SurfaceMesh:
     """The true surface in the arm's base frame, for pictures: vertices (V, 3) m, triangles (F, 3) indices."""
 
     vertices: Array = field(default_factory=lambda: np.zeros((0, 3)))
     faces: Array = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+
+
+@dataclass
+class LooseBody:
+    """What the scene says of the body that the arm touches and a motion model moves; nothing without one.
+
+    Attributes
+    ----------
+    outline : ndarray (N, 3)
+        Its closed contour, in its own frame, m: the cut at the height at which the arm's sensor starts.
+    T_world_start : ndarray (4, 4)
+        Where it is at the start.
+    """
+
+    outline: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    T_world_start: Array = field(default_factory=lambda: np.eye(4))
 
 
 @dataclass
@@ -153,7 +176,11 @@ class RunRecord:
     source : "offline" or "ros"
     tip_radius : radius of the sensor's tip, m
     goals : names of the arm's goals; `command.goal` indexes it
+    targets : ndarray (G, 3)
+        Position in the base that each goal is to reach, m; NaN for one without such a thing.
     T_world_base : ndarray (4, 4) where the arm stands
+    body : BodySeries
+        The body that the arm touches and a motion model moves; empty where nobody knows its pose.
     latency : stage name -> StageSeries, cumulative from the exposure, in the order of the stages
     lost : stage name -> number of frames lost (dropped and counted) there
     result : succeeded (bool) and reason (str) of the task, wall_s, and what else is worth a line in a report
@@ -169,6 +196,7 @@ class RunRecord:
     seed: int = 0
     tip_radius: float = 0.020
     goals: list[str] = field(default_factory=list)
+    targets: Array = field(default_factory=lambda: np.zeros((0, 3)))
     T_world_base: Array = field(default_factory=lambda: np.eye(4))
     pose: PoseSeries = field(default_factory=PoseSeries)
     truth: TruthSeries = field(default_factory=TruthSeries)
@@ -179,7 +207,9 @@ class RunRecord:
     arm_twist: ArmSeries = field(default_factory=ArmSeries)
     latency: dict[str, StageSeries] = field(default_factory=dict)
     lost: dict[str, int] = field(default_factory=dict)
+    body: BodySeries = field(default_factory=BodySeries)
     surface: SurfaceMesh = field(default_factory=SurfaceMesh)
+    loose: LooseBody = field(default_factory=LooseBody)
     result: dict[str, Any] = field(default_factory=dict)
 
     def phase_at(self, stamp_ns: Array) -> Array:
@@ -214,7 +244,7 @@ class RunRecord:
         plain: dict[str, Any] = {}
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
-            if isinstance(value, Series | SurfaceMesh):
+            if isinstance(value, Series | SurfaceMesh | LooseBody):
                 arrays |= _columns(item.name, value)
             elif item.name == "latency":
                 for stage, series in value.items():
@@ -236,7 +266,7 @@ class RunRecord:
         record = cls(**plain)
         for item in dataclasses.fields(cls):
             value = getattr(record, item.name)
-            if isinstance(value, Series | SurfaceMesh):
+            if isinstance(value, Series | SurfaceMesh | LooseBody):
                 setattr(record, item.name, _from_columns(type(value), item.name, arrays))
             elif isinstance(value, np.ndarray):
                 setattr(record, item.name, arrays[item.name])

@@ -46,6 +46,7 @@ REPORTS: Registry[TaskReport] = Registry(
     {
         "surface_following": "tactile_records.runs.surface_following:REPORT",
         "object_tracking": "tactile_records.runs.object_tracking:REPORT",
+        "pushing": "tactile_records.runs.pushing:REPORT",
         "trajectory": "tactile_records.runs.trajectory:REPORT",
     },
 )

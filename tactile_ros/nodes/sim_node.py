@@ -163,7 +163,8 @@ class SimNode(ManagedNode):
         self.loose = [name for name in self.scene.bodies if not _frame_of(self.scene, name)]
         self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
         moving = [node.moving_transform() for node in self.arms.values()]
-        moving += [transform_stamped(0, topics.WORLD, f"body/{name}", np.eye(4)) for name in self.loose]
+        frames = map(topics.body_frame, self.loose)
+        moving += [transform_stamped(0, topics.WORLD, frame, np.eye(4)) for frame in frames]
         self.tf_layout = Layout(TFMessage(transforms=moving))
         self.markers_out = self.publisher(MarkerArray, topics.SIM_MARKERS.name, LATCHED)
 
@@ -254,7 +255,7 @@ def body_markers(scene: Scene) -> list[Marker]:
     markers = []
     for number, (name, body) in enumerate(scene.bodies.items()):
         frame = _frame_of(scene, name)
-        frame, T = (frame, body.T_parent_body) if frame else (f"body/{name}", np.eye(4))
+        frame, T = (frame, body.T_parent_body) if frame else (topics.body_frame(name), np.eye(4))
         marker = Marker(ns=name, id=number, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
         marker.header.frame_id, marker.frame_locked = frame, frame != topics.WORLD
         marker.pose, marker.scale = pose_from_matrix(T), Vector3(x=1.0, y=1.0, z=1.0)

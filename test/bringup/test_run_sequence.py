@@ -20,8 +20,8 @@ MOVE = {"displacement": [0.02, 0, 0, 0, 0, 0]}
 def planned(tmp_path: Path):
     """Plans of a task of roles on a scene with a mover without and two feelers with a sensor."""
 
-    def make(roles: dict, on_scene: dict, **chosen):
-        start = {"start": {"position": [0, 0, 0.1]}}
+    def make(roles: dict, on_scene: dict, base=None, **chosen):
+        start = {"start": {"position": [0, 0, 0.1]}, "base": base or {}}
         feels = start | {"sensor": {}}
         scene, task = tmp_path / "shelf.yaml", tmp_path / "carry.yaml"
         scene.write_text(
@@ -75,6 +75,17 @@ def test_two_roles_for_one_arm_are_refused(planned):
 def test_an_arm_that_cannot_run_its_task_is_refused(planned, arm, message):
     with pytest.raises(SettingError, match=message):
         planned({"follower": FOLLOWER}, {"follower": {"arms": [arm], "goals": [{}]}})
+
+
+def test_a_goal_in_the_world_arrives_in_the_arms_base(planned):
+    plans = planned(
+        {"pusher": {"task": "pushing"}},
+        {"pusher": {"arms": ["left"], "goals": [{"target": [0.3, 0.2, 0.1], "frame": "world"}]}},
+        base={"position": [0.1, 0.0, 0.0], "rotation_deg": [0, 0, 90]},
+    )
+    (goal,) = plans[0].goals
+    assert goal.goal.frame == "base"
+    np.testing.assert_allclose(goal.goal.target, [0.2, -0.2, 0.1], atol=1e-12)
 
 
 def test_an_arm_with_a_sensor_may_do_what_needs_none(planned):

@@ -123,3 +123,42 @@ def run(task, plant, limit_s=60.0, change=None, each=None):
             break
         plant.step(command.twist)
     return commands
+
+
+class PushedFace:
+    """The flat side of an object that gives way to a tip deeper than `depth`, and turns as it is pushed.
+
+    The model of the paper's appendix: sideways motion of the contact by dy along the y-axis of its frame (x
+    down, z into the object) turns the object by turning * dy about x; `drift` turns it with the way ahead, as
+    a centre of friction beside the contact does.
+    """
+
+    def __init__(self, contact, normal, turning, depth=0.002, drift=0.0) -> None:
+        self.contact, self.normal = np.array(contact, float), np.array(normal, float)
+        self.turning, self.drift, self.depth = turning, drift, depth
+
+    def query(self, p: np.ndarray) -> tuple[float, np.ndarray]:
+        return float(self.normal @ (self.contact - p)), -self.normal
+
+    def follow(self, before: np.ndarray, after: np.ndarray) -> None:
+        """The sensor's centre has moved from `before` to `after`."""
+        deeper = TIP_RADIUS - self.depth - self.query(after)[0]
+        if deeper <= 0.0:
+            return
+        down = np.array([0.0, 0.0, -1.0])
+        sideways = (after - before) @ np.cross(self.normal, down)
+        self.contact = after + (TIP_RADIUS - self.depth) * self.normal
+        turn = (self.turning * sideways + self.drift * deeper) * down
+        self.normal = se3.exp(np.concatenate([np.zeros(3), turn]))[:3, :3] @ self.normal
+
+
+class PushingPlant(Plant):
+    """An arm that pushes a `PushedFace`; beliefs without delay."""
+
+    def __init__(self, surface: PushedFace, T_base_sensor, **kwargs) -> None:
+        super().__init__(surface, T_base_sensor, delay_steps=0, **kwargs)
+
+    def step(self, twist: np.ndarray) -> None:
+        before = self.T[:3, 3].copy()
+        super().step(twist)
+        self.surface.follow(before, self.T[:3, 3])

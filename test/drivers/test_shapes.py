@@ -29,6 +29,9 @@ CLOSED = [
     ("cylinder", {"axis": "x", "radius": 0.05, "height": 0.02}),
     ("cylinder", {"axis": "y"}),
     ("cylinder", {"axis": "y", "ends": False}),
+    ("prism", {}),
+    ("prism", {"sides": 3, "width": 0.05, "rounding": 0.0}),
+    ("prism", {"sides": 5, "height": 0.04, "rounding": 0.01}),
 ]
 CASES = OPEN + CLOSED
 
@@ -152,7 +155,7 @@ def test_reading_the_names_of_the_shapes_loads_none_of_them():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "'plane', 'ramp', 'dome', 'box', 'cylinder', 'sphere'" in done.stdout
+    assert "'plane', 'ramp', 'dome', 'box', 'cylinder', 'sphere', 'prism'" in done.stdout
 
 
 def test_the_ramp_of_the_default_settings_is_gentle():
@@ -214,6 +217,7 @@ def test_an_unknown_kind_names_the_valid_ones():
         ("ramp", {"height": 0.2, "length": 0.1}, "slopes up to 75.1 degrees, must be at most 60"),
         ("box", {"size": [0.1, 0.04, 0.1], "rounding": 0.03}, "at most half the shortest side, 0.02 m"),
         ("box", {"size": [0.1, 0.04]}, "size: must have 3 elements, has 2"),
+        ("prism", {"width": 0.05, "rounding": 0.03}, "at most half of width and height, 0.025 m"),
         ("cylinder", {"axis": "w"}, "axis = 'w': must be one of x, y, z"),
     ],
 )

@@ -20,7 +20,7 @@ from tactile_control.task_file import load_task
 from tactile_drivers.arm import open_arm
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import load_scene
-from tactile_records.runs import metrics, object_tracking
+from tactile_records.runs import metrics, object_tracking, pushing
 from tactile_records.runs.report import write_numbers
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
@@ -152,6 +152,8 @@ def test_every_number_of_a_report_has_its_meaning_in_the_docs(root: Path):
     tracking = (root / "docs" / "tasks.md").read_text()
     for name in object_tracking.FIELDS.keys() - metrics.REPORT_FIELDS.keys() - {"tracking.leader"}:
         assert f"`{name.removeprefix('tracking.').split('.')[0]}`" in tracking, name
+    for name in pushing.FIELDS.keys() - metrics.REPORT_FIELDS.keys():
+        assert f"| `{name.removeprefix('push.')}` | {pushing.FIELDS[name]} |" in tracking, name
 
 
 # ---- examples of plug-ins ----

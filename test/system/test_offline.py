@@ -111,6 +111,11 @@ def test_of_two_arms_the_one_that_is_named_runs_the_task():
         run_offline("two_arms", options=IDEAL)
 
 
+def test_a_follower_without_a_leader_is_refused_since_nothing_would_end_its_run():
+    with pytest.raises(SettingError, match=r"nothing ends this run: follower \(object_tracking\)"):
+        run_offline("tracking_flat", "object_tracking", OfflineOptions(arm="follower"))
+
+
 def test_a_surface_out_of_reach_fails_with_the_reason():
     task = load_task(task_path("surface_following"), "plane", changes=["contact.approach_distance=0.005"])
     record = run_offline("plane", task, IDEAL)

@@ -1,0 +1,163 @@
+"""`tactile experiment pushing`: the paper's tables of pushing, or a map of where it works, trial by trial."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+
+from tactile_base.console import number_table, say
+from tactile_base.progress import Progress
+from tactile_base.whole_file import check_folder
+from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int, refusing
+
+if TYPE_CHECKING:
+    from tactile_bringup.experiment import Common, Trial
+    from tactile_bringup.trials import Row
+
+WIDTH = 160  # columns of the table where there is no terminal
+
+
+def register(subparsers: Any) -> None:
+    """Add `experiment`."""
+    parser = subparsers.add_parser(
+        "experiment",
+        help="many trials of a task in simulation: the paper's tables, maps of where it works",
+        description="Runs trials of pushing without ROS, on all cores or a cluster, and makes the paper's "
+        "table of them or a map. The same command goes on after an interruption: each trial is kept as a "
+        "line of trials.jsonl and is not done again.",
+    )
+    add = parser.add_argument
+    add("what", choices=("pushing",), help="what is tried")
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--table", metavar="NAME", help="one of the paper's tables: single, dual or tall")
+    which.add_argument("--map", metavar="NAME", help="one of config/experiments/pushing_maps.yaml")
+    add("--trials", type=positive_int, default=5, metavar="N", help="of each row, or each place of a map (5)")
+    add("--trial", type=natural_int, metavar="NUMBER",
+        help="run this trial of each row, or place, alone, with report, pictures and record")  # fmt: skip
+    add("--seed", type=natural_int, default=0, metavar="N", help="number of the first trial (0)")
+    add("--objects", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
+    add("--floors", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
+    add("--controller", default="paper", metavar="NAME", help="paper or tuned (default: paper)")
+    add("--fidelity", default="ideal", metavar="NAME", help="of the sensors (default: ideal)")
+    add("--filter", default="", metavar="NAME", help="one of config/filters, or a file")
+    add("--latency", type=float, default=10.0, metavar="MS", help="exposure to command in ms (default: 10)")
+    add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
+    add("--arm", default="", metavar="NAME", help="run this arm only (default: all with a role)")
+    cores = len(os.sched_getaffinity(0))
+    add(
+        "--jobs", type=positive_int, default=cores, metavar="N", help=f"processes (as many as cores: {cores})"
+    )
+    add(
+        "--scheduler", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler instead"
+    )
+    add("--out", type=Path, metavar="FOLDER", help="(default: out/pushing/TABLE-CONTROLLER-FIDELITY)")
+    parser.set_defaults(run=run)
+
+
+@refusing("experiment", status=2)
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code."""
+    from tactile_bringup.experiment import Common
+
+    table, trials_of = _asked(arguments)
+    common = Common(
+        table,
+        arguments.controller,
+        arguments.fidelity,
+        arguments.filter,
+        arguments.latency,
+        tuple(arguments.changes),
+        arguments.arm,
+    )
+    names = arguments.map or table, arguments.controller, arguments.fidelity
+    folder = arguments.out or Path("out") / "pushing" / "-".join(names)
+    check_folder(folder)
+    first, count = arguments.seed, arguments.trials
+    if arguments.trial is not None:
+        return _look_at(trials_of(common, [arguments.trial]), folder)
+    trials = trials_of(common, range(first, first + count))
+    try:
+        rows = _run_missing(trials, common, folder, arguments)
+    except KeyboardInterrupt:
+        Console(stderr=True).print("interrupted; the same command goes on from here")
+        return 130
+    return _deliver(arguments, trials, rows, folder)
+
+
+def _asked(arguments: argparse.Namespace) -> tuple[str, Any]:
+    """The table, and what makes trials from what they have in common and their numbers."""
+    from tactile_bringup.experiment import Trial, map_of, table_of
+
+    if arguments.map is not None:
+        chosen = map_of(arguments.map)
+        if arguments.objects or arguments.floors:
+            raise ValueError("--objects and --floors are of --table: a map says which row it varies")
+        row, places = (chosen.object, chosen.floor), chosen.places()
+        table_of(chosen.table).rows([row[0]], [row[1]])
+        return chosen.table, lambda common, numbers: [
+            Trial(common, *row, number, place) for place in places for number in numbers
+        ]
+    rows = table_of(arguments.table).rows(arguments.objects, arguments.floors)
+    return arguments.table, lambda common, numbers: [
+        Trial(common, *row, number) for row in rows for number in numbers
+    ]
+
+
+def _run_missing(
+    trials: list[Trial], common: Common, folder: Path, arguments: argparse.Namespace
+) -> list[Row]:
+    """Run what is not done yet; the rows of all."""
+    from tactile_bringup.experiment import check_trial, trial_row
+    from tactile_bringup.trials import TrialRows, run_trials
+    from tactile_records.collecting.parameters import check_same_run
+
+    check_trial(trials[0])
+    check_same_run(folder, {"experiment": arguments.what, **dataclasses.asdict(common)})
+    rows = TrialRows(folder / "trials.jsonl")
+    missing = rows.missing(trials)
+    with Progress() as progress:
+        if len(missing) < len(trials):
+            progress.say(f"{len(trials) - len(missing)} of {len(trials)} trials are done already")
+        made = run_trials(trial_row, missing, arguments.jobs, arguments.scheduler)
+        for row in progress.counted(made, "trials", len(missing), "trials"):
+            rows.add(row)
+    return rows.of(trials)
+
+
+def _look_at(trials: list[Trial], folder: Path) -> int:
+    """Run single trials and write all that there is to say of them."""
+    from tactile_bringup.commands.simulate import deliver
+    from tactile_bringup.experiment import trial_run
+
+    codes = [deliver(trial_run(trial), folder / trial.name.replace("/", "-")) for trial in trials]
+    return max(codes)
+
+
+def _deliver(arguments: argparse.Namespace, trials: list[Trial], rows: list[Row], folder: Path) -> int:
+    """Tables and pictures; the exit code is 1 where a trial did not come to its target."""
+    from tactile_bringup.experiment import map_of, table_of
+    from tactile_bringup.experiment_results import COLUMNS, cell, failures, table_rows, write_map, write_table
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    for line in failures(rows):
+        say(console, line, "yellow")
+    if arguments.map is not None:
+        paths = write_map(folder, map_of(arguments.map), rows, trials)
+    else:
+        table = table_of(arguments.table)
+        shown = number_table(f"{table.title}: final target error", COLUMNS, box=box.SIMPLE_HEAD)
+        for cells in table_rows(table, rows):
+            shown.add_row(*map(cell, cells))
+        console.print(shown)
+        paths = write_table(folder, table, rows)
+    for path in (folder / "trials.jsonl", *paths):
+        say(console, str(path))
+    return 0 if all(row["succeeded"] for row in rows) else 1

@@ -1,0 +1,194 @@
+"""Friction of a foot that slides on a floor: what force and torque it carries, and how it moves beyond.
+
+The limit surface of Goyal, Ruina and Papadopoulos (1991) as the ellipsoid of Howe and Cutkosky (1996):
+(f_x^2 + f_y^2) / F^2 + m^2 / M^2 = 1, with m about the centre of friction. A foot whose load lies inside
+sticks; one that slides carries a load on it and moves along its normal, which is the motion that dissipates
+most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_base.settings import SettingError
+
+Array = NDArray[np.float64]
+
+_ITERATIONS, _CONVERGED = 60, 1e-12
+
+
+@dataclass(frozen=True)
+class Foot:
+    """The convex polygon that a body stands on, counter-clockwise.
+
+    Attributes
+    ----------
+    corners : ndarray (n, 2)
+        m.
+    center : ndarray (2,)
+        Of its area, m.
+    arm : float
+        Mean distance of its area from there, m: the largest torque of friction over the largest force, for
+        a pressure that is the same all over.
+    spread : ndarray (2, 2)
+        Second moments of its area about the center over the area, m^2.
+    """
+
+    corners: Array
+    center: Array
+    arm: float
+    spread: Array
+
+    @classmethod
+    def around(cls, points: ArrayLike) -> Foot:
+        """The convex hull of points (n, 2) m; raises `SettingError` where it has no area."""
+        corners = _hull(np.asarray(points, dtype=float).reshape(-1, 2))
+        if len(corners) < 3:
+            raise SettingError(
+                f"support: {len(corners)} corners after removal of those on one line, must be 3 or more "
+                "that enclose an area"
+            )
+        a, b = corners, np.roll(corners, -1, axis=0)
+        doubled = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        center = ((a + b) * doubled[:, None]).sum(axis=0) / (3 * doubled.sum())
+        a, b, area = a - center, b - center, 0.5 * float(doubled.sum())
+        products = [np.outer(p, q) for p, q in zip(a + b, a + b, strict=True)]
+        own = [np.outer(p, p) + np.outer(q, q) for p, q in zip(a, b, strict=True)]
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        spread = sum(w * (p + q) for w, p, q in zip(cross / 24, products, own, strict=True)) / area
+        return cls(corners, center, _mean_distance(corners - center) / area, np.asarray(spread))
+
+    def inside(self, point: ArrayLike) -> float:
+        """How far (m) a point (2,) lies inside the nearest edge; negative outside."""
+        return float(self._inside(np.asarray(point)).min())
+
+    def edge_share(self, center: ArrayLike) -> float:
+        """Part of the load on the edge that a centre of pressure (2,) is ahead to.
+
+        A pressure that is linear over the foot leaves its far corner when its centre leaves the core of the
+        area; from there the share grows to 1 with the centre on the edge.
+        """
+        ahead = np.asarray(center) - self.center
+        over = float(-((self.corners - self.center) @ np.linalg.solve(self.spread, ahead)).min())
+        if over <= 1.0:
+            return 0.0
+        there = float((1.0 - self._inside(np.asarray(center)) / self._inside(self.center)).max())
+        return 1.0 if there >= 1.0 else (over - 1.0) / (over / there - 1.0)
+
+    def edge_before(self, point: ArrayLike) -> tuple[Array, Array]:
+        """The two corners (2,) of the edge that a point (2,) is nearest to, or farthest beyond."""
+        first = int(self._inside(np.asarray(point)).argmin())
+        return self.corners[first], self.corners[(first + 1) % len(self.corners)]
+
+    def _inside(self, point: Array) -> Array:
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        off = point - self.corners
+        return np.asarray((along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / np.hypot(*along.T))
+
+
+def return_to_surface(
+    load: Sequence[float], stiffness: Array, force: float, torque: float
+) -> tuple[Array, Array]:
+    """How a foot on springs moves until it carries the rest of its load.
+
+    Implicit Euler over the step (return mapping, as in plasticity): the motion is along the normal of the
+    ellipsoid at the load that is left, so the result does not overshoot, however stiff the springs are.
+
+    Parameters
+    ----------
+    load : (3,)
+        f_x, f_y (N) and m (N m) about the centre of friction, if the foot stays where it is.
+    stiffness : ndarray (3, 3)
+        How fast the load falls as the foot moves: symmetric, not negative.
+    force, torque : float
+        Half axes F (N) and M (N m) of the ellipsoid, positive.
+
+    Returns
+    -------
+    motion : ndarray (3,)
+        dx, dy (m) and turn (rad); zero for a load inside.
+    left : ndarray (3,)
+        The load that is carried then: inside or on the ellipsoid.
+
+    Raises
+    ------
+    ValueError
+        If what springs do not hold exceeds the ellipsoid: no position of the foot carries the load.
+    """
+    scale = np.array([1.0 / force, 1.0 / force, 1.0 / torque])
+    used = scale * np.asarray(load, dtype=float)
+    if used @ used <= 1.0:
+        return np.zeros(3), np.asarray(load, dtype=float)
+    softness, axes = np.linalg.eigh(scale[:, None] * stiffness * scale)
+    part = axes.T @ used
+    multiplier = _multiplier(
+        [float(p) ** 2 for p in part], [max(float(s), 0.0) for s in softness], float(np.abs(softness).max())
+    )
+    left = axes @ (part / (1.0 + multiplier * softness))
+    return multiplier * scale * left, left / scale
+
+
+def _multiplier(squares: list[float], softness: list[float], largest: float) -> float:
+    """The x > 0 at which sum(squares / (1 + x softness)^2) = 1: Newton from the left, where it is convex."""
+    held = [s > 1e-9 * largest for s in softness]
+    if sum(c for c, h in zip(squares, held, strict=True) if not h) >= 1.0:
+        raise ValueError("the load exceeds friction where no spring holds the foot")
+    x = 0.0
+    for _ in range(_ITERATIONS):
+        value, slope = -1.0, 0.0
+        for c, s in zip(squares, softness, strict=True):
+            grown = 1.0 + x * s
+            part = c / (grown * grown)
+            value += part
+            slope += 2.0 * part * s / grown
+        # in 1 / sqrt(sum) the root is nearly a line: converges in a few steps from any start
+        total = value + 1.0
+        change = 2.0 * total * (math.sqrt(total) - 1.0) / slope
+        x += change
+        if abs(value) < _CONVERGED or abs(change) < _CONVERGED * x:
+            break
+    return x
+
+
+def _hull(points: Array) -> Array:
+    """Corners of the convex hull, counter-clockwise (Andrew's monotone chain)."""
+    ordered = sorted({(float(x), float(y)) for x, y in points})
+    size = max((math.dist(ordered[0], p) for p in ordered), default=0.0)
+    chains: list[list[tuple[float, float]]] = []
+    for sweep in (ordered, ordered[::-1]):
+        chain: list[tuple[float, float]] = []
+        for p in sweep:
+            while len(chain) >= 2 and _left_of(chain[-2], chain[-1], p) <= 1e-12 * size * size:
+                chain.pop()
+            chain.append(p)
+        chains.append(chain[:-1])
+    return np.array(chains[0] + chains[1]).reshape(-1, 2)
+
+
+def _left_of(a: tuple[float, float], b: tuple[float, float], p: tuple[float, float]) -> float:
+    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+
+
+def _mean_distance(corners: Array) -> float:
+    """Integral of the distance from the origin over a polygon that is star-shaped about it, m^3.
+
+    Of the triangle of the origin and an edge at distance d, seen under angles t0 to t1 from the
+    perpendicular: d^3 / 6 [sec t tan t + ln(sec t + tan t)].
+    """
+    total = 0.0
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = math.dist(a, b)
+        along = (b - a) / length
+        d = float(a[0] * along[1] - a[1] * along[0])
+        if d <= 0.0:
+            continue
+        for end, sign in ((b, 1.0), (a, -1.0)):
+            tan = float(end @ along) / d
+            sec = math.hypot(1.0, tan)
+            total += sign * d**3 / 6 * (sec * tan + math.asinh(tan))
+    return total
