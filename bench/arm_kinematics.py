@@ -1,11 +1,14 @@
 """Whether known arms can do the paper's dual-arm pushing, with what margins, and what their kinematics cost.
 
     python bench/arm_kinematics.py [--arms panda fr3 ur5e] [--speed 0.010] [--width 0.06]
+    python bench/arm_kinematics.py --arms panda --push 1
 
 The leader's sensor goes from (0.100, -0.250, 0.045) m, along +y, on the circle that ends in (0.375, 0.0,
 0.045), the follower's faces it over an object of that width. Flanges point down and carry a right-angle
 adapter, turned about the flange's axis by the one of eight angles with the best margins; bases are 1.0 m
 apart and face each other. Where Pinocchio is installed (`pin`), poses and Jacobians are compared.
+
+With `--push`, whole pushes of dual_pushing.yaml instead, in closed loop, with kinematics and without.
 """
 
 from __future__ import annotations
@@ -19,12 +22,16 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from tactile_bringup.experiment import numbers_of
+from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, SafetySettings
 from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.joint_limits import allowed_part, joint_rates, smallest_singular_value
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.kinematics.capsules import gaps
 from tactile_drivers.kinematics.chain import Chain
+from tactile_drivers.scene import load_scene
+from tactile_drivers.sim.pushing_scene import pushing_scene
 from tactile_filter import se3
 
 START, TARGET, HEIGHT = np.array([0.100, -0.250]), np.array([0.375, 0.0]), 0.045
@@ -255,17 +262,58 @@ def against_pinocchio(arm: Chain) -> str:
     return f"pose differs by {pose:.1e}, Jacobian by {jacobian:.1e}; its Jacobian takes {cost:.1f} us"
 
 
+def pushes(name: str, layout: str, seeds: int) -> None:
+    """Whole dual-arm pushes in closed loop, ideal sensors, with the arms' kinematics and without."""
+    bases, speed = LAYOUTS[layout], 0.010
+    leader = pushed_path(speed)
+    pair = [
+        solve(name, base, poses) for base, poses in zip(bases, (leader, facing(leader, 0.06)), strict=True)
+    ]
+    if None in pair:
+        return
+    for item in ("red_square", "blue_square", "yellow_hexagon"):
+        for seed in range(1, seeds + 1):
+            plain = pushing_scene(load_scene("dual_pushing"), item, "mdf", seed)
+            arms = {
+                role: dataclasses.replace(
+                    plain.arms[role], T_world_base=solution.T_world_base, kinematics=solution.arm
+                )
+                for role, solution in zip(("leader", "follower"), pair, strict=True)
+            }
+            results = []
+            for scene in (plain, dataclasses.replace(plain, arms=arms)):
+                start = time.process_time()
+                records = run_arms_offline(scene, "dual_pushing", OfflineOptions(fidelity="ideal", seed=seed))
+                seconds = time.process_time() - start
+                record = records["leader"]
+                error = numbers_of(records)["push"]["error_mm"]
+                results.append((record, f"{error:6.2f} mm {record.result['succeeded']} in {seconds:.1f} s"))
+                if not record.result["succeeded"]:
+                    print(record.result["reason"])
+            m = Margins.of(pair[0].arm, followed(pair[0].arm, results[1][0].pose.T_base_sensor))
+            print(
+                f"{name} {layout} {item:15} seed {seed}: without {results[0][1]}, with {results[1][1]}; "
+                f"{m.range_deg:.1f} deg, {100 * m.speed_share:.1f} %, {m.singular:.4f} m/rad"
+            )
+
+
 def main() -> None:
     """Print margins, costs and the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arms", nargs="+", default=["panda", "fr3", "ur5e"])
     parser.add_argument("--speed", type=float, default=0.010, help="m/s")
     parser.add_argument("--width", type=float, default=0.06, help="of the object, m")
+    parser.add_argument("--push", type=int, default=0, metavar="SEEDS", help="whole pushes, this many a row")
     args = parser.parse_args()
+    if args.push:
+        for name in args.arms:
+            for layout in LAYOUTS:
+                pushes(name, layout, args.push)
+        return
     leader = pushed_path(args.speed)
     follower = facing(leader, args.width)
     print(
-        "arm    bases    role    adapter   end of range  joint speed  singular value   floor       apart  followed"
+        "arm    bases    role      adapter to range's end joint speed singular value above floor apart passed"
     )
     for name in args.arms:
         for layout, bases in LAYOUTS.items():
