@@ -264,11 +264,9 @@ def against_pinocchio(arm: Chain) -> str:
 
 def pushes(name: str, layout: str, seeds: int) -> None:
     """Whole dual-arm pushes in closed loop, ideal sensors, with the arms' kinematics and without."""
-    bases, speed = LAYOUTS[layout], 0.010
-    leader = pushed_path(speed)
-    pair = [
-        solve(name, base, poses) for base, poses in zip(bases, (leader, facing(leader, 0.06)), strict=True)
-    ]
+    leader = pushed_path(0.010)
+    ways = leader, facing(leader, 0.06)
+    pair = [solve(name, base, poses) for base, poses in zip(LAYOUTS[layout], ways, strict=True)]
     if None in pair:
         return
     for item in ("red_square", "blue_square", "yellow_hexagon"):
@@ -312,9 +310,7 @@ def main() -> None:
         return
     leader = pushed_path(args.speed)
     follower = facing(leader, args.width)
-    print(
-        "arm    bases    role      adapter to range's end joint speed singular value above floor apart passed"
-    )
+    print("arm    bases    role      adapter  range's end  joint speed  singular value   above floor  apart")
     for name in args.arms:
         for layout, bases in LAYOUTS.items():
             pair = [solve(name, base, poses) for base, poses in zip(bases, (leader, follower), strict=True)]
