@@ -1,11 +1,14 @@
 """Whether known arms can do the paper's dual-arm pushing, with what margins, and what their kinematics cost.
 
     python bench/arm_kinematics.py [--arms panda fr3 ur5e] [--speed 0.010] [--width 0.06]
+    python bench/arm_kinematics.py --arms panda --push 1
 
 The leader's sensor goes from (0.100, -0.250, 0.045) m, along +y, on the circle that ends in (0.375, 0.0,
 0.045), the follower's faces it over an object of that width. Flanges point down and carry a right-angle
 adapter, turned about the flange's axis by the one of eight angles with the best margins; bases are 1.0 m
 apart and face each other. Where Pinocchio is installed (`pin`), poses and Jacobians are compared.
+
+With `--push`, whole pushes of dual_pushing.yaml instead, in closed loop, with kinematics and without.
 """
 
 from __future__ import annotations
@@ -19,12 +22,16 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from tactile_bringup.experiment import numbers_of
+from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, SafetySettings
 from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.joint_limits import allowed_part, joint_rates, smallest_singular_value
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.kinematics.capsules import gaps
 from tactile_drivers.kinematics.chain import Chain
+from tactile_drivers.scene import load_scene
+from tactile_drivers.sim.pushing_scene import pushing_scene
 from tactile_filter import se3
 
 START, TARGET, HEIGHT = np.array([0.100, -0.250]), np.array([0.375, 0.0]), 0.045
@@ -156,6 +163,38 @@ def apart(first: Solution, second: Solution) -> float:
     )
 
 
+def as_scenes(*solutions: Solution) -> list[SimpleNamespace]:
+    """What `Neighbour` wants to know of arms, with all limits at their defaults."""
+    return [
+        SimpleNamespace(
+            name=role,
+            kinematics=solution.arm,
+            T_world_base=solution.T_world_base,
+            limits=ArmLimits(),
+            safety=SafetySettings(),
+        )
+        for role, solution in zip(("leader", "follower"), solutions, strict=True)
+    ]
+
+
+def followed_part(first: Solution, second: Solution) -> float:
+    """The least part of their way's twists that the safe command stage leaves the two arms."""
+    scenes, least, safety = as_scenes(first, second), 1.0, SafetySettings()
+    for own, other, mine, theirs in ((first, second, *scenes), (second, first, *scenes[::-1])):
+        for i in range(0, len(own.path) - 1, 20):
+            states = [
+                ArmState(0, np.eye(4), np.zeros(6), ArmMode.MOVING, "", solution.path[i])
+                for solution in (own, other)
+            ]
+            q, q_next = own.path[i], own.path[i + 1]
+            twist = se3.log(se3.inverse(own.arm.pose(q)) @ own.arm.pose(q_next)) / STEP
+            rates = joint_rates(own.arm, q, twist)
+            part, _ = allowed_part(own.arm, q, rates, 0.04, safety.singularity_slow, safety.singularity_stop)
+            neighbour = Neighbour(mine, theirs, lambda states=states: states[1])
+            least = min(least, part, neighbour.allowed_part(states[0], twist, rates, 0.04)[0])
+    return least
+
+
 def microseconds(call: Callable[[], object], repeat: int = 1000) -> float:
     """Of one call, the best of five rounds."""
     rounds = []
@@ -172,17 +211,8 @@ def costs(first: Solution, second: Solution) -> dict[str, float]:
     arm, q = first.arm, first.path[0]
     random = np.random.default_rng(1)
     twist = np.array([0.01, 0.0, 0.01, 0.05, 0.0, 0.0])
-    limits, safety = ArmLimits(), SafetySettings()
-    scenes = [
-        SimpleNamespace(
-            name=name,
-            kinematics=solution.arm,
-            T_world_base=solution.T_world_base,
-            limits=limits,
-            safety=safety,
-        )
-        for name, solution in (("leader", first), ("follower", second))
-    ]
+    safety = SafetySettings()
+    scenes = as_scenes(first, second)
     middle = len(first.path) // 2
     own, other = (
         ArmState(0, np.eye(4), np.zeros(6), ArmMode.MOVING, "", solution.path[middle])
@@ -232,16 +262,55 @@ def against_pinocchio(arm: Chain) -> str:
     return f"pose differs by {pose:.1e}, Jacobian by {jacobian:.1e}; its Jacobian takes {cost:.1f} us"
 
 
+def pushes(name: str, layout: str, seeds: int) -> None:
+    """Whole dual-arm pushes in closed loop, ideal sensors, with the arms' kinematics and without."""
+    leader = pushed_path(0.010)
+    ways = leader, facing(leader, 0.06)
+    pair = [solve(name, base, poses) for base, poses in zip(LAYOUTS[layout], ways, strict=True)]
+    if None in pair:
+        return
+    for item in ("red_square", "blue_square", "yellow_hexagon"):
+        for seed in range(1, seeds + 1):
+            plain = pushing_scene(load_scene("dual_pushing"), item, "mdf", seed)
+            arms = {
+                role: dataclasses.replace(
+                    plain.arms[role], T_world_base=solution.T_world_base, kinematics=solution.arm
+                )
+                for role, solution in zip(("leader", "follower"), pair, strict=True)
+            }
+            results = []
+            for scene in (plain, dataclasses.replace(plain, arms=arms)):
+                start = time.process_time()
+                records = run_arms_offline(scene, "dual_pushing", OfflineOptions(fidelity="ideal", seed=seed))
+                seconds = time.process_time() - start
+                record = records["leader"]
+                error = numbers_of(records)["push"]["error_mm"]
+                results.append((record, f"{error:6.2f} mm {record.result['succeeded']} in {seconds:.1f} s"))
+                if not record.result["succeeded"]:
+                    print(record.result["reason"])
+            m = Margins.of(pair[0].arm, followed(pair[0].arm, results[1][0].pose.T_base_sensor))
+            print(
+                f"{name} {layout} {item:15} seed {seed}: without {results[0][1]}, with {results[1][1]}; "
+                f"{m.range_deg:.1f} deg, {100 * m.speed_share:.1f} %, {m.singular:.4f} m/rad"
+            )
+
+
 def main() -> None:
     """Print margins, costs and the comparison."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arms", nargs="+", default=["panda", "fr3", "ur5e"])
     parser.add_argument("--speed", type=float, default=0.010, help="m/s")
     parser.add_argument("--width", type=float, default=0.06, help="of the object, m")
+    parser.add_argument("--push", type=int, default=0, metavar="SEEDS", help="whole pushes, this many a row")
     args = parser.parse_args()
+    if args.push:
+        for name in args.arms:
+            for layout in LAYOUTS:
+                pushes(name, layout, args.push)
+        return
     leader = pushed_path(args.speed)
     follower = facing(leader, args.width)
-    print("arm    bases    role    adapter   end of range  joint speed  singular value   floor       apart")
+    print("arm    bases    role      adapter  range's end  joint speed  singular value   above floor  apart")
     for name in args.arms:
         for layout, bases in LAYOUTS.items():
             pair = [solve(name, base, poses) for base, poses in zip(bases, (leader, follower), strict=True)]
@@ -254,7 +323,11 @@ def main() -> None:
                 print(
                     f"{name:7}{layout:9}{role:10}{solution.turned_deg:4d} deg{m.range_deg:12.1f} deg"
                     f"{100 * m.speed_share:11.1f} %{m.singular:10.4f} m/rad{m.floor_mm:10.1f} mm"
-                    + (f"{1e3 * apart(*pair):7.1f} mm" if both and role == "leader" else "")
+                    + (
+                        f"{1e3 * apart(*pair):7.1f} mm{100 * followed_part(*pair):6.0f} %"
+                        if both and role == "leader"
+                        else ""
+                    )
                 )
         if both:
             print(f"{name}: " + ", ".join(f"{k} {v:.0f} us" for k, v in costs(*pair).items()))
