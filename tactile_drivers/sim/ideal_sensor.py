@@ -18,6 +18,10 @@ from tactile_filter.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 
+# Of the depth, by which the skin that touches is pressed in on average: the simulated TacTip, rolled by up to
+# 20 degrees over a plane at depths of 2 and 4 mm, shears as if it rolled on the radius less this part of it.
+_PRESSED = 0.42
+
 
 @dataclass(frozen=True)
 class IdealTruth:
@@ -110,8 +114,9 @@ class IdealSensor:
         limit = float(np.interp(geometry.depth, s.shear_depths, s.shear_limits))
         turn_limit = float(np.interp(geometry.depth, s.shear_depths, s.turn_limits))
         # the way of the tip's matter over the surface: a tip that rolls moves its centre without it
-        touched = T @ se3.inverse(self._T) @ np.append(before.point, 1.0)
-        offset = touched[:3] - self._anchor
+        matter = before.point - (1.0 - _PRESSED) * before.depth * before.normal
+        moved = (T @ se3.inverse(self._T) @ np.append(matter, 1.0))[:3] - matter
+        offset = before.point + moved - self._anchor
         offset = offset - (offset @ geometry.normal) * geometry.normal
         length = se3.norm(offset)
         turn = self._turn + _turn_between(self._T, T, -(geometry.normal + before.normal))

@@ -164,7 +164,7 @@ def _multiplier(squares: list[float], softness: list[float], largest: float) -> 
 
 def _hull(points: Array) -> Array:
     """Corners of the convex hull, counter-clockwise (Andrew's monotone chain)."""
-    ordered = sorted({(float(x), float(y)) for x, y in points})
+    ordered = sorted({(float(x), float(y)) for x, y in points.round(9)})
     size = max((math.dist(ordered[0], p) for p in ordered), default=0.0)
     chains: list[list[tuple[float, float]]] = []
     for sweep in (ordered, ordered[::-1]):

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.held import GRAVITY
 from tactile_drivers.sim.limit_surface import Foot, return_to_surface
 from tactile_drivers.sim.skin_force import SkinForces
@@ -41,7 +42,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_FLAT = 5e-4  # m: points this near to the lowest are on the floor
+_FLAT = 1e-6  # m: points this near to the lowest carry the body
+_NEAR = 5e-4  # m: off the floor, or into another body, that is taken for rounding
 _LIFTED = 0.05  # least part of the weight on the floor: below, it would be carried, which is not modelled
 _ROUNDS = 5  # of return mapping in a step, while a tip slips
 _STILL = 1e-7  # m: motion that ends them
@@ -74,6 +76,10 @@ class PushedSettings(SkinForces):
     edge_friction: float = setting(
         0.0, lower=0.0, upper=5.0,
         doc="of the leading edge where it catches on the floor, so that the object can topple; 0: never",
+    )  # fmt: skip
+    edge_way: float = setting(
+        0.02, unit="m", lower=0.0, upper=10.0,
+        doc="how far an edge slides under load until it meets something to catch on",
     )  # fmt: skip
 
 
@@ -136,6 +142,7 @@ class Pushed:
         self.load = 1.0  # on the floor, over the weight
         self.friction = settings.friction  # over all of the foot
         self._tipping = Tipping()
+        self._edge_way = 0.0  # m, that the edge has slid under load
         _check_clear(scene, body)
 
     @property
@@ -154,7 +161,7 @@ class Pushed:
         sensors = {arm: tools[arm] @ self._T_tool_sensor[arm] for arm in self._tips}
         moved = self._slide_on(sensors)
         self.state = PushedState.SLIDING if moved > 0.0 else PushedState.RESTING
-        self._settle([tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()])
+        self._settle([tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()], moved)
         return self._T
 
     def _tip(self, contact: BodyContact) -> _Tip:
@@ -194,7 +201,7 @@ class Pushed:
         self._upright, self._T = T @ self._upright, T @ self._T
         return math.hypot(dx, dy) + abs(turn) * self.foot.arm
 
-    def _settle(self, pushes: Sequence[Touch]) -> None:
+    def _settle(self, pushes: Sequence[Touch], moved: float) -> None:
         """Where the floor presses, and how much, from moments about the floor and vertical forces."""
         s, weight = self.settings, self._weight
         middle = self._T[:3, :3] @ np.array(s.center_of_gravity) + self._T[:3, 3]
@@ -207,10 +214,15 @@ class Pushed:
         inside, edge = self.foot.inside(pressure), self.foot.edge_before(pressure)
         if s.edge_friction > 0:
             self._tip_over(pushes, edge, middle, inside < 0)
-            share = 1.0 if self.tilt else self.foot.edge_share(pressure)
+            share = self._caught(1.0 if self.tilt else self.foot.edge_share(pressure), moved)
             self.friction = s.friction + share * (s.edge_friction - s.friction)
             edge = self._tipping.edge or edge
         self.pressure = _onto(pressure, *edge) if inside < 0 or self.tilt else pressure
+
+    def _caught(self, share: float, moved: float) -> float:
+        """The part of the load on the leading edge, once that has caught."""
+        self._edge_way = self._edge_way + moved if share > 0.0 else 0.0
+        return share if self._edge_way > self.settings.edge_way else 0.0
 
     def _tip_over(
         self, pushes: Sequence[Touch], edge: tuple[Array, Array], middle: Array, beyond: bool
@@ -244,7 +256,7 @@ def _foot(scene: Scene, body: BodyScene) -> Foot:
     T = scene.T_world_body(body.name)
     points = body.make().grid().reshape(-1, 3) @ T[:3, :3].T
     lowest = float(points[:, 2].min())
-    if abs(lowest + T[2, 3]) > _FLAT:
+    if abs(lowest + T[2, 3]) > _NEAR:
         raise SettingError(
             f"body '{body.name}': its lowest point is at z = {lowest + T[2, 3]:.4f} m, must stand on the "
             f"floor z = 0: set its position's z to {-lowest:.4f}"
@@ -270,14 +282,21 @@ def _check_clear(scene: Scene, body: BodyScene) -> None:
                 f"body '{body.name}' overlaps the tip of arm '{name}' by {1e3 * depth:.1f} mm at the start: "
                 f"move the body or the arm's start apart by that much"
             )
-    points = surface.grid().reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
     for name, other in scene.bodies.items():
         if name == body.name:
             continue
-        T_other = se3.inverse(scene.T_world_body(name))
-        depth = -float(other.make().distance(points @ T_other[:3, :3].T + T_other[:3, 3]).min())
-        if depth > _FLAT:
+        there = (other.make(), scene.T_world_body(name))
+        depth = max(_depth((surface, T), there), _depth(there, (surface, T)))
+        if depth > _NEAR:
             raise SettingError(
                 f"body '{body.name}' overlaps body '{name}' by {1e3 * depth:.1f} mm at the start: "
                 "move one of them"
             )
+
+
+def _depth(one: tuple[Surface, Array], other: tuple[Surface, Array]) -> float:
+    """How deep (m) the surface or the middle of one body is in the other; each with its pose (4, 4)."""
+    (surface, T), (around, T_other) = one, other
+    points = np.concatenate([surface.grid().reshape(-1, 3), np.zeros((1, 3))])
+    T_there = se3.inverse(T_other) @ T
+    return -float(around.distance(points @ T_there[:3, :3].T + T_there[:3, 3]).min())

@@ -8,23 +8,29 @@ Objects and floors are those of `config/pushed_objects.yaml`::
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.yaml_file import Section, read_yaml
 from tactile_drivers.scene import ArmScene, BodyScene, Scene
 from tactile_drivers.shapes import SHAPES
+from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.pushed import PushedSettings
 from tactile_filter import se3
 
+Array = NDArray[np.float64]
+
 MOTION = "pushed"
-GAP = 0.005  # m between tip and object at the start
+# m between object and tip at the start: the first arm's as small as one places an object by hand, since the
+# second arm presses the object against it.
+GAP, GAP_FACING = 0.001, 0.005
 _PROFILE = ("mass", "center_of_gravity")  # of an object, by their names in PushedSettings
 _CLOSE = 1e-9  # m
 
@@ -85,7 +91,7 @@ def pushing_scene(
     variation: PushVariation | None = None,
     profiles: PushedProfiles | None = None,
 ) -> Scene:
-    """The scene with that object on that floor, `GAP` in front of its first arm; other arms follow.
+    """The scene with that object on that floor, `GAP` in front of its first arm; other arms face it.
 
     Parameters
     ----------
@@ -143,25 +149,34 @@ def _placed(body: BodyScene, arm: ArmScene, aside: float, turn: float) -> BodySc
     T = se3.pose_from_euler([0, 0, 0, 0, 0, turn])
     T[:3, 3] = T_sensor[:3, 3] + 0.2 * ahead + aside * np.cross([0.0, 0.0, 1.0], ahead)
     T[2, 3] = -float(surface.grid()[..., 2].min())
-    for _ in range(50):
-        center = (se3.inverse(T) @ T_sensor)[:3, 3]
-        gap = float(surface.distance(center[None])[0]) - _radius(arm)
-        T[:3, 3] -= (gap - GAP) * ahead
-        if abs(gap - GAP) < _CLOSE:
-            break
-    return replace(body, T_parent_body=T)
+    return replace(body, T_parent_body=_moved(T, -ahead, lambda T: _gap(arm, T_sensor, surface, T) - GAP))
 
 
 def _facing(arm: ArmScene, body: BodyScene) -> ArmScene:
     """An arm that starts on its axis at the gap from the body."""
-    T, surface = arm.T_world_start.copy(), body.make()
+    start, surface = arm.T_world_start, body.make()
+
+    def excess(T: Array) -> float:
+        return _gap(arm, T, surface, body.T_parent_body) - GAP_FACING
+
+    return replace(arm, T_world_start=_moved(start, start[:3, 2], excess))
+
+
+def _moved(T: Array, direction: Array, excess: Callable[[Array], float]) -> Array:
+    """A pose (4, 4) moved along a direction, which brings things nearer, until nothing is in excess (m)."""
+    T = T.copy()
     for _ in range(50):
-        center = (se3.inverse(body.T_parent_body) @ T)[:3, 3]
-        gap = float(surface.distance(center[None])[0]) - _radius(arm)
-        T[:3, 3] += (gap - GAP) * T[:3, 2]
-        if abs(gap - GAP) < _CLOSE:
+        left = excess(T)
+        T[:3, 3] += left * direction
+        if abs(left) < _CLOSE:
             break
-    return replace(arm, T_world_start=T)
+    return T
+
+
+def _gap(arm: ArmScene, T_world_sensor: Array, surface: Surface, T_world_body: Array) -> float:
+    """Between the arm's tip and the body, m."""
+    center = (se3.inverse(T_world_body) @ T_world_sensor)[:3, 3]
+    return float(surface.distance(center[None])[0]) - _radius(arm)
 
 
 def _radius(arm: ArmScene) -> float:

@@ -55,9 +55,9 @@ class Touch:
 
     @property
     def stiffness(self) -> Array:
-        """(3, 3): how fast the force falls as the object gives way."""
-        n = self.normal
-        return (self.along - self.across) * np.outer(n, n) + self.across * np.eye(3)
+        """(3, 3): how fast the force falls as the object gives way; across, not while the skin slips."""
+        n, across = self.normal, 0.0 if self.slips else self.across
+        return (self.along - across) * np.outer(n, n) + across * np.eye(3)
 
 
 class Tipping:
@@ -99,7 +99,7 @@ class Tipping:
         for touch in touches:
             way = np.cross(axis, touch.point - a)
             moment += float(way @ touch.force)
-            stiffness += 0.0 if touch.slips else float(way @ touch.stiffness @ way)
+            stiffness += float(way @ touch.stiffness @ way)
         turn = math.copysign(_LARGEST_TURN, moment)
         if stiffness > 0:
             turn = max(-_LARGEST_TURN, min(_LARGEST_TURN, moment / stiffness))
