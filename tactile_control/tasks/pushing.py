@@ -36,7 +36,11 @@ class PushSettings(Settings):
         0.010, lower=1e-4, upper=0.1, unit="m/s", doc="reference speed into the surface, along z of {s'}"
     )
     ramp_time: float = setting(
-        0.5, lower=0.0, upper=10.0, unit="s", doc="time in which the reference speed comes in, smoothly"
+        0.5,
+        lower=0.0,
+        upper=10.0,
+        unit="s",
+        doc="time in which the velocity comes in, smoothly, sideways as well: a contact that hardly presses slips",
     )
     tip_radius: float = setting(
         0.020,
@@ -116,12 +120,13 @@ class Pushing(ContactTask):
 
     def reference_velocity(self, elapsed: float) -> Array:
         """Into the surface, and sideways as target alignment says."""
-        speed = self.settings.task.speed * smooth_ramp(elapsed, self.settings.task.ramp_time)
+        ramp = smooth_ramp(elapsed, self.settings.task.ramp_time)
+        speed = self.settings.task.speed * ramp
         assert self._belief is not None
         if self._belief.stamp_ns > self._steered_ns:
             self._steered_ns = self._belief.stamp_ns
             self._sideways = self._steer(self._belief, speed)
-        return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]) + self._sideways
+        return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]) + ramp * self._sideways
 
     def _steer(self, belief: StampedPose, speed: float) -> Array:
         """The sideways velocity (6,) in {s'} for a new belief."""
