@@ -181,32 +181,39 @@ def fit(data: Contacts, held: Contacts) -> ErrorModel:
     pose = data.pose
     model = ErrorModel(
         lower=np.quantile(pose, 0.005, axis=0), upper=np.quantile(pose, 0.995, axis=0),
-        coefficients=np.zeros((35, 18)), lasting=np.zeros(6), way=np.ones(6),
+        coefficients=np.zeros((35, 18)), way=np.ones(6),
         noise=np.sqrt(0.5 * np.mean((held.error - held.again) ** 2, axis=0)),
+        doubt=np.zeros(6), justified=np.zeros(6),
         touch=float(np.median(held.touch)), leave=float(np.median(held.leave)),
     )  # fmt: skip
     features = model.features(pose, data.slips)
     bias = _least_squares(features, data.error)
     rest = data.error - features @ bias
     least = 0.05 * rest.std(axis=0)
-    spread = _least_squares(features, 0.5 * np.log(rest**2 + least**2))
-    spread[0] += 0.5 * np.log(np.mean((rest / np.exp(features @ spread)) ** 2, axis=0))
     sigma = _least_squares(features, np.log(data.sigma))
-    model.coefficients[:] = np.hstack([bias, spread, sigma])
-    lag_way, similar = correlations(data, rest / np.exp(features @ spread))
+    doubt = np.log(data.sigma) - features @ sigma
+    model.doubt[:] = doubt.std(axis=0)
+    spread = np.empty_like(bias)
     for k in range(6):
-        (model.lasting[k], model.way[k]), _ = curve_fit(
-            lambda x, part, way: part + (1.0 - part) * np.exp(-x / way),
-            lag_way, similar[:, k], p0=(0.1, 3e-3), bounds=((0.0, 1e-5), (0.95, 0.1)),
-        )  # fmt: skip
+        found = _least_squares(
+            np.hstack([features, doubt[:, k, None]]), 0.5 * np.log(rest[:, k] ** 2 + least[k] ** 2)
+        )
+        spread[:, k], model.justified[k] = found[:-1], found[-1]
+    scale = np.exp(features @ spread + model.justified * doubt)
+    root = np.sqrt(np.mean((rest / scale) ** 2, axis=0))
+    spread[0] += np.log(root)
+    model.coefficients[:] = np.hstack([bias, spread, sigma])
+    lag_way, similar = correlations(data, rest / (root * scale))
+    for k in range(6):
+        (model.way[k],), _ = curve_fit(lambda x, way: np.exp(-x / way), lag_way, similar[:, k], p0=(3e-3,))
     return model
 
 
 def _least_squares(features: Array, values: Array) -> Array:
     ridge = RIDGE * np.eye(features.shape[1])
     ridge[0, 0] = 0.0
-    zero = np.zeros((len(ridge), values.shape[1]))
-    return np.linalg.lstsq(np.vstack([features, ridge]), np.vstack([values, zero]), rcond=None)[0]
+    zero = np.zeros((len(ridge), *values.shape[1:]))
+    return np.linalg.lstsq(np.vstack([features, ridge]), np.concatenate([values, zero]), rcond=None)[0]
 
 
 def correlations(data: Contacts, values: Array) -> tuple[Array, Array]:
@@ -276,7 +283,8 @@ def main() -> None:
           f"{time.process_time() - started:.0f} s")  # fmt: skip
     bias = (model.features(held.pose, held.slips) @ model.coefficients)[:, :6]
     compare(held, drawn(model, held, seed=1), bias)
-    print("lasting part", model.lasting.round(3), "way (mm)", (model.way * 1e3).round(2))
+    print("way on which errors are forgotten (mm)", (model.way * 1e3).round(2))
+    print("doubt", model.doubt.round(3), "of which is justified", model.justified.round(2))
     print(
         "noise",
         (model.noise * SHOWN).round(4),

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parent / "data" / "network_error.npz"
 #: m of way for each m, and for each rad at the tip's radius, of (x, y, z, alpha, beta, gamma).
 WAY = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
-_ARRAYS = ("lower", "upper", "coefficients", "lasting", "way", "noise")
+_ARRAYS = ("lower", "upper", "coefficients", "way", "noise", "doubt", "justified")
 _FIRST, _SECOND = np.triu_indices(7)
 
 
@@ -43,12 +43,14 @@ class ErrorModel:
     coefficients : (35, 18)
         From `features` to bias (6, m and rad), log of the spread (6) and log of the stated standard
         deviation (6).
-    lasting : (6,)
-        Part of the spread's variance that stays as long as the contact.
     way : (6,)
-        Length (m) on which the rest of it is forgotten, see `WAY`.
+        Length (m) on which what is beside the bias is forgotten, see `WAY`.
     noise : (6,)
         Standard deviation of what is new in each image.
+    doubt : (6,)
+        Standard deviation of the log of what is stated, about what the features say: it lasts as the rest.
+    justified : (6,)
+        How far the log of the spread goes along with that: 1 where all doubt is justified, 0 where none.
     touch, leave : float
         Depths (m) at which contact presence begins and ends.
     """
@@ -56,9 +58,10 @@ class ErrorModel:
     lower: Array
     upper: Array
     coefficients: Array
-    lasting: Array
     way: Array
     noise: Array
+    doubt: Array
+    justified: Array
     touch: float
     leave: float
 
@@ -89,24 +92,26 @@ class NetworkError:
     def __init__(self, model: ErrorModel, seed: int = 0) -> None:
         self.model = model
         self._random = np.random.default_rng(seed)
-        self._of_contact, self._of_way = np.sqrt(model.lasting), np.sqrt(1.0 - model.lasting)
         self.begin()
 
     def begin(self) -> None:
         """A new contact: what lasted of the last one is forgotten."""
-        self._contact, self._along = self._random.standard_normal((2, 6))
+        self._rest, self._doubt = self._random.standard_normal((2, 6))
         self._pose: Array | None = None
 
     def estimate(self, T_fs: Array, slips: bool) -> PoseGaussian:
         """A Gaussian over X_sf about what the network would say of the true X_fs (4, 4)."""
         pose = se3.euler_from_pose(T_fs)
         bias, spread, sigma = (self.model.features(pose, slips) @ self.model.coefficients).reshape(3, 6)
-        fresh = self._random.standard_normal((2, 6))
+        fresh = self._random.standard_normal((3, 6))
         if self._pose is not None:
             way = float(np.linalg.norm(WAY * (pose - self._pose)))
             kept = np.exp(-way / self.model.way)
-            self._along = kept * self._along + np.sqrt(1.0 - kept * kept) * fresh[0]
+            new = np.sqrt(1.0 - kept * kept)
+            self._rest = kept * self._rest + new * fresh[0]
+            self._doubt = kept * self._doubt + new * fresh[1]
         self._pose = pose
-        lasting = self._of_contact * self._contact + self._of_way * self._along
-        error = bias + np.exp(spread) * lasting + self.model.noise * fresh[1]
-        return PoseGaussian(se3.exp(error) @ se3.inverse(T_fs), np.diag(np.exp(2.0 * sigma)))
+        doubt = self.model.doubt * self._doubt
+        rest = np.exp(spread + self.model.justified * doubt) * self._rest
+        error = bias + rest + self.model.noise * fresh[2]
+        return PoseGaussian(se3.exp(error) @ se3.inverse(T_fs), np.diag(np.exp(2.0 * (sigma + doubt))))

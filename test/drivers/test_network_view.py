@@ -33,7 +33,7 @@ def press(sensor, surface, height, depth, tilts=(0.0, 0.0), shear=(0.0, 0.0)):
 
 @pytest.fixture(scope="module")
 def answers(estimator):
-    """Answers (mean, sigma) of the network to the full image, to another one and to its input drawn directly."""
+    """The network's means and deviations for the full image, another one, and its input drawn directly."""
     rng, rows = np.random.default_rng(3), []
     full, drawn = both(estimator)
     for number in range(24):

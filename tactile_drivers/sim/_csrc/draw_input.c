@@ -30,7 +30,7 @@ static int clamp(double value, int low, int high) {
 }
 
 
-// Cells that a disc may touch, from `first` on `count` of a row, and where they are from its middle.
+// Cells that a disc may touch, from `first` on `count` of a row; from its middle to the first.
 typedef struct {
   int top, bottom, first, count;
   float x, y, width, height;
