@@ -76,12 +76,12 @@ def table(samples: list[dict[str, tuple[float, int, int]]]) -> None:
 def latencies(bag: Path) -> None:
     """Median and p99 from exposure to command in each part, and how many goals were begun."""
     (record,) = read_arms(bag).values()
-    commands = record.commands.rows(record.commands.exposure_ns > 0)
+    commands = record.command.rows(record.command.exposure_ns > 0)
     first = np.unique(commands.exposure_ns, return_index=True)[1]
     ms = (commands.stamp_ns[first] - commands.exposure_ns[first]) / 1e6
     cells = [f"{np.median(part):.1f}, {np.percentile(part, 99):.1f}" for part in np.array_split(ms, PARTS)]
     print("| latency p50, p99 (ms) | " + " | ".join(cells) + " |")
-    print(f"\n{len(np.unique(record.commands.goal))} goals, {len(ms)} beliefs acted on; {record.success=}")
+    print(f"\n{len(np.unique(record.command.goal))} goals, {len(ms)} beliefs acted on; {record.success=}")
 
 
 def main() -> int:
