@@ -23,9 +23,9 @@ from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.limit_surface import Foot
 from tactile_drivers.sim.pushed import Pushed, PushedSettings
-from tactile_drivers.sim.pushing_scene import pushing_scene
+from tactile_drivers.sim.pushing_scene import pushing_scene, read_profiles
 
-SPEED = 0.010  # m/s
+SPEED, HEIGHT = 0.010, 0.045  # m/s; m above the floor
 SKIN = 700.0  # N/m, of the linear skin that MuJoCo's springs have, too
 # object, and how far (m) it stands to the side
 PUSHES = (("blue_square", 0.0), ("blue_square", 0.01), ("blue_circle", 0.0), ("blue_circle", 0.008))
@@ -134,11 +134,24 @@ def ways(path: Path) -> None:
             cases.append({
                 "name": f"{name} {1e3 * aside:+.0f} mm, {'straight' if velocity[0] == 0 else 'oblique'}",
                 "shape": body.shape, "half": half, "mass": values.mass, "friction": values.friction,
-                "friction_tip": values.friction_tip, "height": 0.045, "along": SKIN, "across": SKIN,
+                "friction_tip": values.friction_tip, "height": HEIGHT, "along": SKIN, "across": SKIN,
                 "damping": 2 * np.sqrt(SKIN * 0.01), **straight(scene, velocity, 4.0),
             })  # fmt: skip
     path.write_text(json.dumps(cases))
     print(f"{path}: {len(cases)} pushes")
+
+
+def catching() -> None:
+    """The least friction of floor and edge with which objects catch and topple, pushed by one tip."""
+    print("object: friction of the floor above which the edge bears load, of the edge above which it topples")
+    scene = load_scene("pushing")
+    for name in read_profiles().objects:
+        motion = Cell(pushing_scene(scene, name, "mdf")).motion("pushed")
+        assert isinstance(motion, Pushed)
+        ahead = np.linspace(0.0, 0.06, 6001)
+        core = next(y for y in ahead if motion.foot.edge_share([0.0, y]) > 0)
+        edge = next(y for y in ahead if motion.foot.inside([0.0, y]) < 0)
+        print(f"  {name:20} {core / HEIGHT:.2f} {edge / HEIGHT:.2f}")
 
 
 def topple(trials: int, objects: list[str]) -> None:
@@ -168,6 +181,7 @@ def main() -> None:
         topple(options.trials, options.objects)
     else:
         limit_surface()
+        catching()
         step_time()
 
 
