@@ -128,11 +128,11 @@ def compare(table: str, names: Sequence[str], count: int) -> None:
         print(line(name, found, trials, paper[option.variation]), flush=True)
 
 
-def check(tables: Sequence[str], count: int) -> None:
+def check(tables: Sequence[str], names: Sequence[str], count: int) -> None:
     """Signed errors here and in the loop without ROS, mm."""
     for table in tables:
         trials = trials_of(table, count)
-        for name in ("paper", "steering"):
+        for name in names or ("paper", "steering"):
             option = OPTIONS[table][name]
             here = outcome(table, option, trials).error
             for value, (thing, floor, seed) in zip(here, trials, strict=True):
@@ -151,7 +151,7 @@ def main() -> None:
     parser.add_argument("--check", type=int, default=0, metavar="TRIALS", help="compare the two simulations")
     arguments = parser.parse_args()
     if arguments.check:
-        check(arguments.tables, arguments.check)
+        check(arguments.tables, arguments.options, arguments.check)
         return
     for table in arguments.tables:
         compare(table, arguments.options, arguments.trials)
