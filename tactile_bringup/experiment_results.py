@@ -79,7 +79,7 @@ def table_rows(table: Table, rows: Sequence[Row]) -> list[list[Any]]:
             counts = [outcome.trials, len(outcome.errors)]
             seconds = float(outcome.seconds.mean()) if len(outcome.seconds) else np.nan
             ends = [outcome.lost, outcome.toppled, seconds]
-            found.append([name, floor, *counts, *outcome.numbers(), *paper, *ends])
+            found.append([name.replace("_", " "), floor, *counts, *outcome.numbers(), *paper, *ends])
     return found
 
 
@@ -105,7 +105,7 @@ def cell(value: Any) -> str:
     """A value of a table in words."""
     if isinstance(value, float):
         return f"{value:.2f}" if np.isfinite(value) else ""
-    return str(value).replace("_", " ")
+    return str(value)
 
 
 def failures(rows: Sequence[Row]) -> list[str]:

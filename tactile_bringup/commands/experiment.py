@@ -39,8 +39,9 @@ def register(subparsers: Any) -> None:
     which.add_argument("--table", metavar="NAME", help="one of the paper's tables: single, dual or tall")
     which.add_argument("--map", metavar="NAME", help="one of config/experiments/pushing_maps.yaml")
     add("--trials", type=positive_int, default=5, metavar="N", help="of each row, or each place of a map (5)")
-    add("--trial", type=natural_int, metavar="NUMBER",
-        help="run this trial of each row, or place, alone, with report, pictures and record")  # fmt: skip
+    add("--trial", metavar="NUMBER|NAME",
+        help="run this trial of each row, or place, or that of this name, with report, pictures and record",
+    )  # fmt: skip
     add("--seed", type=natural_int, default=0, metavar="N", help="number of the first trial (0)")
     add("--objects", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
     add("--floors", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
@@ -81,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(folder)
     first, count = arguments.seed, arguments.trials
     if arguments.trial is not None:
-        return _look_at(trials_of(common, [arguments.trial]), folder)
+        return _look_at(_named(trials_of, common, arguments.trial), folder)
     trials = trials_of(common, range(first, first + count))
     try:
         rows = _run_missing(trials, common, folder, arguments)
@@ -108,6 +109,17 @@ def _asked(arguments: argparse.Namespace) -> tuple[str, Any]:
     return arguments.table, lambda common, numbers: [
         Trial(common, *row, number) for row in rows for number in numbers
     ]
+
+
+def _named(trials_of: Any, common: Common, name: str) -> list[Trial]:
+    """The trials of a number, or the one of that name."""
+    number = name.rpartition("/")[2]
+    trials: list[Trial] = trials_of(common, [int(number)]) if number.isdecimal() else []
+    chosen = [trial for trial in trials if name in (number, trial.name)]
+    if not chosen:
+        example = trials_of(common, [3])[0].name
+        raise ValueError(f"--trial {name}: must be a number from 0 on, or a trial's name, as {example}")
+    return chosen
 
 
 def _run_missing(
@@ -155,6 +167,7 @@ def _deliver(arguments: argparse.Namespace, trials: list[Trial], rows: list[Row]
     else:
         table = table_of(arguments.table)
         shown = number_table(f"{table.title}: final target error", COLUMNS, box=box.SIMPLE_HEAD)
+        shown.columns[0].no_wrap = True
         for cells in table_rows(table, rows):
             shown.add_row(*map(cell, cells))
         console.print(shown)

@@ -86,7 +86,7 @@ def test_a_map_names_a_trial_where_it_breaks(tmp_path, name):
     picture, table = write_map(tmp_path, chosen, rows, trials)
     assert picture.stat().st_size > 20_000
     first, second = table.read_text().splitlines()[2:4]
-    assert f"{trials[0].name.replace('_', ' ')}: the target was passed" in first and "| 2 | 1 |" in first
+    assert f"{trials[0].name}: the target was passed" in first and "| 2 | 1 |" in first
     assert "| 2 | 2 |" in second and "passed" not in second
 
 
@@ -204,7 +204,7 @@ def test_the_same_command_goes_on_and_does_nothing_twice(tried, capsys):
 
 def test_a_trial_run_alone_gives_its_numbers_again_with_pictures(tried):
     folder, row = tried
-    assert command(folder, *row, "--trial", 0) == 0
+    assert command(folder, *row, "--trial", "red_square/foam/0") == 0
     place = folder / "red_square-foam-0"
     again = json.loads((place / "report.json").read_text())
     kept = json.loads((folder / "trials.jsonl").read_text())
@@ -230,6 +230,9 @@ def test_trials_of_other_settings_do_not_mix_into_a_folder(tried, capsys):
         (["--table", "single", "--set", "pusher.task.speed=fast"], "speed"),
         (["--table", "single", "--filter", "best"], "best"),
         (["--table", "single", "--latency", "-1"], "latency = -1 ms: must lie in [0, 1000] ms"),
+        (["--table", "dual", "--trial", "red_square/foam/x"], "or a trial's name, as blue_square/foam/3"),
+        (["--table", "dual", "--trial", "-1"], "must be a number from 0 on"),
+        (["--map", "start", "--trial", "blue_square/mdf/0"], "as blue_square/mdf/offset=-15/angle=-20/3"),
         (["--map", "moon"], "map: unknown name 'moon'"),
         (["--map", "floor", "--objects", "red_square"], "a map says which row it varies"),
     ],
