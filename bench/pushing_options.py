@@ -8,12 +8,17 @@ python bench/pushing_options.py --trials 5 --options paper steering
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
 from pushing_plane import Outcome, Plant, Variant, push
 
 from tactile_bringup.experiment import Common, Trial, load_tables, task_of, trial_row
@@ -64,7 +69,7 @@ DUAL = {
     "steering, active follower": Option(STEERING, Variant(feedforward=1.0)),
 }
 OPTIONS = {"single": SINGLE, "dual": DUAL}
-COLUMNS = ("error mm", "95 %", "largest", "worst row", "missed", "lost", "nearer than paper", "depth mm")
+COLUMNS = ("error mm", "95 %", "largest", "worst row", "missed", "lost", "depth mm")
 LEADER = {"single": "pusher", "dual": "leader"}
 
 
@@ -86,15 +91,14 @@ def trials_of(table: str, count: int) -> list[tuple[str, str, int]]:
     return [(*row, seed) for seed in range(1, count + 1) for row in load_tables()[table].rows()]
 
 
-def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]], paper: Outcome) -> str:
+def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]]) -> str:
     """Of one option: errors of the pushes that arrived, and how many missed the target."""
     arrived = ~found.missed & np.isfinite(found.error)
     error, rest = np.abs(found.error[arrived]), [t for t, well in zip(trials, arrived, strict=True) if well]
     if not rest:
-        return f"| {name} | " + " | ".join(["", "", "", "", f"{len(trials)}", "", "", ""]) + " |"
+        return f"| {name} | | | | | {len(trials)} | | |"
     rows = {trial[:2]: row_mean(error, rest, trial[:2]) for trial in rest}
     worst = max(rows, key=lambda row: rows[row])
-    nearer = np.mean(np.abs(found.error) < np.where(paper.missed, np.inf, np.abs(paper.error)))
     numbers = [
         f"{error.mean():.2f} ± {error.std():.2f}",
         f"{np.percentile(error, 95):.2f}",
@@ -102,7 +106,6 @@ def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]], pape
         f"{rows[worst]:.2f} ({', '.join(worst)})",
         f"{len(trials) - len(rest)}",
         f"{found.lost.sum()}",
-        f"{100.0 * nearer:.0f} %",
         " / ".join(f"{1e3 * depth.mean():.1f}" for depth in found.depth),
     ]
     return f"| {name} | {' | '.join(numbers)} |"
@@ -119,20 +122,18 @@ def compare(table: str, names: Sequence[str], count: int) -> None:
     print(f"\n{table}: {len(trials)} trials of each option\n")
     print(f"| option | {' | '.join(COLUMNS)} |")
     print("| --- |" + " --- |" * len(COLUMNS))
-    paper: dict[PushVariation, Outcome] = {}
     for name, option in OPTIONS[table].items():
         if names and name not in names:
             continue
         found = outcome(table, option, trials)
-        paper.setdefault(option.variation, found)
-        print(line(name, found, trials, paper[option.variation]), flush=True)
+        print(line(name, found, trials), flush=True)
 
 
-def check(tables: Sequence[str], count: int) -> None:
+def check(tables: Sequence[str], names: Sequence[str], count: int) -> None:
     """Signed errors here and in the loop without ROS, mm."""
     for table in tables:
         trials = trials_of(table, count)
-        for name in ("paper", "steering"):
+        for name in names or ("paper", "steering"):
             option = OPTIONS[table][name]
             here = outcome(table, option, trials).error
             for value, (thing, floor, seed) in zip(here, trials, strict=True):
@@ -151,7 +152,7 @@ def main() -> None:
     parser.add_argument("--check", type=int, default=0, metavar="TRIALS", help="compare the two simulations")
     arguments = parser.parse_args()
     if arguments.check:
-        check(arguments.tables, arguments.check)
+        check(arguments.tables, arguments.options, arguments.check)
         return
     for table in arguments.tables:
         compare(table, arguments.options, arguments.trials)

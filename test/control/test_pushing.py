@@ -199,6 +199,14 @@ def test_the_followers_table_and_the_references_for_tall_objects(controllers, se
     assert leader == settings.replaced(servoing__reference=(0.0005, 0, 0, 0, 0, 0), alignment__ki=0.5)
 
 
+@pytest.mark.parametrize(("name", "down"), [("pushing_tuned", 0.0), ("pushing_tuned_tall", 0.0005)])
+def test_our_tuning_steers_in_place_of_target_alignment_and_keeps_the_rest(controllers, settings, name, down):
+    tuned = load_controller(controllers / f"{name}.yaml", PushingSettings())
+    assert tuned.steering.enabled and not settings.steering.enabled
+    assert (tuned.pid, tuned.task) == (settings.pid, settings.task)
+    assert tuned.servoing.reference == (down, 0, 0, 0, 0, 0)
+
+
 @pytest.mark.parametrize("scene", ["dual_pushing", "dual_pushing_tall"])
 def test_of_two_arms_the_leader_waits_for_the_follower_and_has_the_gain_for_two(scene, controllers):
     task = load_task(controllers.parent / "tasks" / "dual_pushing.yaml", scene)
