@@ -40,7 +40,7 @@ class ErrorModel:
     lower, upper : (6,)
         Of the Euler contact pose (x, y, z, alpha, beta, gamma) of X_fs (m, rad) in the data; beyond, the
         model goes on as at the border.
-    coefficients : (35, 18)
+    coefficients : (49, 18)
         From `features` to bias (6, m and rad), log of the spread (6) and log of the stated standard
         deviation (6).
     way : (6,)
@@ -66,12 +66,16 @@ class ErrorModel:
     leave: float
 
     def features(self, pose: Array, slips: Array | float) -> Array:
-        """Features (..., 35) of contact poses (..., 6) that slip (1) or stick (0)."""
+        """Features (..., 49) of contact poses (..., 6) that slip (1) or stick (0): quadratic in the pose;
+        linear where it slips, and that times the depth; linear times the depth squared.
+        """
         middle, half = 0.5 * (self.upper + self.lower), 0.5 * (self.upper - self.lower)
         scaled = np.minimum(np.maximum((pose - middle) / half, -1.0), 1.0)
         linear = np.concatenate([np.ones((*scaled.shape[:-1], 1)), scaled], axis=-1)
+        depth = scaled[..., 2:3]
         slipping = linear * np.asarray(slips, dtype=np.float64)[..., None]
-        return np.concatenate([linear[..., _FIRST] * linear[..., _SECOND], slipping], axis=-1)
+        quadratic = linear[..., _FIRST] * linear[..., _SECOND]
+        return np.concatenate([quadratic, slipping, slipping * depth, linear * depth * depth], axis=-1)
 
     def save(self, path: Path, **about: str) -> None:
         """Write all of it, and texts about where it is from, into an .npz file."""

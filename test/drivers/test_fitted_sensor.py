@@ -80,9 +80,7 @@ def test_an_error_stays_while_the_contact_does_and_goes_on_the_way_to_another():
         errors = NetworkError(load_error_model(), seed)
         stays, goes = np.diag([1.0, 1.0, 1.0, 1.0]), np.eye(4)
         stays[2, 3], goes[:3, 3] = 3e-3, (8e-3, 0.0, 3e-3)
-        first, second, third = (
-            judged(errors.estimate(T, False), T)[0] for T in (stays, stays, goes)
-        )
+        first, second, third = (judged(errors.estimate(T, False), T)[0] for T in (stays, stays, goes))
         near.append((first, second))
         far.append((first, third))
     similar = [
@@ -105,7 +103,14 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others():
 def test_contact_is_seen_later_than_it_begins_and_until_it_is_nearly_over():
     sensor, model = FittedSensor(), load_error_model()
     seen = []
-    depths = [-1e-4, 0.5 * model.touch, 1.2 * model.touch, 0.7 * model.touch, 0.5 * model.leave, 0.7 * model.touch]
+    depths = [
+        -1e-4,
+        0.5 * model.touch,
+        1.2 * model.touch,
+        0.7 * model.touch,
+        0.5 * model.leave,
+        0.7 * model.touch,
+    ]
     for depth in depths:
         sensor.advance(Plane(), at(0.0, depth))
         seen.append(sensor.estimate() is not None)
