@@ -185,7 +185,7 @@ def fit(data: Contacts, held: Contacts) -> ErrorModel:
         lower=np.quantile(pose, 0.005, axis=0), upper=np.quantile(pose, 0.995, axis=0),
         coefficients=np.zeros((49, 18)), way=np.ones(6),
         noise=np.sqrt(0.5 * np.mean((held.error - held.again) ** 2, axis=0)),
-        doubt=np.zeros(6), justified=np.zeros(6),
+        start=np.ones(6), doubt=np.zeros(6), justified=np.zeros(6),
         touch=float(np.median(held.touch)), leave=float(np.median(held.leave)),
     )  # fmt: skip
     features = model.features(pose, data.slips)
@@ -208,7 +208,10 @@ def fit(data: Contacts, held: Contacts) -> ErrorModel:
     root = np.sqrt(np.mean((rest / scale) ** 2, axis=0))
     spread[0] += np.log(root)
     model.coefficients[:] = np.hstack([bias, spread, sigma])
-    lag_way, similar = correlations(data, rest / (root * scale))
+    whitened = rest / (root * scale)
+    first = np.flatnonzero(np.diff(data.contact, prepend=-1))
+    model.start[:] = np.sqrt(np.mean(whitened[first] ** 2, axis=0))
+    lag_way, similar = correlations(data, whitened)
     for k in range(6):
         (model.way[k],), _ = curve_fit(lambda x, way: np.exp(-x / way), lag_way, similar[:, k], p0=(3e-3,))
     return model
@@ -290,6 +293,7 @@ def main() -> None:
     bias = (model.features(held.pose, held.slips) @ model.coefficients)[:, :6]
     compare(held, drawn(model, held, seed=1), bias)
     print("way on which errors are forgotten (mm)", (model.way * 1e3).round(2))
+    print("spread of a contact that begins, of the spread", model.start.round(2))
     print("doubt", model.doubt.round(3), "of which is justified", model.justified.round(2))
     print(
         "noise",

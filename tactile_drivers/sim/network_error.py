@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parent / "data" / "network_error.npz"
 #: m of way for each m, and for each rad at the tip's radius, of (x, y, z, alpha, beta, gamma).
 WAY = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
-_ARRAYS = ("lower", "upper", "coefficients", "way", "noise", "doubt", "justified")
+_ARRAYS = ("lower", "upper", "coefficients", "way", "noise", "start", "doubt", "justified")
 _FIRST, _SECOND = np.triu_indices(7)
 
 
@@ -47,6 +47,8 @@ class ErrorModel:
         Length (m) on which what is beside the bias is forgotten, see `WAY`.
     noise : (6,)
         Standard deviation of what is new in each image.
+    start : (6,)
+        Part of the spread that a contact begins with, straight from the air.
     doubt : (6,)
         Standard deviation of the log of what is stated, about what the features say: it lasts as the rest.
     justified : (6,)
@@ -60,6 +62,7 @@ class ErrorModel:
     coefficients: Array
     way: Array
     noise: Array
+    start: Array
     doubt: Array
     justified: Array
     touch: float
@@ -101,6 +104,7 @@ class NetworkError:
     def begin(self) -> None:
         """A new contact: what lasted of the last one is forgotten."""
         self._rest, self._doubt = self._random.standard_normal((2, 6))
+        self._rest *= self.model.start
         self._pose: Array | None = None
 
     def estimate(self, T_fs: Array, slips: bool) -> PoseGaussian:
