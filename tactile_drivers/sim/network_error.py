@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parent / "data" / "network_error.npz"
 #: m of way for each m, and for each rad at the tip's radius, of (x, y, z, alpha, beta, gamma).
 WAY = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
-_ARRAYS = ("lower", "upper", "coefficients", "way", "noise", "doubt", "justified")
+_ARRAYS = ("lower", "upper", "coefficients", "way", "noise", "start", "doubt", "justified")
 _FIRST, _SECOND = np.triu_indices(7)
 
 
@@ -40,13 +40,15 @@ class ErrorModel:
     lower, upper : (6,)
         Of the Euler contact pose (x, y, z, alpha, beta, gamma) of X_fs (m, rad) in the data; beyond, the
         model goes on as at the border.
-    coefficients : (35, 18)
+    coefficients : (49, 18)
         From `features` to bias (6, m and rad), log of the spread (6) and log of the stated standard
         deviation (6).
     way : (6,)
         Length (m) on which what is beside the bias is forgotten, see `WAY`.
     noise : (6,)
         Standard deviation of what is new in each image.
+    start : (6,)
+        Part of the spread that a contact begins with, straight from the air.
     doubt : (6,)
         Standard deviation of the log of what is stated, about what the features say: it lasts as the rest.
     justified : (6,)
@@ -60,18 +62,23 @@ class ErrorModel:
     coefficients: Array
     way: Array
     noise: Array
+    start: Array
     doubt: Array
     justified: Array
     touch: float
     leave: float
 
     def features(self, pose: Array, slips: Array | float) -> Array:
-        """Features (..., 35) of contact poses (..., 6) that slip (1) or stick (0)."""
+        """Features (..., 49) of contact poses (..., 6) that slip (1) or stick (0): quadratic in the pose;
+        linear where it slips, and that times the depth; linear times the depth squared.
+        """
         middle, half = 0.5 * (self.upper + self.lower), 0.5 * (self.upper - self.lower)
         scaled = np.minimum(np.maximum((pose - middle) / half, -1.0), 1.0)
         linear = np.concatenate([np.ones((*scaled.shape[:-1], 1)), scaled], axis=-1)
+        depth = scaled[..., 2:3]
         slipping = linear * np.asarray(slips, dtype=np.float64)[..., None]
-        return np.concatenate([linear[..., _FIRST] * linear[..., _SECOND], slipping], axis=-1)
+        quadratic = linear[..., _FIRST] * linear[..., _SECOND]
+        return np.concatenate([quadratic, slipping, slipping * depth, linear * depth * depth], axis=-1)
 
     def save(self, path: Path, **about: str) -> None:
         """Write all of it, and texts about where it is from, into an .npz file."""
@@ -97,6 +104,7 @@ class NetworkError:
     def begin(self) -> None:
         """A new contact: what lasted of the last one is forgotten."""
         self._rest, self._doubt = self._random.standard_normal((2, 6))
+        self._rest *= self.model.start
         self._pose: Array | None = None
 
     def estimate(self, T_fs: Array, slips: bool) -> PoseGaussian:

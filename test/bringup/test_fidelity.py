@@ -1,4 +1,4 @@
-"""Levels of fidelity in the loop without ROS: what the network sees drawn at its size leads where images lead."""
+"""Levels of fidelity in the loop without ROS: what the network sees, drawn at its size, leads as well."""
 
 import numpy as np
 import pytest

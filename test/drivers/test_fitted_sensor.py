@@ -7,6 +7,7 @@ from tactile_bringup.offline import OfflineOptions, network_view, run_offline
 from tactile_control.task_file import load_task, task_path
 from tactile_drivers.scene import load_scene
 from tactile_drivers.shapes.plane import Plane
+from tactile_drivers.shapes.sphere import Sphere, SphereSettings
 from tactile_drivers.sim.fitted_sensor import FittedSensor
 from tactile_drivers.sim.network_error import NetworkError, load_error_model
 from tactile_drivers.sim.settings import FittedSensorSettings
@@ -23,15 +24,20 @@ def at(x, depth, tilt=0.0):
 
 @pytest.fixture(scope="module")
 def contacts():
-    """True X_fs, whether it slips, and error and NEES of the network, at contacts pressed and sheared."""
+    """True X_fs, whether it slips, error and NEES of the network, at contacts pressed, rolled and sheared."""
     estimator, rng, rows = Estimator(), np.random.default_rng(11), []
     sensor = TacTip(view=network_view(estimator))
     for number in range(CONTACTS):
         sensor.reset(number)
-        depth, tilts = rng.uniform(1.5e-3, 5.5e-3), rng.normal(0.0, 0.12, 2)
-        shear, gamma = rng.normal(0.0, 1.5e-3, 2), rng.normal(0.0, 0.03)
-        for z, (x, y), turn in ((1e-3, (0, 0), 0.0), (-depth, (0, 0), 0.0), (-depth, shear, gamma)):
-            sensor.advance(Plane(), se3.pose_from_euler([x, y, 0.020 + z, np.pi + tilts[0], tilts[1], turn]))
+        ball = Sphere(SphereSettings(radius=1.0 / rng.uniform(0.5, 16.0)))
+        center = ball.settings.radius + 0.020
+        pressed = np.array([0.0, 0.0, center - rng.uniform(1.5e-3, 5.5e-3), np.pi, 0.0, 0.0])
+        pressed[3:5] += rng.normal(0.0, 0.12, 2)
+        moved = pressed + rng.normal(size=6) * [3e-3, 3e-3, 4e-4, 0.08, 0.08, 0.04]
+        above = pressed.copy()
+        above[2] += 7e-3
+        for pose in (above, pressed, moved):
+            sensor.advance(ball, se3.pose_from_euler(pose))
         truth = sensor.truth()
         stated = estimator.estimate_prepared(estimator.preprocessor.from_processed(sensor.image()))
         rows.append((truth.T_fs, truth.slip_fraction > 0.5, *judged(stated, truth.T_fs)))
