@@ -86,16 +86,17 @@ class Foot:
         first = int(self._inside(np.asarray(point)).argmin())
         return self.corners[first], self.corners[(first + 1) % len(self.corners)]
 
-    @cached_property
-    def _edges(self) -> tuple[Array, Array]:
-        """From corner to corner (n, 2), and how far (n,), m."""
-        along = np.roll(self.corners, -1, axis=0) - self.corners
-        return along, np.hypot(*along.T)
-
     def _inside(self, point: Array) -> Array:
-        along, length = self._edges
-        off = point - self.corners
-        return np.asarray((along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / length)
+        return np.asarray(self._inward @ point - self._offset)
+
+    @cached_property
+    def _inward(self) -> Array:
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        return np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+
+    @cached_property
+    def _offset(self) -> Array:
+        return np.asarray(np.einsum("ij,ij->i", self._inward, self.corners))
 
 
 def return_to_surface(

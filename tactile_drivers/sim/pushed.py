@@ -33,7 +33,7 @@ from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.held import GRAVITY
 from tactile_drivers.sim.limit_surface import Foot, return_to_surface
 from tactile_drivers.sim.skin_force import SkinForces
-from tactile_drivers.sim.toppling import Tipping, Touch
+from tactile_drivers.sim.toppling import Tipping, Touch, planar_stiffness
 from tactile_filter import se3
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from tactile_drivers.sim.motions import BodyContact
 
 Array = NDArray[np.float64]
+Rows = list[list[float]]  # of a pose (4, 4): a step works on few numbers, where arrays take most of the time
 
 _FLAT = 1e-6  # m: points this near to the lowest carry the body
 _NEAR = 5e-4  # m: off the floor, or into another body, that is taken for rounding
@@ -88,32 +89,34 @@ class _Tip:
 
     def __init__(self, contact: BodyContact, settings: PushedSettings) -> None:
         self.stamp_ns = contact.stamp_ns
-        self._settings = settings
-        self._point = contact.point
-        self._in_sensor = contact.T_body_sensor[:3, :3].T @ (contact.point - contact.T_body_sensor[:3, 3])
-        self._force, self._normal = settings.force_on_body(contact), contact.normal
-        depth = contact.truth.depth
-        self._along = settings.normal_stiffness(depth, -float(self._force @ self._normal))
+        force, normal, depth = settings.force_on_body(contact), contact.normal, contact.truth.depth
+        T = contact.T_body_sensor
+        self._in_body = [*np.stack([contact.point, normal, force]).tolist()]
+        self._in_sensor = (T[:3, :3].T @ (contact.point - T[:3, 3])).tolist()
+        self._along = settings.normal_stiffness(depth, -float(force @ normal))
         self._across = settings.shear_stiffness(depth)
+        self._friction = settings.friction_tip
 
-    def push(self, T_world_body: Array, T_world_sensor: Array) -> Touch:
+    def push(self, T_world_body: Rows, T_world_sensor: Rows) -> Touch:
         """Its force with body and sensor where they are now.
 
         What stretches the skin is the way of the tip's matter at the contact over that of the body: a tip
         that rolls stretches nothing.
         """
-        R = T_world_body[:3, :3]
-        normal, point = R @ self._normal, R @ self._point + T_world_body[:3, 3]
-        way = T_world_sensor[:3, :3] @ self._in_sensor + T_world_sensor[:3, 3] - point
-        into = float(way @ normal)
-        force = R @ self._force + self._across * way + (self._along - self._across) * into * normal
-        press = max(0.0, -float(force @ normal))
-        shear = force - float(force @ normal) * normal
-        limit, size = self._settings.friction_tip * press, se3.norm(shear)
-        slips = size > limit
-        if slips:
-            shear = shear * (limit / size)
-        return Touch(shear - press * normal, point, normal, self._along, self._across, slips)
+        point, normal, force = self._in_body
+        p = _moved(T_world_body, point, 1.0)
+        n, f = _moved(T_world_body, normal), _moved(T_world_body, force)
+        way = [m - q for m, q in zip(_moved(T_world_sensor, self._in_sensor, 1.0), p, strict=True)]
+        more = (self._along - self._across) * (way[0] * n[0] + way[1] * n[1] + way[2] * n[2])
+        f = [a + self._across * w + more * b for a, w, b in zip(f, way, n, strict=True)]
+        press = -(f[0] * n[0] + f[1] * n[1] + f[2] * n[2])
+        shear = [a + press * b for a, b in zip(f, n, strict=True)]
+        press = max(0.0, press)
+        limit = self._friction * press
+        size = math.sqrt(shear[0] * shear[0] + shear[1] * shear[1] + shear[2] * shear[2])
+        left = limit / size if size > limit else 1.0
+        f = [left * a - press * b for a, b in zip(shear, n, strict=True)]
+        return Touch(f, p, n, self._along, self._across, size > limit)
 
 
 class Pushed:
@@ -138,7 +141,8 @@ class Pushed:
                 "outside what the body stands on, so that it would fall over: move it inside"
             )
         self.state = PushedState.RESTING
-        self.pressure = center[:2]  # its centre, from the body's origin, along the world's axes at the start
+        # its centre, m, from the body's origin, along the world's axes at the start
+        self.pressure = float(center[0]), float(center[1])
         self.load = 1.0  # on the floor, over the weight
         self.friction = settings.friction  # over all of the foot
         self._tipping = Tipping()
@@ -158,21 +162,25 @@ class Pushed:
         if not self._tips and not self.tilt:
             self.state = PushedState.RESTING
             return self._T
-        sensors = {arm: tools[arm] @ self._T_tool_sensor[arm] for arm in self._tips}
+        sensors = [(tools[arm] @ self._T_tool_sensor[arm]).tolist() for arm in self._tips]
         moved = self._slide_on(sensors)
         self.state = PushedState.SLIDING if moved > 0.0 else PushedState.RESTING
-        self._settle([tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()], moved)
+        self._settle(self._pushes(sensors), moved)
         return self._T
 
     def _tip(self, contact: BodyContact) -> _Tip:
         known = self._tips.get(contact.arm)
         return known if known and known.stamp_ns == contact.stamp_ns else _Tip(contact, self.settings)
 
-    def _slide_on(self, sensors: Mapping[str, Array]) -> float:
+    def _pushes(self, sensors: Sequence[Rows]) -> list[Touch]:
+        T: Rows = self._T.tolist()
+        return [tip.push(T, sensor) for tip, sensor in zip(self._tips.values(), sensors, strict=True)]
+
+    def _slide_on(self, sensors: Sequence[Rows]) -> float:
         """Move until friction carries the pushes; how far (m). More than once only while a tip slips."""
         way = 0.0
         for _ in range(_ROUNDS):
-            pushes = [tip.push(self._T, sensors[arm]) for arm, tip in self._tips.items()]
+            pushes = self._pushes(sensors)
             moved = self._slide(pushes)
             way += moved
             if moved < _STILL or not any(push.slips for push in pushes):
@@ -180,58 +188,72 @@ class Pushed:
         return way
 
     def _slide(self, pushes: Sequence[Touch]) -> float:
-        center = self._upright[:2, 3] + _turned(
-            self._turn, self.pressure + np.array(self.settings.center_of_friction)
-        )
-        load, stiffness = np.zeros(3), np.zeros((3, 3))
+        x, y = _turned(self._turn, *self.pressure)
+        off_x, off_y = _turned(self._turn, *self.settings.center_of_friction)
+        center = float(self._upright[0, 3]) + x + off_x, float(self._upright[1, 3]) + y + off_y
+        load = [0.0, 0.0, 0.0]
         for push in pushes:
-            x, y = push.point[:2] - center
-            G = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])  # how the point moves
-            load += G.T @ push.force[:2]
-            stiffness += G.T @ push.stiffness[:2, :2] @ G
+            fx, fy, _ = push.force
+            load[0] += fx
+            load[1] += fy
+            load[2] += (push.point[0] - center[0]) * fy - (push.point[1] - center[1]) * fx
         force = self.friction * self.load * self._weight
-        arm = self._tipping.arm if self.tilt else self.foot.arm
-        (dx, dy, turn), _ = return_to_surface(load.tolist(), stiffness, force, force * arm)
-        if dx == dy == turn == 0.0:
+        torque = force * (self._tipping.arm if self.tilt else self.foot.arm)
+        if math.hypot(load[0] / force, load[1] / force, load[2] / torque) <= 1.0:
             return 0.0
+        try:
+            motion, _ = return_to_surface(load, planar_stiffness(pushes, center), force, torque)
+        except ValueError:  # where tips that slip carry it along, it goes until they stick
+            motion, _ = return_to_surface(load, planar_stiffness(pushes, center, True), force, torque)
+        dx, dy, turn = motion.tolist()
+        return self._go(dx, dy, turn, center)
+
+    def _go(self, dx: float, dy: float, turn: float, center: tuple[float, float]) -> float:
         self._turn += turn
-        T = np.eye(4)
-        T[:2, :2] = [[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]]
-        T[:2, 3] = center + np.array([dx, dy]) - T[:2, :2] @ center
-        self._upright, self._T = T @ self._upright, T @ self._T
+        x, y = _turned(turn, *center)
+        cos, sin = math.cos(turn), math.sin(turn)
+        T = np.array([[cos, -sin, 0.0, center[0] + dx - x], [sin, cos, 0.0, center[1] + dy - y],
+                      [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])  # fmt: skip
+        same = self._T is self._upright
+        self._upright = T @ self._upright
+        self._T = self._upright if same else T @ self._T
         return math.hypot(dx, dy) + abs(turn) * self.foot.arm
 
     def _settle(self, pushes: Sequence[Touch], moved: float) -> None:
         """Where the floor presses, and how much, from moments about the floor and vertical forces."""
         s, weight = self.settings, self._weight
-        middle = self._T[:3, :3] @ np.array(s.center_of_gravity) + self._T[:3, 3]
-        moment, lifted = weight * middle[:2], 0.0
+        middle = _moved(self._T.tolist(), s.center_of_gravity, 1.0)
+        x, y, lifted = weight * middle[0], weight * middle[1], 0.0
         for push in pushes:
-            moment = moment + push.point[2] * push.force[:2] - push.force[2] * push.point[:2]
-            lifted += float(push.force[2])
+            (fx, fy, fz), (px, py, pz) = push.force, push.point
+            x, y, lifted = x + pz * fx - fz * px, y + pz * fy - fz * py, lifted + fz
         self.load = max(1.0 - lifted / weight, _LIFTED)
-        pressure = _turned(-self._turn, moment / (self.load * weight) - self._upright[:2, 3])
-        inside, edge = self.foot.inside(pressure), self.foot.edge_before(pressure)
+        floor = self.load * weight
+        pressure = _turned(
+            -self._turn, x / floor - float(self._upright[0, 3]), y / floor - float(self._upright[1, 3])
+        )
+        inside, edge = self.foot.inside(pressure), None
         if s.edge_friction > 0:
-            self._tip_over(pushes, edge, middle, inside < 0)
+            if inside < 0 or self.tilt:
+                self._tip_over(pushes, self.foot.edge_before(pressure), np.array(middle))
             share = self._caught(1.0 if self.tilt else self.foot.edge_share(pressure), moved)
             self.friction = s.friction + share * (s.edge_friction - s.friction)
-            edge = self._tipping.edge or edge
-        self.pressure = _onto(pressure, *edge) if inside < 0 or self.tilt else pressure
+            edge = self._tipping.edge
+        if inside < 0 or self.tilt:
+            pressure = _onto(np.array(pressure), *(edge or self.foot.edge_before(pressure)))
+        self.pressure = pressure
 
     def _caught(self, share: float, moved: float) -> float:
         """The part of the load on the leading edge, once that has caught."""
         self._edge_way = self._edge_way + moved if share > 0.0 else 0.0
         return share if self._edge_way > self.settings.edge_way else 0.0
 
-    def _tip_over(
-        self, pushes: Sequence[Touch], edge: tuple[Array, Array], middle: Array, beyond: bool
-    ) -> None:
+    def _tip_over(self, pushes: Sequence[Touch], edge: tuple[Array, Array], middle: Array) -> None:
         """Tilt about an edge of the foot, back again, or over."""
-        if not (beyond or self.tilt):
-            return
         origin = self._upright[:2, 3]
-        T = self._tipping.step(edge, lambda p: origin + _turned(self._turn, p), pushes, middle, self._weight)
+        T = self._tipping.step(
+            edge, lambda p: origin + np.array(_turned(self._turn, *p)), pushes, middle, self._weight
+        )
         self._T = T @ self._upright
         if self.tilt:
             self.state = PushedState.TILTED
@@ -240,15 +262,22 @@ class Pushed:
             self._T[2, 3] -= _BELOW
 
 
-def _turned(angle: float, point: Array) -> Array:
+def _moved(T: Rows, v: Sequence[float], one: float = 0.0) -> list[float]:
+    """A point (one = 1) or direction (0) of three numbers in the frame that T leads to."""
+    x, y, z = v
+    return [row[0] * x + row[1] * y + row[2] * z + row[3] * one for row in T[:3]]
+
+
+def _turned(angle: float, x: float, y: float) -> tuple[float, float]:
     cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]])
+    return cos * x - sin * y, sin * x + cos * y
 
 
-def _onto(point: Array, a: Array, b: Array) -> Array:
+def _onto(point: Array, a: Array, b: Array) -> tuple[float, float]:
     """The nearest point (2,) of a segment."""
     share = float(np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0))
-    return np.asarray(a + share * (b - a))
+    x, y = (a + share * (b - a)).tolist()
+    return x, y
 
 
 def _foot(scene: Scene, body: BodyScene) -> Foot:
