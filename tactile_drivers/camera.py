@@ -20,10 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.registry import Registry
-from tactile_base.settings import SettingError, Settings
+from tactile_base.settings import SettingError, Settings, setting
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene
+
+
+RAW, COMPRESSED = "raw", "compressed"
+
+
+@dataclass(frozen=True)
+class ExternalCameraSettings(Settings):
+    """What a scene says of a camera whose node runs already."""
+
+    transport: str = setting(
+        RAW,
+        choices=(RAW, COMPRESSED),
+        doc="images are taken from tactile/image, or as JPEG or PNG from tactile/image/compressed",
+    )
 
 
 @dataclass(frozen=True)
