@@ -167,7 +167,7 @@ class UvcCamera:
     def _stream(self, capture: Capture) -> None:
         """Report frames until the driver is closed, or the device is gone."""
         while not self._closing.is_set() and capture.grab():
-            arrival = Arrival(time.monotonic_ns(), time.time_ns())
+            arrival = Arrival.now()
             there, raw = capture.retrieve()
             if there:
                 self._take(raw, capture.get(cv2.CAP_PROP_POS_MSEC), arrival)

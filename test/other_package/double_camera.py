@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +14,14 @@ from tactile_base.settings import setting
 from tactile_drivers.uvc_camera import UvcCamera, UvcCameraSettings
 
 WIDTH, HEIGHT = 640, 480
-STAMPS = {"monotonic": time.monotonic, "realtime": time.time, "none": lambda: 0.0}
+BUFFERS = 4  # as many as OpenCV has of a device
+#: Which clock stamps a frame -> what it is ahead of CLOCK_MONOTONIC, s.
+CLOCKS = {"monotonic": 0.0, "realtime": time.time() - time.monotonic(), "none": None}
+
+
+def noisy(image: np.ndarray, number: int) -> np.ndarray:
+    """The image with noise of its own for each number."""
+    return np.minimum(image, 247) + np.random.default_rng(number).integers(0, 8, image.shape, dtype=np.uint8)
 
 
 def picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
@@ -22,7 +30,7 @@ def picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray
     for x in range(60, width - 40, 40):
         for y in range(60, height - 40, 40):
             cv2.circle(image, (x, y), 8, 200, -1, cv2.LINE_AA)
-    return image + np.random.default_rng(number).integers(0, 8, image.shape, dtype=np.uint8)
+    return noisy(image, number)
 
 
 def jpeg(image: np.ndarray) -> np.ndarray:
@@ -39,11 +47,12 @@ class Device:
 
     Attributes
     ----------
-    stamps : which clock stamps a frame, of `STAMPS`
+    stamps : which clock stamps a frame, of `CLOCKS`
     keeps : control -> the value that the device keeps whatever is set; None: it has no such control
     faults : what is wrong with the frame of a number since the device was made: "black", "frozen", "torn",
         "small", "early" (stamped 2 s ago), "drop" (never comes), or nothing
     jitter : by which a stamp strays, standard deviation, s
+    frames : what it exposes, over and over
     """
 
     rate: float = 60.0
@@ -55,6 +64,7 @@ class Device:
     busy: bool = False
     opened: int = 0
     number: int = 0
+    frames: list[np.ndarray] = field(default_factory=lambda: FRAMES)
 
     def open(self, path: str) -> Capture:
         if not self.plugged:
@@ -95,6 +105,8 @@ class Capture:
     def grab(self):
         while True:
             self.due += 1.0 / self.device.rate
+            if time.monotonic() - self.due > BUFFERS / self.device.rate:
+                continue  # no buffer was free: the kernel drops the frame
             time.sleep(max(0.0, self.due - time.monotonic()))
             if not self.device.plugged:
                 return False
@@ -102,9 +114,8 @@ class Capture:
             self.fault = self.device.faults(self.device.number)
             if self.fault != "drop":
                 break
-        now = STAMPS[self.device.stamps]()
-        late = time.monotonic() - self.due  # the device's clock ticks evenly, the program is woken late
-        self.stamp = (now - late + self.noise.normal(0.0, self.device.jitter)) if now else 0.0
+        clock = CLOCKS[self.device.stamps]  # the device ticks evenly, the program is woken late
+        self.stamp = 0.0 if clock is None else self.due + clock + self.noise.normal(0.0, self.device.jitter)
         if self.fault == "early":
             self.stamp -= 2.0
         return True
@@ -112,12 +123,12 @@ class Capture:
     def retrieve(self):
         number = self.device.number
         if self.fault == "torn":
-            return True, FRAMES[number % 4][:, :2000]
+            return True, self.device.frames[number % 4][:, :2000]
         if self.fault == "black":
             return True, jpeg(picture(number) // 100)
         if self.fault == "small":
             return True, jpeg(picture(number, 320, 240))
-        return True, FRAMES[0 if self.fault == "frozen" else number % 4]
+        return True, self.device.frames[0 if self.fault == "frozen" else number % 4]
 
     def release(self):
         self.released = True
@@ -127,28 +138,31 @@ class Capture:
 class DoubleCameraSettings(UvcCameraSettings):
     """Those of the driver, and what happens to the device in a node of its own process."""
 
-    vanishes: float = setting(1e9, lower=0.0, upper=1e9, unit="s", doc="after the start it is unplugged")
-    returns: float = setting(1e9, lower=0.0, upper=1e9, unit="s", doc="after the start it is there again")
+    unplugged: str = setting("", doc="a file; as long as it is there the device is not")
+    image: str = setting("", doc="what it sees; empty: discs")
     jitter: float = setting(0.0, lower=0.0, upper=1.0, unit="s", doc="of its stamps")
     kept_white_balance: float = setting(0.0, lower=0.0, upper=1e4, doc="whatever is asked; 0: what is asked")
 
 
-class TimedDevice(Device):
-    """A device that is unplugged and plugged in again by the clock."""
+class DistantDevice(Device):
+    """A device that another process unplugs."""
 
     def __init__(self, settings: DoubleCameraSettings, rate: float) -> None:
-        self.start, self.gone = time.monotonic(), (settings.vanishes, settings.returns)
+        self.file = Path(settings.unplugged or "nowhere")
         kept = settings.kept_white_balance
         keeps = {cv2.CAP_PROP_WB_TEMPERATURE: kept} if kept else {}
         super().__init__(rate=rate, keeps=keeps, jitter=settings.jitter)
+        if settings.image:
+            image = cv2.imread(settings.image, cv2.IMREAD_GRAYSCALE)
+            self.frames = [jpeg(noisy(image, number)) for number in range(4)]
 
     @property
     def plugged(self) -> bool:
-        return not self.gone[0] <= time.monotonic() - self.start < self.gone[1]
+        return not self.file.exists()
 
     @plugged.setter
     def plugged(self, value: bool) -> None:
-        """As the clock says."""
+        """As the file says."""
 
 
 class DoubleCamera(UvcCamera):
@@ -157,5 +171,5 @@ class DoubleCamera(UvcCamera):
     settings_class = DoubleCameraSettings
 
     def __init__(self, arm, settings, report):
-        device = TimedDevice(settings, arm.sensor.settings.camera_rate)
+        device = DistantDevice(settings, arm.sensor.settings.camera_rate)
         super().__init__(arm, settings, report, device.open)
