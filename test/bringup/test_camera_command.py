@@ -1,6 +1,8 @@
 """`tactile camera`: devices, the live page, the check, the scene's section; each fault a sentence."""
 
+import dataclasses
 import json
+import re
 import threading
 import urllib.error
 import urllib.request
@@ -232,3 +234,21 @@ def test_a_scene_that_cannot_be_written_to_stays_as_it_was(device, scene, capsys
     assert main(["camera", "scene", "--into", str(scene.parent / "other.yaml")]) == 1
     assert "other.yaml" in capsys.readouterr().err
     assert scene.read_text() == before
+
+
+def test_the_section_in_the_docs_is_what_the_command_prints_and_what_a_scene_may_have(device, scene, capsys):
+    page = (Path(__file__).parents[2] / "docs" / "own_camera.md").read_text()
+    words = re.search(r"^ +tactile (camera scene .*)$", page, re.M)[1].split()
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    assert f"```yaml\n{printed}```" in page
+    command.write_into(scene, "arm", yaml.safe_load(printed)["sensor"])
+    given = load_scene(scene).arms["arm"].sensor.camera_settings
+    assert given.checked(uvc_camera.UvcCameraSettings, given.values).exposure == 0.004
+
+
+def test_the_table_of_settings_in_the_docs_is_complete():
+    page = (Path(__file__).parents[2] / "docs" / "own_camera.md").read_text()
+    names = {field.name for field in dataclasses.fields(uvc_camera.UvcCameraSettings)}
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert names <= set(re.findall(r"`(\w+)`", " ".join(rows)))
