@@ -20,7 +20,11 @@ Received = ReceivedImage | ReceivedCompressed
 
 
 def subscribe_images(
-    node: ManagedNode, transport: str, callback: Callable[[Received], None], age_limit: float
+    node: ManagedNode,
+    transport: str,
+    callback: Callable[[Received], None],
+    age_limit: float,
+    stamped: bool = True,
 ) -> None:
     """Call `callback` with each image, see `ManagedNode.subscribe`; one without a stamp is refused."""
     packed = transport == COMPRESSED
@@ -34,4 +38,4 @@ def subscribe_images(
         callback(received)
 
     kind = CompressedImage if packed else Image
-    node.subscribe(kind, topic.name, take, IMAGE, age_limit, raw=True, stamped=True)
+    node.subscribe(kind, topic.name, take, IMAGE, age_limit, raw=True, stamped=stamped)

@@ -56,7 +56,7 @@ class MarkerViewNode(ManagedNode):
         outlook = "the next image becomes the reference"
         self.serve_request(Trigger, "~/capture_reference", self._capture_reference, outlook)
         view = self.view.value
-        subscribe_images(self, view.transport, self._receive, view.age_limit)
+        subscribe_images(self, view.transport, self._receive, view.age_limit, stamped=False)
 
     def activate(self) -> None:
         """Start with a new reference."""
