@@ -25,6 +25,7 @@ FORMATS = ("MJPG", "YUYV", "UYVY", "GREY", "NV12")
 _LUMA_BYTE = {"YUYV": 0, "UYVY": 1}
 _JPEG_END = b"\xff\xd9"
 _OLDEST, _AHEAD = SECOND_NS, 5_000_000  # ns; ages of a frame's stamp that can be, when it has just arrived
+_STRANGE = 10  # frames stamped by no clock that is known, until it is the device's own
 _TOGETHER, _READINGS = 20_000, 5  # ns between two readings of a clock; attempts at less
 _WINDOW = 240  # frames over which rate and intervals are told
 
@@ -56,7 +57,7 @@ class StampClock:
     """Time of exposure in ROS time, by the device's own stamps where there are any.
 
     Drivers of UVC devices stamp a frame by CLOCK_MONOTONIC, some by CLOCK_REALTIME, when its first bytes
-    arrive; others do not. The first frame shows which it is: a stamp that is a second old at most. The age by
+    arrive; others do not. The first frames show which it is: a stamp that is a second old at most. The age by
     that clock is what is subtracted from ROS time, so that a clock that is set is followed at once.
 
     Attributes
@@ -66,7 +67,7 @@ class StampClock:
     """
 
     def __init__(self) -> None:
-        self.source = ""
+        self.source, self._strange = "", 0
 
     def exposed_ns(self, position_ms: float, arrival: Arrival) -> int:
         """Stamp of a frame, ns of ROS time; raises `FrameRefused` for one that cannot be.
@@ -77,6 +78,9 @@ class StampClock:
         ages = {MONOTONIC: arrival.steady_ns - stamp_ns, REALTIME: arrival.now_ns - stamp_ns}
         if not self.source:
             near = [source for source, age in ages.items() if -_AHEAD <= age <= _OLDEST]
+            self._strange += not near
+            if not near and stamp_ns > 0 and self._strange < _STRANGE:  # or this program was held up
+                raise FrameRefused("it is not known by which clock")
             self.source = near[0] if near else ARRIVAL
         age = ages.get(self.source, 0)
         if not -_AHEAD <= age <= _OLDEST:

@@ -42,7 +42,6 @@ def take(stream: FrameIntake, ms: float, raw=None, age_ms: float = 3.0):
         (MONOTONIC, START.steady_ns / MS, 0.0),
         (REALTIME, START.now_ns / MS, 0.0),
         (ARRIVAL, 0.0, 3.0),  # a device without stamps
-        (ARRIVAL, 77.0, 3.0),  # one whose clock is its own
     ],
 )
 def test_a_frame_has_the_kernels_time_in_ros_time_where_there_is_one_and_else_that_of_its_arrival(
@@ -52,6 +51,19 @@ def test_a_frame_has_the_kernels_time_in_ros_time_where_there_is_one_and_else_th
     frame = stream.take(FRAMES[0], clock_ms, later(3.0))
     assert stream.clock.source == source
     assert frame.stamp_ns == pytest.approx(START.now_ns + expected_ms * MS, abs=1000)  # a double of ms
+
+
+def test_a_device_with_a_clock_of_its_own_is_stamped_at_arrival_once_that_is_sure():
+    stream = intake()
+    taken = [stream.take(FRAMES[k % 4], 77.0 + 10.0 * k, later(10.0 * k)) for k in range(12)]
+    assert [frame is not None for frame in taken] == [False] * 9 + [True] * 3
+    assert stream.clock.source == ARRIVAL and taken[-1].stamp_ns == later(110.0).now_ns
+
+
+def test_a_first_frame_that_was_held_up_does_not_hide_the_clock_of_the_device():
+    stream = intake()
+    assert take(stream, 0.0, age_ms=1500.0) is None
+    assert take(stream, 1500.0) is not None and stream.clock.source == MONOTONIC
 
 
 def test_stamps_follow_a_clock_that_is_set():
