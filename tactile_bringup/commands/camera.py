@@ -180,7 +180,7 @@ def chosen(arguments: argparse.Namespace) -> ArmScene:
     from tactile_drivers.camera import CAMERAS
     from tactile_drivers.scene import EXTERNAL, ArmScene, SensorScene, SensorSettings
 
-    if arguments.scene is not None and getattr(arguments, "into", None) is None:
+    if arguments.scene is not None:
         return _of_scene(arguments)
     settings = changed_settings(arguments.changes, EXAMPLE)
     if arguments.driver == "uvc" and "device" not in settings:

@@ -173,3 +173,20 @@ def test_of_each_format_the_luma_is_the_image(form, raw, expected):
 def test_a_jpeg_padded_with_zeros_is_whole():
     padded = np.pad(FRAMES[0], [(0, 0), (0, 3000)])
     assert np.array_equal(gray_frame(padded, "MJPG", 640, 480), gray_frame(FRAMES[0], "MJPG", 640, 480))
+
+
+def test_a_jpeg_without_huffman_tables_as_cameras_send_it_is_decoded():
+    data, at, kept = FRAMES[0].tobytes(), 2, b"\xff\xd8"
+    while data[at + 1] != 0xDA:  # start of the scan; before it come segments with their lengths
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        kept += b"" if data[at + 1] == 0xC4 else data[at:end]
+        at = end
+    kept += data[at:]
+    assert len(kept) < len(data) - 100
+    raw = np.frombuffer(kept, np.uint8).reshape(1, -1)
+    assert np.array_equal(gray_frame(raw, "MJPG", 640, 480), gray_frame(FRAMES[0], "MJPG", 640, 480))
+
+
+def test_a_frame_of_bytes_in_a_row_is_an_image_too():
+    """As newer versions of OpenCV hand on every format that they do not convert."""
+    assert np.array_equal(gray_frame(COLOR.reshape(1, -1), "YUYV", 6, 4), COLOR[:, :, 0])
