@@ -20,10 +20,19 @@ import numpy as np
 import yaml
 
 from tactile_base.config_paths import named_file
-from tactile_base.topics import ARM_TOPICS, IMAGE, OBJECT_TOPICS, SENSOR_TOPICS, SHARED_TOPICS, Topic
+from tactile_base.topics import (
+    ARM_TOPICS,
+    IMAGE,
+    OBJECT_TOPICS,
+    SENSOR_TOPICS,
+    SHARED_TOPICS,
+    Topic,
+    compressed,
+)
 from tactile_bringup.run_sequence import ArmPlan, arm_plans
 from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
 from tactile_control.tasks import TASKS
+from tactile_drivers.camera import COMPRESSED, ExternalCameraSettings
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.settings import load_object
@@ -201,7 +210,7 @@ def build_collection_graph(
     """
     options = options or GraphOptions()
     nodes = _drivers(scene, options)
-    nodes.append(_node("collector", f"/{arm}", collector))
+    nodes.append(_node("collector", f"/{arm}", {**collector, **_transport(scene.arms[arm])}))
     topics = tuple(_topics([scene.arms[arm]]))
     role = Role("collector", task, TASKS.load(task).settings_class(), (goal,))
     plans = (ArmPlan(arm, role, (goal,)),)
@@ -245,7 +254,7 @@ def _senses(
     if scene.gives_images(arm):
         nodes.append(_estimator(scene, arm, options))
         if options.marker_view:
-            nodes.append(_node("marker_view", f"/{arm}", {}))
+            nodes.append(_node("marker_view", f"/{arm}", _transport(scene.arms[arm])))
     return [*nodes, _node("filter", f"/{arm}", filter_values)]
 
 
@@ -254,9 +263,19 @@ def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
     assert sensor is not None
     rate = options.rate if scene.arms[arm].simulated_sensor else None
     parameters: dict[str, Any] = {"images.rate": float(rate or sensor.settings.camera_rate)}
+    parameters |= _transport(scene.arms[arm], "images.")
     if model is not None:
         parameters["model"] = str(model.absolute())
     return _node("estimator", f"/{arm}", parameters)
+
+
+def _transport(arm: ArmScene, prefix: str = "") -> dict[str, Any]:
+    """How nodes take the images of somebody else's camera; nothing for others, which are raw."""
+    sensor = arm.sensor
+    if sensor is None or sensor.camera != EXTERNAL or not sensor.camera_settings.values:
+        return {}
+    settings = sensor.camera_settings.checked(ExternalCameraSettings, sensor.camera_settings.values)
+    return {f"{prefix}{name}": value for name, value in dataclasses.asdict(settings).items()}
 
 
 def _controller(plan: ArmPlan, arm: ArmScene) -> NodeProcess:
@@ -287,7 +306,10 @@ def _recorder(
     options: GraphOptions,
 ) -> NodeProcess:
     assert options.record is not None
-    images = [IMAGE.of(arm).name for arm in scene.arms if scene.gives_images(arm)]
+    seeing = [scene.arms[arm] for arm in scene.arms if scene.gives_images(arm) and options.record_images]
+    packed = [arm.name for arm in seeing if _transport(arm).get("transport") == COMPRESSED]
+    images = [IMAGE.of(arm.name).name for arm in seeing if arm.name not in packed]
+    topics = [*topics, *(compressed(IMAGE).of(arm) for arm in packed)]
     note = {
         "task": task,
         "scene": scene.name,
@@ -299,7 +321,7 @@ def _recorder(
     parameters = {
         "bag": str(options.record.absolute()),
         "topics": [f"{topic.name} {topic.type} {topic.qos}" for topic in topics],
-        "images": images if options.record_images else [],
+        "images": images,
         "note": [f"{name}={text}" for name, text in note.items()],
     }
     return _node(RECORDER, "/", parameters)

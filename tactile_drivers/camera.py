@@ -12,18 +12,32 @@ package adds its own by an entry point of the group "tactile_servoing.cameras"::
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.registry import Registry
-from tactile_base.settings import SettingError, Settings
+from tactile_base.settings import SettingError, Settings, setting
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene
+
+
+RAW, COMPRESSED = "raw", "compressed"
+
+
+@dataclass(frozen=True)
+class ExternalCameraSettings(Settings):
+    """What a scene says of a camera whose node runs already."""
+
+    transport: str = setting(
+        RAW,
+        choices=(RAW, COMPRESSED),
+        doc="images are taken from tactile/image, or as JPEG or PNG from tactile/image/compressed",
+    )
 
 
 @dataclass(frozen=True)
@@ -45,8 +59,30 @@ class CameraFrame:
     lost: int = 0
 
 
+@dataclass(frozen=True)
+class CameraStatus:
+    """What a driver says of itself, for its user.
+
+    Attributes
+    ----------
+    fault : str
+        Why no frames come; empty while they do.
+    remarks : tuple of str
+        What is not as the settings want it, as a control that the device does not have.
+    values : mapping
+        Names and values for /diagnostics.
+    """
+
+    fault: str = ""
+    remarks: tuple[str, ...] = ()
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
 class Camera(Protocol):
-    """A driver that has been opened."""
+    """A driver that has been opened.
+
+    It may also have a property `status`, a `CameraStatus`, which is asked for a few times a second.
+    """
 
     @property
     def rate(self) -> float:
@@ -69,7 +105,14 @@ class CameraDriver(Protocol):
 
 
 #: Camera drivers by name, besides the simulated cell's.
-CAMERAS: Registry[CameraDriver] = Registry("camera driver", "tactile_servoing.cameras", {})
+CAMERAS: Registry[CameraDriver] = Registry(
+    "camera driver",
+    "tactile_servoing.cameras",
+    {
+        "uvc": "tactile_drivers.uvc_camera:UvcCamera",
+        "replay": "tactile_drivers.replay_camera:ReplayCamera",
+    },
+)
 
 
 def open_camera(arm: ArmScene, report: Callable[[CameraFrame], None]) -> Camera:

@@ -23,7 +23,7 @@ from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
 from tactile_drivers.arm import ARMS, ArmLimits, Box, SafetySettings
-from tactile_drivers.camera import CAMERAS
+from tactile_drivers.camera import CAMERAS, ExternalCameraSettings
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.shapes import SHAPES
@@ -364,7 +364,10 @@ def _sensor(section: Section, arm: str, driver: str, bodies: Mapping[str, BodySc
     camera = _registered(section, "camera", CAMERAS, (SIM, EXTERNAL), SIM if driver == SIM else EXTERNAL)
     if camera == SIM and driver != SIM:
         section.fail(f"{section.name}.camera: '{SIM}' needs an arm whose driver is '{SIM}' too", "camera")
-    _check_no_settings(section, "camera", camera)
+    if camera == EXTERNAL:
+        section.settings("camera_settings", ExternalCameraSettings)
+    else:
+        _check_no_settings(section, "camera", camera)
     pose = _pose(section.section("in_tool"))
     return SensorScene(settings, pose, camera, section.section("camera_settings"))
 

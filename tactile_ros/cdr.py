@@ -22,6 +22,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_filter.gaussian import ros_from_left
 from tactile_filter.pose_numbers import numbers_from_pose
 from tactile_msgs.msg import ContactState
+from tactile_perception.estimating.encodings import decompressed
+from tactile_perception.estimating.image import ImageError
 from tactile_records.bags import cdr
 from tactile_records.bags.cdr import Number as Number
 from tactile_records.bags.message_definitions import type_fields
@@ -131,6 +133,34 @@ class ReceivedImage:
         return checked_image(self.pixels, self.height, self.width, self.step, self.encoding)
 
 
+@dataclass(frozen=True)
+class ReceivedCompressed:
+    """A CompressedImage message whose content has not been looked at yet."""
+
+    stamp_ns: int
+    form: str
+    data: memoryview
+
+    def array(self) -> NDArray[np.uint8]:
+        """Gray image (height, width) uint8; raises `MessageError` as `encodings.decompressed` would."""
+        try:
+            return decompressed(self.data, self.form)
+        except ImageError as error:
+            raise MessageError(str(error)) from error
+
+
+def compressed_from_bytes(data: bytes) -> ReceivedCompressed:
+    """The fields of a serialized CompressedImage; raises `MessageError` for cut bytes.
+
+    No two are of one length: nothing is gained by remembering layouts.
+    """
+    head = cdr.layout_of(type_fields(COMPRESSED), COMPRESSED, data).before(PIXELS)
+    sec, nanosec = head.unpack(data)
+    start = len(head.template)
+    file = memoryview(data)[start : start + head.lengths[PIXELS]]
+    return ReceivedCompressed(sec * SECOND_NS + nanosec, head.texts["format"], file)
+
+
 def bytes_from_array(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> bytes:
     """Serialized Image, mono8, of a gray image (height, width) uint8."""
     if image.ndim != 2 or image.dtype != np.uint8:
@@ -205,6 +235,7 @@ read_gaussian = HeadedReader(PoseWithCovarianceStamped)
 
 _read_command = cdr.MessageReader("tactile_msgs/msg/ArmCommand")
 IMAGE, PIXELS = "sensor_msgs/msg/Image", "data"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _read_head = cdr.MessageReader(IMAGE, before=PIXELS)
 
 read_state = HeadedReader(ContactState)

@@ -22,10 +22,11 @@ from tactile_filter.pose_numbers import MessageError as MessageError
 from tactile_filter.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
 from tactile_filter.pose_numbers import numbers_from_pose as numbers_from_pose
 from tactile_filter.pose_numbers import pose_from_numbers as pose_from_numbers
+from tactile_perception.estimating.encodings import MONO8 as MONO8
+from tactile_perception.estimating.encodings import gray_of
+from tactile_perception.estimating.image import ImageError
 
 Array = NDArray[np.float64]
-
-MONO8 = "mono8"
 
 
 def ns_from_time(stamp: Time | Duration) -> int:
@@ -76,12 +77,12 @@ def transform_stamped(stamp_ns: int, parent: str, child: str, T_parent_child: Ar
 
 
 def array_from_image(message: Image) -> NDArray[np.uint8]:
-    """Gray image (height, width) uint8 that shares the message's memory (a row view where rows are padded).
+    """Gray image (height, width) uint8; of mono8 it shares the message's memory, see `encodings.gray_of`.
 
     Raises
     ------
     MessageError
-        If the encoding is not mono8, or width, height, step and the number of bytes contradict each other.
+        If the encoding is not known, or width, height, step and the number of bytes contradict each other.
     """
     pixels = np.frombuffer(message.data, dtype=np.uint8)
     return checked_image(pixels, int(message.height), int(message.width), int(message.step), message.encoding)
@@ -90,16 +91,11 @@ def array_from_image(message: Image) -> NDArray[np.uint8]:
 def checked_image(
     pixels: NDArray[np.uint8], height: int, width: int, step: int, encoding: str
 ) -> NDArray[np.uint8]:
-    """The pixels of a message as (height, width); raises `MessageError` as `array_from_image`."""
-    if encoding != MONO8:
-        raise MessageError(f"encoding is '{encoding}', must be '{MONO8}'")
-    if height == 0 or width == 0:
-        raise MessageError(f"image is empty: {width}x{height} pixels")
-    if step < width:
-        raise MessageError(f"step is {step} bytes, must be at least the width {width}")
-    if len(pixels) != step * height:
-        raise MessageError(f"data has {len(pixels)} bytes, must have step * height = {step * height}")
-    return pixels.reshape(height, step)[:, :width]
+    """The pixels of a message as gray (height, width); raises `MessageError` as `array_from_image`."""
+    try:
+        return gray_of(pixels, height, width, step, encoding)
+    except ImageError as error:
+        raise MessageError(str(error)) from error
 
 
 def _quaternion(q: Sequence[float]) -> Quaternion:

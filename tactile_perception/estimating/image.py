@@ -48,15 +48,20 @@ def read_image(path: Path) -> Image:
         data = path.read_bytes()
     except OSError as error:
         raise ImageError(f"{path}: cannot be read: {error}") from error
+    return decoded(data, str(path))
+
+
+def decoded(data: bytes, what: str) -> Image:
+    """The image in the bytes of a file, gray; `ImageError` if it is cut short, or is no image."""
     for start, end in _ENDS.items():
         if data.startswith(start) and end not in data[-64:]:
-            raise ImageError(f"{path}: is not a readable image (truncated, {len(data)} bytes)")
+            raise ImageError(f"{what}: is not a readable image (truncated, {len(data)} bytes)")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     except cv2.error as error:  # as of a size that no image has
-        raise ImageError(f"{path}: is not a readable image: {error.err}") from error
+        raise ImageError(f"{what}: is not a readable image: {error.err}") from error
     if image is None:
-        raise ImageError(f"{path}: is not a readable image (truncated or of another format)")
+        raise ImageError(f"{what}: is not a readable image (truncated or of another format)")
     return np.asarray(image, np.uint8)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_perception import _image
-from tactile_perception.estimating.image import Image, check_image
+from tactile_perception.estimating.image import Image, ImageError, check_image
 from tactile_perception.markers.detection import detect, redrawn
 
 _THRESHOLD_METHODS = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
@@ -108,7 +108,10 @@ class Preprocessor:
         self._mask = _circle_mask(shape, self.settings.circle_mask_radius)
 
     def __call__(self, image: Image) -> NDArray[np.float32]:
-        """Camera image, uint8 of `raw_shape` -> network input, float32 (1, 1, size, size) in [0, 1]."""
+        """Camera image -> network input, float32 (1, 1, size, size) in [0, 1].
+
+        Raises `ImageError` if it is not uint8 of `raw_shape`, or of `crop_shape`, as which it is the crop.
+        """
         self._binarize(image, self._binary)
         self._resize(self._binary, self._resized)
         return as_input(self._resized)
@@ -120,7 +123,7 @@ class Preprocessor:
     def binary(self, image: Image) -> Image:
         """Camera image -> cropped, thresholded and masked image, uint8 0 or 255 of `crop_shape`.
 
-        Raises `ImageError` if the image is not uint8 of `raw_shape`.
+        Raises `ImageError` as a call does.
         """
         result = np.empty(self.settings.crop_shape, np.uint8)
         self._binarize(image, result)
@@ -139,9 +142,7 @@ class Preprocessor:
 
     def _binarize(self, image: Image, result: Image) -> None:
         settings = self.settings
-        image = check_image(image, settings.raw_shape, "camera image")
-        x0, y0, x1, y1 = settings.bbox
-        crop = _adjacent_columns(image)[y0:y1, x0:x1]
+        crop = self._cropped(_adjacent_columns(check_image(image, None, "camera image")))
         if settings.median == 5:
             _image.median5(self._smooth, crop)
             crop = self._smooth
@@ -155,6 +156,20 @@ class Preprocessor:
             block, offset_gray = settings.threshold_block, settings.threshold_offset
             cv2.adaptiveThreshold(crop, 255, method, cv2.THRESH_BINARY, block, offset_gray, dst=result)
             cv2.bitwise_and(result, self._mask, dst=result)
+
+    def _cropped(self, image: Image) -> Image:
+        """The part that the settings want; an image of just that size has been cropped by its camera."""
+        settings = self.settings
+        if image.shape == settings.crop_shape:
+            return image
+        if image.shape != settings.raw_shape:
+            rows, columns = settings.crop_shape
+            raise ImageError(
+                f"camera image: must be {settings.raw_width}x{settings.raw_height} pixels, is "
+                f"{image.shape[1]}x{image.shape[0]}; or {columns}x{rows}, cropped to {settings.bbox} of that"
+            )
+        x0, y0, x1, y1 = settings.bbox
+        return image[y0:y1, x0:x1]
 
     def _resize(self, crop: Image, result: Image) -> None:
         side, shape = self.settings.size, (crop.shape[0], crop.shape[1])

@@ -13,12 +13,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import ESTIMATE, IMAGE, PRESENCE, Topic, compressed, sensor_frame
+from tactile_perception.estimating.encodings import decompressed, gray_of
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
@@ -127,19 +127,15 @@ def _image(fields: Any, message: Recorded) -> Image:
     values = np.frombuffer(message.data, layout.dtype, 1)[0]
     stamp_ns = int(values["header.stamp.sec"]) * SECOND_NS + int(values["header.stamp.nanosec"])
     frame_id = layout.texts["header.frame_id"]
-    if "format" in layout.texts:
-        pixels = cv2.imdecode(np.ascontiguousarray(values["data"]), cv2.IMREAD_UNCHANGED)
-        fault = "" if pixels is not None else f"'{layout.texts['format']}' cannot be decompressed"
-        return Image(message, stamp_ns, frame_id, pixels, fault)
-    encoding, height, width, step = (
-        layout.texts["encoding"],
-        *(int(values[n]) for n in ("height", "width", "step")),
-    )
-    if encoding != "mono8" or step < width or layout.lengths["data"] != step * height:
-        found = f"{encoding}, {step} x {height}, {layout.lengths['data']} bytes"
-        fault = f"must be mono8 with step * height bytes, is {found}"
-        return Image(message, stamp_ns, frame_id, None, fault)
-    return Image(message, stamp_ns, frame_id, values["data"].reshape(height, step)[:, :width])
+    try:
+        if "format" in layout.texts:
+            pixels = decompressed(values["data"], layout.texts["format"])
+        else:
+            height, width, step = (int(values[name]) for name in ("height", "width", "step"))
+            pixels = gray_of(values["data"], height, width, step, layout.texts["encoding"])
+    except ImageError as error:
+        return Image(message, stamp_ns, frame_id, None, str(error))
+    return Image(message, stamp_ns, frame_id, pixels)
 
 
 class _Estimates:

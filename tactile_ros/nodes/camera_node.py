@@ -15,7 +15,7 @@ from sensor_msgs.msg import Image
 
 from tactile_base.settings import Settings, setting
 from tactile_base.topics import IMAGE as IMAGE_TOPIC
-from tactile_drivers.camera import Camera, CameraFrame, open_camera
+from tactile_drivers.camera import Camera, CameraFrame, CameraStatus, open_camera
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene
 from tactile_ros.cdr import bytes_from_array
 from tactile_ros.conversions import MessageError
@@ -24,6 +24,8 @@ from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.nodes.arm_node import arm_of_scene
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
+
+STATUS_PERIOD = 0.1  # s
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class CameraNode(ManagedNode):
         self.image_out = self.publisher(Image, IMAGE_TOPIC.name, IMAGE)
         self.latency = LatencyPublisher(self, "camera", self.sensor_frame)
         self.frames = self.report.watch("frames of the camera", self.settings.value.frame_timeout)
+        self.status = CameraStatus()
         if self.hosted:
             return
         arm = self._scene()
@@ -57,6 +60,7 @@ class CameraNode(ManagedNode):
             self.camera = open_camera(arm, self.take_frame)
         except (OSError, RuntimeError) as error:
             raise ConfigurationError(f"camera of '{arm.name}': {error}") from error
+        self.timer(STATUS_PERIOD, self._tell_status)
 
     def cleanup(self) -> None:
         """Let go of the camera."""
@@ -78,6 +82,19 @@ class CameraNode(ManagedNode):
         self.image_out.publish(data)
         self.count("frames")
         self.latency.note(frame.stamp_ns, frame.stamp_ns, self.now_ns(), frame.lost)
+
+    def _tell_status(self) -> None:
+        """Tell what the driver says of itself: values and faults in /diagnostics, what is new in the log."""
+        before, self.status = self.status, getattr(self.camera, "status", CameraStatus())
+        self.report.values |= self.status.values
+        for remark in self.status.remarks:
+            self.report.complain(remark, remark)
+            if remark not in before.remarks:
+                self.get_logger().warning(f"camera of '{self.arm}': {remark}")
+        if self.status.fault:
+            self.warn("camera", self.status.fault, period=5.0)
+        elif before.fault:
+            self.get_logger().info(f"camera of '{self.arm}': frames come again")
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, whose sensor needs a camera driver of the registry."""

@@ -15,10 +15,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image
 
-from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, Settings, setting
-from tactile_base.topics import IMAGE as IMAGE_TOPIC
+from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, setting
 from tactile_control.collection import (
     REFERENCE,
     ROTATE,
@@ -33,6 +31,7 @@ from tactile_control.collection import (
 )
 from tactile_control.phases import StampedPose
 from tactile_control.tasks.data_collection import DataCollection
+from tactile_drivers.camera import ExternalCameraSettings
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
@@ -43,18 +42,17 @@ from tactile_perception.estimating.image import ImageError, check_image
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_records.collecting.sample_store import SampleStore
-from tactile_ros.cdr import image_from_bytes
 from tactile_ros.conversions import MessageError
+from tactile_ros.image_input import Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError
 from tactile_ros.managed_node import run as run_node
 from tactile_ros.parameters import GroupParameters, SettingsParameters
-from tactile_ros.qos import IMAGE
 from tactile_ros.task_messages import feedback_message, named_goal, status_bytes
 from tactile_ros.task_node import ZERO, Run, TaskNode, conclude
 
 
 @dataclass(frozen=True)
-class CollectorSettings(Settings):
+class CollectorSettings(ExternalCameraSettings):
     """Where samples go, and over which surface they are taken."""
 
     folder: str = setting("", doc="data folder, made if it is not there; one with samples is gone on with")
@@ -108,7 +106,7 @@ class CollectorNode(TaskNode):
         self.preprocessor = Preprocessor(self.preprocessing.value)
         self.presence = ContactPresence(self.presence_settings.value)
         age = self.task_settings.value.watchdog.image_age
-        self.subscribe(Image, IMAGE_TOPIC.name, self._take_image, IMAGE, age, raw=True, stamped=True)
+        subscribe_images(self, self.settings.value.transport, self._take_image, age)
         self.open_task(self.settings.value.step_period, on_transform=self._match_image)
 
     def activate(self) -> None:
@@ -124,9 +122,8 @@ class CollectorNode(TaskNode):
 
     # ---- inputs ----
 
-    def _take_image(self, data: bytes) -> None:
+    def _take_image(self, received: Received) -> None:
         """Keep the newest image until the arm's pose at its exposure is known."""
-        received = image_from_bytes(data)
         try:
             image = received.array().copy()
         except MessageError as error:

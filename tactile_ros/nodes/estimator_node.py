@@ -2,9 +2,10 @@
 
 For each image it publishes `contact/presence` and, in contact, `contact/estimate` before it: a network always
 answers, but without contact there is nothing to estimate. Both have the image's exposure stamp.
-The newest image wins: what it replaces is told by the stamps and counted. Images that cannot be used (wrong
-encoding, wrong size) and answers of the network that are not a Gaussian are refused, counted and told in
-/diagnostics.
+The newest image wins: what it replaces is told by the stamps and counted. Colors and crops become what the
+model was trained on where its file says how (`estimating.encodings`, `Preprocessor`). Images that cannot be
+used (another encoding, another size) and answers of the network that are not a Gaussian are refused, counted
+and told in /diagnostics.
 
 After activation the first images, taken without contact, become the reference of the contact presence; until
 then nothing is published. Images in which the network sees a contact, or that differ from the last reference
@@ -20,23 +21,24 @@ from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from tactile_base import topics
-from tactile_base.settings import Settings, setting
+from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
+from tactile_drivers.camera import ExternalCameraSettings
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
-from tactile_ros.cdr import gaussian_bytes, headed_bytes, image_from_bytes
+from tactile_ros.cdr import gaussian_bytes, headed_bytes
 from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
+from tactile_ros.image_input import Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
-from tactile_ros.qos import IMAGE, STATE
+from tactile_ros.qos import STATE
 
 #: Counters of what has been dropped.
 LONGEST_GAP = 600 * SECOND_NS  # a longer one between two stamps is another time, not lost images
@@ -44,7 +46,7 @@ DROPPED = ("images lost", "images refused", "images out of order", "estimates re
 
 
 @dataclass(frozen=True)
-class ImageInputSettings(Settings):
+class ImageInputSettings(ExternalCameraSettings):
     """How images are expected to arrive."""
 
     rate: float = setting(
@@ -66,7 +68,7 @@ class EstimatorNode(ManagedNode):
         super().__init__("estimator")
         self.model = SettingsParameters(self, EstimatorSettings(), read_only=("model", "threads"))
         self.images = SettingsParameters(
-            self, ImageInputSettings(), prefix="images", read_only=("age_limit",)
+            self, ImageInputSettings(), prefix="images", read_only=("age_limit", "transport")
         )
         self.presence = ContactPresence()
         presence = SettingsParameters(
@@ -90,17 +92,16 @@ class EstimatorNode(ManagedNode):
         outlook = "the next images become the reference"
         capture = functools.partial(self.presence.capture, compare=False)
         self.serve_request(Trigger, "~/capture_reference", lambda request: capture(), outlook)
-        age = self.images.value.age_limit
-        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, age, raw=True, stamped=True)
+        images = self.images.value
+        subscribe_images(self, images.transport, self._receive, images.age_limit)
 
     def activate(self) -> None:
         """Take a new reference image; the last one stays if that is none."""
         self.last_stamp_ns = 0
         self.presence.capture()
 
-    def _receive(self, data: bytes) -> None:
+    def _receive(self, image: Received) -> None:
         received_ns = self.now_ns()
-        image = image_from_bytes(data)
         if not self._in_order(image.stamp_ns):
             return
         try:

@@ -15,20 +15,21 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from tactile_base import topics
-from tactile_base.settings import Settings, setting
+from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
+from tactile_drivers.camera import ExternalCameraSettings
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.markers.detection import DetectedMarkers, DetectionSettings, density_change, detect
 from tactile_perception.markers.view import side_by_side
-from tactile_ros.cdr import image_from_bytes
 from tactile_ros.conversions import MessageError, header
+from tactile_ros.image_input import Received, subscribe_images
 from tactile_ros.managed_node import ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
 
 
 @dataclass(frozen=True)
-class MarkerViewSettings(Settings):
+class MarkerViewSettings(ExternalCameraSettings):
     """How often a picture is made."""
 
     rate: float = setting(
@@ -44,7 +45,7 @@ class MarkerViewNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("marker_view")
-        self.view = SettingsParameters(self, MarkerViewSettings(), read_only=("age_limit",))
+        self.view = SettingsParameters(self, MarkerViewSettings(), read_only=("age_limit", "transport"))
         self.detection = SettingsParameters(self, DetectionSettings(), prefix="detection")
         self.reference: DetectedMarkers | None = None
         self.last_stamp_ns = 0
@@ -54,14 +55,14 @@ class MarkerViewNode(ManagedNode):
         self.pictures = self.publisher(Image, topics.MARKER_VIEW.name, IMAGE)
         outlook = "the next image becomes the reference"
         self.serve_request(Trigger, "~/capture_reference", self._capture_reference, outlook)
-        self.subscribe(Image, topics.IMAGE.name, self._receive, IMAGE, self.view.value.age_limit, raw=True)
+        view = self.view.value
+        subscribe_images(self, view.transport, self._receive, view.age_limit, stamped=False)
 
     def activate(self) -> None:
         """Start with a new reference."""
         self.reference, self.last_stamp_ns = None, 0
 
-    def _receive(self, data: bytes) -> None:
-        received = image_from_bytes(data)
+    def _receive(self, received: Received) -> None:
         gap_ns = received.stamp_ns - self.last_stamp_ns
         # a little early is in time: the camera's stamps are not whole parts of the period
         if 0 <= gap_ns < 0.95 * SECOND_NS / self.view.value.rate:

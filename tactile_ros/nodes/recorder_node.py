@@ -31,7 +31,7 @@ from tactile_records.bags.contents import Gap
 from tactile_records.bags.losses import Losses
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
-from tactile_ros.conversions import MessageError, array_from_image
+from tactile_ros.conversions import MONO8, MessageError, array_from_image
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, run
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
@@ -127,7 +127,7 @@ class RecorderNode(ManagedNode):
                 self.count("images refused")
                 self.warn("image", f"{name} refused: {error}")
                 return
-            packed = CompressedImage(header=message.header, format=f"{message.encoding}; png", data=data)
+            packed = CompressedImage(header=message.header, format=f"{MONO8}; png", data=data)
             self._write(f"{name}/compressed", serialize_message(packed), published_ns)
 
         self._listen(Topic(name, IMAGE.type, IMAGE.qos), Image, write, raw=False)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from other_package import installed
 
+from tactile_base.settings import SettingError
 from tactile_bringup.graph import GraphOptions, load_graph
 
 SCENE = """\
@@ -26,10 +27,10 @@ def graph_of(tmp_path, monkeypatch):
     for folder in installed(tmp_path / "site"):
         monkeypatch.syspath_prepend(folder)
 
-    def make(driver: str, camera: str):
+    def make(driver: str, camera: str, options: GraphOptions | None = None):
         path = tmp_path / "plane.yaml"
         path.write_text(SCENE.replace("DRIVER", driver).replace("CAMERA", camera))
-        return load_graph("surface_following", str(path), GraphOptions(rate=20.0, seed=3))
+        return load_graph("surface_following", str(path), options or GraphOptions(rate=20.0, seed=3))
 
     yield make
     sys.modules.pop("bench_cell", None)
@@ -68,3 +69,30 @@ def test_a_real_sensor_keeps_its_own_rate_and_model(graph_of):
     assert parameters["images.rate"] == 40.0  # --rate is that of simulated cameras
     assert parameters["model"] == str(graph.scene_file.parent / "mine.onnx")
     assert "seed" not in graph.node("/arm/arm").parameters
+
+
+def test_images_of_somebody_elses_camera_are_taken_compressed_where_the_scene_says_so(graph_of, tmp_path):
+    compressed = "external, camera_settings: {transport: compressed}"
+    graph = graph_of("bench_arm", compressed, GraphOptions(marker_view=True))
+    assert graph.node("/arm/estimator").parameters["images.transport"] == "compressed"
+    assert graph.node("/arm/marker_view").parameters["transport"] == "compressed"
+    recorded = graph_of("bench_arm", compressed, GraphOptions(record=tmp_path / "bag", record_images=True))
+    topics, images = (recorded.node("/recorder").parameters[name] for name in ("topics", "images"))
+    assert "/arm/tactile/image/compressed sensor_msgs/msg/CompressedImage sensor" in topics and not images
+    without = graph_of("bench_arm", compressed, GraphOptions(record=tmp_path / "bag"))
+    assert not any("compressed" in topic for topic in without.node("/recorder").parameters["topics"])
+
+
+@pytest.mark.parametrize(
+    "settings, complaint",
+    [
+        ("{transport: theora}", "transport = 'theora': must be one of raw, compressed"),
+        ("{device: /dev/video0}", "unknown name 'device'; valid: transport"),
+    ],
+)
+def test_settings_that_an_external_camera_does_not_have_are_refused_with_the_line(
+    graph_of, settings, complaint
+):
+    with pytest.raises(SettingError, match=complaint) as error:
+        graph_of("bench_arm", f"external, camera_settings: {settings}")
+    assert "plane.yaml:5" in str(error.value)

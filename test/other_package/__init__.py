@@ -8,6 +8,7 @@ ENTRY_POINTS = """\
 bench_arm = bench_cell:BenchArm
 [tactile_servoing.cameras]
 bench_camera = bench_cell:BenchCamera
+double_camera = double_camera:DoubleCamera
 [tactile_servoing.motions]
 drift = bench_cell:Drift
 """

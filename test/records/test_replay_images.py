@@ -106,21 +106,22 @@ def test_images_that_cannot_be_used_are_named_and_the_others_are(tmp_path):
     valid = {round((b.stamp_ns - START_NS) / STEP_NS) for b in found if b.valid}
     assert valid == set(range(FREE, 40)) - {30, 33}
     assert remarks == [
-        "arm: 1 images cannot be used, the first: 'mono8; png' cannot be decompressed",
+        "arm: 1 images cannot be used, the first: "
+        "'mono8; png': is not a readable image (truncated or of another format)",
         "arm: 1 estimates are no Gaussians, the first: the network answered with NaN",
         "arm: 1 images are not later than the one before them, "
         f"the first: stamp {START_NS + 35 * STEP_NS} ns",
     ]
 
 
-def test_color_images_are_refused_and_said_to_be_so(tmp_path):
+def test_images_of_an_encoding_that_is_not_known_are_refused_and_said_to_be_so(tmp_path):
     source = with_images("raw", 3)
     head = header(START_NS, "arm/tactile_sensor")
-    message = make(IMAGE, head, 2, 2, "rgb8", 0, 6, np.zeros(12, np.uint8))
+    message = make(IMAGE, head, 2, 2, "bayer_rggb8", 0, 6, np.zeros(12, np.uint8))
     source.messages = [m for m in source.messages if m[0] != "/arm/tactile/image"]
     source.add("/arm/tactile/image", IMAGE, message, START_NS)
     _, remarks = estimated(read_bag(source.write(tmp_path / "bag"), wanted_with_images), None)
-    assert "must be mono8 with step * height bytes, is rgb8, 6 x 2, 12 bytes" in remarks[0]
+    assert "encoding is 'bayer_rggb8', must be 'mono8', or one of" in remarks[0]
     assert remarks[1] == "arm: too few images for the reference of the contact presence"
 
 

@@ -103,7 +103,7 @@ def test_the_bytes_of_an_image_are_those_of_the_message_class_at_every_alignment
     assert np.array_equal(received.array(), image)
 
 
-@pytest.mark.parametrize("encoding", ["bgr8", "mono16", "", "8UC1"])
+@pytest.mark.parametrize("encoding", ["bayer_rggb8", "mono16", "", "32FC1"])
 def test_the_fields_of_a_serialized_image_are_checked_like_those_of_a_message(encoding):
     message = Image(height=2, width=3, step=4, encoding=encoding, data=bytes(range(8)))
     with pytest.raises(MessageError, match="must be 'mono8'"):

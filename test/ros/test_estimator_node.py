@@ -2,11 +2,12 @@
 
 import time
 
+import cv2
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from messages import gaussian_from_message, image_message
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
 from tactile_msgs.msg import ContactPresence, StageLatency
@@ -204,7 +205,7 @@ def test_an_image_of_the_future_is_refused_and_the_next_one_taken(camera):
     ("message", "complaint"),
     [
         (image_message(0, SENSOR, WHITE[:240, :320]), "320x240"),
-        (Image(height=240, width=320, encoding="bgr8", step=960, data=bytes(320 * 240 * 3)), "'bgr8'"),
+        (Image(height=480, width=640, encoding="mono16", step=1280, data=bytes(2 * 640 * 480)), "'mono16'"),
         (Image(height=480, width=640, encoding="mono8", step=640, data=bytes(1000)), "1000 bytes"),
         (Image(encoding="mono8"), "empty"),
     ],
@@ -216,6 +217,46 @@ def test_an_image_that_cannot_be_used_is_refused_counted_and_told(camera, messag
     assert report.level == 1 and complaint in report.message
     assert not camera.estimates
     assert camera.answered(camera.send()), "the node goes on with the next image"
+
+
+def test_colors_and_crops_are_estimated_as_the_gray_image_that_they_are_of(camera, model):
+    gray, rgb = dots(1), np.repeat(dots(1)[:, :, None], 3, axis=2)
+    x0, y0, x1, y1 = PreprocessingSettings().bbox
+    crop = np.ascontiguousarray(gray[y0:y1, x0:x1])
+    color = Image(height=480, width=640, encoding="bgr8", step=1920, data=rgb.tobytes())
+    expected = Estimator(model).estimate(gray)
+    for message in (color, image_message(0, SENSOR, crop)):
+        message.header.frame_id = "usb_cam"  # the frame of somebody else's driver does not matter
+        assert camera.answered(camera.send(message=message))
+        assert camera.estimates[-1].header.frame_id == SENSOR
+        np.testing.assert_allclose(
+            gaussian_from_message(camera.estimates[-1].pose).mean, expected.mean, atol=1e-12
+        )
+
+
+def test_an_image_without_a_stamp_is_refused_with_what_would_be_right(camera):
+    camera.images.publish(image_message(0, SENSOR, dots(1)))
+    report = camera.graph.wait_for_count("estimator", "tactile/image messages refused")
+    assert "has no stamp, must have the time of its exposure" in report.message
+
+
+def test_compressed_images_are_taken_by_the_name_of_image_transport(graph, model):
+    settings = {"images.transport": "compressed", "presence.reference_frames": REFERENCE_FRAMES}
+    graph.start(ESTIMATOR, {"model": model, **settings, "diagnostics_period": 0.02})
+    images = graph.publisher(CompressedImage, "tactile/image/compressed", qos.IMAGE)
+    estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
+    start_ns = time.time_ns() - SECOND
+    for number, (picture, form) in enumerate(
+        [(dots(), "mono8; png compressed ")] * REFERENCE_FRAMES
+        + [(dots(5), "bgr8; jpeg compressed bgr8"), (dots(5), "16UC1; compressedDepth")],
+        1,
+    ):
+        data = cv2.imencode(".png" if "png" in form else ".jpg", picture)[1].tobytes()
+        head = image_message(start_ns + number * PERIOD_NS, SENSOR, WHITE[:1, :1]).header
+        images.publish(CompressedImage(header=head, format=form, data=data))
+        graph.wait_for_count("estimator", "tactile/image/compressed messages", number)
+    assert "format is '16UC1; compressedDepth'" in graph.wait_for_count("estimator", "images refused").message
+    assert graph.wait(lambda: len(estimates) == 1)
 
 
 def test_nan_from_the_network_is_refused_counted_and_told(camera):

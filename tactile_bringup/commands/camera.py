@@ -1,0 +1,225 @@
+"""The command `tactile camera`: which cameras there are, what they see, and what to write into a scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile_base.yaml_edit import with_values
+from tactile_bringup.commands.changes import add_set_option, changed_settings, positive_int, refusing
+
+if TYPE_CHECKING:
+    from tactile_drivers.scene import ArmScene
+
+EXAMPLE = "exposure=0.005"
+#: Written into a scene even where they are the defaults: a picture must be the same tomorrow.
+PINNED = ("format", "width", "height", "exposure", "white_balance")
+
+
+def register(subparsers: Any) -> None:
+    """Add `camera` with its own commands to argparse subparsers."""
+    parser = subparsers.add_parser(
+        "camera",
+        help="find a sensor's camera, look through it, check it, write it into a scene",
+        description="Find the camera of a tactile sensor, look through it, check it, write it into a scene.",
+    )
+    commands = parser.add_subparsers(dest="what", metavar="COMMAND", required=True)
+    listed = commands.add_parser("list", help="devices and what they offer")
+    listed.set_defaults(run=run_list)
+    show = commands.add_parser("show", help="a live picture with focus and markers, in a browser")
+    _add_source(show)
+    show.add_argument("--host", default="127.0.0.1", help="address that serves the page (127.0.0.1)")
+    show.add_argument("--port", type=int, default=8080, help="and its port; 0: any (8080)")
+    show.set_defaults(run=run_show)
+    checked = commands.add_parser("check", help="rate, focus and number of markers")
+    _add_source(checked)
+    checked.add_argument("--markers", type=positive_int, metavar="N", help="how many the sensor has")
+    checked.add_argument("--seconds", type=float, default=2.0, metavar="S", help="to look for (2)")
+    checked.add_argument("--blur", type=float, default=2.0, metavar="PX", help="largest that is sharp (2)")
+    checked.set_defaults(run=run_check)
+    scene = commands.add_parser("scene", help="the camera's part of a scene, printed or written into one")
+    _add_source(scene)
+    scene.add_argument("--into", type=Path, metavar="FILE", help="scene file to write it into")
+    scene.set_defaults(run=run_scene)
+
+
+def _add_source(parser: Any) -> None:
+    """Which camera: a device with settings, or that of a scene."""
+    add = parser.add_argument
+    add("device", nargs="?", help="path of the device (default: the only one)")
+    add("--driver", default="uvc", help="camera driver: uvc, replay, or one of another package (uvc)")
+    add("--rate", type=float, default=60.0, metavar="HZ", help="frames a second (60)")
+    add("--scene", metavar="FILE", help="take driver, settings and rate from this scene")
+    add("--arm", metavar="NAME", help="and of this arm (default: the only one with a camera driver)")
+    add_set_option(parser, f"a setting of the driver, as {EXAMPLE}")
+
+
+@refusing("camera list")
+def run_list(arguments: argparse.Namespace) -> int:
+    """`tactile camera list`: returns the exit status."""
+    from tactile_drivers.video_devices import find_devices
+
+    devices = find_devices()
+    if not devices:
+        raise OSError("there is no video device: is the camera plugged in? `lsusb` lists what there is")
+    for device in devices:
+        print(f"{device.path}: {device.name}")
+        if device.lasting != device.path:
+            print(f"    lasting path: {device.lasting}")
+        if device.fault:
+            print(f"    {device.fault}")
+        for form in device.formats:
+            print(f"    {form}")
+    return 0
+
+
+@refusing("camera show")
+def run_show(arguments: argparse.Namespace) -> int:
+    """`tactile camera show`: until Ctrl-C."""
+    from tactile_bringup.camera_view import serve, watching
+
+    if not 0 <= arguments.port <= 65535:
+        raise ValueError(f"--port {arguments.port}: must lie in [0, 65535]")
+    with watching(chosen(arguments)) as watch:
+        server = serve(watch, arguments.host, arguments.port)
+        host, port = server.server_address[:2]
+        print(f"live picture: http://{host!s}:{port}/ (Ctrl-C ends)", flush=True)
+        try:
+            server.serve_forever(poll_interval=0.1)
+        except KeyboardInterrupt:
+            return 0
+        finally:
+            server.server_close()
+    return 0
+
+
+@refusing("camera check")
+def run_check(arguments: argparse.Namespace) -> int:
+    """`tactile camera check`: 0 if all is right, else 1."""
+    from tactile_bringup.camera_view import check, watching
+
+    if not 0.1 <= arguments.seconds <= 600.0:
+        raise ValueError(f"--seconds {arguments.seconds:g}: must lie in [0.1, 600] s")
+    arm = chosen(arguments)
+    assert arm.sensor is not None
+    rate = arm.sensor.settings.camera_rate
+    with watching(arm) as watch:
+        verdicts = check(watch, rate, arguments.seconds, arguments.markers, arguments.blur)
+        for verdict in verdicts:
+            print(f"{'ok    ' if verdict.good else 'WRONG '} {verdict.text}")
+        status = watch.status
+    for remark in status.remarks:
+        print(f"told   {remark}")
+    for name, value in status.values.items():
+        print(f"       {name}: {value}")
+    return 0 if all(verdict.good for verdict in verdicts) else 1
+
+
+@refusing("camera scene")
+def run_scene(arguments: argparse.Namespace) -> int:
+    """`tactile camera scene`: the camera is opened first, so that nothing is written that does not work."""
+    import dataclasses
+
+    import yaml
+
+    from tactile_bringup.camera_view import watching
+    from tactile_drivers.camera import CAMERAS
+
+    arm = chosen(arguments)
+    assert arm.sensor is not None
+    with watching(arm) as watch:
+        watch.next(2.0)
+    kind = CAMERAS.load(arm.sensor.camera).settings_class
+    given = arm.sensor.camera_settings.values
+    settings = dataclasses.asdict(kind.from_mapping(given))
+    values = {
+        "camera": arm.sensor.camera,
+        "camera_settings": {n: v for n, v in settings.items() if n in given or n in PINNED},
+        "camera_rate": arm.sensor.settings.camera_rate,
+    }
+    if arguments.into is None:
+        print(yaml.safe_dump({"sensor": values}, sort_keys=False, width=100), end="")
+        return 0
+    write_into(arguments.into, arguments.arm, values)
+    print(f"{arguments.into}: written")
+    return 0
+
+
+def write_into(path: Path, arm: str | None, values: dict[str, Any]) -> None:
+    """Set values of the sensor of an arm in a scene file, which stays as it was unless it is a scene then.
+
+    Raises `ValueError` or `OSError` with what is wrong.
+    """
+    from tactile_drivers.scene import load_scene
+
+    arms = list(load_scene(path).arms)
+    if arm is None and len(arms) > 1:
+        raise ValueError(f"{path}: --arm must name one of {', '.join(arms)}")
+    name = arm or arms[0]
+    if name not in arms:
+        raise ValueError(f"{path}: there is no arm '{name}'; arms: {', '.join(arms)}")
+    candidate = path.with_name(f".{path.stem}.new.yaml")
+    try:
+        candidate.write_text(with_values(path.read_text(), ["arms", name, "sensor"], values))
+        load_scene(candidate)
+        candidate.replace(path)
+    finally:
+        candidate.unlink(missing_ok=True)
+
+
+def chosen(arguments: argparse.Namespace) -> ArmScene:
+    """An arm whose sensor has the camera that is meant.
+
+    Raises `ValueError` or `OSError` with what would be right.
+    """
+    import numpy as np
+
+    from tactile_base.yaml_file import Section
+    from tactile_drivers.arm import ArmLimits, SafetySettings
+    from tactile_drivers.camera import CAMERAS
+    from tactile_drivers.scene import EXTERNAL, ArmScene, SensorScene, SensorSettings
+
+    if arguments.scene is not None:
+        return _of_scene(arguments)
+    settings = changed_settings(arguments.changes, EXAMPLE)
+    if arguments.driver == "uvc" and "device" not in settings:
+        settings["device"] = arguments.device or _only_device()
+    elif arguments.device is not None:
+        raise ValueError(f"{arguments.device}: the driver '{arguments.driver}' has its settings by --set")
+    CAMERAS.load(arguments.driver).settings_class.from_mapping(settings, "--set")
+    none = Section(Path("--set"), 1, {}, {})
+    sensor = SensorScene(
+        SensorSettings(camera_rate=arguments.rate),
+        np.eye(4),
+        arguments.driver,
+        Section(Path("--set"), 1, settings, {}),
+    )
+    return ArmScene(
+        "arm", EXTERNAL, none, np.eye(4), np.eye(4), ArmLimits(), SafetySettings(), (), sensor
+    )  # fmt: skip
+
+
+def _of_scene(arguments: argparse.Namespace) -> ArmScene:
+    from tactile_drivers.scene import EXTERNAL, SIM, load_scene
+
+    if arguments.device is not None or arguments.changes:
+        raise ValueError("--scene says which camera and how: leave out the device and --set")
+    scene = load_scene(arguments.scene)
+    driven = {n: a for n, a in scene.arms.items() if a.sensor and a.sensor.camera not in (SIM, EXTERNAL)}
+    if arguments.arm is None and len(driven) == 1:
+        return next(iter(driven.values()))
+    if arguments.arm in driven:
+        return driven[arguments.arm]
+    listed = ", ".join(driven) or "none"
+    raise ValueError(f"{scene.path}: --arm must name an arm with a camera driver; there are: {listed}")
+
+
+def _only_device() -> str:
+    from tactile_drivers.video_devices import find_devices
+
+    devices = find_devices()
+    if len(devices) == 1:
+        return str(devices[0].lasting)
+    there = ", ".join(str(device.path) for device in devices) or "none"
+    raise OSError(f"name the device; there are: {there} (`tactile camera list`)")
