@@ -190,12 +190,11 @@ def _role(
     roles: dict[str, Section],
 ) -> Role:
     section.allow("task", "controller", "settings")
-    on_scene.allow("arms", "after", "ends_run", "controller", "settings", "goals")
+    on_scene.allow("arms", "after", "ends_run", "settings", "goals")
     task = section.choice("task", list(TASKS.names()))
     task_type = TASKS.load(task)
     names = sorted(file.stem for file in folder.glob("*.yaml"))
-    named = [place for place in (on_scene, section) if "controller" in place.values]
-    chosen = named[0].choice("controller", names) if named else ""
+    chosen = section.choice("controller", names) if "controller" in section.values else ""
     only, _, wanted = (controller or "").rpartition("=")
     if controller is not None and (only == name if only else task_type.needs_sensor):
         if wanted not in names:

@@ -187,31 +187,29 @@ def test_pushing_holds_the_papers_table(settings):
     assert settings.task.speed == 0.010 and settings.contact.lost_contact == "fail"
 
 
-def test_the_followers_table_and_the_references_for_tall_objects(controllers, settings):
+def test_the_followers_table(controllers):
     follower = load_controller(controllers / "pushing_follower.yaml", ObjectTrackingSettings())
     assert follower.pid.kp == (5, 0, 5, 1, 0, 0)
     assert follower.pid.ki == follower.pid.kd == (0.5, 0, 0.5, 0.1, 0, 0)
     assert follower.pid.integral_limit == (0.2, 0.2, 0.2, 200, 200, 200)
     assert follower.servoing.reference == (0, 0, 0.003, 0, 0, 0)
-    tall = load_controller(controllers / "pushing_follower_tall.yaml", ObjectTrackingSettings())
-    assert tall == follower.replaced(servoing__reference=(-0.0005, 0, 0.003, 0, 0, 0))
-    leader = load_controller(controllers / "pushing_tall.yaml", PushingSettings())
-    assert leader == settings.replaced(servoing__reference=(0.0005, 0, 0, 0, 0, 0), alignment__ki=0.5)
 
 
-@pytest.mark.parametrize(("name", "down"), [("pushing_tuned", 0.0), ("pushing_tuned_tall", 0.0005)])
-def test_our_tuning_steers_in_place_of_target_alignment_and_keeps_the_rest(controllers, settings, name, down):
-    tuned = load_controller(controllers / f"{name}.yaml", PushingSettings())
+def test_our_tuning_steers_in_place_of_target_alignment_and_keeps_the_rest(controllers, settings):
+    tuned = load_controller(controllers / "pushing_tuned.yaml", PushingSettings())
     assert tuned.steering.enabled and not settings.steering.enabled
     assert (tuned.pid, tuned.task) == (settings.pid, settings.task)
-    assert tuned.servoing.reference == (down, 0, 0, 0, 0, 0)
+    assert tuned.servoing.reference == settings.servoing.reference
 
 
+@pytest.mark.parametrize("controller", [None, "leader=pushing_tuned"])
 @pytest.mark.parametrize("scene", ["dual_pushing", "dual_pushing_tall"])
-def test_of_two_arms_the_leader_waits_for_the_follower_and_has_the_gain_for_two(scene, controllers):
-    task = load_task(controllers.parent / "tasks" / "dual_pushing.yaml", scene)
+def test_of_two_arms_the_leader_waits_for_the_follower_and_has_the_papers_settings(
+    scene, controller, controllers
+):
+    task = load_task(controllers.parent / "tasks" / "dual_pushing.yaml", scene, controller=controller)
     leader = task.role("leader")
     assert leader.after == ("follower", "track") and leader.ends_run and leader.settings.alignment.ki == 0.5
     tall = 0.0005 if scene == "dual_pushing_tall" else 0.0
     assert leader.settings.servoing.reference[0] == tall
-    assert task.role("follower").settings.servoing.reference[0] == -tall
+    assert task.role("follower").settings.servoing.reference == (-tall, 0, 0.003, 0, 0, 0)
