@@ -247,6 +247,10 @@ class UrArm:
         with self._sending:
             if fault and not self._fault:
                 self._begin_fault(fault, state.safety)
+            silence = time.monotonic() - self._commanded
+            if self._moving and silence > self._timeout:  # the link stops the arm by itself
+                self._twist, self._moving = np.zeros(6), False
+                self._reason = f"no command for {silence:.3f} s (limit of the driver {self._timeout:g} s)"
             self._last = ArmState(stamp_ns, T, twist, self._mode(twist), self._words(state))
             if self._moving and not self._fault and self._twist[3:].any():
                 self._send_speed()  # the frame that the twist is given in has turned

@@ -42,6 +42,7 @@ SAFETY = {
     3: "protective stop", 4: "recovery mode", 5: "safeguard stop", 6: "emergency stop of the cell",
     7: "emergency stop", 8: "safety violation", 9: "safety fault",
 }  # fmt: skip
+_DEAF = 0.6  # of the silence of states that is a lost connection
 _LATE = 0.8  # of a period: then the next state is looked for
 _LOOK = 0.0002  # s, between looks
 _HANGS = 20  # s without a look at the driver, after which this process ends itself
@@ -61,8 +62,8 @@ _WORDS = (
 )
 
 
-def main() -> int:
-    """Connect as the first message says, then serve until the driver closes; returns the exit code."""
+def main() -> None:
+    """Connect as the first message says, then serve until the driver closes."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # its driver says when, also where all are asked to end at once
     signal.alarm(_HANGS)  # the kernel ends it, whoever holds Python's lock
@@ -72,9 +73,9 @@ def main() -> int:
             serving = _Link(link, wanted)
         except (OSError, RuntimeError, ValueError) as error:
             _say(link, ANSWER + in_words(error).encode())
-            return 1
-        _say(link, ANSWER + json.dumps(serving.facts).encode())
-        serving.serve()
+        else:
+            _say(link, ANSWER + json.dumps(serving.facts).encode())
+            serving.serve()
         sys.stderr.flush()
         os._exit(0)  # the destructors of ur_rtde wait a second, and fail where a connection was lost
 
@@ -119,7 +120,7 @@ class _Link:
             "payload": self._receive.getPayload(),
         }
         self._open, self._moving, self._written = True, False, time.monotonic()
-        self._commanded = 0.0
+        self._commanded, self._heard = 0.0, time.monotonic()
 
     # ---- states ----
 
@@ -141,7 +142,7 @@ class _Link:
             )  # fmt: skip
             if receive.getTimestamp() != stamp:
                 continue  # the next one came in between: these may be of both
-            last = stamp
+            last, self._heard = stamp, time.monotonic()
             _say(self._socket, STATE.pack(b"x", now_ns, stamp, *fields))
             time.sleep(_LATE * period)
 
@@ -158,23 +159,33 @@ class _Link:
                     self._take(self._newest())
                 if self._moving and time.monotonic() - self._commanded > self._wanted["command_timeout"]:
                     self._halt(self._wanted["deceleration"])
-                if time.monotonic() - self._written > rest:
+                if time.monotonic() - self._written > rest and not self._deaf:
                     self._control.kickWatchdog()
                     self._written = time.monotonic()
         finally:
             self._halt(self._wanted["deceleration"])
             self._control.stopScript()
 
+    @property
+    def _deaf(self) -> bool:
+        """Whether states are missing: then the controller's watchdog is left alone, to stop the arm."""
+        return time.monotonic() - self._heard > _DEAF * float(self._wanted["state_timeout"])
+
     def _newest(self) -> bytes:
         """The message to follow: of speeds and stops the last, but nothing else is passed over."""
-        message = self._socket.recv(4096)
-        while message[:1] in b"vs" and select.select([self._socket], [], [], 0.0)[0]:
+        try:
             message = self._socket.recv(4096)
+            while message[:1] in (b"v", b"s") and select.select([self._socket], [], [], 0.0)[0]:
+                message = self._socket.recv(4096)
+        except OSError:
+            return CLOSE  # the driver is gone
         return message
 
     def _take(self, message: bytes) -> None:
         kind = message[:1]
         if kind == b"v":
+            if self._deaf:
+                return
             _, self._commanded, *speed, acceleration = SPEED.unpack(message)
             self._control.speedL(speed, acceleration, 1.0 / self._wanted["rate"])
             self._moving, self._written = True, time.monotonic()
@@ -234,4 +245,4 @@ def why_not(safety: int, mode: int, status: int) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -32,7 +32,7 @@ DASHBOARD, SCRIPT, RTDE = 29999, 30003, 30004
 _GREETING = "Connected: Universal Robots Dashboard Server\n"
 _BACKLOG = 65536  # bytes; a client that does not read is left behind, as a controller does
 _ENDS = (OSError, EOFError, struct.error, asyncio.CancelledError)  # how a connection ends
-_LONGEST_LAG = 0.1  # s; further behind, the arm's time is not caught up
+_LONGEST_LAG = 0.05  # s; further behind, cycles are left out
 
 
 class UrController:
@@ -71,13 +71,13 @@ class UrController:
             "stuck_program": lambda on=1.0: setattr(robot, "stuck", bool(on)),
             "teach_button": lambda on=1.0: setattr(robot, "teach_button", bool(on)),
             "speed_slider": lambda part: setattr(robot, "speed_slider", part),
-            "local_control": lambda: setattr(robot, "remote_control", False),
+            "local_control": lambda on=1.0: setattr(robot, "remote_control", not on),
             "payload": lambda mass: setattr(robot, "payload", mass),
             "tcp_offset": lambda *offset: setattr(robot, "tcp_offset", list(offset)),
             "clock": lambda seconds: setattr(robot, "time", robot.time + seconds),
             "jump": lambda x: robot.T_base_tcp.__setitem__((0, 3), robot.T_base_tcp[0, 3] + x),
-            "scripts_ignored": lambda: setattr(self, "_scripts", False),
-            "old_protocol": lambda: setattr(self, "_protocols", (1,)),
+            "scripts_ignored": lambda on=1.0: setattr(self, "_scripts", not on),
+            "old_protocol": lambda on=1.0: setattr(self, "_protocols", (1,) if on else (1, 2)),
             "registers_in_use": lambda on=1.0: setattr(self, "_in_use", bool(on)),
             "slow": lambda seconds: setattr(self, "delay", seconds),
             "loss": lambda part: setattr(self, "loss", part),
@@ -103,8 +103,11 @@ class UrController:
         due = loop.time()
         try:
             while True:
-                due = max(due + self.robot.period, loop.time() - _LONGEST_LAG)
+                due += self.robot.period
                 await asyncio.sleep(due - loop.time())
+                if (lag := loop.time() - due) > _LONGEST_LAG:
+                    self.robot.pass_over(lag)
+                    due += lag
                 self.robot.step()
                 if self.follow is not None:
                     self.follow()
@@ -165,6 +168,7 @@ class _Session:
     def __init__(self, controller: UrController, writer: asyncio.StreamWriter) -> None:
         self._controller, self._writer = controller, writer
         self._protocol, self._started, self._every, self._cycles = 1, False, 1, 0
+        self._rest = b""
         self._output: rtde.Recipe | None = None
         self._inputs: dict[int, rtde.Recipe] = {}
 
@@ -224,16 +228,23 @@ class _Session:
         self._send(data)
 
     def _send(self, data: bytes) -> None:
-        controller = self._controller
-        loop = asyncio.get_running_loop()
+        controller, loop = self._controller, asyncio.get_running_loop()
         if controller.torn:  # in two pieces, the second later than the first
             half = len(data) // 2
+            self._flush()
             self._write(data[:half])
-            loop.call_later(controller.robot.period / 2, self._write, data[half:])
+            self._rest = data[half:]
+            loop.call_later(controller.robot.period / 2, self._flush)
         elif controller.delay:
             loop.call_later(controller.delay, self._write, data)
         else:
+            self._flush()
             self._write(data)
+
+    def _flush(self) -> None:
+        """Send what is left of a package."""
+        self._write(self._rest)
+        self._rest = b""
 
     def _write(self, data: bytes) -> None:
         transport = self._writer.transport

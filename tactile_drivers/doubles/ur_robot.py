@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 NO_COMMAND, SPEED_L, SPEED_STOP, SET_WATCHDOG, GET_TCP_OFFSET, KICK, STOP_SCRIPT = 0, 10, 15, 35, 40, 99, 255
 _CONTINUOUS = (6, 9, SPEED_L, 11, 24, 25, 26, 27, 38)  # commands after which the program is ready at once
 _READY, _DONE = 1, 2
+_OFFSETS = (0, 24)  # of the registers that the program uses; from 24 on where a fieldbus has the lower ones
 NORMAL, PROTECTIVE_STOP, SAFEGUARD_STOP, ROBOT_EMERGENCY_STOP, FAULT = 1, 3, 5, 7, 9  # safety_mode
 POWER_OFF, RUNNING = 3, 7  # robot_mode
 STOPPED, PLAYING = 1, 2  # runtime_state
@@ -87,7 +88,8 @@ class UrRobot:
         self.registers: dict[str, Any] = {}
         self.trace: deque[tuple[float, Array, Array, Array]] = deque(maxlen=20000)
         self._outputs: dict[str, Any] = {}
-        self.program_running = self._executing = self._command_new = False
+        self._offset = 0  # of the registers that the program uses
+        self.program_running = self._executing = False
         self._watchdog, self._fed = 0.0, 0.0
 
     # ---- one cycle ----
@@ -104,11 +106,17 @@ class UrRobot:
         self._move(dt)
         self.trace.append((self.time, vector_of(self.T_base_tcp), self.speed.copy(), self._target.copy()))
 
+    def pass_over(self, seconds: float) -> None:
+        """Let time go by in which a machine that is busy makes no cycles: nothing moves, nothing is missed."""
+        self.time += seconds
+        self._fed += seconds
+
     def write(self, values: dict[str, Any]) -> None:
         """What a client writes into the registers."""
         self.registers |= values
-        if "input_int_register_0" in values:
-            self._fed, self._command_new = self.time, True
+        for offset in _OFFSETS:
+            if f"input_int_register_{offset}" in values:
+                self._fed, self._offset = self.time, offset
 
     def outputs(self) -> dict[str, Any]:
         """The variables that RTDE tells, by their names."""
@@ -149,7 +157,7 @@ class UrRobot:
         """Run the program that a client has uploaded, if the arm can move."""
         if self.robot_mode == RUNNING and self.safety_mode == NORMAL:
             self.program_running, self._executing, self._watchdog = True, False, 0.0
-            self._outputs["output_int_register_0"] = _READY
+            self._outputs |= {f"output_int_register_{offset}": _READY for offset in _OFFSETS}
 
     def stop_program(self) -> None:
         """End the program; the arm comes to rest."""
@@ -157,20 +165,22 @@ class UrRobot:
         self._halt(_PROGRAM_DECELERATION)
 
     def _run_program(self) -> None:
-        command = self.registers.get("input_int_register_0", NO_COMMAND)
+        command = self.registers.get(f"input_int_register_{self._offset}", NO_COMMAND)
+        answer = f"output_int_register_{self._offset}"
         if command in (NO_COMMAND, KICK):
             self._executing = False
-            self._outputs["output_int_register_0"] = _READY
+            self._outputs[answer] = _READY
         elif command in _CONTINUOUS:
             self._execute(command)
-            self._outputs["output_int_register_0"] = _READY
+            self._outputs[answer] = _READY
         elif not self._executing:
             self._executing = True
             self._execute(command)
-            self._outputs["output_int_register_0"] = _DONE
+            self._outputs[answer] = _DONE
 
     def _execute(self, command: int) -> None:
-        values = [self.registers.get(f"input_double_register_{i}", 0.0) for i in range(8)]
+        first = self._offset
+        values = [self.registers.get(f"input_double_register_{first + i}", 0.0) for i in range(8)]
         if command == SPEED_L:
             if self._hold <= 0.0:  # a speedl under way takes its time
                 self._target, self._acceleration, self._hold = np.array(values[:6]), values[6], values[7]
@@ -179,7 +189,8 @@ class UrRobot:
         elif command == SET_WATCHDOG:
             self._watchdog, self._fed = values[0], self.time
         elif command == GET_TCP_OFFSET:
-            self._outputs |= {f"output_double_register_{i}": x for i, x in enumerate(self.tcp_offset)}
+            told = {f"output_double_register_{first + i}": x for i, x in enumerate(self.tcp_offset)}
+            self._outputs |= told
         elif command == STOP_SCRIPT:
             self.stop_program()
 

@@ -97,7 +97,9 @@ class Cell:
     def move(self):
         """Bring the arm to 50 mm/s."""
         twist = np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0])
-        self.until(lambda: self.command(twist) or np.abs(self.state.twist - twist).max() < 1e-4, "50 mm/s")
+        self.until(
+            lambda: not self.command(twist) and np.abs(self.state.twist - twist).max() < 1e-4, "50 mm/s"
+        )
 
     def until(self, done, what: str, patience: float = 15.0):
         """Wait for something."""
