@@ -243,7 +243,7 @@ class UrArm:
         if not fault and late > self.settings.state_timeout:
             fault = f"states of the arm come {late:.3f} s late (limit {self.settings.state_timeout:g} s)"
         T = pose_of(state.pose) @ self._T_tcp_controlled
-        twist = _controlled_twist(T, self._T_tcp_controlled, state.speed)
+        twist = controlled_twist(T, self._T_tcp_controlled, state.speed)
         with self._sending:
             if fault and not self._fault:
                 self._begin_fault(fault, state.safety)
@@ -400,7 +400,7 @@ def _unpacked(packet: bytes) -> UrState:
     return UrState(now_ns, stamp, np.array(numbers[:6]), np.array(numbers[6:12]), *numbers[12:])
 
 
-def _controlled_twist(T_base_controlled: Array, T_tcp_controlled: Array, speed: Array) -> Array:
+def controlled_twist(T_base_controlled: Array, T_tcp_controlled: Array, speed: Array) -> Array:
     """The twist of the controlled frame, in it, of a TCP with that speed (6,) in the base."""
     R = T_base_controlled[:3, :3]
     lever = R @ T_tcp_controlled[:3, :3].T @ T_tcp_controlled[:3, 3]  # from the TCP, in the base

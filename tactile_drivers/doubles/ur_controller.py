@@ -20,13 +20,15 @@ import contextlib
 import json
 import struct
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from tactile_drivers.doubles import rtde
-from tactile_drivers.doubles.ur_robot import UrRobot, UrRobotSettings
+from tactile_drivers.doubles.ur_robot import NORMAL, UrRobot, UrRobotSettings
+from tactile_drivers.rotation_vectors import vector_of
 
 DASHBOARD, SCRIPT, RTDE = 29999, 30003, 30004
 _GREETING = "Connected: Universal Robots Dashboard Server\n"
@@ -88,6 +90,7 @@ class UrController:
             "leave": self.leave,
             "come_back": self.come_back,
             "trace": self.trace,
+            "now": self.now,
         }
 
     def trace(self) -> list[list[Any]]:
@@ -95,6 +98,12 @@ class UrController:
         taken = [[time, *(row.tolist() for row in rows)] for time, *rows in self.robot.trace]
         self.robot.trace.clear()
         return taken
+
+    def now(self) -> tuple[int, list[float], list[float], bool]:
+        """Our time (ns), pose and speed (6,) of the TCP in the base, and whether safety has stopped it."""
+        robot = self.robot
+        pose, speed = vector_of(robot.T_base_tcp).tolist(), robot.speed.tolist()
+        return time.time_ns(), pose, speed, robot.safety_mode != NORMAL
 
     async def run(self) -> None:
         """Serve, and move the arm in real time."""

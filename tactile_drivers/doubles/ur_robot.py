@@ -107,7 +107,7 @@ class UrRobot:
         self.trace.append((self.time, vector_of(self.T_base_tcp), self.speed.copy(), self._target.copy()))
 
     def pass_over(self, seconds: float) -> None:
-        """Let time go by in which a machine that is busy makes no cycles: nothing moves, nothing is missed."""
+        """Let time go by in which a busy machine makes no cycles: nothing moves, nothing is missed."""
         self.time += seconds
         self._fed += seconds
 

@@ -120,6 +120,8 @@ class Cell:
         Of all noise; the same seed and commands give the same bits.
     stamp_ns : int
         Time of the first state, ns.
+    followed : mapping
+        Arm -> what stands for it, for arms that something else moves.
 
     Raises
     ------
@@ -127,18 +129,27 @@ class Cell:
         If the scene has no simulated arm, or what it says of a body's motion is wrong.
     """
 
-    def __init__(self, scene: Scene, seed: int = 0, stamp_ns: int = 0) -> None:
+    def __init__(
+        self, scene: Scene, seed: int = 0, stamp_ns: int = 0, followed: Mapping[str, SimArm] | None = None
+    ) -> None:
         self.scene = scene
+        followed = followed or {}
         self._rate = scene.simulation.rate
         self._start_ns, self._ticks = int(stamp_ns), 0
-        simulated = [arm for arm in scene.arms.values() if arm.driver == SIM]
+        simulated = [arm for name, arm in scene.arms.items() if arm.driver == SIM or name in followed]
         if not simulated:
             raise ValueError(f"scene {scene.name}: none of its arms has the driver '{SIM}'")
         self._bodies = {name: _Body(scene, body) for name, body in scene.bodies.items()}
         self._moving = [body for body in self._bodies.values() if not body.fixed]
         seeds = np.random.SeedSequence(seed).generate_state(len(simulated))
         self._arms = {
-            arm.name: _CellArm(scene, arm, self._bodies, int(arm_seed), self._start_ns)
+            arm.name: _CellArm(
+                scene,
+                arm,
+                self._bodies,
+                int(arm_seed),
+                followed.get(arm.name) or SimArm(arm.limits, arm.T_base_start, self._start_ns),
+            )
             for arm, arm_seed in zip(simulated, seeds, strict=True)
         }
         self._tools = {  # of arms that are not simulated: where they start
@@ -301,10 +312,9 @@ class _CellArm:
     """An arm with what it carries and what it can touch."""
 
     def __init__(
-        self, scene: Scene, arm: ArmScene, bodies: Mapping[str, _Body], seed: int, stamp_ns: int
+        self, scene: Scene, arm: ArmScene, bodies: Mapping[str, _Body], seed: int, moved: SimArm
     ) -> None:
-        self.name = arm.name
-        self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns)
+        self.name, self.arm = arm.name, moved
         self.sensor: _Sensor | None = None
         self.contact: BodyContact | None = None
         self._T_world_base = arm.T_world_base
