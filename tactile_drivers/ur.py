@@ -44,6 +44,7 @@ AT_REST = np.repeat([1e-3, 5e-3], 3)  # m/s, rad/s: what speeds say of an arm th
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: TCPs that differ by less are the same
 _SAME_PAYLOAD = 0.05  # kg
 _GRACE = 1.3  # the link stops by itself this much later than the stage should have
+_PATIENT = 10.0  # times longer an arm at rest may be silent
 _STOPS = 0.05  # s, for a link that says nothing any more to pass on a stop all the same
 _RETRY = 1.0  # s, between attempts to connect again
 _RECOVERY = 10.0  # s
@@ -80,7 +81,11 @@ class UrSettings(Settings):
         10.0, lower=2.0, upper=100.0, unit="Hz", doc="the controller stops when it hears less often"
     )
     state_timeout: float = setting(
-        0.1, lower=0.02, upper=1.0, unit="s", doc="silence or lateness of states that is a lost connection"
+        0.1,
+        lower=0.02,
+        upper=1.0,
+        unit="s",
+        doc="silence or lateness of states that is a lost connection in motion; at rest ten times that",
     )
     connect_timeout: float = setting(
         10.0, lower=1.0, upper=60.0, unit="s", doc="for connection and start of the program"
@@ -142,7 +147,7 @@ class UrArm:
         self._answers: list[str] = []
         self._answered = threading.Condition()
         self._sending = threading.Lock()
-        self._open = True
+        self._open, self._heard = True, time.monotonic()
         self._link: _LinkProcess | None = self._connected()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -221,10 +226,13 @@ class UrArm:
             if self._link is None:
                 self._reconnect()
                 continue
-            packet = self._link.receive(self.settings.state_timeout)
+            packet, patience = self._link.receive(self.settings.state_timeout), self._patience
             if packet is None:
-                self._lose(f"no state of the arm for {self.settings.state_timeout:g} s")
-            elif not packet:
+                if time.monotonic() - self._heard > patience:
+                    self._lose(f"no state of the arm for {patience:g} s")
+                continue
+            self._heard = time.monotonic()
+            if not packet:
                 self._lose("the process that holds ur_rtde ended")
             elif packet[:1] == ur_link.ANSWER:
                 with self._answered:
@@ -233,6 +241,11 @@ class UrArm:
             elif not self._link.waiting:  # of states only the newest counts
                 self._take_state(_unpacked(packet))
 
+    @property
+    def _patience(self) -> float:
+        """How long (s) the arm may say nothing, or be late: at rest nothing depends on it."""
+        return self.settings.state_timeout * (1.0 if self._twist.any() else _PATIENT)
+
     def _take_state(self, state: UrState) -> None:
         stamp_ns = self._clock.stamp_ns(state.time, state.now_ns)
         last = self._last
@@ -240,8 +253,8 @@ class UrArm:
             stamp_ns = last.stamp_ns + 1  # the offset became less between the two
         late = (time.time_ns() - stamp_ns) / SECOND_NS
         fault = self._why_fault(state)
-        if not fault and late > self.settings.state_timeout:
-            fault = f"states of the arm come {late:.3f} s late (limit {self.settings.state_timeout:g} s)"
+        if not fault and late > self._patience:
+            fault = f"states of the arm come {late:.3f} s late (limit {self._patience:g} s)"
         T = pose_of(state.pose) @ self._T_tcp_controlled
         twist = controlled_twist(T, self._T_tcp_controlled, state.speed)
         with self._sending:
@@ -351,7 +364,7 @@ class UrArm:
         else:
             with self._sending:
                 self._fault = "the connection to the arm was lost, and is back"
-                self._link = link
+                self._link, self._heard = link, time.monotonic()
 
 
 class _LinkProcess:

@@ -168,8 +168,8 @@ class _Link:
 
     @property
     def _deaf(self) -> bool:
-        """Whether states are missing: then the controller's watchdog is left alone, to stop the arm."""
-        return time.monotonic() - self._heard > _DEAF * float(self._wanted["state_timeout"])
+        """Whether states are missing in motion: then the controller's watchdog is left to stop the arm."""
+        return self._moving and time.monotonic() - self._heard > _DEAF * float(self._wanted["state_timeout"])
 
     def _newest(self) -> bytes:
         """The message to follow: of speeds and stops the last, but nothing else is passed over."""
@@ -188,7 +188,7 @@ class _Link:
                 return
             _, self._commanded, *speed, acceleration = SPEED.unpack(message)
             self._control.speedL(speed, acceleration, 1.0 / self._wanted["rate"])
-            self._moving, self._written = True, time.monotonic()
+            self._moving, self._written = any(speed), time.monotonic()
         elif kind == b"s":
             self._halt(STOP.unpack(message)[1])
         elif kind == RECOVER:
