@@ -296,7 +296,7 @@ def _recorder(
     images = [IMAGE.of(arm).name for arm in scene.arms if scene.gives_images(arm)]
     note = {
         "task": task,
-        "scene": scene.name,
+        "scene": scene.name + " (rehearsed)" * options.rehearse,
         "scene_file": str(scene.path.absolute()),
         "seed": str(options.seed),
         "roles": json.dumps({plan.arm: _role_note(plan, scene.arms[plan.arm]) for plan in plans}),
