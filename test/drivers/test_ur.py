@@ -323,7 +323,7 @@ def other(second):
         ("emergency_stop", {}, "emergency stop of the arm"),
         ("teach_button", {}, "moved by hand"),
         ("registers_in_use", {}, "its registers are in use by a fieldbus; set driver_settings.upper_reg"),
-        ("old_protocol", {"connect_timeout": 2.0}, "127.*"),
+        ("old_protocol", {"connect_timeout": 2.0}, "did not answer within 2 s"),
         ("silence", {"connect_timeout": 1.0}, "did not answer within 1 s"),
         ("leave", {}, "does not answer"),
         ("scripts_ignored", {"connect_timeout": 1.0}, "did not answer within 1 s"),
