@@ -331,7 +331,8 @@ class UrArm:
             return f"the arm is {found}, the scene says {settings.generation}"
         if settings.model and facts["model"] != settings.model:
             return f"the arm is a {facts['model']}, the scene says {settings.model}"
-        if (np.abs(np.array(facts["tcp_offset"]) - settings.tcp_offset) > _SAME).any():
+        apart = se3.log(se3.inverse(pose_of(facts["tcp_offset"])) @ pose_of(settings.tcp_offset))
+        if (np.abs(apart) > _SAME).any():
             return f"its TCP offset is {facts['tcp_offset']}, the scene says {list(settings.tcp_offset)}"
         return self._wrong_payload(facts["payload"])
 

@@ -45,7 +45,7 @@ SAFETY = {
 _DEAF = 0.6  # of the silence of states that is a lost connection
 _LATE = 0.8  # of a period: then the next state is looked for
 _LOOK = 0.0002  # s, between looks
-_HANGS = 20  # s without a look at the driver, after which this process ends itself
+_HANGS = 10  # s without a look at the driver, after which this process ends itself
 _START = 5.0  # s, for the program to start
 _LEAVE = 2.0  # s, for the arm to leave a protective stop
 
@@ -66,9 +66,9 @@ def main() -> None:
     """Connect as the first message says, then serve until the driver closes."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # its driver says when, also where all are asked to end at once
-    signal.alarm(_HANGS)  # the kernel ends it, whoever holds Python's lock
     with socket.socket(fileno=int(sys.argv[1])) as link:
         wanted = json.loads(link.recv(65536))
+        signal.alarm(int(wanted["connect_timeout"]) + _HANGS)  # the kernel ends it, whoever holds the lock
         try:
             serving = _Link(link, wanted)
         except (OSError, RuntimeError, ValueError) as error:
@@ -105,6 +105,8 @@ class _Link:
         self._dashboard = DashboardClient(host)
         self._dashboard.connect(2000)
         version = self._dashboard.polyscopeVersion()
+        if not version[:1].isdigit():
+            raise RuntimeError(f"its dashboard server tells no version of PolyScope: {version}")
         upper = wanted["upper_registers"]
         self._receive = RTDEReceiveInterface(host, rate, list(VARIABLES), False, upper)
         self._check_ready()
@@ -214,7 +216,7 @@ class _Link:
         self._check_ready()
         self._control.reuploadScript()
         until = time.monotonic() + _START
-        while not self._control.isProgramRunning():
+        while not (self._control.isProgramRunning() and self._receive.getRobotStatus() & PROGRAM_RUNNING):
             if time.monotonic() > until:
                 raise RuntimeError("start control script")
             time.sleep(0.01)

@@ -120,7 +120,7 @@ def run(bench, sequence):
         bench.step(1)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(sequence=steps)
 def test_steps_jitter_and_missing_commands_exceed_no_limit_at_the_drivers_output(sequence, tmp_path_factory):
     with pytest.MonkeyPatch.context() as monkeypatch:
