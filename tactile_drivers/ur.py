@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers import ur_link
-from tactile_drivers.arm import ArmMode, ArmState
+from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import pose_of
 from tactile_drivers.scene import ArmScene
@@ -43,6 +43,7 @@ _RATES = {E_SERIES: 500.0, CB3: 125.0}
 AT_REST = np.repeat([1e-3, 5e-3], 3)  # m/s, rad/s: what speeds say of an arm that does not move
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: TCPs that differ by less are the same
 _SAME_PAYLOAD = 0.05  # kg
+_OF_WATCHDOG = 0.8  # of the watchdog's time, within which a stop has to end
 _GRACE = 1.3  # the link stops by itself this much later than the stage should have
 _PATIENT = 10.0  # times longer an arm at rest may be silent
 _STOPS = 0.05  # s, for a link that says nothing any more to pass on a stop all the same
@@ -122,20 +123,8 @@ class UrArm:
     keeps_limits = False  # of jerk: it is given twists that do
 
     def __init__(self, arm: ArmScene, settings: UrSettings, report: Callable[[ArmState], None]) -> None:
-        if importlib.util.find_spec("rtde_control") is None:
-            raise RuntimeError("the Python package ur_rtde is missing: pip install 'tactile_servoing[ur]'")
-        if settings.loop_rate > _RATES[settings.generation]:
-            raise RuntimeError(
-                f"rate = {settings.rate:g} Hz: a {settings.generation} has at most "
-                f"{_RATES[settings.generation]:g} Hz"
-            )
-        longest = 0.8 * settings.deceleration / settings.watchdog
-        if arm.limits.linear_velocity > longest:  # the watchdog would come before the end of a stop
-            raise RuntimeError(
-                f"deceleration = {settings.deceleration:g} m/s^2 does not stop the arm from "
-                f"{arm.limits.linear_velocity:g} m/s before the watchdog ({settings.watchdog:g} Hz) does; "
-                f"it has to be above {arm.limits.linear_velocity * settings.watchdog / 0.8:g}"
-            )
+        if wrong := _unfit(settings, arm.limits):
+            raise RuntimeError(wrong)
         self.settings, self._report = settings, report
         self._timeout = _GRACE * arm.limits.command_timeout
         self._T_tcp_controlled = arm.T_tool_controlled
@@ -171,7 +160,7 @@ class UrArm:
                 self._link.send(ur_link.STOP.pack(b"s", self.settings.deceleration))
 
     def recover(self) -> None:
-        """Leave a fault: a protective stop is left, the program started again; not after an open button.
+        """Leave a fault: a protective stop is unlocked, and the program started again.
 
         Raises
         ------
@@ -344,7 +333,8 @@ class UrArm:
     def _lose(self, reason: str) -> None:
         """The connection is gone, which the last state that there was tells once more."""
         with self._sending:
-            self._begin_fault(self._fault or f"connection lost: {reason}")
+            if not self._fault:
+                self._begin_fault(f"connection lost: {reason}")
             link, self._link = self._link, None
         with self._answered:
             self._answered.notify_all()
@@ -366,6 +356,23 @@ class UrArm:
             with self._sending:
                 self._fault = "the connection to the arm was lost, and is back"
                 self._link, self._heard = link, time.monotonic()
+
+
+def _unfit(settings: UrSettings, limits: ArmLimits) -> str:
+    """Why no arm can be driven with these settings, here; '' if one can."""
+    if importlib.util.find_spec("rtde_control") is None:
+        return "the Python package ur_rtde is missing: pip install 'tactile_servoing[ur]'"
+    most = _RATES[settings.generation]
+    if settings.loop_rate > most:
+        return f"rate = {settings.rate:g} Hz: a {settings.generation} has at most {most:g} Hz"
+    needed = limits.linear_velocity * settings.watchdog / _OF_WATCHDOG
+    if settings.deceleration < needed:
+        return (
+            f"deceleration = {settings.deceleration:g} m/s^2 does not stop the arm from "
+            f"{limits.linear_velocity:g} m/s before the watchdog ({settings.watchdog:g} Hz) does; "
+            f"it has to be at least {needed:g}"
+        )
+    return ""
 
 
 class _LinkProcess:

@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 HEADER = struct.Struct(">HB")
-VERSION, CONTROLLER, OUTPUTS, INPUTS, START, PAUSE, DATA, TEXT = b"VvOISPUM"
-LARGEST = 4096  # bytes; no client sends more
+VERSION, CONTROLLER, OUTPUTS, INPUTS, START, PAUSE, DATA = b"VvOISPU"
 
 #: Formats of the types that variables have.
 FORMATS = {

@@ -25,17 +25,17 @@ NO_COMMAND, SPEED_L, SPEED_STOP, SET_WATCHDOG, GET_TCP_OFFSET, KICK, STOP_SCRIPT
 _CONTINUOUS = (6, 9, SPEED_L, 11, 24, 25, 26, 27, 38)  # commands after which the program is ready at once
 _READY, _DONE = 1, 2
 _OFFSETS = (0, 24)  # of the registers that the program uses; from 24 on where a fieldbus has the lower ones
-NORMAL, PROTECTIVE_STOP, SAFEGUARD_STOP, ROBOT_EMERGENCY_STOP, FAULT = 1, 3, 5, 7, 9  # safety_mode
+NORMAL, PROTECTIVE_STOP, SAFEGUARD_STOP, ROBOT_EMERGENCY_STOP = 1, 3, 5, 7  # safety_mode
 POWER_OFF, RUNNING = 3, 7  # robot_mode
 STOPPED, PLAYING = 1, 2  # runtime_state
 # bits of safety_status_bits in each safety mode
 _SAFETY_BITS = {
     NORMAL: 1, PROTECTIVE_STOP: 1 << 2 | 1 << 10, SAFEGUARD_STOP: 1 << 4 | 1 << 10,
-    ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10, FAULT: 1 << 9 | 1 << 10,
+    ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
 }  # fmt: skip
 _SAFETY_NAMES = {
     NORMAL: "NORMAL", PROTECTIVE_STOP: "PROTECTIVE_STOP", SAFEGUARD_STOP: "SAFEGUARD_STOP",
-    ROBOT_EMERGENCY_STOP: "ROBOT_EMERGENCY_STOP", FAULT: "FAULT",
+    ROBOT_EMERGENCY_STOP: "ROBOT_EMERGENCY_STOP",
 }  # fmt: skip
 _ANGULAR = 10.0  # rad/m: angular acceleration of a speedl for each m/s^2 of its linear one
 _SAFETY_DECELERATION = 10.0  # m/s^2, of a stop by safety
@@ -132,11 +132,6 @@ class UrRobot:
             "speed_scaling": 1.0, "target_speed_fraction": self.speed_slider,
             "payload": self.payload, "tcp_offset": self.tcp_offset,
         }  # fmt: skip
-
-    @property
-    def resting(self) -> bool:
-        """Whether nothing moves."""
-        return not self.speed.any()
 
     def _move(self, dt: float) -> None:
         """Towards the target speed, with both parts at their ends at the same time, and on by it."""
