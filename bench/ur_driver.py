@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_drivers.arm import ArmState, open_arm
+from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.ur_controller import UrController
 from tactile_drivers.scene import load_scene
 
@@ -87,7 +87,11 @@ def main() -> None:
     states: list[tuple[int, ArmState]] = []
     seen = itertools.count()
 
+    faults: list[str] = []
+
     def take(state: ArmState) -> None:
+        if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
+            faults.append(state.reason)
         if next(seen) % KEPT == 0:  # all of them would be the memory that is measured
             states.append((time.time_ns(), state))
 
@@ -96,6 +100,9 @@ def main() -> None:
     begin = time.monotonic()
     while (elapsed := time.monotonic() - begin) < arguments.seconds:
         speed = 0.01 + 1e-9 * len(sent)  # each one can be told from the others
+        if faults:
+            print(f"ended by a fault after {elapsed:.0f} s: {faults[0]}")
+            break
         sent[speed] = time.monotonic()
         driver.command(time.time_ns(), [speed, 0.0, 0.0, 0.0, 0.0, 0.0])
         if early is None and elapsed > 0.1 * arguments.seconds:
