@@ -33,6 +33,7 @@ from tactile_bringup.run_sequence import ArmPlan, arm_plans
 from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
 from tactile_control.tasks import TASKS
 from tactile_drivers.camera import COMPRESSED, ExternalCameraSettings
+from tactile_drivers.doubles.rehearsal import rehearsed
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.settings import load_object
@@ -100,6 +101,7 @@ class GraphOptions:
     object_belief : whether the contacts of all arms are fused into one belief over the object that they touch
     object_file : where they touch it: the name of one of config/objects or a path
         (`tactile_filter.object.settings`); empty: that is found by touch
+    rehearse : whether doubles stand for the arms, and simulated cameras for the cameras
     """
 
     rate: float | None = None
@@ -115,6 +117,7 @@ class GraphOptions:
     object_belief: bool = False
     priority: int = 0
     object_file: str = ""
+    rehearse: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,6 +168,7 @@ def load_graph(task: str, scene: str | None = None, options: GraphOptions | None
     options = options or GraphOptions()
     path = task_path(task)
     loaded = load_scene(scene or default_scene(path))
+    loaded = rehearsed(loaded) if options.rehearse else loaded
     described = load_task(path, loaded.name, controller=options.controller, changes=options.changes)
     return build_graph(described.name, loaded, arm_plans(described, loaded, goals=options.goals), options)
 
@@ -232,17 +236,20 @@ def _node(name: str, namespace: str, parameters: Mapping[str, Any]) -> NodeProce
 
 def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
     """What moves arms and exposes sensors: the simulated cell, a process for each other arm and camera."""
-    file, nodes = str(scene.path.absolute()), []
+    nodes = []
+    where: dict[str, Any] = {"scene": str(scene.path.absolute())}
+    if options.rehearse:
+        where["rehearse"] = True
     if scene.is_simulated:
-        parameters: dict[str, Any] = {"scene": file, "seed": options.seed}
+        parameters = where | {"seed": options.seed}
         if options.rate is not None:
             parameters["camera_rate"] = float(options.rate)
         nodes.append(_node("sim", "/", parameters))
     for arm in scene.arms.values():
         if arm.driver != SIM:
-            nodes.append(_node("arm", f"/{arm.name}", {"scene": file}))
+            nodes.append(_node("arm", f"/{arm.name}", where))
         if arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL):
-            nodes.append(_node("camera", f"/{arm.name}", {"scene": file}))
+            nodes.append(_node("camera", f"/{arm.name}", {"scene": where["scene"]}))
     return nodes
 
 
@@ -312,7 +319,7 @@ def _recorder(
     topics = [*topics, *(compressed(IMAGE).of(arm) for arm in packed)]
     note = {
         "task": task,
-        "scene": scene.name,
+        "scene": scene.name + " (rehearsed)" * options.rehearse,
         "scene_file": str(scene.path.absolute()),
         "seed": str(options.seed),
         "roles": json.dumps({plan.arm: _role_note(plan, scene.arms[plan.arm]) for plan in plans}),

@@ -222,7 +222,9 @@ class ArmDriver(Protocol):
 
 
 #: Arm drivers by name, besides the simulated cell's.
-ARMS: Registry[ArmDriver] = Registry("arm driver", "tactile_servoing.arms", {})
+ARMS: Registry[ArmDriver] = Registry(
+    "arm driver", "tactile_servoing.arms", {"ur": "tactile_drivers.ur:UrArm"}
+)
 
 
 def open_arm(arm: ArmScene, report: Callable[[ArmState], None]) -> Arm:

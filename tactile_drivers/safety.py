@@ -159,9 +159,10 @@ class SafeArm:
         RuntimeError
             If the arm cannot leave its fault, with the reason.
         """
+        driver, fault = self.driver, self._fault
+        if driver is not None and fault:
+            driver.recover()  # which may take its time, and states of its own
         with self._lock:
-            if self.driver is not None and self._fault:
-                self.driver.recover()
             self._estop = ""
 
     def close(self) -> None:
@@ -219,7 +220,8 @@ class SafeArm:
             dt = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS if self.state is not None else 0.0
             self._track.set_transform("base", "controlled", state.stamp_ns, state.T_base_controlled)
             self.state = state
-            self._fault = (state.reason or "no reason given") if state.mode is ArmMode.FAULT else ""
+            stopped = state.mode in (ArmMode.FAULT, ArmMode.ESTOP)  # by the arm's own safety
+            self._fault = (state.reason or "no reason given") if stopped else ""
             if self._fault:
                 self._waits_for_rest = True
                 self._drop()

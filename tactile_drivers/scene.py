@@ -187,8 +187,8 @@ class Scene:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether any arm is driven by the simulated cell."""
-        return any(arm.driver == SIM for arm in self.arms.values())
+        """Whether any arm is driven, or any sensor exposed, by the simulated cell."""
+        return any(arm.driver == SIM or arm.simulated_sensor for arm in self.arms.values())
 
     def gives_images(self, arm: str) -> bool:
         """Whether the arm has a sensor with a camera; a simulated one may give estimates itself."""

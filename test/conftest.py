@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-sys.path.insert(0, str(Path(__file__).parent))  # tests import `launched`
+sys.path.insert(0, str(Path(__file__).parent))  # tests import `launched`, `ur_cell`
 
 if "ROS_DOMAIN_ID" in os.environ:  # one for each process that runs tests beside others
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))

@@ -28,7 +28,7 @@ an image and a label of each contact. The same command goes on after an interrup
 
 def register(commands: Any) -> None:
     """Add `collect` to the subparsers of `tactile data`."""
-    from tactile_bringup.commands.launch import EXIT_CODES
+    from tactile_bringup.commands.launch import EXIT_CODES, add_rehearse_option
 
     parser = commands.add_parser(
         "collect", help="labelled images with an arm", description=DESCRIPTION, epilog=EXIT_CODES
@@ -49,6 +49,7 @@ def register(commands: Any) -> None:
     add("--rate", type=float, metavar="HZ", help="simulated exposures a second")
     add("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
     add("--record-images", action="store_true", help="with images")
+    add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--logs", type=Path, default=Path("out/runs"), metavar="FOLDER", help="for logs")
     parser.set_defaults(run=run)
@@ -109,6 +110,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     from tactile_bringup.graph import build_collection_graph
     from tactile_control.collection import TASK, CollectionGoal
     from tactile_control.task_file import NamedGoal
+    from tactile_drivers.doubles.rehearsal import rehearsed
     from tactile_drivers.sampling import VALIDATION_START
     from tactile_drivers.scene import load_scene
     from tactile_filter import se3
@@ -121,6 +123,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     if arguments.record is not None and arguments.record.exists():
         raise ValueError(f"--record {arguments.record}: exists already; remove it or record elsewhere")
     scene = load_scene(arguments.scene)
+    scene = rehearsed(scene) if arguments.rehearse else scene
     arm = chosen_arm(scene, arguments.arm)
     surface = chosen_surface(scene, arm, arguments.surface)
     groups = chosen_settings(arguments.config, arguments.changes, arguments.touch)
@@ -132,10 +135,11 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     goal = CollectionGoal(
         samples=arguments.samples, seed=arguments.seed, first=VALIDATION_START if arguments.validation else 0
     )
+    robot = arm.driver + " (double)" * arguments.rehearse
     what: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
     what |= {name: collector[name] for name in ("images", "frame")}
     what |= {name: dataclasses.asdict(groups[name]) for name in ("sampling", "preprocessing")}
-    check_same_run(arguments.out, {"robot": arm.driver, "scene": scene.name, "arm": arm.name, **what})
+    check_same_run(arguments.out, {"robot": robot, "scene": scene.name, "arm": arm.name, **what})
     with DatasetWriter(arguments.out, groups["preprocessing"], arguments.images) as writer:  # type: ignore[arg-type]
         missing = len(set(range(1, arguments.samples + 1)) - writer.done)
     for group, settings in groups.items():

@@ -40,9 +40,19 @@ def register(subparsers: Any) -> None:
     add("--priority", type=int, default=0, metavar="N",
         help="SCHED_FIFO priority 1..99 of the nodes from exposure to motion (default: 0, as any process)",
     )  # fmt: skip
+    add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
     parser.set_defaults(run=run)
+
+
+def add_rehearse_option(parser: argparse.ArgumentParser) -> None:
+    """Option of every command that drives real arms."""
+    parser.add_argument(
+        "--rehearse",
+        action="store_true",
+        help="with doubles of the arms, which speak their protocols, and simulated cameras",
+    )
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:

@@ -124,6 +124,8 @@ class Cell:
         Time of the first state, ns.
     views : mapping, optional
         Arm -> the network whose input its sensor gives, for sensors of fidelity "input".
+    followed : mapping
+        Arm -> what stands for it, for arms that something else moves.
 
     Raises
     ------
@@ -138,11 +140,13 @@ class Cell:
         seed: int = 0,
         stamp_ns: int = 0,
         views: Mapping[str, ViewSettings] | None = None,
+        followed: Mapping[str, SimArm] | None = None,
     ) -> None:
         self.scene = scene
+        followed = followed or {}
         self._rate = scene.simulation.rate
         self._start_ns, self._ticks = int(stamp_ns), 0
-        simulated = [arm for arm in scene.arms.values() if arm.driver == SIM]
+        simulated = [arm for name, arm in scene.arms.items() if arm.driver == SIM or name in followed]
         if not simulated:
             raise ValueError(f"scene {scene.name}: none of its arms has the driver '{SIM}'")
         self._bodies = {name: _Body(scene, body) for name, body in scene.bodies.items()}
@@ -150,7 +154,12 @@ class Cell:
         seeds = np.random.SeedSequence(seed).generate_state(len(simulated))
         self._arms = {
             arm.name: _CellArm(
-                scene, arm, self._bodies, int(arm_seed), self._start_ns, (views or {}).get(arm.name)
+                scene,
+                arm,
+                self._bodies,
+                int(arm_seed),
+                followed.get(arm.name) or _sim_arm(scene, arm, self._start_ns),
+                (views or {}).get(arm.name),
             )
             for arm, arm_seed in zip(simulated, seeds, strict=True)
         }
@@ -316,6 +325,16 @@ class _Target:
         return R @ center + p, normal, float(normal @ self.body.velocity_at(center))
 
 
+def _sim_arm(scene: Scene, arm: ArmScene, stamp_ns: int) -> SimArm:
+    try:
+        return SimArm(arm.limits, arm.T_base_start, stamp_ns, arm.kinematics)
+    except ValueError as error:
+        raise ValueError(
+            f"scene {scene.name}, arm '{arm.name}': its start is {error}; see its base, start, "
+            "sensor.in_tool and kinematics.tool"
+        ) from error
+
+
 class _CellArm:
     """An arm with what it carries and what it can touch."""
 
@@ -325,17 +344,10 @@ class _CellArm:
         arm: ArmScene,
         bodies: Mapping[str, _Body],
         seed: int,
-        stamp_ns: int,
+        moved: SimArm,
         view: ViewSettings | None,
     ) -> None:
-        self.name = arm.name
-        try:
-            self.arm = SimArm(arm.limits, arm.T_base_start, stamp_ns, arm.kinematics)
-        except ValueError as error:
-            raise ValueError(
-                f"scene {scene.name}, arm '{arm.name}': its start is {error}; see its base, start, "
-                "sensor.in_tool and kinematics.tool"
-            ) from error
+        self.name, self.arm = arm.name, moved
         self.sensor: _Sensor | None = None
         self.contact: BodyContact | None = None
         self._T_world_base = arm.T_world_base

@@ -32,6 +32,7 @@ from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
+from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
 from tactile_filter import se3
@@ -53,6 +54,8 @@ from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
 
+DOUBLE_STARTS = 30.0  # s, at most, for the simulated cell to start the double of an arm
+
 
 @dataclass(frozen=True)
 class ArmNodeSettings(Settings):
@@ -62,14 +65,17 @@ class ArmNodeSettings(Settings):
     status_rate: float = setting(
         30.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/pose, arm/status and command/twist_limited"
     )
+    rehearse: bool = setting(
+        False, doc="drive the double of the arm, which the simulated cell has, not the arm"
+    )
     state_timeout: float = setting(
         0.1, lower=0.01, upper=10.0, unit="s", doc="silence of the driver at which the arm is stopped"
     )
 
 
-def arm_of_scene(node: ManagedNode, scene: str) -> tuple[ArmScene, Path]:
+def arm_of_scene(node: ManagedNode, scene: str, rehearse: bool = False) -> tuple[ArmScene, Path]:
     """The node's arm in a scene, and the scene's file; raises `ConfigurationError` if it is not there."""
-    loaded = load_scene(scene)
+    loaded = rehearsed(load_scene(scene)) if rehearse else load_scene(scene)
     if node.arm not in loaded.arms:
         raise ConfigurationError(f"{loaded.path}: no arm '{node.arm}'; arms: {', '.join(loaded.arms)}")
     return loaded.arms[node.arm], loaded.path
@@ -80,7 +86,9 @@ class ArmNode(ManagedNode):
 
     def __init__(self, hosted: ArmScene | None = None, **kwargs: Any) -> None:
         super().__init__("arm", **kwargs)
-        self.settings = SettingsParameters(self, ArmNodeSettings(), read_only=("scene", "status_rate"))
+        self.settings = SettingsParameters(
+            self, ArmNodeSettings(), read_only=("scene", "status_rate", "rehearse")
+        )
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.hosted = hosted
         self.estop = ""  # why; it outlives a deactivation
@@ -151,7 +159,10 @@ class ArmNode(ManagedNode):
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, which needs a driver of the registry."""
-        arm, file = arm_of_scene(self, self.settings.value.scene)
+        settings = self.settings.value
+        arm, file = arm_of_scene(self, settings.scene, settings.rehearse)
+        if settings.rehearse:
+            DOUBLES.load(arm.driver).wait(arm, DOUBLE_STARTS)
         if arm.driver == SIM:
             raise ConfigurationError(f"{file}: arm '{arm.name}' is moved by the simulated cell (sim_node)")
         return arm

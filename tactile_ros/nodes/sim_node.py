@@ -32,6 +32,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmState
 from tactile_drivers.arm_distance import neighbours
 from tactile_drivers.camera import CameraFrame
+from tactile_drivers.doubles.rehearsal import DOUBLES, Double, FollowedArm, doubled, rehearsed
 from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.motions import FIXED
@@ -62,6 +63,9 @@ class SimSettings(Settings):
     )
     status_rate: float = setting(
         30.0, lower=1.0, upper=1000.0, unit="Hz", doc="rate of arm/pose, arm/status and command/twist_limited"
+    )
+    rehearse: bool = setting(
+        False, doc="whether arms with real drivers have doubles here, and their sensors simulated cameras"
     )
     longest_lag: float = setting(
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
@@ -115,13 +119,15 @@ class SimNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("sim")
         self.settings = SettingsParameters(
-            self, SimSettings(), read_only=("scene", "seed", "camera_rate", "status_rate")
+            self, SimSettings(), read_only=("scene", "seed", "camera_rate", "status_rate", "rehearse")
         )
         try:
             scene = load_scene(self.settings.value.scene)
+            scene = rehearsed(scene) if self.settings.value.rehearse else scene
             self.scene = with_camera_rate(scene, self.settings.value.camera_rate)
         except (ValueError, OSError) as error:
             raise ConfigurationError(str(error)) from error
+        self.doubles: dict[str, Double] = {}
         self.arms = {
             name: self._hosted(ArmNode, arm, name)
             for name, arm in self.scene.arms.items()
@@ -151,13 +157,16 @@ class SimNode(ManagedNode):
     def configure(self) -> None:
         """Build the cell once (the skin is cached) and open the topics."""
         try:
-            self.cell = Cell(self.scene, self.settings.value.seed)
+            for name, arm in self.scene.arms.items():
+                if self.settings.value.rehearse and doubled(arm):
+                    self.doubles[name] = DOUBLES.load(arm.driver)(arm)
+            self._start_cell()
         except (ValueError, OSError) as error:
             raise ConfigurationError(str(error)) from error
         self.report.values["scene"] = str(self.scene.path)
         self.outlets = [
             SensorOutlet(self, name, self.cameras.get(name))
-            for name in self.arms
+            for name in self.cell.arms
             if self.scene.arms[name].simulated_sensor
         ]
         self.loose = [name for name in self.scene.bodies if not _frame_of(self.scene, name)]
@@ -170,13 +179,26 @@ class SimNode(ManagedNode):
 
     def activate(self) -> None:
         """The cell starts anew, as soon as everything else has been made ready."""
-        self.cell = Cell(self.scene, self.settings.value.seed, self.now_ns() + round(START_DELAY * SECOND_NS))
+        self._start_cell(self.now_ns() + round(START_DELAY * SECOND_NS))
         for name, node in self.arms.items():
             node.attach(self.cell.arm(name))
             node.safe.neighbours = neighbours(self.scene, name, self.cell.status, self.cell.arms)
         for outlet in self.outlets:
             outlet.lost = 0
         self.markers_out.publish(MarkerArray(markers=body_markers(self.scene)))
+
+    def cleanup(self) -> None:
+        """End the doubles."""
+        for double in self.doubles.values():
+            double.close()
+        self.doubles.clear()
+
+    def _start_cell(self, stamp_ns: int = 0) -> None:
+        followed = {
+            name: FollowedArm(self.scene.arms[name], double, stamp_ns)
+            for name, double in self.doubles.items()
+        }
+        self.cell = Cell(self.scene, self.settings.value.seed, stamp_ns, followed=followed)
 
     def due_in(self) -> float:
         """Seconds until the next step is to be computed."""
@@ -224,7 +246,8 @@ class SimNode(ManagedNode):
         numbers = [number for node, state in states for number in node.transform_numbers(state)]
         for name in self.loose:
             numbers += [*split_stamp(stamp_ns), *numbers_from_pose(self.cell.T_world_body(name)).tolist()]
-        self.tf_out.publish(self.tf_layout.pack(*numbers))
+        if numbers:  # doubles have arm nodes of their own
+            self.tf_out.publish(self.tf_layout.pack(*numbers))
 
     def _in_time(self, outlet: SensorOutlet, in_time: bool) -> bool:
         """Whether there is time for an exposure; else it is left out, counted and told."""

@@ -1,0 +1,130 @@
+"""How fast the driver of a UR passes commands on and states in, against the double of its controller.
+
+    python bench/ur_driver.py [--seconds 60] [--rate 500]
+
+Twist to wire is from `UrArm.command` to the bytes' arrival at the double, in a process of its own on the same
+machine. A stamp's error is its difference from the time at which the double made the state. Memory, threads
+and descriptors are those of the driver's process, after a tenth of the time and at the end.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import itertools
+import multiprocessing
+import multiprocessing.connection
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile_drivers.arm import ArmMode, ArmState, open_arm
+from tactile_drivers.doubles.ur_controller import UrController
+from tactile_drivers.scene import load_scene
+
+HOST = "127.0.0.77"
+COMMANDS = 1.0 / 60.0  # s, between commands
+KEPT = 10  # one in so many states
+
+
+def serve(pipe: multiprocessing.connection.Connection) -> None:
+    """The double; when asked it sends when which command came, and when each state was made."""
+    controller = UrController(HOST)
+    robot, arrived, made = controller.robot, {}, {}
+    write = robot.write
+
+    def note(values: dict[str, Any]) -> None:
+        arrived.setdefault(values.get("input_double_register_0"), time.monotonic())
+        write(values)
+
+    robot.write = note  # type: ignore[method-assign]
+    controller.follow = lambda: made.__setitem__(round(robot.T_base_tcp[0, 3], 12), time.time_ns())
+
+    async def run() -> None:
+        moving = asyncio.create_task(controller.run())
+        await asyncio.sleep(0.1)
+        pipe.send("ready")
+        while not pipe.poll():
+            await asyncio.sleep(0.05)
+        pipe.send((arrived, made))
+        moving.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await moving
+
+    asyncio.run(run())
+
+
+def resources() -> tuple[float, int, int]:
+    """Memory (MB), threads and descriptors of this process."""
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    fds = len(os.listdir("/proc/self/fd"))
+    return float(status["VmRSS"].split()[0]) / 1e3, int(status["Threads"]), fds
+
+
+def quantiles(name: str, seconds: np.ndarray) -> None:
+    low, high, most = np.percentile(1e3 * seconds, [50, 99, 100])
+    print(f"{name}: median {low:.2f} ms, p99 {high:.2f} ms, largest {most:.2f} ms ({len(seconds)})")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=500.0)
+    arguments = parser.parse_args()
+    pipe, theirs = multiprocessing.Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=serve, args=(theirs,), daemon=True)
+    process.start()
+    assert pipe.recv() == "ready"
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "bench.yaml"
+        settings = f"{{host: {HOST}, rate: {arguments.rate}}}"
+        start = "start: {position: [0.4, 0.0, 0.3]}"
+        scene.write_text(f"arms:\n  arm:\n    driver: ur\n    driver_settings: {settings}\n    {start}\n")
+        arm = load_scene(scene).arms["arm"]
+    states: list[tuple[int, ArmState]] = []
+    seen = itertools.count()
+
+    faults: list[str] = []
+
+    def take(state: ArmState) -> None:
+        if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
+            faults.append(state.reason)
+        if next(seen) % KEPT == 0:  # all of them would be the memory that is measured
+            states.append((time.time_ns(), state))
+
+    driver = open_arm(arm, take)
+    sent, early = {}, None
+    begin = time.monotonic()
+    while (elapsed := time.monotonic() - begin) < arguments.seconds:
+        speed = 0.01 + 1e-9 * len(sent)  # each one can be told from the others
+        if faults:
+            print(f"ended by a fault after {elapsed:.0f} s: {faults[0]}")
+            break
+        sent[speed] = time.monotonic()
+        driver.command(time.time_ns(), [speed, 0.0, 0.0, 0.0, 0.0, 0.0])
+        if early is None and elapsed > 0.1 * arguments.seconds:
+            early = resources()
+        time.sleep(COMMANDS)
+    late, drift = resources(), driver.drift
+    driver.close()
+    pipe.send("done")
+    arrived, made = pipe.recv()
+    wire = [arrived[speed] - at for speed, at in sent.items() if speed in arrived]
+    quantiles("twist to wire", np.array(wire))
+    told = [(now, s.stamp_ns, round(s.T_base_controlled[0, 3], 12)) for now, s in states]
+    known = [(now, stamp, made[x]) for now, stamp, x in told if x in made and abs(x - 0.4) > 1e-6]
+    now, stamp, true = (np.array(column, dtype=np.int64) for column in zip(*known[20:], strict=True))
+    quantiles("stamp's error", np.abs(stamp - true) / 1e9)
+    quantiles("state made to told", (now - true) / 1e9)
+    print(
+        f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}; drift {1e6 * drift:.1f} ppm"
+    )
+    for name, (memory, threads, fds) in (("early", early or late), ("late", late)):
+        print(f"{name}: {memory:.1f} MB, {threads} threads, {fds} descriptors")
+
+
+if __name__ == "__main__":
+    main()

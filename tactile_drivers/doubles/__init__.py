@@ -1,0 +1,1 @@
+"""Doubles: controllers of real arms that speak their protocols, for rehearsals and tests."""

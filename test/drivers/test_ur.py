@@ -1,0 +1,366 @@
+"""The driver of Universal Robots arms, behind the safe command stage, against the double of their controller.
+
+Distances and times are those of the double's own arm; faults come while it moves at 50 mm/s and goes on being
+commanded.
+"""
+
+import importlib
+import os
+import re
+import signal
+import time
+
+import numpy as np
+import pytest
+from ur_cell import SPEED, Cell, Double, address, scene_file
+
+from tactile_drivers.arm import ArmMode, open_arm
+from tactile_drivers.scene import load_scene
+
+pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
+
+ALONG = np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0])
+ZERO = np.zeros(6)
+WITHIN = 0.2  # s, from a fault to rest
+ATTEMPTS = 3  # a machine that does something else meanwhile may be late once
+MENDED = [
+    "silence 0", "slow 0", "garbled 0", "stuck_program 0", "torn 0", "loss 0", "teach_button 0", "payload 0",
+    "speed_slider 1", "restore", "come_back",
+]  # fmt: skip
+AS_IT_WAS = [
+    "tcp_offset 0 0 0 0 0 0", "local_control 0", "registers_in_use 0", "old_protocol 0", "scripts_ignored 0",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def double():
+    double = Double(address())
+    yield double
+    assert not double.close()
+
+
+@pytest.fixture(scope="module")
+def opened(double, tmp_path_factory):
+    cell = Cell(scene_file(tmp_path_factory.mktemp("ur"), double.host))
+    yield cell
+    cell.close()
+
+
+@pytest.fixture
+def cell(opened, double):
+    """The arm at rest and ready, whatever the test before did."""
+    mend(opened, double)
+    yield opened
+    mend(opened, double)
+
+
+def mend(cell, double):
+    for line in MENDED:
+        double(*line.split())
+
+    def ready():
+        try:
+            cell.safe.reset()
+        except RuntimeError:
+            return False
+        return not cell.command(ZERO)
+
+    cell.until(ready, "arm that moves again")
+    cell.command(ZERO, 0.05)
+    cell.rest()
+
+
+def stopped_by(cell, double, inject) -> tuple[float, float, str]:
+    """Inject a fault at 50 mm/s and go on commanding; seconds and metres until rest, and the refusal."""
+    cell.move()
+    double.trace()
+    since = inject()
+    refusal = cell.command(ALONG, 0.35)
+    trace = double.trace()
+    after = trace[trace[:, 0] >= since] if since is not None else trace
+    moving = np.flatnonzero(np.abs(after[:, 7:13]).max(axis=1) > 0.0)
+    assert len(moving) < len(after), "the arm goes on"
+    if not len(moving):
+        return 0.0, 0.0, refusal
+    last = moving[-1]
+    assert last < len(after) - 1, "the arm has moved to the end"
+    return after[last, 0] - after[0, 0], float(np.linalg.norm(after[last, 1:4] - after[0, 1:4])), refusal
+
+
+def check_stop(cell, double, inject, words: str, mode: ArmMode = ArmMode.FAULT):
+    """A fault stops the arm in time, is told, and nothing goes on by itself."""
+    for _ in range(ATTEMPTS):
+        seconds, metres, refusal = stopped_by(cell, double, inject)
+        assert re.search(words, refusal), refusal
+        assert cell.state.mode is mode
+        assert cell.state.reason in refusal
+        print(f"at rest after {1e3 * seconds:.0f} ms and {1e3 * metres:.1f} mm: {refusal}")
+        if seconds <= WITHIN:
+            break
+        mend(cell, double)
+    assert seconds <= WITHIN
+    assert metres <= SPEED * WITHIN
+    for line in MENDED:
+        double(*line.split())
+    double.trace()
+    assert cell.command(ALONG, 0.2), "it went on by itself"
+    assert not np.abs(double.trace()[:, 7:13]).any()
+
+
+@pytest.mark.parametrize(
+    "fault, words, mode",
+    [
+        ("protective_stop", "protective stop of the arm", ArmMode.FAULT),
+        ("emergency_stop", "emergency stop of the arm", ArmMode.ESTOP),
+        ("safeguard_stop", "safeguard stop of the arm", ArmMode.FAULT),
+        ("stop_program", "the program on the controller has ended", ArmMode.FAULT),
+        ("teach_button", "moved by hand", ArmMode.FAULT),
+        ("payload 2", "its payload is 2 kg, the scene says 0 kg", ArmMode.FAULT),
+        ("drop", "connection lost|lost, and is back", ArmMode.FAULT),
+        ("leave", "connection", ArmMode.FAULT),
+        ("silence", "connection lost: no state of the arm for 0.1 s|by its watchdog", ArmMode.FAULT),
+        ("slow 0.3", "connection lost|late|by its watchdog", ArmMode.FAULT),
+        ("garbled", "in fault", ArmMode.FAULT),
+    ],
+)
+def test_what_goes_wrong_at_the_controller_stops_the_arm_and_is_told(cell, double, fault, words, mode):
+    check_stop(cell, double, lambda: double(*fault.split()), words, mode)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_an_arm_whose_ur_rtde_dies_or_hangs_is_stopped_by_the_controllers_watchdog(cell, double, number):
+    def inject():
+        os.kill(cell.driver._link._process.pid, number)
+        return double("speed_slider", 1.0)
+
+    check_stop(cell, double, inject, "connection lost|lost, and is back")
+
+
+def test_an_arm_whose_program_hangs_is_stopped_by_the_controllers_watchdog_once_it_should_rest(cell, double):
+    cell.move()
+    double("stuck_program")
+    double.trace()
+    cell.safe.halt("test")
+    cell.until(lambda: cell.state.mode is ArmMode.FAULT, "fault")
+    time.sleep(0.2)
+    trace = double.trace()
+    moving = np.flatnonzero(trace[:, 7:13].any(axis=1))[-1]
+    assert trace[moving, 0] - trace[0, 0] < WITHIN
+    assert "the program on the controller has ended" in cell.state.reason
+
+
+def test_a_driver_that_is_told_nothing_any_more_stops_its_arm_and_says_so(cell, double):
+    for _ in range(ATTEMPTS):
+        cell.move()
+        double.trace()
+        since = double("speed_slider", 1.0)
+        cell.rest()
+        trace = double.trace()
+        moving = np.flatnonzero(trace[:, 7:13].any(axis=1))[-1]
+        seconds = trace[moving, 0] - since
+        assert "no command for" in cell.state.reason
+        if seconds < WITHIN:
+            break
+    assert seconds < WITHIN
+
+
+def test_after_an_emergency_stop_nothing_moves_until_the_button_is_out_and_a_reset_and_rest(cell, double):
+    cell.move()
+    double("emergency_stop")
+    cell.until(lambda: cell.state.mode is ArmMode.ESTOP, "emergency stop")
+    with pytest.raises(RuntimeError, match="emergency stop of the arm"):
+        cell.safe.reset()
+    double("restore")
+    double.trace()
+    assert "emergency stop" in cell.command(ALONG, 0.3)
+    cell.safe.reset()
+    cell.until(lambda: cell.state.mode is ArmMode.RESTING, "rest")
+    assert "waits for a twist of zero" in cell.command(ALONG, 0.1)
+    assert not double.trace()[:, 7:13].any()
+    assert not cell.command(ZERO)
+    assert not cell.command(ALONG)
+
+
+def test_a_protective_stop_is_left_by_a_reset_which_starts_the_program_again(cell, double):
+    double("protective_stop")
+    cell.until(lambda: cell.state.mode is ArmMode.FAULT, "fault")
+    cell.safe.reset()
+    cell.until(lambda: cell.state.mode is ArmMode.RESTING, "rest")
+    assert not cell.command(ZERO)
+    cell.move()
+
+
+def test_a_connection_that_is_back_is_a_fault_until_a_reset(cell, double):
+    cell.move()
+    double("drop")
+    cell.until(lambda: cell.state.reason.endswith("is back"), "connection")
+    assert cell.state.mode is ArmMode.FAULT
+    assert "is back" in cell.command(ALONG)
+    cell.safe.reset()
+    cell.until(lambda: not cell.command(ZERO), "an arm that follows")
+    cell.move()
+
+
+@pytest.mark.parametrize("fault", ["torn", "loss 0.5", "slow 0.03"])
+def test_packages_in_pieces_lost_or_a_little_late_do_not_stop_the_arm(cell, double, fault):
+    double(*fault.split())
+    for _ in range(ATTEMPTS):
+        cell.move()
+        double.trace()
+        if not cell.command(ALONG, 0.5):
+            break
+        mend(cell, double)
+        double(*fault.split())
+    speeds = double.trace()[:, 7:10]
+    assert np.abs(speeds - ALONG[:3]).max() < 1e-3
+
+
+def test_the_speed_slider_is_told_and_makes_the_arm_no_faster_than_it_says(cell, double):
+    cell.move()
+    double("speed_slider", 0.5)
+    cell.command(ALONG, 0.2)
+    assert "speed scaling 50 %" in cell.state.reason
+    assert cell.state.mode is ArmMode.MOVING
+    assert np.linalg.norm(cell.state.twist[:3]) == pytest.approx(0.5 * SPEED, rel=1e-3)
+
+
+@pytest.mark.parametrize("seconds", [30.0, -30.0])
+def test_a_controllers_clock_that_jumps_makes_no_stamp_go_back_or_ahead(cell, double, seconds):
+    first = len(cell.states)
+    double("clock", seconds)
+    cell.until(lambda: len(cell.states) > first + 20, "states")
+    stamps = np.array([state.stamp_ns for state in cell.states])
+    assert (np.diff(stamps) >= 0).all()
+    assert abs(stamps[-1] - time.time_ns()) < 1e9
+
+
+def test_an_arm_that_says_it_is_somewhere_else_is_not_believed(cell, double):
+    seen = len(cell.refused)
+    double("jump", 0.05)
+    cell.until(lambda: len(cell.refused) > seen, "refusal")
+    assert "the arm cannot have moved by 5" in cell.refused[-1]
+
+
+def test_an_emergency_stop_of_the_stage_brings_the_arm_to_rest_with_speed_stop(cell, double):
+    cell.move()
+    double.trace()
+    cell.safe.estop("test")
+    assert "emergency stop: test" in cell.command(ALONG, 0.3)
+    speed = np.linalg.norm(double.trace()[:, 7:10], axis=1)
+    slowing = np.flatnonzero(speed[1:] < speed[:-1])
+    assert speed[-1] == 0.0
+    assert (slowing[-1] - slowing[0]) / 500.0 <= SPEED / cell.driver.settings.deceleration + 0.004
+
+
+def test_twists_of_the_sensor_move_and_turn_the_sensor(cell, double):
+    """The TCP stands 65 mm behind it, turned by half a turn in the base."""
+    twist = np.array([0.0, 0.02, 0.01, 0.2, 0.0, 0.1])
+    before = cell.state.T_base_controlled
+    cell.command(twist, 0.5)
+    cell.until(lambda: cell.command(twist) or np.abs(cell.state.twist - twist).max() < 2e-3, "that twist")
+    after = cell.state.T_base_controlled
+    assert before[2, 2] == pytest.approx(-1.0)
+    assert (before[:3, :3].T @ (after - before)[:3, 3])[1] > 0.005
+    cell.command(ZERO, 0.3)
+
+
+def test_what_arrives_at_the_controller_keeps_the_limits_whatever_is_commanded(cell, double):
+    rng, limits = np.random.default_rng(3), cell.arm.limits
+    double.trace()
+    for _ in range(60):
+        twist = rng.uniform(-1.0, 1.0, 6) * np.repeat([0.3, 0.0], 3)
+        if rng.random() < 0.8:
+            assert not cell.command(twist)
+        else:
+            cell.safe.stop("missing")
+        time.sleep(rng.uniform(0.0, 0.03))
+    cell.command(ZERO, 0.3)
+    trace = double.trace()
+    speeds = np.abs(trace[:, 7:10])
+    acceleration = np.abs(np.diff(trace[:, 7:10], axis=0)).max() * 500.0
+    assert 0.5 * limits.linear_velocity < speeds.max() <= limits.linear_velocity * (1 + 1e-6)
+    assert acceleration <= cell.driver.settings.acceleration * (1 + 1e-6)
+
+
+# ---- what is refused at the start ----
+
+
+def refusal(tmp_path, double, fault: str = "", **settings) -> str:
+    """Why the driver does not open; nothing has moved."""
+    if fault:
+        double(*fault.split())
+    arm = load_scene(scene_file(tmp_path, double.host, **settings)).arms["arm"]
+    with pytest.raises(RuntimeError) as raised:
+        open_arm(arm, lambda state: None)
+    assert not double.trace()[:, 7:13].any()
+    return str(raised.value)
+
+
+@pytest.fixture(scope="module")
+def second():
+    """A double that nobody drives yet."""
+    double = Double(address())
+    yield double
+    assert not double.close()
+
+
+@pytest.fixture
+def other(second):
+    for line in [*MENDED, *AS_IT_WAS]:
+        second(*line.split())
+    return second
+
+
+@pytest.mark.parametrize(
+    "fault, settings, words",
+    [
+        ("tcp_offset 0 0 0.1 0 0 0", {}, r"its TCP offset is \[0.0, 0.0, 0.1.*the scene says \[0.0"),
+        ("payload 1.5", {}, "its payload is 1.5 kg, the scene says 0 kg"),
+        ("", {"generation": "cb3"}, r"the arm is a e-series \(PolyScope 5.15.*the scene says cb3"),
+        ("", {"model": "UR10"}, "the arm is a UR5, the scene says UR10"),
+        ("local_control", {}, "switch it to remote control at the pendant"),
+        ("protective_stop", {}, "protective stop of the arm"),
+        ("emergency_stop", {}, "emergency stop of the arm"),
+        ("teach_button", {}, "moved by hand"),
+        ("registers_in_use", {}, "its registers are in use by a fieldbus; set driver_settings.upper_reg"),
+        ("old_protocol", {"connect_timeout": 2.0}, "did not answer within 2 s"),
+        ("silence", {"connect_timeout": 1.0}, "did not answer within 1 s"),
+        ("leave", {}, "does not answer"),
+        ("scripts_ignored", {"connect_timeout": 1.0}, "did not answer within 1 s"),
+        ("", {"deceleration": 0.5}, "does not stop the arm from 0.1 m/s before the watchdog"),
+        ("", {"generation": "cb3", "rate": 500.0}, "a cb3 has at most 125 Hz"),
+    ],
+)
+def test_an_arm_that_is_not_what_the_scene_says_is_refused_with_what_would_be_right(
+    tmp_path, other, fault, settings, words
+):
+    assert re.search(words, refusal(tmp_path, other, fault, **settings))
+
+
+def test_without_ur_rtde_the_driver_says_what_to_type(tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    arm = load_scene(scene_file(tmp_path, "127.0.0.1")).arms["arm"]
+    with pytest.raises(RuntimeError, match=r"ur_rtde is missing: pip install 'tactile_servoing\[ur\]'"):
+        open_arm(arm, lambda state: None)
+
+
+def test_a_cb3_is_driven_at_125_hz_and_in_the_upper_registers(tmp_path):
+    double = Double(address(), version=[3, 15, 0, 0], model="UR3")
+    cell = Cell(scene_file(tmp_path, double.host, rate=0.0, generation="cb3", upper_registers=True))
+    try:
+        cell.move()
+        stamps = np.array([state.stamp_ns for state in cell.states])
+        assert 7e6 < np.median(np.diff(stamps)) < 50e6
+    finally:
+        cell.close()
+        double.close()
+
+
+def test_a_driver_that_is_closed_while_it_moves_leaves_the_arm_at_rest_and_its_program_ended(tmp_path, other):
+    cell = Cell(scene_file(tmp_path, other.host))
+    cell.move()
+    cell.close()
+    other.trace()
+    time.sleep(0.1)
+    assert not other.trace()[:, 7:13].any()
+    assert cell.state.T_base_controlled[0, 3] > 0.4

@@ -1,0 +1,102 @@
+"""Rehearsals: a UR's real driver against the double of its controller, all nodes, a simulated sensor."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from launched import Launched
+
+from tactile_base.config_paths import config_path
+from tactile_base.settings import SettingError
+from tactile_drivers.doubles.rehearsal import rehearsed
+from tactile_drivers.scene import load_scene
+from tactile_perception.datasets.dataset import read_dataset
+from tactile_records.runs.from_bag import read_arms
+from tactile_records.runs.metrics import report
+
+PATH = 0.03  # m
+TASK = f"""
+roles:
+  follower:
+    task: surface_following
+    controller: surface_following_tuned
+    settings:
+      watchdog: {{patience: 30.0, start_timeout: 60.0}}
+      contact: {{approach_timeout: 100.0, settle_timeout: 100.0}}
+scenes:
+  my_ur_cell:
+    follower:
+      goals: [{{name: across, direction_deg: 90.0, length: {PATH}}}]
+"""
+IDEAL = "simulation: {rate: 60, sensors: {arm: {fidelity: ideal}}}\n"
+
+
+def cell(folder: Path, more: str = "") -> Path:
+    """The example scene at 30 exposures a second, as a user would copy it; busy machines may be late."""
+    text = config_path("scenes/ur_example.yaml").read_text()
+    text = text.replace("payload: 0.0 ", "state_timeout: 0.5\n      payload: 0.0 ")
+    path = folder / "my_ur_cell.yaml"
+    path.write_text(text.replace("camera_rate: 60", "camera_rate: 30") + more)
+    return path
+
+
+@pytest.fixture
+def launched(tmp_path):
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
+    launches = []
+
+    def start(*words: str) -> Launched:
+        launches.append(Launched(tmp_path, [sys.executable, "-m", "tactile_bringup.cli", *words]))
+        return launches[-1]
+
+    yield start
+    for launch in launches:
+        launch.kill()
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_surface_is_followed_through_the_driver_of_a_ur_and_has_the_same_report(launched, tmp_path):
+    (tmp_path / "task.yaml").write_text(TASK)
+    scene, bag = cell(tmp_path, IDEAL), tmp_path / "bag"
+    launch = launched(
+        "launch", str(tmp_path / "task.yaml"), "--scene", str(scene), "--rehearse", "--headless",
+        "--out", str(tmp_path / "runs"), "--record", str(bag),
+    )  # fmt: skip
+    assert launch.end() == 0, launch.output
+    assert re.search(r"across: done \(3\d mm", launch.output), launch.output
+    values = report(read_arms(bag)["arm"])
+    assert values["succeeded"]
+    assert values["contact_fraction"] == 1.0
+    assert values["depth_rms_mm"] <= 0.5
+    assert values["path_length_mm"] == pytest.approx(1e3 * PATH, abs=2.0)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_data_are_collected_through_the_driver_of_a_ur(launched, tmp_path):
+    out = tmp_path / "data"
+    launch = launched(
+        "data", "collect", str(out), "--scene", str(cell(tmp_path)), "--rehearse", "--headless",
+        "--samples", "2", "--seed", "9", "--logs", str(tmp_path / "runs"),
+        "--set", "motion.air_speed=0.05", "--set", "motion.contact_speed=0.04",
+        "--set", "motion.settle_time=0.05",
+    )  # fmt: skip
+    assert launch.end() == 0, launch.output
+    assert len(read_dataset(out).labels) == 2
+
+
+def test_an_arm_without_a_double_cannot_be_rehearsed(tmp_path):
+    path = tmp_path / "cell.yaml"
+    path.write_text("arms:\n  arm:\n    driver: external\n    start: {position: [0, 0, 0.1]}\n")
+    with pytest.raises(SettingError, match="there is none for the driver 'external' of 'arm', but for ur"):
+        rehearsed(load_scene(path))
+
+
+def test_a_camera_rate_that_the_simulation_does_not_have_is_refused_in_a_rehearsal(tmp_path):
+    path = cell(tmp_path)
+    path.write_text(path.read_text().replace("camera_rate: 30", "camera_rate: 50"))
+    with pytest.raises(SettingError, match=r"camera_rate = 50 Hz: in a rehearsal .* 120 Hz, must be a mult"):
+        rehearsed(load_scene(path))

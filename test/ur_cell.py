@@ -1,0 +1,115 @@
+"""A cell with the driver of a UR behind the safe command stage, and the double of its controller."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tactile_drivers.arm import ArmMode, open_arm
+from tactile_drivers.safety import SafeArm
+from tactile_drivers.scene import load_scene
+
+SPEED = 0.05  # m/s, at which faults are injected
+COMMANDS = 0.01  # s, between commands
+_addresses = iter(range(1, 255))
+
+
+def address() -> str:
+    """A loopback address that no other test uses at the same time."""
+    return f"127.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}.{next(_addresses)}"
+
+
+class Double:
+    """The double in a process of its own; calling it says what goes wrong there."""
+
+    def __init__(self, host: str, **settings):
+        command = [sys.executable, "-m", "tactile_drivers.doubles.ur_controller", host, json.dumps(settings)]
+        self.host = host
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert json.loads(self._process.stdout.readline()) == "ready"
+
+    def __call__(self, name: str, *numbers: float):
+        self._process.stdin.write(" ".join([name, *map(str, numbers)]) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    def trace(self) -> np.ndarray:
+        """Rows of time, pose (6), speed (6), target speed (6) since the last time, (n, 19)."""
+        rows = [[time, *pose, *speed, *target] for time, pose, speed, target in self("trace")]
+        return np.array(rows).reshape(-1, 19)
+
+    def close(self) -> str:
+        """End it; returns what it wrote to standard error."""
+        return self._process.communicate(timeout=10)[1]
+
+
+def scene_file(folder: Path, host: str, rate: float = 125.0, limits: str = "{}", **settings) -> Path:
+    """A scene of a UR with a sensor that stands 65 mm out of its TCP."""
+    given = {"host": host, "rate": rate, **settings}
+    path = folder / "ur_cell.yaml"
+    path.write_text(
+        "arms:\n  arm:\n    driver: ur\n"
+        f"    driver_settings: {json.dumps(given)}\n"
+        f"    limits: {limits}\n"
+        "    start: {position: [0.4, 0.0, 0.235], rotation_deg: [180, 0, 0]}\n"
+        "    sensor: {in_tool: {position: [0.0, 0.0, 0.065]}, camera: external}\n"
+    )
+    return path
+
+
+class Cell:
+    """The arm of a scene behind `SafeArm`, and all that it says."""
+
+    def __init__(self, scene: Path):
+        self.arm = load_scene(scene).arms["arm"]
+        self.safe = SafeArm(self.arm, time.time_ns)
+        self.states, self.refused = [], []
+        self.driver = open_arm(self.arm, self._take)
+        self.safe.drive(self.driver)
+        self.until(lambda: self.states, "a first state")
+
+    def _take(self, state):
+        complete = self.safe.take_state(state)
+        if complete is None:
+            self.refused.append(self.safe.bad_state)
+        else:
+            self.states.append(complete)
+
+    @property
+    def state(self):
+        return self.states[-1]
+
+    def command(self, twist, seconds: float = 0.0) -> str:
+        """Command a twist over and over; returns the last refusal."""
+        end = time.monotonic() + seconds
+        while True:
+            refusal = self.safe.command(time.time_ns(), twist, "test")
+            if time.monotonic() >= end:
+                return refusal
+            time.sleep(COMMANDS)
+
+    def move(self):
+        """Bring the arm to 50 mm/s."""
+        twist = np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0])
+        self.until(
+            lambda: not self.command(twist) and np.abs(self.state.twist - twist).max() < 1e-4, "50 mm/s"
+        )
+
+    def until(self, done, what: str, patience: float = 15.0):
+        """Wait for something."""
+        end = time.monotonic() + patience
+        while not done():
+            assert time.monotonic() < end, f"no {what} within {patience:g} s; {self.states[-1:]}"
+            time.sleep(COMMANDS)
+
+    def rest(self):
+        self.until(lambda: self.state.mode is ArmMode.RESTING, "rest")
+
+    def close(self):
+        self.safe.close()
