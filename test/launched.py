@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tactile_bringup.launching.shared_memory import orphans
 
+FIRST_DOMAIN_PORT = 7400  # of RTPS: the ports of domain 0
 PATIENCE = 120.0  # s; a wait ends as soon as it can: only a test that fails waits as long, on any machine
 
 
@@ -76,7 +77,7 @@ class Launched:
             except OSError:
                 continue
             fields = [line.split(None, 5) for line in lines if "/dev/shm/fastdds" in line]
-            self.segments |= {(f[5], int(f[4])) for f in fields}
+            self.segments |= {(f[5], int(f[4])) for f in fields if not _of_all_domains(f[5])}
 
 
 def _command(pid: str) -> list[str]:
@@ -91,3 +92,9 @@ def _inode(name: str) -> int | None:
         return os.stat(name).st_ino
     except FileNotFoundError:
         return None
+
+
+def _of_all_domains(name: str) -> bool:
+    """Whether it is a port that the processes of every domain share, tests beside this one, too."""
+    port = name.partition("_port")[2].removesuffix("_el").removesuffix("_sl")
+    return port.isdigit() and int(port) < FIRST_DOMAIN_PORT
