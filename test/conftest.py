@@ -1,6 +1,7 @@
 """What holds for all tests.
 
-Property tests draw the same examples in every run; `--hypothesis-profile=explore` draws new ones.
+Property tests draw the same examples in every run; `--hypothesis-profile=explore` draws new ones, `=few` the
+first ten.
 """
 
 import os
@@ -18,6 +19,7 @@ if "ROS_DOMAIN_ID" in os.environ:  # one for each process that runs tests beside
 
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
+settings.register_profile("few", derandomize=True, deadline=None, max_examples=10)
 settings.load_profile("same")
 
 
