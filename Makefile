@@ -1,5 +1,5 @@
 # make         set up and build into .venv and install
-# make demo    follow a curved ramp by touch in simulation; results in out/demo     (TASK=pushing: push an object)
+# make demo    follow a curved ramp by touch in simulation; results in out/demo     (TASK=pushing: push an object; out/pushing)
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
 # make lowest  run tests with the lowest versions that setup.cfg allows
 # make lint    ruff and mypy
@@ -23,7 +23,7 @@ build:
 	@scripts/build.sh
 
 demo: build
-	@. scripts/env.sh && exec tactile demo $(TASK) --out out/demo $(ARGS)
+	@. scripts/env.sh && exec tactile demo $(TASK) --out out/$(if $(filter surface_following,$(TASK)),demo,$(TASK)) $(ARGS)
 
 test:
 	@scripts/setup.sh test train cluster
