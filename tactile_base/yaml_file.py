@@ -56,6 +56,12 @@ class Section:
         self.name = ""
         self.error: type[SettingError] = SettingError
 
+    def with_values(self, values: dict[str, Any]) -> Section:
+        """The same place in the file with other content, whose errors are told at its first line."""
+        section = Section(self.path, self.line, values, {})
+        section.name, section.error = self.name, self.error
+        return section
+
     def where(self, key: str | None = None) -> str:
         """File and line of the section, or of one of its keys."""
         return f"{self.path}:{self._lines.get(key, self.line) if key is not None else self.line}"

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from tactile_base.settings import SettingError, shown, unknown_name
-from tactile_base.yaml_file import Section
 from tactile_bringup.offline import OfflineOptions
 from tactile_control.task_file import Task
 from tactile_drivers.scene import Scene
@@ -93,9 +92,7 @@ def _friction(setup: Setup, factor: float) -> Setup:
 def _profile(setup: Setup, **changes: Any) -> Setup:
     """The object with other values in its section of the file."""
     old = setup.profiles.objects[setup.object]
-    new = Section(old.path, old.line, {**old.values, **changes}, {})
-    new.name, new.error = old.name, old.error
-    objects = {**setup.profiles.objects, setup.object: new}
+    objects = {**setup.profiles.objects, setup.object: old.with_values({**old.values, **changes})}
     return replace(setup, profiles=replace(setup.profiles, objects=objects))
 
 
@@ -112,9 +109,7 @@ def _size(setup: Setup, factor: float) -> Setup:
             values[name] = [*(each * factor for each in value[:2]), *value[2:]]
         elif name in ("radius", "width"):
             values[name] = value * factor
-    new = Section(section.path, section.line, values, {})
-    new.name, new.error = section.name, section.error
-    return _profile(setup, parameters=new)
+    return _profile(setup, parameters=section.with_values(values))
 
 
 def _variation(name: str, unit: float = 1.0) -> Callable[[Setup, float], Setup]:

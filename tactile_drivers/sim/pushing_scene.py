@@ -136,10 +136,7 @@ def _motion_settings(body: BodyScene, changes: Mapping[str, Any]) -> Section:
     old = body.motion_settings
     own = old.checked(PushedSettings, old.values)
     default = PushedSettings()
-    values = {**asdict(own), **{key: getattr(default, key) for key in _PROFILE}, **changes}
-    section = Section(old.path, old.line, values, {})
-    section.name, section.error = old.name, old.error
-    return section
+    return old.with_values({**asdict(own), **{key: getattr(default, key) for key in _PROFILE}, **changes})
 
 
 def _placed(body: BodyScene, arm: ArmScene, aside: float, turn: float) -> BodyScene:
