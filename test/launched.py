@@ -2,11 +2,14 @@
 
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from tactile_bringup.launching.shared_memory import orphans
+from tactile_records.runs.from_bag import read_arms
+from tactile_records.runs.record import RunRecord
 
 FIRST_DOMAIN_PORT = 7400  # of RTPS: the ports of domain 0
 PATIENCE = 120.0  # s; a wait ends as soon as it can: only a test that fails waits as long, on any machine
@@ -78,6 +81,24 @@ class Launched:
                 continue
             fields = [line.split(None, 5) for line in lines if "/dev/shm/fastdds" in line]
             self.segments |= {(f[5], int(f[4])) for f in fields if not _of_all_domains(f[5])}
+
+
+def launch_to_end(
+    folder: Path, task: str, configuration: Path, wanted: str
+) -> tuple[Launched, dict[str, RunRecord]]:
+    """A task launched with a configuration folder, once `wanted` was heard: its launch and record."""
+    command = [sys.executable, "-m", "tactile_bringup.cli", "launch", task, "--headless"]
+    launch = Launched(
+        folder,
+        [*command, "--out", str(folder), "--record", str(folder / "bag")],
+        TACTILE_CONFIG_DIR=str(configuration),
+    )
+    try:
+        launch.wait_for(wanted)
+        launch.end()
+    finally:
+        launch.kill()
+    return launch, read_arms(folder / "bag")
 
 
 def _command(pid: str) -> list[str]:

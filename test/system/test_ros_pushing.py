@@ -2,19 +2,17 @@
 
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from launched import Launched
+from launched import launch_to_end
 
 from tactile_base.config_paths import config_folder
 from tactile_bringup.cli import main
 from tactile_bringup.offline import run_arms_offline
 from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
-from tactile_records.runs.from_bag import read_arms
 from tactile_records.runs.pushing import body_poses, numbers
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -47,18 +45,7 @@ def configuration(tmp_path_factory) -> Path:
 def finished(tmp_path_factory, configuration):
     """One run to its end: the launch and its record."""
     folder = tmp_path_factory.mktemp("finished")
-    command = [sys.executable, "-m", "tactile_bringup.cli", "launch", "pushing", "--headless"]
-    launch = Launched(
-        folder,
-        [*command, "--out", str(folder), "--record", str(folder / "bag")],
-        TACTILE_CONFIG_DIR=str(configuration),
-    )
-    try:
-        launch.wait_for("arm: push")
-        launch.end()
-    finally:
-        launch.kill()
-    return launch, read_arms(folder / "bag")
+    return launch_to_end(folder, "pushing", configuration, "arm: push")
 
 
 def test_the_push_ends_well_and_nothing_is_left(finished):

@@ -2,15 +2,13 @@
 
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from launched import Launched
+from launched import launch_to_end
 
 from tactile_base.config_paths import config_folder
-from tactile_records.runs.from_bag import read_arms
 from tactile_records.runs.object_tracking import numbers
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
@@ -42,18 +40,7 @@ def configuration(tmp_path_factory) -> Path:
 def finished(tmp_path_factory, configuration):
     """One run to its end: the launch and the records of both arms."""
     folder = tmp_path_factory.mktemp("finished")
-    command = [sys.executable, "-m", "tactile_bringup.cli", "launch", "object_tracking", "--headless"]
-    launch = Launched(
-        folder,
-        [*command, "--out", str(folder), "--record", str(folder / "bag")],
-        TACTILE_CONFIG_DIR=str(configuration),
-    )
-    try:
-        launch.wait_for("periodic leader: move")
-        launch.end()
-    finally:
-        launch.kill()
-    return launch, read_arms(folder / "bag")
+    return launch_to_end(folder, "object_tracking", configuration, "periodic leader: move")
 
 
 def test_the_run_ends_well_with_the_leader_and_nothing_is_left(finished):
