@@ -1,8 +1,9 @@
 """Ends the process groups of a launcher that was killed, then removes their shared memory.
 
-Runs beside the launcher (`processes.ProcessGroup` starts it) and reads `watch PID` and `release PID` lines
-from it. When the pipe ends, groups that were not released have lost their launcher: they had the kernel's
-SIGTERM when it died, get `GRACE_S` to bring the arm to rest and end in order, and then SIGKILL.
+Runs beside the launcher (`processes.ProcessGroup` starts it; its argument says when: epoch, ns) and reads
+`watch PID` and `release PID` lines from it. When the pipe ends, groups that were not released have lost their
+launcher: they had the kernel's SIGTERM when it died, get `GRACE_S` to bring the arm to rest and end in order,
+and then SIGKILL.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ def main() -> None:
     """Read lines until the launcher ends, then end what it left."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    started_ns = time.time_ns()
+    started_ns = int(sys.argv[1])  # not when this process came to run: the launcher's memory may be older
     groups: set[int] = set()
     for line in sys.stdin:
         verb, pid = line.split()

@@ -151,8 +151,9 @@ class _Keeper:
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-S", "-m", "tactile_bringup.launching.keeper"],
-            env={"PYTHONPATH": str(_PACKAGE_ROOT), "PATH": os.environ.get("PATH", "")},
+            [sys.executable, "-S", "-m", "tactile_bringup.launching.keeper", str(time.time_ns())],
+            # PYTHONSAFEPATH: not what lies in the current folder
+            env={"PYTHONPATH": str(_PACKAGE_ROOT), "PYTHONSAFEPATH": "1", "PATH": os.environ.get("PATH", "")},
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             start_new_session=True,

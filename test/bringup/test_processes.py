@@ -1,6 +1,7 @@
 """Children are stopped, reported and never left behind."""
 
 import fcntl
+import io
 import mmap
 import os
 import signal
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_bringup.launching import shared_memory
+from tactile_bringup.launching import keeper, shared_memory
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, describe_exit, tail
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -148,6 +149,17 @@ time.sleep(60)
     parent.kill()
     parent.wait()
     assert wait_for(lambda: not any(map(runs, pids)))
+
+
+def test_a_keeper_that_comes_to_run_late_removes_what_was_made_since_it_was_started(monkeypatch):
+    since = []
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(keeper, "end", lambda groups: None)
+    monkeypatch.setattr(shared_memory, "remove_orphans", since.append)
+    monkeypatch.setattr(sys, "argv", ["keeper", "1234"])
+    monkeypatch.setattr(sys, "stdin", io.StringIO("watch 1\nwatch 2\nrelease 1\n"))
+    keeper.main()
+    assert since == [1234]
 
 
 def test_exit_codes_in_words():
