@@ -125,11 +125,15 @@ class Launcher:
 
     def _stop(self, group: ProcessGroup, outcome: Outcome) -> None:
         """Task, arm, nodes, recorder: in this order."""
+        recorder = f"/{RECORDER}"
         if self._runner is not None:
             outcome.at_rest = self._runner.bring_to_rest()
             outcome.goals = self._runner.results
+            if recorder in group.children:
+                process = group.children[recorder].process
+                self._runner.wait_for_recorder(recorder, lambda: process.poll() is None)
             self._runner.client.close()
-        nodes = [name for name in group.children if name != f"/{RECORDER}"]
+        nodes = [name for name in group.children if name != recorder]
         urgent = len(self._signals) > 2
         reports = group.stop(nodes, urgent) + group.stop(urgent=urgent)
         outcome.escalated = [f"{r.name} took {r.escalated_to}" for r in reports if r.escalated_to]

@@ -134,6 +134,12 @@ class TaskClient:
             self._ask(name, now_s)
         return {name: self._states[name].label for name in full_names if not self._states[name].active}
 
+    def ask_again(self, name: str) -> bool:
+        """Forget that a node is active, so that `inactive` asks it anew; False if it has not been."""
+        state = self._states.get(name, _NodeState(None))
+        was_active, state.active = state.active, False
+        return was_active
+
     def _ask(self, name: str, now_s: float) -> None:
         if name not in self._states:
             self._states[name] = _NodeState(self._node.create_client(GetState, f"{name}/get_state"))

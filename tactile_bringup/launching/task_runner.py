@@ -23,6 +23,9 @@ REGULAR = 0.5  # s of regular reports before the first goal starts
 SETTLE_TIMEOUT = 5.0  # s after which it starts all the same
 LISTEN = 1.0  # s after which an arm that is not heard of counts as one whose driver has ended
 SETTLED = 0.5  # s of rest that count as the end of a goal whose result does not come
+HELD_UP = 0.5  # s without an answer after which a node counts as held up
+HOLD_TIMEOUT = 30.0  # s that one is waited for: what nodes keep of what they have published (`qos.RECORDED`)
+CATCH_UP = 5.0  # s for one that was held up to take from its publishers what it has missed, and to know it
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
 
 
@@ -166,6 +169,24 @@ class TaskRunner:
             if all(_settled(task) or (listened and task.silent) for task in tasks):
                 break
         return all(task.rests_for() > 0.0 for task in tasks)
+
+    def wait_for_recorder(self, name: str, lives: Callable[[], bool]) -> None:
+        """Until a recorder that is held up has what was published: it goes with the nodes that published it.
+
+        Ends as well when a further signal comes, the recorder no longer `lives`, or after `HOLD_TIMEOUT`.
+        """
+        if not self.client.ask_again(name):
+            return
+        patience = len(self.signals) + 1
+        started, held_up, limit = time.monotonic(), False, HOLD_TIMEOUT
+        while time.monotonic() - started < limit and len(self.signals) < patience and lives():
+            self.client.spin(SPIN)
+            waited = time.monotonic() - started
+            if limit == HOLD_TIMEOUT and not self.client.inactive([name], time.monotonic()):
+                limit = waited + CATCH_UP if held_up else 0.0
+            elif waited > HELD_UP and not held_up:
+                held_up = True
+                self.display.say("the recorder is held up: waiting for it (Ctrl-C: not any longer)", "yellow")
 
     def _waiting(self) -> dict[str, str]:
         inactive = self.client.inactive(list(self.nodes), time.monotonic())

@@ -1,7 +1,8 @@
 """What a recorder misses, by the numbers that publishers give their messages, and by how long it was held up.
 
-No number tells what a publisher sent last: of one that was not heard again after the recorder was held up, no
-more is known than from when on messages may be missing.
+No number tells what a publisher sent last. One that is still there a while after the recorder was held up has
+sent again what was missed; of one that is not, and was not heard again, no more is known than from when on
+messages may be missing.
 """
 
 from __future__ import annotations
@@ -13,17 +14,19 @@ from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.contents import UNKNOWN, Gap
 
 LATE_NS = SECOND_NS // 2  # from publication, after which a message shows that more are on their way
+CAUGHT_UP_NS = 4 * SECOND_NS  # longer than the heartbeats by which DDS offers again what was missed (3 s)
 STEADY_NS, STEADY_COUNT = SECOND_NS // 2, 10  # between the messages of a publisher that would be missed
 
 
 @dataclass
 class _Sender:
-    """One publisher of a topic: its newest number, and when messages of it were published (ns)."""
+    """One publisher of a topic: its newest number, when it published (ns), and when it was there (ns)."""
 
     number: int
     first_ns: int
     last_ns: int
     count: int = 1
+    present_ns: int = 0
 
     @property
     def steady(self) -> bool:
@@ -71,6 +74,20 @@ class Losses:
         """The recorder did nothing in between."""
         self._held_up.append((start_ns, end_ns))
 
+    def in_doubt(self, now_ns: int) -> set[str]:
+        """Topics with publishers that must have sent again what was missed, if they are still there."""
+        return {
+            topic
+            for (topic, _), sender in self._senders.items()
+            if any(now_ns > end_ns + CAUGHT_UP_NS for end_ns in self._doubts(sender))
+        }
+
+    def present(self, topic: str, publishers: set[bytes], now_ns: int) -> None:
+        """These publishers of a topic are there."""
+        for (name, publisher), sender in self._senders.items():
+            if name == topic and publisher in publishers:
+                sender.present_ns = now_ns
+
     def last(self, told: Counter[str], now_ns: int) -> list[Gap]:
         """At the end: what is missing behind the last message of a publisher.
 
@@ -86,10 +103,18 @@ class Losses:
             if count > 0
         ]
         for (topic, _), sender in self._senders.items():
-            for start_ns, end_ns in self._held_up:
-                if sender.steady and start_ns - SECOND_NS < sender.last_ns < end_ns:
-                    gaps.append(Gap(topic, UNKNOWN, sender.last_ns, end_ns))
+            gaps += [Gap(topic, UNKNOWN, sender.last_ns, end_ns) for end_ns in self._doubts(sender)]
         return gaps
+
+    def _doubts(self, sender: _Sender) -> list[int]:
+        """Ends of the times after which it is not known whether all has come that it sent."""
+        return [
+            end_ns
+            for start_ns, end_ns in self._held_up
+            if sender.steady
+            and start_ns - SECOND_NS < sender.last_ns < end_ns
+            and sender.present_ns <= end_ns + CAUGHT_UP_NS
+        ]
 
     def on_their_way(self, now_ns: int) -> list[Gap]:
         """What there was no time to wait for."""

@@ -183,6 +183,10 @@ class RecorderNode(ManagedNode):
 
     def _flush(self) -> None:
         self._look_at_the_clock()
+        now_ns = time.time_ns()
+        for topic in self.losses.in_doubt(now_ns):
+            found = self.get_publishers_info_by_topic(topic)
+            self.losses.present(topic, {bytes(info.endpoint_gid) for info in found}, now_ns)
         self._try(BagWriter.flush)
 
     def _try(self, act: Callable[[BagWriter], None]) -> bool:

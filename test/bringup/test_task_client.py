@@ -72,3 +72,16 @@ def test_an_active_node_is_not_asked_again(client, service):
     assert client.inactive(["/arm/filter"], 1.0) == {}
     client.inactive(["/arm/filter"], 100.0)
     assert service.asked == 1
+
+
+def test_a_node_that_was_active_is_asked_anew_on_demand_and_another_is_not(client, service):
+    assert not client.ask_again("/arm/filter")
+    service.answers = True
+    client.inactive(["/arm/filter"], 0.0)
+    client.inactive(["/arm/filter"], 1.0)
+    service.answers = False
+    assert client.ask_again("/arm/filter")
+    assert "/arm/filter" in client.inactive(["/arm/filter"], 2.0)
+    service.answers = True
+    client.inactive(["/arm/filter"], 2.0 + 2 * ANSWER_TIME)
+    assert client.inactive(["/arm/filter"], 2.0 + 3 * ANSWER_TIME) == {}

@@ -4,7 +4,7 @@ from collections import Counter
 
 from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.contents import UNKNOWN, Bag, Gap
-from tactile_records.bags.losses import Losses
+from tactile_records.bags.losses import CAUGHT_UP_NS, Losses
 
 STEP = SECOND_NS // 60
 
@@ -42,6 +42,22 @@ def test_a_publisher_that_is_not_heard_again_after_a_stop_may_have_sent_more():
     publish(losses, range(1, 300, 60), b"c", "/rare")
     losses.held_up(100 * STEP, 200 * STEP)
     assert losses.last(Counter(), 300 * STEP) == [Gap("/ended", UNKNOWN, 99 * STEP, 200 * STEP)]
+
+
+def test_a_publisher_that_is_there_long_after_a_stop_has_sent_nothing_more():
+    losses = Losses()
+    publish(losses, range(1, 100), b"there")
+    publish(losses, range(1, 100), b"gone")
+    losses.held_up(100 * STEP, 200 * STEP)
+    assert losses.in_doubt(201 * STEP) == set()  # what was missed may still be on its way
+    later = 200 * STEP + CAUGHT_UP_NS + 1
+    assert losses.in_doubt(later) == {"/t"}
+    losses.present("/t", {b"there", b"new"}, later)
+    assert losses.last(Counter(), later) == [
+        Gap("/t", UNKNOWN, 99 * STEP, 200 * STEP)
+    ]  # of the one that is gone
+    losses.present("/t", {b"gone"}, later)
+    assert losses.in_doubt(later) == set() and losses.last(Counter(), later) == []
 
 
 def test_a_message_that_was_long_on_its_way_shows_that_more_are():

@@ -10,6 +10,7 @@ import re
 import shutil
 import signal
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task
 from tactile_drivers.scene import load_scene
+from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import agreement, run_filter
 from tactile_records.replay.sweep import base_settings
@@ -202,8 +204,6 @@ def test_replayed_beliefs_are_the_live_ones_to_the_bit(finished, tmp_path):
 
 
 def read_note(bag: Path) -> dict[str, str]:
-    from tactile_records.bags.reader import read_bag
-
     return read_bag(bag).note
 
 
@@ -226,6 +226,23 @@ def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
     assert "stopped by SIGINT: bringing the arm to rest" in run.output
     assert "stopped: the arm rests" in run.output
     assert run.leaves_nothing(), run.left()
+
+
+def test_a_recorder_that_is_held_up_when_the_run_ends_still_gets_all(launch, tmp_path):
+    run = launch("--record", str(tmp_path / "bag"))
+    run.wait_for("arm: follow")
+    recorder = run.node("tactile_ros.nodes.recorder_node")
+    os.kill(recorder, signal.SIGSTOP)
+    stopped_ns = time.time_ns()
+    time.sleep(2.0)
+    run.process.send_signal(signal.SIGINT)
+    run.wait_for("the recorder is held up")
+    os.kill(recorder, signal.SIGCONT)
+    assert run.end() == 130
+    record = read_arms(tmp_path / "bag")["arm"]
+    gaps = read_bag(tmp_path / "bag").gaps  # publishers of an action's status keep one message only
+    assert {gap.topic for gap in gaps} <= {"/arm/run_task/_action/status"}, gaps
+    assert (record.belief.stamp_ns > stopped_ns).sum() > 60  # of two seconds, whatever the machine lost
 
 
 def test_a_node_killed_in_mid_run_ends_the_task_with_its_name_and_log(launch, tmp_path):
