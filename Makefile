@@ -53,4 +53,4 @@ clean:
 	rm -rf build install log
 
 distclean: clean
-	rm -rf .venv out
+	rm -rf .venv .venv-lowest out

@@ -31,8 +31,8 @@ up_to_date() {
     [ -f "$1" ] && [ "$(cat "$1")" = "$2" ]
 }
 
-# One set-up or build at a time in this folder; a second one waits for the first.
+# lock [NAME]: one set-up or build at a time in this folder, or one of that name; a second one waits for the first.
 lock() {
-    exec 9>"$logs/lock"
+    exec 9>"$logs/lock${1:+-$1}"
     flock -n 9 || { echo "waiting for another make in this folder"; flock 9; }
 }

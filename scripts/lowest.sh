@@ -3,25 +3,17 @@
 # of their own: lowest.sh [ARGUMENT OF PYTEST...]. After `make`, on Python 3.10 or 3.11.
 set -euo pipefail
 . "$(dirname "$0")/common.sh"
+scripts/setup.sh lowest
 . scripts/env.sh
 # Of ROS 2 only the definitions of the messages, which are text (AMENT_PREFIX_PATH); none of its code.
 unset LD_LIBRARY_PATH PYTHONPATH
-lock
-
-# Newer Pythons have no wheels of versions this low.
-if ! python -c 'import sys; sys.exit(sys.version_info >= (3, 12))'; then
-    echo "the lowest versions need Python 3.10 or 3.11, and .venv has $(python --version): make PYTHON=python3.11" >&2
-    exit 1
-fi
+lock lowest
 
 lowest=$root/build/lowest
-venv=$lowest/venv
-wanted=$(cat build/stamp-package scripts/lowest.txt scripts/lowest.sh | sha256sum)
+venv=$root/.venv-lowest
+wanted=$(cat build/stamp-package "$venv/stamp" scripts/lowest.sh | sha256sum)
 if ! up_to_date "$lowest/stamp" "$wanted"; then
-    [ -x "$venv/bin/python" ] || step lowest-venv "virtual environment for the lowest versions" python -m venv "$venv"
-    step lowest-pip "lowest versions of Python packages" "$venv/bin/python" -m pip install --progress-bar off \
-        -r scripts/lowest.txt
-    rm -rf "$lowest/lib" "$lowest/build"
+    rm -rf "$lowest"
     mkdir -p "$lowest/lib"
     step lowest-package "Python package with C extensions" "$venv/bin/python" setup.py egg_info --egg-base "$lowest/lib" \
         build --build-base "$lowest/build" --build-lib "$lowest/lib"

