@@ -18,6 +18,8 @@ C_MODULES = {
     "tactile_perception._image": "tactile_perception/_csrc",
 }
 
+SHARED_HEADERS = "tactile_filter/_csrc"  # arrays.h, for all modules
+
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.
 NODES = {
     "estimator": "tactile_ros.nodes.estimator_node",
@@ -50,8 +52,8 @@ def extension(name: str, folder: str) -> Extension:
     return Extension(
         name,
         sources=sorted(map(str, Path(folder).glob("*.c"))),
-        depends=sorted(map(str, Path(folder).glob("*.h"))),
-        include_dirs=[numpy.get_include(), folder],
+        depends=sorted(map(str, [*Path(folder).glob("*.h"), *Path(SHARED_HEADERS).glob("*.h")])),
+        include_dirs=[numpy.get_include(), folder, SHARED_HEADERS],
         define_macros=[("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")],
         # Python's own -fwrapv would keep loops over x + 1 with an int x from being vectorized
         extra_compile_args=["-O3", "-std=c99", "-Wall", "-Wextra", "-ffp-contract=off", "-fno-wrapv"],

@@ -1,14 +1,13 @@
-// Python bindings of the contact solver and the renderer.
+// Python bindings of the contact solver and the renderer; those of pushed objects are in pushed_type.c.
 
-#define PY_SSIZE_T_CLEAN
-#define NPY_NO_DEPRECATED_API NPY_1_7_API_VERSION
-#include <Python.h>
-#include <numpy/arrayobject.h>
+#define IMPORTS_NUMPY
+#include "numpy_api.h"
 
 #include <limits.h>
 
 #include "contact.h"
 #include "draw_input.h"
+#include "pushed_type.h"
 #include "render.h"
 
 
@@ -217,18 +216,23 @@ static PyObject* py_draw_input(PyObject* self, PyObject* args) {
 }
 
 
+#define PUSHED_METHOD(name) {#name, (PyCFunction)(void (*)(void))py_##name, METH_FASTCALL, NULL}
+
 static PyMethodDef methods[] = {
     {"solve", py_solve, METH_VARARGS, solve_doc},
     {"displacement", py_displacement, METH_VARARGS, displacement_doc},
     {"render", py_render, METH_VARARGS, render_doc},
     {"draw_input", py_draw_input, METH_VARARGS, draw_input_doc},
+    PUSHED_METHOD(foot_inside),
+    PUSHED_METHOD(foot_edge_share),
+    PUSHED_METHOD(return_to_surface),
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
     PyModuleDef_HEAD_INIT,
     "_contact",
-    "Contact solver and renderer of the simulated sensor.",
+    "Contact solver and renderer of the simulated sensor, and objects that are pushed.",
     -1,
     methods,
     NULL,
@@ -239,5 +243,7 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__contact(void) {
   import_array();
-  return PyModule_Create(&module);
+  PyObject* made = PyModule_Create(&module);
+  if (made && add_pushed_body(made) < 0) Py_CLEAR(made);
+  return made;
 }
