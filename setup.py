@@ -15,6 +15,7 @@ PACKAGE = "tactile_servoing"
 C_MODULES = {
     "tactile_filter._fusion": "tactile_filter/_csrc",
     "tactile_drivers.sim._contact": "tactile_drivers/sim/_csrc",
+    "tactile_control._laws": "tactile_control/_csrc",
     "tactile_perception._image": "tactile_perception/_csrc",
 }
 
