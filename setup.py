@@ -14,6 +14,7 @@ PACKAGE = "tactile_servoing"
 # Extension module -> folder with its C sources; all of them go into the one module.
 C_MODULES = {
     "tactile_filter._fusion": "tactile_filter/_csrc",
+    "tactile_drivers._native": "tactile_drivers/_csrc",
     "tactile_drivers.sim._contact": "tactile_drivers/sim/_csrc",
     "tactile_control._laws": "tactile_control/_csrc",
     "tactile_perception._image": "tactile_perception/_csrc",
