@@ -106,9 +106,9 @@ class PidOutput(NamedTuple):
 def tangent_error(X: Array, X_reference: Array, space: str = "local") -> Array:
     """Error (6,) from X to X_reference, in the local (`X^-1 X*`) or global (`X* X^-1`) tangent space."""
     if space == "local":
-        return se3.log(se3.inverse(X) @ X_reference)
+        return se3.log(se3.between(X, X_reference))
     if space == "global":
-        return se3.log(X_reference @ se3.inverse(X))
+        return se3.log(se3.compose(X_reference, se3.inverse(X)))
     raise ValueError(f"tangent space '{space}': must be one of {', '.join(SPACES)}")
 
 

@@ -111,7 +111,7 @@ class ServoingController:
         X_reference = se3.pose_from_euler(reference)
         space = self.settings.tangent_space
         pid = self.pid.update(stamp_ns, tangent_error(X_fs, X_reference, space), hold_integral)
-        X_ss_ref = se3.inverse(X_fs) @ X_reference
+        X_ss_ref = se3.between(X_fs, X_reference)
         feedforward = se3.adjoint(X_ss_ref) @ velocity
         twist = to_local(pid.feedback, X_fs, space) + feedforward
         return ServoingOutput(twist, se3.log(X_ss_ref), feedforward, reference, pid)

@@ -202,7 +202,7 @@ class Pushing(ContactTask):
         assert self._belief is not None
         X_sf = self._belief.T
         X_fs_reference = se3.pose_from_euler(self.servoing.reference_for(se3.inverse(X_sf)))
-        return target_bearing(self._target, self._sensor_pose(), X_sf @ X_fs_reference)
+        return target_bearing(self._target, self._sensor_pose(), se3.compose(X_sf, X_fs_reference))
 
     def _distance(self, T_base_sensor: Array) -> float:
         """Of the sensor's centre from the target, m."""

@@ -43,6 +43,33 @@ def foot_edge_share(foot: _Foot, point: ArrayLike, /) -> float: ...
 def return_to_surface(
     load: ArrayLike, stiffness: ArrayLike, force: float, torque: float, /
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def point_contact_drag(
+    anchor: ArrayLike,
+    turn: float,
+    T_before: ArrayLike,
+    point_before: ArrayLike,
+    normal_before: ArrayLike,
+    depth_before: float,
+    T: ArrayLike,
+    point: ArrayLike,
+    normal: ArrayLike,
+    depth: float,
+    limits: ArrayLike,
+    /,
+) -> tuple[NDArray[np.float64], float, bool]: ...
+def point_contact_pose(
+    T_fs: ArrayLike,
+    turn: float,
+    T: ArrayLike,
+    point: ArrayLike,
+    normal: ArrayLike,
+    depth: float,
+    anchor: ArrayLike | None,
+    /,
+) -> NDArray[np.float64]: ...
+def skin_force(
+    T_body_sensor: ArrayLike, T_fs: ArrayLike, press: float, stiffness: float, friction: float, /
+) -> NDArray[np.float64]: ...
 
 class PushedBody:
     def __init__(

@@ -168,7 +168,7 @@ class SimArm:
         """Move as the profile towards the target twist does."""
         moved = self._motion.advance(dt, self._target)
         if moved.any():
-            self._pose = _orthonormal(self._pose @ se3.exp(moved))
+            self._pose = se3.orthonormalized(se3.compose(self._pose, se3.exp(moved)))
             self._move_joints()
 
     def _move_joints(self) -> None:
@@ -188,10 +188,3 @@ class SimArm:
         still = not (motion.twist.any() or motion.acceleration.any() or self._target.any())
         if still and self._mode in (ArmMode.STOPPING, ArmMode.MOVING):
             self._mode = ArmMode.RESTING
-
-
-def _orthonormal(T: Array) -> Array:
-    """T with the rotation drawn back onto SO(3), one Newton step of the polar decomposition."""
-    R = T[:3, :3]
-    T[:3, :3] = 1.5 * R - 0.5 * R @ (R.T @ R)
-    return T

@@ -1,13 +1,13 @@
-// Python bindings of the contact solver and the renderer; those of pushed objects are in pushed_type.c.
+// Python bindings of the contact solver and the renderer; other files add theirs.
 
 #define IMPORTS_NUMPY
 #include "numpy_api.h"
 
 #include <limits.h>
 
+#include "bindings.h"
 #include "contact.h"
 #include "draw_input.h"
-#include "pushed_type.h"
 #include "render.h"
 
 
@@ -216,23 +216,18 @@ static PyObject* py_draw_input(PyObject* self, PyObject* args) {
 }
 
 
-#define PUSHED_METHOD(name) {#name, (PyCFunction)(void (*)(void))py_##name, METH_FASTCALL, NULL}
-
 static PyMethodDef methods[] = {
     {"solve", py_solve, METH_VARARGS, solve_doc},
     {"displacement", py_displacement, METH_VARARGS, displacement_doc},
     {"render", py_render, METH_VARARGS, render_doc},
     {"draw_input", py_draw_input, METH_VARARGS, draw_input_doc},
-    PUSHED_METHOD(foot_inside),
-    PUSHED_METHOD(foot_edge_share),
-    PUSHED_METHOD(return_to_surface),
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
     PyModuleDef_HEAD_INIT,
     "_contact",
-    "Contact solver and renderer of the simulated sensor, and objects that are pushed.",
+    "Contact and images of simulated sensors, and objects that are pushed.",
     -1,
     methods,
     NULL,
@@ -244,6 +239,6 @@ static struct PyModuleDef module = {
 PyMODINIT_FUNC PyInit__contact(void) {
   import_array();
   PyObject* made = PyModule_Create(&module);
-  if (made && add_pushed_body(made) < 0) Py_CLEAR(made);
+  if (made && (add_pushed(made) < 0 || add_point_contact(made) < 0)) Py_CLEAR(made);
   return made;
 }

@@ -3,8 +3,8 @@
 #include "numpy_api.h"
 
 #include "arrays.h"
+#include "bindings.h"
 #include "pushed.h"
-#include "pushed_type.h"
 
 #include <structmember.h>
 
@@ -226,11 +226,6 @@ static PyTypeObject type = {
 };
 
 
-int add_pushed_body(PyObject* module) {
-  return PyModule_AddType(module, &type);
-}
-
-
 // ---- the foot and its limit surface: documentation in tactile_drivers/sim/limit_surface.py ----
 
 // foot and point; returns the array that holds the foot, or NULL with an error set
@@ -240,7 +235,7 @@ static PyObject* read_point(Foot* foot, double point[2], PyObject* const* args, 
 }
 
 
-PyObject* py_foot_inside(PyObject* self, PyObject* const* args, Py_ssize_t count) {
+static PyObject* py_foot_inside(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   Foot foot;
   double point[2];
   int edge;
@@ -253,7 +248,7 @@ PyObject* py_foot_inside(PyObject* self, PyObject* const* args, Py_ssize_t count
 }
 
 
-PyObject* py_foot_edge_share(PyObject* self, PyObject* const* args, Py_ssize_t count) {
+static PyObject* py_foot_edge_share(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   Foot foot;
   double point[2];
   (void)self;
@@ -265,7 +260,7 @@ PyObject* py_foot_edge_share(PyObject* self, PyObject* const* args, Py_ssize_t c
 }
 
 
-PyObject* py_return_to_surface(PyObject* self, PyObject* const* args, Py_ssize_t count) {
+static PyObject* py_return_to_surface(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   double load[3], stiffness[9], axes[2], motion[3], left[3];
   (void)self;
   if (count != 4) return PyErr_Format(PyExc_TypeError, "return_to_surface takes 4 arguments, got %zd", count);
@@ -276,4 +271,19 @@ PyObject* py_return_to_surface(PyObject* self, PyObject* const* args, Py_ssize_t
   if (PyErr_Occurred()) return NULL;
   if (!limit_surface_return(motion, left, load, stiffness, axes[0], axes[1])) return unheld();
   return Py_BuildValue("NN", new_array(motion, 3, 0), new_array(left, 3, 0));
+}
+
+
+#define FUNCTION(name) {#name, (PyCFunction)(void (*)(void))py_##name, METH_FASTCALL, NULL}
+
+static PyMethodDef functions[] = {
+    FUNCTION(foot_inside),
+    FUNCTION(foot_edge_share),
+    FUNCTION(return_to_surface),
+    {NULL, NULL, 0, NULL},
+};
+
+
+int add_pushed(PyObject* module) {
+  return PyModule_AddType(module, &type) < 0 ? -1 : PyModule_AddFunctions(module, functions);
 }
