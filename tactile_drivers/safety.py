@@ -162,7 +162,7 @@ class SafeArm:
         """Why the command is not followed; '' if it is."""
         if twist.shape != (6,):
             return f"a twist has 6 elements, this one has shape {twist.shape}"
-        if not np.isfinite(twist).all():
+        if not _native.finite(twist):
             return f"the twist is not finite: {twist.tolist()}"
         if self.driver is None or self.state is None:
             return "nobody drives the arm yet" if self.driver is None else "the arm has no state yet"
@@ -234,7 +234,7 @@ class SafeArm:
             se3.checked_pose("pose", state.T_base_controlled)
         except se3.PoseError as error:
             return str(error)
-        if not np.isfinite(state.twist).all():
+        if not _native.finite(state.twist):
             return f"twist is not finite: {np.asarray(state.twist).tolist()}"
         if self.state is None:
             return ""
@@ -285,7 +285,7 @@ class SafeArm:
             target = self._profile.twist
         if self._stopping and not target.any():
             self.halt(self._stopping)
-        elif self._sent_ns != self._in_force_ns or (target != self._sent).any():
+        elif self._sent_ns != self._in_force_ns or _native.differ(target, self._sent, 0.0):
             self.driver.command(self._in_force_ns or self.state.stamp_ns, target)
             self._sent, self._sent_ns = target, self._in_force_ns
 
