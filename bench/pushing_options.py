@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from pushing_plane import Outcome, Plant, Variant, push
+from pushing_plane import Outcome, Physics, Plant, Variant, push
 
 from tactile_bringup.experiment import Common, Trial, load_tables, task_of, trial_row
 from tactile_drivers.sim.pushing_scene import PushVariation
@@ -38,7 +38,7 @@ class Option:
     changes: tuple[str, ...] = ()
     variant: Variant = field(default_factory=Variant)
     variation: PushVariation = USUAL
-    noise: float = 1.0
+    physics: Physics = field(default_factory=Physics)
 
 
 SINGLE = {
@@ -52,7 +52,7 @@ SINGLE = {
     "Ki 1 without anti-windup": Option(("alignment.ki=1",), Variant(anti_windup=False)),
     "steering": Option(STEERING),
     "steering, wide": Option(STEERING, variation=WIDE),
-    "steering, noise x 3": Option(STEERING, noise=3.0),
+    "steering, noise x 3": Option(STEERING, physics=Physics(noise=3.0)),
     "steering, a and b not learnt": Option(
         (*STEERING, "steering.turning_deviation=0.01", "steering.drift_deviation=0.001")
     ),
@@ -60,7 +60,7 @@ SINGLE = {
     "steering, a not learnt": Option((*STEERING, "steering.turning_deviation=0.01")),
     "steering, cautious": Option(STEERING, Variant(cautious=True)),
     "steering, cautious, wide": Option(STEERING, Variant(cautious=True), WIDE),
-    "steering, cautious, noise x 3": Option(STEERING, Variant(cautious=True), noise=3.0),
+    "steering, cautious, noise x 3": Option(STEERING, Variant(cautious=True), physics=Physics(noise=3.0)),
 }
 DUAL = {
     "paper": Option(),
@@ -82,7 +82,7 @@ def outcome(table: str, option: Option, trials: Sequence[tuple[str, str, int]]) 
     """The pushes of an option."""
     task = task_of(common(table, option))
     follower = task.role("follower").settings if table == "dual" else None
-    plant = Plant(trials, 2 if table == "dual" else 1, option.variation, option.noise)
+    plant = Plant(trials, 2 if table == "dual" else 1, option.variation, option.physics)
     return push(plant, task.role(LEADER[table]).settings, follower, option.variant)
 
 

@@ -20,7 +20,7 @@ from tactile_base.settings import SettingGroups
 from tactile_control.steering import SteeringSettings
 from tactile_drivers.shapes import SHAPES
 from tactile_drivers.sim.limit_surface import Foot
-from tactile_drivers.sim.pushing_scene import GAP, PushVariation, read_profiles
+from tactile_drivers.sim.pushing_scene import GAP, PushVariation, draw, read_profiles
 from tactile_drivers.sim.settings import IdealSensorSettings
 from tactile_drivers.sim.skin_force import SkinForces
 
@@ -28,7 +28,6 @@ Array = NDArray[Any]
 
 TIP, HEIGHT, GRAVITY = 0.020, 0.045, 9.81
 START, TARGET = np.array([0.1, -0.25]), np.array([0.375, 0.0])
-SKIN = SkinForces(skin_force=8.45, skin_shear=1053.0)
 SENSOR = IdealSensorSettings()
 NOISE = np.array([SENSOR.sigma_rotation[0], SENSOR.sigma_position[1], SENSOR.sigma_position[2]])
 AVERAGED = 0.25  # weight of an image in the noise of a belief
@@ -50,19 +49,47 @@ def wrapped(angle: Array) -> Array:
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
+@dataclass(frozen=True)
+class Physics:
+    """What is assumed of tips and objects.
+
+    Attributes
+    ----------
+    skin : forces of the tips
+    height : of the tips over the floor, by which the pressure runs ahead of the middle, m
+    pressed : part of its depth that a tip, which rolls on its radius less that, is pressed in
+    size : of the objects along the floor, over the profiles'
+    noise : of the sensors, over the ideal sensor's
+    latency : images between an exposure and the twist that answers it
+    """
+
+    skin: SkinForces = field(default_factory=lambda: SkinForces(skin_force=8.45, skin_shear=1053.0))
+    height: float = HEIGHT
+    pressed: float = 0.42  # tactile_drivers.sim.ideal_sensor
+    size: float = 1.0
+    noise: float = 1.0
+    latency: int = 0
+
+
 class Plant:
     """N objects on their floors, each with the tips of one or two arms before it."""
 
     def __init__(
-        self, trials: Sequence[tuple[str, str, int]], arms: int, variation: PushVariation, noise: float = 1.0
+        self,
+        trials: Sequence[tuple[str, str, int]],
+        arms: int,
+        variation: PushVariation,
+        physics: Physics | None = None,
     ) -> None:
+        self.physics = physics or Physics()
         known, self.trials, self.count = read_profiles(), tuple(trials), len(trials)
-        drawn = np.array([np.random.default_rng(seed).uniform(-1.0, 1.0, 5) for _, _, seed in trials])
+        drawn = np.array([draw(*trial) for trial in trials])
         self.friction = np.array([known.floors[floor] for _, floor, _ in trials])
         self.friction = self.friction * (1.0 + variation.friction * drawn[:, 0])
         self.off_center = variation.center_of_friction * drawn[:, 1:3]
         self.weight = GRAVITY * np.array([known.objects[name].number("mass") for name, _, _ in trials])
-        outlines = [_outline(known.objects[name]) for name, _, _ in trials]
+        size = self.physics.size
+        outlines = [_outline(known.objects[name], size) for name, _, _ in trials]
         self.radius = np.array([outline.radius for outline in outlines])
         self.normals = np.array([outline.normals for outline in outlines])
         self.distances = np.array([outline.distances for outline in outlines])
@@ -82,7 +109,8 @@ class Plant:
         self.motion = np.zeros((self.count, 3))  # of the last step: dx, dy and turn about `pivot`
         self.pivot = self.center.copy()
         self._random = np.random.default_rng(0)
-        self._noise, self._scale = [np.zeros((self.count, 3)) for _ in range(arms)], noise * NOISE
+        self._noise = [np.zeros((self.count, 3)) for _ in range(arms)]
+        self._seen = [[] for _ in range(arms)]
 
     def contact(self, arm: int) -> tuple[Array, Array]:
         """Contact normals into the objects (N, 2), and depths (N,), m."""
@@ -98,27 +126,32 @@ class Plant:
 
     def believed(self, arm: int) -> tuple[Array, Array, Array]:
         """Angle of the contact normal (N,), shear (N,) and depth (N,) of the last step, with noise."""
-        fresh = self._scale * self._random.standard_normal((self.count, 3))
+        fresh = self.physics.noise * NOISE * self._random.standard_normal((self.count, 3))
         self._noise[arm] += AVERAGED * (fresh - self._noise[arm])
         normal, depth = self.contact(arm)
         angle = np.arctan2(normal[:, 1], normal[:, 0]) + self._noise[arm][:, 0]
-        return angle, self.shears[arm] + self._noise[arm][:, 1], depth + self._noise[arm][:, 2]
+        now = angle, self.shears[arm] + self._noise[arm][:, 1], depth + self._noise[arm][:, 2]
+        seen = self._seen[arm]
+        seen.append(now)
+        return seen.pop(0) if len(seen) > self.physics.latency else seen[0]
 
     def step(self, velocities: Sequence[Array], turnings: Sequence[Array]) -> None:
         """Move the tips by their velocities (N, 2) in the world and turnings (N,), and what they push."""
+        skin = self.physics.skin
         pivot = self.center + np.einsum("nij,nj->ni", _rotation(self.turn), self.off_center)
-        pivot = pivot + HEIGHT * self.force / self.weight[:, None]  # the pressure runs ahead
+        pivot = pivot + self.physics.height * self.force / self.weight[:, None]  # the pressure runs ahead
         load, stiffness, touches = np.zeros((self.count, 3)), np.zeros((self.count, 3, 3)), []
         for arm, (velocity, turning) in enumerate(zip(velocities, turnings, strict=True)):
             self.tips[arm] = self.tips[arm] + velocity * DT
             self.headings[arm] = self.headings[arm] + turning * DT
             normal, depth = self.contact(arm)
             side, deep = across(normal), np.maximum(depth, 1e-6)
-            rolled = (velocity * side).sum(axis=1) + turning * (TIP - deep)
+            arm_rolled = TIP - self.physics.pressed * deep
+            rolled = (velocity * side).sum(axis=1) + turning * arm_rolled
             shear = np.where(depth > 0.0, self.shears[arm] + rolled * DT, 0.0)
-            press, along, sideways = _skin(deep, depth > 0.0)
+            press, along, sideways = _skin(skin, deep, depth > 0.0)
             largest = np.interp(deep, SENSOR.shear_depths, SENSOR.shear_limits)
-            largest = np.minimum(largest, SKIN.friction_tip * press / np.maximum(sideways, 1e-9))
+            largest = np.minimum(largest, skin.friction_tip * press / np.maximum(sideways, 1e-9))
             shear = np.clip(shear, -largest, largest)
             jacobian = np.zeros((self.count, 2, 3))
             reach = self.tips[arm] + (TIP - deep)[:, None] * normal - pivot
@@ -128,16 +161,19 @@ class Plant:
             force = press[:, None] * normal + (sideways * shear)[:, None] * side
             load += np.einsum("nij,ni->nj", jacobian, force)
             stiffness += np.einsum("nia,nij,njb->nab", jacobian, springs, jacobian)
-            touches.append((arm, side, shear, jacobian))
+            matter = jacobian.copy()  # how the body moves under the part of the tip that rolls on it
+            under = self.tips[arm] + arm_rolled[:, None] * normal - pivot
+            matter[:, 0, 2], matter[:, 1, 2] = -under[:, 1], under[:, 0]
+            touches.append((arm, side, shear, matter))
         self.motion, self.pivot = self._given_way(load, stiffness), pivot
         self.center = self.center + self.motion[:, :2] + self.motion[:, 2:] * across(self.center - pivot)
         self.turn = self.turn + self.motion[:, 2]
         self.force = np.zeros((self.count, 2))
-        for arm, side, shear, jacobian in touches:
-            moved = np.einsum("nij,nj->ni", jacobian, self.motion)
+        for arm, side, shear, matter in touches:
+            moved = np.einsum("nij,nj->ni", matter, self.motion)
             self.shears[arm] = shear - (moved * side).sum(axis=1)
             normal, depth = self.contact(arm)
-            press, _, sideways = _skin(np.maximum(depth, 1e-6), depth > 0.0)
+            press, _, sideways = _skin(skin, np.maximum(depth, 1e-6), depth > 0.0)
             self.force += press[:, None] * normal + (sideways * self.shears[arm])[:, None] * across(normal)
 
     def _given_way(self, load: Array, stiffness: Array) -> Array:
@@ -169,7 +205,7 @@ class _Outline:
     arm: float
 
 
-def _outline(profile: Any) -> _Outline:
+def _outline(profile: Any, size: float) -> _Outline:
     shape, values = profile.text("shape"), profile.section("parameters").values
     normals, distances, radius = np.zeros((6, 2)), np.full(6, 1e3), 0.0
     if shape == "cylinder":
@@ -185,7 +221,7 @@ def _outline(profile: Any) -> _Outline:
     points = body.grid().reshape(-1, 3)
     foot = Foot.around(points[points[:, 2] < points[:, 2].min() + 5e-4, :2])
     half = radius or float(distances[0])
-    return _Outline(radius, normals, distances, half, foot.arm)
+    return _Outline(size * radius, normals, size * distances, size * half, size * foot.arm)
 
 
 def _rotation(angle: Array) -> Array:
@@ -193,11 +229,11 @@ def _rotation(angle: Array) -> Array:
     return np.stack([np.stack([cos, -sin], 1), np.stack([sin, cos], 1)], 1)
 
 
-def _skin(depth: Array, touches: Array) -> tuple[Array, Array, Array]:
+def _skin(skin: SkinForces, depth: Array, touches: Array) -> tuple[Array, Array, Array]:
     """Normal force, and stiffness along and across the normal."""
-    press = np.where(touches, SKIN.skin_force * (depth / 6e-3) ** SKIN.skin_exponent, 0.0)
-    sideways = np.where(touches, SKIN.skin_shear * (depth / 6e-3) ** SKIN.skin_shear_exponent, 0.0)
-    return press, SKIN.skin_exponent * press / depth, sideways
+    press = np.where(touches, skin.skin_force * (depth / 6e-3) ** skin.skin_exponent, 0.0)
+    sideways = np.where(touches, skin.skin_shear * (depth / 6e-3) ** skin.skin_shear_exponent, 0.0)
+    return press, skin.skin_exponent * press / depth, sideways
 
 
 def _outer(stiffness: Array, v: Array) -> Array:
@@ -290,12 +326,16 @@ class Variant:
 
 @dataclass
 class Outcome:
-    """Signed errors (N,) mm, as in the report; pushes that missed or lost contact; largest depths, m."""
+    """Signed errors (N,) mm, as in the report; pushes that missed or lost contact; largest depths, m.
+
+    `turning` is a of the learnt model at the end, where one is learnt, 1/m.
+    """
 
     error: Array
     missed: Array
     lost: Array
     depth: list[Array] = field(default_factory=list)
+    turning: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def push(plant: Plant, leader: SettingGroups, follower: SettingGroups | None, variant: Variant) -> Outcome:
@@ -324,6 +364,7 @@ def push(plant: Plant, leader: SettingGroups, follower: SettingGroups | None, va
         outcome.lost |= moving & (depth <= 0.0) & (time > held + 2.0 * SETTLING + GAP / APPROACH)
         done |= ended
     outcome.missed |= ~done
+    outcome.turning = pusher.model.turning
     return outcome
 
 

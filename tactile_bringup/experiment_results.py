@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tactile_base.whole_file import whole_file, write_csv
 from tactile_bringup.experiment import Map, Table, Trial, shown
 from tactile_bringup.trials import Row
+from tactile_drivers.sim.pushing_scene import SET
 
 Array = NDArray[np.float64]
 
@@ -30,12 +31,15 @@ class Outcome:
     ----------
     errors : ndarray
         Signed final target errors (mm) of those that came to the target.
+    sets : ndarray
+        Which set of trials, with one floor, each of these belongs to.
     seconds : ndarray
         How long these pushed.
     """
 
     trials: int
     errors: Array
+    sets: Array
     seconds: Array
     lost: int
     toppled: int
@@ -47,6 +51,7 @@ class Outcome:
         return cls(
             len(rows),
             np.array([row["error_mm"] for row in done], dtype=float),
+            np.array([row["trial"] // SET for row in done], dtype=float),
             np.array([row["work_s"] for row in done], dtype=float),
             sum(row["contact_lost"] for row in rows),
             sum(bool(row["toppled"]) for row in rows),
@@ -62,12 +67,21 @@ class Outcome:
         """Mean absolute error, mm."""
         return float(np.abs(self.errors).mean()) if len(self.errors) else np.nan
 
+    @property
+    def deviation(self) -> float:
+        """Of the signed error (mm, of a sample) among trials of one set, as the paper's is."""
+        _, which, counts = np.unique(self.sets, return_inverse=True, return_counts=True)
+        freedom = len(self.errors) - len(counts)
+        if freedom < 1:
+            return np.nan
+        means = np.bincount(which, self.errors) / counts
+        return float(np.sqrt(((self.errors - means[which]) ** 2).sum() / freedom))
+
     def numbers(self) -> list[float]:
-        """Mean and deviation (of a sample) of the signed error, mean and largest of its size, mm."""
+        """Mean and deviation of the signed error, mean and largest of its size, mm."""
         if not len(self.errors):
             return [np.nan] * 4
-        deviation = float(self.errors.std(ddof=1)) if len(self.errors) > 1 else np.nan
-        return [float(self.errors.mean()), deviation, self.size, float(np.abs(self.errors).max())]
+        return [float(self.errors.mean()), self.deviation, self.size, float(np.abs(self.errors).max())]
 
 
 def table_rows(table: Table, rows: Sequence[Row]) -> list[list[Any]]:

@@ -8,6 +8,7 @@ Objects and floors are those of `config/pushed_objects.yaml`::
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from tactile_filter import se3
 Array = NDArray[np.float64]
 
 MOTION = "pushed"
+SET = 5  # trials of one object on one floor, as in the paper: floor and foot are the same in them
 # m between object and tip at the start: the first arm's as small as one places an object by hand, since the
 # second arm presses the object against it.
 GAP, GAP_FACING = 0.001, 0.005
@@ -37,16 +39,24 @@ _CLOSE = 1e-9  # m
 
 @dataclass(frozen=True)
 class PushVariation(Settings):
-    """What differs from trial to trial: the first four are drawn evenly from minus to plus. Assumed."""
+    """What differs: the first four are drawn evenly from minus to plus. Assumed.
 
-    friction: float = setting(0.15, lower=0.0, upper=0.9, doc="of the floor, as a part of it")
+    Friction and its centre belong to an object on a floor, and are drawn for each `SET` of trials; where the
+    object is put, for each trial. How far apart the two spreads are is read off the paper's deviations
+    (docs/results/pushing.md).
+    """
+
+    friction: float = setting(0.15, lower=0.0, upper=0.9, doc="of the floor, as a part of it; of a set")
     center_of_friction: float = setting(
-        0.003, unit="m", lower=0.0, upper=0.05, doc="off the centre of pressure, along x and along y"
-    )
+        0.003, unit="m", lower=0.0, upper=0.05,
+        doc="off the centre of pressure, along x and along y; of a set",
+    )  # fmt: skip
     placement: float = setting(
-        0.003, unit="m", lower=0.0, upper=0.1, doc="of the object, across the tip's axis"
+        0.0006, unit="m", lower=0.0, upper=0.1, doc="of the object, across the tip's axis; of a trial"
     )
-    angle_deg: float = setting(2.0, unit="deg", lower=0.0, upper=30.0, doc="of the object about the vertical")
+    angle_deg: float = setting(
+        0.3, unit="deg", lower=0.0, upper=30.0, doc="of the object about the vertical; of a trial"
+    )
     offset: float = setting(
         0.0, unit="m", lower=-0.1, upper=0.1, doc="of the object to the left, on top of what is drawn"
     )
@@ -83,6 +93,15 @@ def read_profiles(path: Path | None = None) -> PushedProfiles:
     return PushedProfiles(root.sections("objects"), floors)
 
 
+def draw(name: str, floor: str, seed: int | None) -> Array:
+    """What a trial draws, (5,) in -1 to 1: friction, its centre's x and y, place, angle; 0 without a seed."""
+    if seed is None:
+        return np.zeros(5)
+    row = zlib.crc32(f"{name}/{floor}".encode())
+    of_set = np.random.default_rng([row, 0, seed // SET]).uniform(-1.0, 1.0, 3)
+    return np.concatenate([of_set, np.random.default_rng([row, 1, seed]).uniform(-1.0, 1.0, 2)])
+
+
 def pushing_scene(
     scene: Scene,
     name: str,
@@ -115,17 +134,17 @@ def pushing_scene(
     if body is None:
         raise SettingError(f"scene {scene.name}: none of its bodies has the motion '{MOTION}'")
     profile, vary = known.objects[name], variation or PushVariation()
-    draw = np.zeros(5) if seed is None else np.random.default_rng(seed).uniform(-1.0, 1.0, 5)
+    drawn = draw(name, floor, seed)
     shape = profile.choice("shape", SHAPES.names())
     parameters = profile.settings("parameters", SHAPES.load(shape).settings_class)
     settings = {
         **{key: profile.values[key] for key in _PROFILE if key in profile.values},
-        "friction": known.floors[floor] * (1.0 + vary.friction * draw[0]),
-        "center_of_friction": tuple(vary.center_of_friction * draw[1:3]),
+        "friction": known.floors[floor] * (1.0 + vary.friction * drawn[0]),
+        "center_of_friction": tuple(vary.center_of_friction * drawn[1:3]),
     }
     new = replace(body, shape=shape, parameters=parameters, motion_settings=_motion_settings(body, settings))
     first, *others = scene.arms.values()
-    aside, turn = vary.offset + vary.placement * draw[3], vary.turn_deg + vary.angle_deg * draw[4]
+    aside, turn = vary.offset + vary.placement * drawn[3], vary.turn_deg + vary.angle_deg * drawn[4]
     new = _placed(new, first, aside, np.radians(turn))
     arms = {arm.name: _facing(arm, new) for arm in others}
     return replace(scene, arms={first.name: first, **arms}, bodies={**scene.bodies, body.name: new})

@@ -11,6 +11,7 @@ from tactile_bringup.experiment import Common, Trial, check_trial, load_maps, lo
 from tactile_bringup.experiment_results import COLUMNS, Outcome, failures, markdown, table_rows, write_map
 from tactile_bringup.variations import VARIABLES, drawn
 from tactile_drivers.sim.pushed import PushedSettings
+from tactile_drivers.sim.pushing_scene import draw
 
 
 def made_up(name="blue_square", floor="mdf", number=0, error=1.0, **changes):
@@ -68,6 +69,13 @@ def test_a_table_says_mean_and_deviation_beside_the_papers():
     assert failures(rows) == ["blue_square/mdf/3: contact was lost"]
 
 
+def test_the_deviation_is_among_trials_of_one_floor():
+    errors = [1.0, 3.0, 1.0, 3.0, 2.0, 11.0, 13.0, 11.0, 13.0, 12.0]
+    values = Outcome.of([made_up(number=n, error=error) for n, error in enumerate(errors)]).numbers()
+    assert values == pytest.approx([7.0, 1.0, 7.0, 13.0])
+    assert np.isnan(Outcome.of([made_up(number=n) for n in (0, 5, 10)]).deviation)
+
+
 def test_trials_that_never_arrive_have_no_error():
     outcome = Outcome.of([made_up(succeeded=False, error=None)])
     assert outcome.success == 0.0 and np.isnan(outcome.numbers()).all()
@@ -103,10 +111,18 @@ def trial(*varied, number=3):
     return Trial(Common("dual"), "blue_square", "foam", number, varied)
 
 
-def test_the_number_of_a_trial_draws_what_varies_and_nothing_else_does():
-    one, same, other = (drawn(setup_of(trial(number=n)).pushing_scene()) for n in (1, 1, 2))
-    assert one == same and one["mass_kg"] == other["mass_kg"]
-    assert all(one[key] != other[key] for key in one if key != "mass_kg")
+def test_the_number_of_a_trial_draws_the_place_and_that_of_its_five_the_floor():
+    one, same, beside, later = (drawn(setup_of(trial(number=n)).pushing_scene()) for n in (1, 1, 4, 6))
+    placed = {"offset_mm", "angle_deg"}
+    assert one == same
+    assert {key for key in one if one[key] != beside[key]} == placed
+    assert {key for key in one if one[key] != later[key]} == set(one) - {"mass_kg"}
+
+
+def test_objects_and_floors_draw_each_their_own():
+    draws = [draw(name, floor, 0) for name in ("red_square", "blue_circle") for floor in ("foam", "mdf")]
+    assert len({value for each in draws for value in each}) == 20
+    assert not draw("red_square", "foam", None).any()
 
 
 @pytest.mark.parametrize("name", ["friction", "mass"])
