@@ -108,7 +108,7 @@ def norm(vector: Array) -> float:
 def checked_pose(name: str, value: ArrayLike) -> Array:
     """The value as a (4, 4) float array; `PoseError` with the name where it is no finite rigid transform."""
     T = np.asarray(value, dtype=np.float64)
-    if _fusion.usable_pose(T) is not None:
+    if _fusion.is_pose(T):
         return T
     if T.shape != (4, 4):
         raise PoseError(f"{name}: shape {T.shape}, must be (4, 4)")
