@@ -440,7 +440,7 @@ class _CellArm:
         return [R @ (twist[:3] + np.cross(twist[3:], arm)) for twist in (self.arm.twist, self.arm.target)]
 
     def _brakes(self, moved: float) -> float:
-        return self._braking_distance(moved * self._rate + se3.norm(self.arm.target[:3]))
+        return self._braking_distance(moved * self._rate + _native.speed(self.arm.target))
 
     def _braking_distance(self, speed: float) -> float:
         """Way (m) from a speed to rest; the next look is a step from now."""

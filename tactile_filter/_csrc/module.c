@@ -294,6 +294,36 @@ static PyObject* module_between(PyObject* module, PyObject* const* args, Py_ssiz
 }
 
 
+static PyObject* module_point_in(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double mat[16], point[3], res[3] = {0};
+  if (!has_count("point_in", nargs, 2) || !read_pose(mat, args[0], "T")
+      || !read_finite(point, args[1], 3, 0, "point")) {
+    return NULL;
+  }
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      res[i] += mat[4*j+i] * (point[j] - mat[4*j+3]);
+    }
+  }
+  return new_array(res, 3, 0);
+}
+
+
+static PyObject* module_carry(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double mat[16], xi[6], adjoint[36], res[6] = {0};
+  if (!has_count("carry", nargs, 2) || !read_pose(mat, args[0], "T") || !read_finite(xi, args[1], 6, 0, "xi")) {
+    return NULL;
+  }
+  routines->adjoint(adjoint, mat);
+  for (int i = 0; i < 36; i++) {
+    res[i / 6] += adjoint[i] * xi[i % 6];
+  }
+  return new_array(res, 6, 0);
+}
+
+
 // a C function of `from` numbers that answers `to`, of each in a stack of arrays of the shape (rows, columns), or
 // (rows,) for columns = 0, behind any others; returns 0 where there is none
 typedef int Conversion(double* res, const double* value);
@@ -568,6 +598,8 @@ static PyMethodDef methods[] = {
   SE3_METHOD(inverse, METH_O),
   SE3_METHOD(compose, METH_FASTCALL),
   SE3_METHOD(between, METH_FASTCALL),
+  SE3_METHOD(point_in, METH_FASTCALL),
+  SE3_METHOD(carry, METH_FASTCALL),
   SE3_METHOD(adjoint, METH_O),
   SE3_METHOD(pose_from_euler, METH_O),
   SE3_METHOD(euler_from_pose, METH_O),
