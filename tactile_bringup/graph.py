@@ -51,6 +51,8 @@ class NodeProcess:
     module : Python module whose `main` runs the node
     executable : its name for `ros2 run tactile_servoing`
     parameters : parameter name -> value
+    remappings : topics that have other names, as (from, to)
+    params_file : a user's file of ROS parameters on top of these
     """
 
     name: str
@@ -58,6 +60,8 @@ class NodeProcess:
     module: str
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    remappings: tuple[tuple[str, str], ...] = ()
+    params_file: Path | None = None
 
     @property
     def full_name(self) -> str:
@@ -78,8 +82,11 @@ class NodeProcess:
 
     def command(self, parameter_file: Path, python: str = sys.executable) -> list[str]:
         """The command line that runs the node."""
-        names = ["-r", f"__node:={self.name}", "-r", f"__ns:={self.namespace}"]
-        return [python, "-m", self.module, "--ros-args", *names, "--params-file", str(parameter_file)]
+        names = [("__node", self.name), ("__ns", self.namespace), *self.remappings]
+        renamed = [word for name, to in names for word in ("-r", f"{name}:={to}")]
+        files = [parameter_file, *([self.params_file] if self.params_file is not None else [])]
+        given = [word for file in files for word in ("--params-file", str(file))]
+        return [python, "-m", self.module, "--ros-args", *renamed, *given]
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,8 @@ class ExternalArm:
 
     def __init__(self, node: ManagedNode, arm: ArmScene, report: Callable[[ArmState], None]) -> None:
         self._node, self._report = node, report
-        self._frame = f"{arm.name}/{arm.controlled_frame}"
-        self._tool, self._base = topics.tool_frame(arm.name), topics.base_frame(arm.name)
+        self._frame = node.frame_of(arm.controlled_frame)
+        self._tool, self._base = node.tool_frame, node.base_frame
         self._T_tool_controlled = arm.T_tool_controlled
         self._reason = ""
         self._last: tuple[int, NDArray[np.float64]] | None = None

@@ -99,8 +99,7 @@ class ArmNode(ManagedNode):
         """Open topics and, unless another node does, the driver."""
         scene = self.scene = self.hosted or self._scene()
         self.safe = SafeArm(scene, self.now_ns)
-        self.frame = f"{self.arm}/{scene.controlled_frame}"
-        self.tool_frame = topics.tool_frame(self.arm)
+        self.frame = self.frame_of(scene.controlled_frame)
         self.limits = scene.limits
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
         self.static = [transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)]
