@@ -22,7 +22,7 @@ from tactile_base.config_paths import named_file
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.arm import ARMS, ArmLimits, Box, SafetySettings
+from tactile_drivers.arm import ARMS, ArmLimits, Box, ExternalArmSettings, SafetySettings
 from tactile_drivers.camera import CAMERAS, ExternalCameraSettings
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.kinematics.chain import Chain
@@ -299,7 +299,10 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
     section.allow(*_ARM_KEYS)
     section.value("start")  # an arm has to start somewhere: there is no default
     driver = _registered(section, "driver", ARMS, (SIM, EXTERNAL), SIM)
-    _check_no_settings(section, "driver", driver)
+    if driver == EXTERNAL:
+        section.settings("driver_settings", ExternalArmSettings)
+    else:
+        _check_no_settings(section, "driver", driver)
     safety = section.settings("safety", SafetySettings)
     if not np.less(safety.workspace_lower, safety.workspace_upper).all():
         section.fail(f"{section.name}.safety: workspace_lower must be below workspace_upper", "safety")
@@ -374,7 +377,7 @@ def _sensor(section: Section, arm: str, driver: str, bodies: Mapping[str, BodySc
 
 def _check_no_settings(section: Section, kind: str, name: str) -> None:
     key = f"{kind}_settings"
-    if name in (SIM, EXTERNAL) and section.section(key).values:
+    if name == SIM and section.section(key).values:
         section.fail(f"{section.name}.{key}: {kind} '{name}' has none", key)
 
 

@@ -49,7 +49,7 @@ from tactile_ros.cdr import (
     twist_bytes,
 )
 from tactile_ros.conversions import MessageError, numbers_from_pose, transform_stamped
-from tactile_ros.external_arm import ExternalArm
+from tactile_ros.external_arm import ExternalArm, external_settings
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
@@ -102,9 +102,12 @@ class ArmNode(ManagedNode):
         self.frame = self.frame_of(scene.controlled_frame)
         self.limits = scene.limits
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
-        self.static = [transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)]
-        if scene.sensor is not None:
-            self.static.append(transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled))
+        mount = transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled)
+        stand = transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)
+        theirs = scene.driver == EXTERNAL
+        self.static = [] if theirs else [stand]
+        if scene.sensor is not None and (not theirs or external_settings(scene).publish_mount):
+            self.static.append(mount)
         self.tf_static_out = self.publisher(TFMessage, topics.TF_STATIC.name, TF_STATIC)
         self.pose_out = self.publisher(PoseStamped, topics.ARM_POSE.name, STATE)
         self.status_out = self.publisher(ArmStatus, topics.ARM_STATUS.name, STATE)
@@ -130,7 +133,7 @@ class ArmNode(ManagedNode):
     def activate(self) -> None:
         """Tell what never moves; commands are followed from now on."""
         self._forget()
-        if self.scene.driver != EXTERNAL:
+        if self.static:
             self.tf_static_out.publish(TFMessage(transforms=self.static))
 
     def deactivate(self) -> None:
