@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.config_paths import named_file
 from tactile_base.registry import Registry
@@ -132,6 +132,19 @@ class ArmScene:
     def T_base_start(self) -> Array:
         """Where the controlled frame starts, in the arm's base (4, 4)."""
         return se3.inverse(self.T_world_base) @ self.T_world_start
+
+    def out_of_bounds(self, position: ArrayLike) -> str:
+        """Why the controlled frame's origin may not be there, (3,) m in the base; empty where it may."""
+        p = np.asarray(position, dtype=np.float64)
+        lower, upper = np.array(self.safety.workspace_lower), np.array(self.safety.workspace_upper)
+        where = f"({', '.join(f'{value:g}' for value in p)}) m"
+        if (p < lower).any() or (p > upper).any():
+            return f"{where} is outside the workspace of '{self.name}', {lower.tolist()} to {upper.tolist()}"
+        radius = self.sensor.settings.tip_radius if self.sensor is not None else 0.0
+        for box in self.keep_out:
+            if se3.norm(np.clip(p, box.lower, box.upper) - p) < max(radius, 1e-9):
+                return f"{where} is in '{box.name}', which '{self.name}' is kept out of, or too near"
+        return ""
 
     @property
     def simulated_sensor(self) -> bool:
