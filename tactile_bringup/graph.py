@@ -23,7 +23,9 @@ from tactile_base.config_paths import named_file
 from tactile_base.topics import (
     ARM_TOPICS,
     IMAGE,
+    JOINT_STATES,
     OBJECT_TOPICS,
+    ROBOT_DESCRIPTION,
     SENSOR_TOPICS,
     SHARED_TOPICS,
     Topic,
@@ -233,6 +235,10 @@ def build_collection_graph(
 def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
     """What the arms publish; one without a sensor says no more than where it is and what it does."""
     kinds = [(arm, ARM_TOPICS if arm.sensor is None else ARM_TOPICS + SENSOR_TOPICS) for arm in arms]
+    for arm in arms:
+        if arm.kinematics is not None and arm.driver != EXTERNAL:
+            described = (ROBOT_DESCRIPTION,) if arm.kinematics.description is not None else ()
+            kinds.append((arm, (JOINT_STATES, *described)))
     return [*(topic.of(arm.name) for arm, topics in kinds for topic in topics), *SHARED_TOPICS]
 
 

@@ -1,5 +1,6 @@
 """`ros2 launch` and RViz get what the graph has."""
 
+import dataclasses
 import importlib.util
 import re
 import sys
@@ -9,6 +10,7 @@ import pytest
 import yaml
 
 from tactile_base.config_paths import config_path
+from tactile_base.topics import ROBOT_DESCRIPTION
 from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.view import write_view
 
@@ -50,6 +52,17 @@ def test_the_view_of_one_arm_is_the_packaged_one(tmp_path):
     graph = load_graph("surface_following", "ramp")
     packaged = yaml.safe_load(config_path("rviz/default.rviz").read_text())
     assert yaml.safe_load(write_view(graph, tmp_path).read_text()) == packaged
+
+
+def test_the_view_shows_an_arm_that_a_urdf_describes(tmp_path):
+    graph = load_graph("surface_following", "two_arms")
+    described = dataclasses.replace(graph, topics=(*graph.topics, ROBOT_DESCRIPTION.of("left")))
+    displays = yaml.safe_load(write_view(described, tmp_path).read_text())["Visualization Manager"][
+        "Displays"
+    ]
+    (model,) = (display for display in displays if display["Class"].endswith("/RobotModel"))
+    assert model["Description Topic"]["Value"] == "/left/robot_description"
+    assert model["TF Prefix"] == "left/urdf"
 
 
 @pytest.fixture
