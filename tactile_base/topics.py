@@ -50,6 +50,8 @@ _POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ARM_POSE = Topic("arm/pose", "geometry_msgs/msg/PoseStamped", RELIABLE, "arm")
 ARM_STATUS = Topic("arm/status", "tactile_msgs/msg/ArmStatus", RELIABLE, "arm")
 COMMAND = Topic("command/request", "tactile_msgs/msg/ArmCommand", RELIABLE, "controller")
+JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState", RELIABLE, "arm")
+ROBOT_DESCRIPTION = Topic("robot_description", "std_msgs/msg/String", LATCHED, "arm")
 CONTROLLER_STATUS = Topic("controller/status", "tactile_msgs/msg/ControllerStatus", RELIABLE, "controller")
 EXTERNAL_COMMAND = Topic("command/twist", "geometry_msgs/msg/TwistStamped", RELIABLE, "arm")
 LIMITED_COMMAND = Topic("command/twist_limited", "geometry_msgs/msg/TwistStamped", RELIABLE, "arm")
@@ -129,6 +131,11 @@ def sensor_frame(arm: str) -> str:
 def contact_frame(arm: str) -> str:
     """The feature {f} that the sensor touches, by the filter's belief."""
     return f"{arm}/contact"
+
+
+def link_frame(arm: str, link: str) -> str:
+    """A link of the URDF that describes an arm."""
+    return f"{arm}/urdf/{link}"
 
 
 def body_frame(body: str) -> str:

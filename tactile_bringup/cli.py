@@ -14,6 +14,7 @@ from tactile_bringup.commands.changes import in_words
 COMMANDS = (
     "tactile_bringup.commands.launch",
     "tactile_bringup.commands.run",
+    "tactile_bringup.commands.move",
     "tactile_bringup.commands.demo",
     "tactile_bringup.commands.simulate",
     "tactile_bringup.commands.experiment",

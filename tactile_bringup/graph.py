@@ -23,7 +23,9 @@ from tactile_base.config_paths import named_file
 from tactile_base.topics import (
     ARM_TOPICS,
     IMAGE,
+    JOINT_STATES,
     OBJECT_TOPICS,
+    ROBOT_DESCRIPTION,
     SENSOR_TOPICS,
     SHARED_TOPICS,
     Topic,
@@ -51,6 +53,8 @@ class NodeProcess:
     module : Python module whose `main` runs the node
     executable : its name for `ros2 run tactile_servoing`
     parameters : parameter name -> value
+    remappings : topics that have other names, as (from, to)
+    params_file : a user's file of ROS parameters on top of these
     """
 
     name: str
@@ -58,6 +62,8 @@ class NodeProcess:
     module: str
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    remappings: tuple[tuple[str, str], ...] = ()
+    params_file: Path | None = None
 
     @property
     def full_name(self) -> str:
@@ -78,8 +84,11 @@ class NodeProcess:
 
     def command(self, parameter_file: Path, python: str = sys.executable) -> list[str]:
         """The command line that runs the node."""
-        names = ["-r", f"__node:={self.name}", "-r", f"__ns:={self.namespace}"]
-        return [python, "-m", self.module, "--ros-args", *names, "--params-file", str(parameter_file)]
+        names = [("__node", self.name), ("__ns", self.namespace), *self.remappings]
+        renamed = [word for name, to in names for word in ("-r", f"{name}:={to}")]
+        files = [parameter_file, *([self.params_file] if self.params_file is not None else [])]
+        given = [word for file in files for word in ("--params-file", str(file))]
+        return [python, "-m", self.module, "--ros-args", *renamed, *given]
 
 
 @dataclass(frozen=True)
@@ -226,6 +235,10 @@ def build_collection_graph(
 def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
     """What the arms publish; one without a sensor says no more than where it is and what it does."""
     kinds = [(arm, ARM_TOPICS if arm.sensor is None else ARM_TOPICS + SENSOR_TOPICS) for arm in arms]
+    for arm in arms:
+        if arm.kinematics is not None and arm.driver != EXTERNAL:
+            described = (ROBOT_DESCRIPTION,) if arm.kinematics.description is not None else ()
+            kinds.append((arm, (JOINT_STATES, *described)))
     return [*(topic.of(arm.name) for arm, topics in kinds for topic in topics), *SHARED_TOPICS]
 
 

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import SettingError
 from tactile_control.task_file import NamedGoal, Role, Task
@@ -90,8 +90,19 @@ def _begun(role: Role, arm: ArmScene) -> tuple[NamedGoal, ...]:
     for index, goal in enumerate(role.goals):
         returns = goal.start is None and (role.task_type.needs_sensor or index == 0)
         start = arm.T_base_start if returns else goal.start
-        begun.append(dataclasses.replace(goal, goal=goal.goal.in_base(arm.T_world_base), start=start))
+        placed = dataclasses.replace(goal, goal=goal.goal.in_base(arm.T_world_base), start=start)
+        check_places(placed, arm)
+        begun.append(placed)
     return tuple(begun)
+
+
+def check_places(goal: NamedGoal, arm: ArmScene) -> None:
+    """Raise `SettingError` for a goal that begins or ends where the arm may not be."""
+    places: list[ArrayLike] = [goal.start[:3, 3]] if goal.start is not None else []
+    places += [goal.goal.destination] if goal.goal.destination else []
+    for place in places:
+        if reason := arm.out_of_bounds(place):
+            raise SettingError(f"goal '{goal.name}': {reason}")
 
 
 def _check_goals(plans: Sequence[ArmPlan], wanted: Sequence[str]) -> None:

@@ -76,6 +76,11 @@ class Goal(Settings):
         return self
 
     @property
+    def destination(self) -> tuple[float, ...]:
+        """Where the controlled frame's origin is to go, in the base (3), m; empty: not known beforehand."""
+        return ()
+
+    @property
     def ends(self) -> bool:
         """Whether it is reached some time, without being asked to finish."""
         return True
@@ -283,13 +288,15 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._phase_since_ns = self._now_ns or 0
         self.watchdog.reset()
 
-    def _go_to(self, T_base_start: Array, travel: TravelSettings, now_ns: int) -> Array | None:
-        """The twist on the way to a start through the air, None once there; fails if that takes long."""
+    def _go_to(
+        self, T_base_goal: Array, travel: TravelSettings, now_ns: int, name: str = "start"
+    ) -> Array | None:
+        """The twist on the way to a pose through the air, None once there; fails if that takes long."""
         pose = self._sensor_pose()
         if self._waypoints is None:
-            self._waypoints = way_to_start(pose, T_base_start, travel)
+            self._waypoints = way_to_start(pose, T_base_goal, travel)
         if self._in_phase(now_ns) > travel.timeout:
-            return self._fail(f"the start was not reached within {travel.timeout:g} s")
+            return self._fail(f"the {name} was not reached within {travel.timeout:g} s")
         while self._waypoints and self._waypoints[0].reached(pose):
             self._waypoints.pop(0)
         return twist_towards(pose, self._waypoints[0].T_base_goal, travel) if self._waypoints else None

@@ -37,7 +37,7 @@ class Neighbour:
     Parameters
     ----------
     arm, other : ArmScene
-        Both with kinematics.
+        Both with kinematics; `name` is the other's.
     state_of_other : callable
         Its newest state, with joints, on the clock of the arm's own states; None if there is none.
     """
@@ -45,7 +45,7 @@ class Neighbour:
     def __init__(self, arm: ArmScene, other: ArmScene, state_of_other: Callable[[], ArmState | None]) -> None:
         assert arm.kinematics is not None and other.kinematics is not None
         self._own, self._other = arm.kinematics, other.kinematics
-        self._name, self._state_of_other = other.name, state_of_other
+        self.name, self._state_of_other = other.name, state_of_other
         self._limits, self._least = arm.limits, arm.safety.min_arm_distance
         self._looked: tuple[Array, Array, float] | None = None  # joints of both, and how far they were apart
         self._T_base_other = se3.inverse(arm.T_world_base) @ other.T_world_base
@@ -60,8 +60,9 @@ class Neighbour:
             return 1.0, ""
         other = self._state_of_other()
         if other is None or other.joints is None or self._silent(state, other):
-            return 0.0, f"no joints of {self._name}"
-        half, lead = self._stopping(twist, delay)
+            return 0.0, f"no joints of {self.name}"
+        late = max(0, state.stamp_ns - other.stamp_ns) / SECOND_NS  # it was further away then
+        half, lead = self._stopping(twist, delay + late)
         needed = self._least + 2.0 * (half + lead) * float(np.abs(rates) @ self._own.spans)
         if self._still_clear(state.joints, other.joints, needed):
             return 1.0, ""
@@ -78,7 +79,7 @@ class Neighbour:
         room = np.maximum(found.distances - self._least, 0.0)
         room[others.joints[found.second] > 0] *= 0.5  # the base of an arm does not come nearer
         part = _slowest(closing, room, half, lead)
-        return (part, f"{self._least:g} m from {self._name}") if part < 1.0 else (1.0, "")
+        return (part, f"{self._least:g} m from {self.name}") if part < 1.0 else (1.0, "")
 
     def distance(self, q: Array, q_other: Array) -> float:
         """Between the arms' links, m, at joint angles (n,) of both; negative where they overlap."""
@@ -121,12 +122,17 @@ def _slowest(closing: Array, room: Array, half: float, lead: float) -> float:
 def neighbours(
     scene: Scene, arm: str, state_of: Callable[[str], ArmState | None], known: Container[str]
 ) -> tuple[Neighbour, ...]:
-    """What an arm of a scene minds: the other `known` arms with kinematics, if it has some itself."""
+    """What an arm of a scene minds, of the `known` arms."""
+    return tuple(
+        Neighbour(scene.arms[arm], scene.arms[name], functools.partial(state_of, name))
+        for name in minded(scene, arm)
+        if name in known
+    )
+
+
+def minded(scene: Scene, arm: str) -> list[str]:
+    """The arms that an arm minds: the others with kinematics, if it has some itself."""
     own = scene.arms[arm]
     if own.kinematics is None or own.safety.min_arm_distance == 0.0:
-        return ()
-    return tuple(
-        Neighbour(own, other, functools.partial(state_of, name))
-        for name, other in scene.arms.items()
-        if name != arm and name in known and other.kinematics is not None
-    )
+        return []
+    return [name for name, other in scene.arms.items() if name != arm and other.kinematics is not None]

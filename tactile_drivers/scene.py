@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.config_paths import named_file
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.arm import ARMS, ArmLimits, Box, SafetySettings
+from tactile_drivers.arm import ARMS, ArmLimits, Box, ExternalArmSettings, SafetySettings
 from tactile_drivers.camera import CAMERAS, ExternalCameraSettings
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.kinematics.chain import Chain
@@ -132,6 +132,19 @@ class ArmScene:
     def T_base_start(self) -> Array:
         """Where the controlled frame starts, in the arm's base (4, 4)."""
         return se3.inverse(self.T_world_base) @ self.T_world_start
+
+    def out_of_bounds(self, position: ArrayLike) -> str:
+        """Why the controlled frame's origin may not be there, (3,) m in the base; empty where it may."""
+        p = np.asarray(position, dtype=np.float64)
+        lower, upper = np.array(self.safety.workspace_lower), np.array(self.safety.workspace_upper)
+        where = f"({', '.join(f'{value:g}' for value in p)}) m"
+        if (p < lower).any() or (p > upper).any():
+            return f"{where} is outside the workspace of '{self.name}', {lower.tolist()} to {upper.tolist()}"
+        radius = self.sensor.settings.tip_radius if self.sensor is not None else 0.0
+        for box in self.keep_out:
+            if se3.norm(np.clip(p, box.lower, box.upper) - p) < max(radius, 1e-9):
+                return f"{where} is in '{box.name}', which '{self.name}' is kept out of, or too near"
+        return ""
 
     @property
     def simulated_sensor(self) -> bool:
@@ -299,7 +312,10 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
     section.allow(*_ARM_KEYS)
     section.value("start")  # an arm has to start somewhere: there is no default
     driver = _registered(section, "driver", ARMS, (SIM, EXTERNAL), SIM)
-    _check_no_settings(section, "driver", driver)
+    if driver == EXTERNAL:
+        section.settings("driver_settings", ExternalArmSettings)
+    else:
+        _check_no_settings(section, "driver", driver)
     safety = section.settings("safety", SafetySettings)
     if not np.less(safety.workspace_lower, safety.workspace_upper).all():
         section.fail(f"{section.name}.safety: workspace_lower must be below workspace_upper", "safety")
@@ -374,7 +390,7 @@ def _sensor(section: Section, arm: str, driver: str, bodies: Mapping[str, BodySc
 
 def _check_no_settings(section: Section, kind: str, name: str) -> None:
     key = f"{kind}_settings"
-    if name in (SIM, EXTERNAL) and section.section(key).values:
+    if name == SIM and section.section(key).values:
         section.fail(f"{section.name}.{key}: {kind} '{name}' has none", key)
 
 

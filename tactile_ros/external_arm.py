@@ -1,11 +1,15 @@
-"""ExternalArm: the driver of an arm that somebody else's nodes move.
+"""ExternalArm: the driver of an arm that somebody else's nodes move, moveit_servo for instance.
 
 They follow `command/twist` and publish the tool's pose on /tf; what passes between them and a controller
-passes the safe command stage here.
+passes the safe command stage here. A twist has the time of its emission, since its receivers discard what is
+old. After the arm was stopped twists of zero go out for a while, and then none: silence means rest, and
+leaves the arm to others.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -15,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base import topics
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmMode, ArmState
+from tactile_drivers.arm import TOOL, ArmMode, ArmState, ExternalArmSettings
 from tactile_drivers.scene import ArmScene
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformUnavailable
@@ -27,6 +31,15 @@ if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode
 
 AT_REST = 1e-4  # m/s and rad/s: what poses say of an arm that does not move
+REPEAT = 0.05  # s between two zeros after a stop
+NOTHING = 1e-6  # m/s and rad/s: no more than what rounding makes of rest
+MOUNTED = 1e-3, 1e-2  # m and rad by which /tf and the scene may differ on where the sensor is mounted
+
+
+def external_settings(arm: ArmScene) -> ExternalArmSettings:
+    """What the scene says of the nodes that move an arm."""
+    given = arm.driver_settings
+    return given.checked(ExternalArmSettings, given.values)
 
 
 class ExternalArm:
@@ -36,24 +49,29 @@ class ExternalArm:
 
     def __init__(self, node: ManagedNode, arm: ArmScene, report: Callable[[ArmState], None]) -> None:
         self._node, self._report = node, report
-        self._frame = f"{arm.name}/{arm.controlled_frame}"
-        self._tool, self._base = topics.tool_frame(arm.name), topics.base_frame(arm.name)
+        self._settings = external_settings(arm)
+        self._tool, self._base = node.tool_frame, node.base_frame
+        self._controlled = node.frame_of(arm.controlled_frame)
         self._T_tool_controlled = arm.T_tool_controlled
-        self._reason = ""
+        self._reason, self._stopped = "", False
+        self._moved = -math.inf  # when the last twist other than zero went out, on the steady clock
         self._last: tuple[int, NDArray[np.float64]] | None = None
         self._out = node.publisher(TwistStamped, topics.EXTERNAL_COMMAND.name, COMMAND)
         self._transforms = TransformListener(
-            node, on_update=self._on_transform, frames=[(self._base, self._tool)]
+            node,
+            on_update=self._on_transform,
+            frames=[(self._base, self._tool), (self._tool, self._controlled)],
         )
+        node.timer(REPEAT, self._repeat)
 
     def command(self, stamp_ns: int, twist: ArrayLike) -> None:
         """Publish a twist, stamped now: its receivers have limits of their own for its age."""
-        self._reason = ""
+        self._reason, self._stopped = "", False
         self._publish(twist)
 
     def stop(self, reason: str) -> None:
-        """Publish a twist of zero."""
-        self._reason = reason
+        """Publish twists of zero."""
+        self._reason, self._stopped = reason, True
         self._publish(np.zeros(6))
 
     def recover(self) -> None:
@@ -62,8 +80,20 @@ class ExternalArm:
     def close(self) -> None:
         """Nothing was opened but what the node closes."""
 
+    def _repeat(self) -> None:
+        """Say again that the arm is to rest, since a single message may not be heard."""
+        if self._stopped:
+            self._publish(np.zeros(6))
+
     def _publish(self, twist: ArrayLike) -> None:
-        self._out.publish(twist_bytes(self._node.now_ns(), self._frame, twist))
+        now, frame, twist = time.monotonic(), self._controlled, np.asarray(twist, dtype=np.float64)
+        if np.abs(twist).max() > NOTHING:
+            self._moved = now
+        elif now - self._moved > self._settings.zeros:
+            return
+        if self._settings.twist_of == TOOL:
+            frame, twist = self._tool, se3.adjoint(self._T_tool_controlled) @ twist
+        self._out.publish(twist_bytes(self._node.now_ns(), frame, twist))
 
     def _on_transform(self) -> None:
         """Report where the arm is, and the twist by which it came here."""
@@ -71,7 +101,7 @@ class ExternalArm:
             stamp_ns, T_base_tool = self._transforms.newest(self._base, self._tool)
         except TransformUnavailable:
             return  # nothing of this arm has come yet
-        if self._last is not None and stamp_ns <= self._last[0]:
+        if (self._last is not None and stamp_ns <= self._last[0]) or not self._mounted(stamp_ns):
             return
         T = T_base_tool @ self._T_tool_controlled
         twist = np.zeros(6)
@@ -80,3 +110,18 @@ class ExternalArm:
         self._last = stamp_ns, T
         mode = ArmMode.RESTING if np.abs(twist).max() < AT_REST else ArmMode.MOVING
         self._report(ArmState(stamp_ns, T, twist, mode, self._reason))
+
+    def _mounted(self, stamp_ns: int) -> bool:
+        """Whether /tf has the sensor on the tool where the scene has it, as far as it says so."""
+        try:
+            T = self._transforms.lookup(self._tool, self._controlled, stamp_ns)
+        except TransformUnavailable:
+            return True
+        error = se3.log(se3.inverse(self._T_tool_controlled) @ T)
+        way, turn = se3.norm(error[:3]), se3.norm(error[3:])
+        if way <= MOUNTED[0] and turn <= MOUNTED[1]:
+            return True
+        off = f"{way * 1e3:.1f} mm and {math.degrees(turn):.1f} degrees"
+        where = f"/tf: {self._tool} -> {self._controlled}"
+        self._node.warn("mount", f"{where} is {off} off in_tool of the scene: the arm is not followed")
+        return False

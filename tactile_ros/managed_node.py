@@ -46,7 +46,7 @@ from tactile_filter.pose_numbers import MessageError
 from tactile_ros.cdr import header_of
 from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.ending import Commander, Ending
-from tactile_ros.parameters import SettingsParameters, declare_read_only
+from tactile_ros.parameters import SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
 from tactile_ros.scheduling import set_priority
 
@@ -56,6 +56,7 @@ COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 # what names a profile to Fast DDS, and what did in the past
 DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 DIAGNOSTIC_PERIOD = 1.0  # s
+CONTROLLED_FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 LARGEST_PRIORITY = 99  # of SCHED_FIFO
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
@@ -69,6 +70,16 @@ class StampSettings(Settings):
         doc="a message or transform stamped further ahead of the clock is refused; with use_sim_time to "
         "be more than a period of /clock",
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FrameSettings(Settings):
+    """How the frames of the arm are called; those that are not said are `<arm>/<name>`."""
+
+    base: str = setting("", doc="where the arm stands; empty: <arm>/base")
+    tool: str = setting("", doc="the arm's flange; empty: <arm>/tool")
+    sensor: str = setting("", doc="the tactile sensor; empty: <arm>/tactile_sensor")
+    contact: str = setting("", doc="what it touches, by the belief; empty: <arm>/contact")
 
 
 class ConfigurationError(RuntimeError):
@@ -104,8 +115,11 @@ class ManagedNode(LifecycleNode):
         )
         if not 0 <= self.priority <= LARGEST_PRIORITY:
             raise SettingError(f"parameter priority = {self.priority}: must lie in [0, {LARGEST_PRIORITY}]")
-        self.base_frame = topics.base_frame(self.arm)
-        self.sensor_frame = topics.sensor_frame(self.arm)
+        frames = fixed_settings(self, FrameSettings(), "frames")
+        self.base_frame = frames.base or topics.base_frame(self.arm)
+        self.tool_frame = frames.tool or topics.tool_frame(self.arm)
+        self.sensor_frame = frames.sensor or topics.sensor_frame(self.arm)
+        self.contact_frame = frames.contact or topics.contact_frame(self.arm)
         self.active = False
         self.stop_reason = ""
         self.exit_code = 0
@@ -164,6 +178,10 @@ class ManagedNode(LifecycleNode):
         """What is due; called between callbacks once `due_in` is not positive."""
 
     # What a node uses.
+
+    def frame_of(self, controlled: str) -> str:
+        """The frame of one of `CONTROLLED_FRAMES` of this node's arm."""
+        return {"tactile_sensor": self.sensor_frame, "tool": self.tool_frame}[controlled]
 
     def now_ns(self) -> int:
         """ROS time now, ns."""

@@ -30,13 +30,12 @@ from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
 from tactile_ros.cdr import headed_bytes
 from tactile_ros.conversions import duration_from_ns
-from tactile_ros.managed_node import ManagedNode
+from tactile_ros.managed_node import CONTROLLED_FRAMES, ManagedNode
 from tactile_ros.parameters import declare_read_only, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, writer_profile
 from tactile_ros.transforms import TransformListener
 
 ZERO = np.zeros(6)
-FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
 LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist, and its last result, have arrived
 LATELY = 2.0  # s; a result that was given before is no concern of a node that ends
@@ -86,11 +85,14 @@ class TaskNode(ManagedNode, ABC):
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         frame = declare_read_only(
-            self, "controlled_frame", "tactile_sensor", f"frame of the twists, one of {', '.join(FRAMES)}"
+            self,
+            "controlled_frame",
+            "tactile_sensor",
+            f"frame of the twists, one of {', '.join(CONTROLLED_FRAMES)}",
         )
-        if frame not in FRAMES:
-            raise SettingError(f"parameter controlled_frame: {unknown_name(frame, FRAMES)}")
-        self.controlled_frame = f"{self.arm}/{frame}"
+        if frame not in CONTROLLED_FRAMES:
+            raise SettingError(f"parameter controlled_frame: {unknown_name(frame, CONTROLLED_FRAMES)}")
+        self.controlled_frame = self.frame_of(frame)
         self.source = f"{self.get_fully_qualified_name()}, process {os.getpid()} on {platform.node()}"
         self.arm_trouble = ""
         self.limits = fixed_settings(self, MotionLimits(), "transforms")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tactile_bringup.commands.launch import EXIT_CODES, TASK_HELP
 
 if TYPE_CHECKING:
-    from tactile_bringup.graph import Graph
+    from tactile_bringup.graph import Graph, GraphOptions
     from tactile_bringup.launching.progress import Display
 
 
@@ -23,6 +23,11 @@ def register(subparsers: Any) -> None:
     add("task", help=TASK_HELP)
     add("--scene", metavar="NAME", help="(default: the first that the task names)")
     add("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
+    add("--namespace", default="", metavar="NAME",
+        help="of one arm's nodes, as servoing.launch.py has started them (default: the arm's name)",
+    )  # fmt: skip
+    add("--arm", default="", metavar="NAME", help="that arm (default: the only one with a role)")
+    add("--rehearse", action="store_true", help="the nodes were started for a rehearsal")
     add("--headless", action="store_true", help="plain lines in place of the live display")
     parser.set_defaults(run=run)
 
@@ -33,18 +38,29 @@ def run(arguments: argparse.Namespace) -> int:
 
     from tactile_base.end_signals import end_with_launcher
     from tactile_base.settings import SettingError
-    from tactile_bringup.graph import GraphOptions, load_graph
+    from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.progress import Display
+    from tactile_bringup.servoing import Place, load_servoing_graph
 
     end_with_launcher()
+    task, scene, options = arguments.task, arguments.scene, _options(arguments)
     try:
-        graph = load_graph(arguments.task, arguments.scene, GraphOptions(goals=tuple(arguments.goals)))
+        if arguments.namespace or arguments.arm:
+            graph = load_servoing_graph(task, scene, arguments.arm, Place(arguments.namespace), options)
+        else:
+            graph = load_graph(task, scene, options)
     except (SettingError, ValueError, OSError) as error:
         print(f"tactile run: {error}", file=sys.stderr)
         return 2
     console = Console()
     with Display(console, console.is_terminal and not arguments.headless) as display:
         return _run(graph, display)
+
+
+def _options(arguments: argparse.Namespace) -> GraphOptions:
+    from tactile_bringup.graph import GraphOptions
+
+    return GraphOptions(goals=tuple(arguments.goals), rehearse=arguments.rehearse)
 
 
 def _run(graph: Graph, display: Display) -> int:

@@ -1,6 +1,7 @@
 """What `ros2 launch` runs: the graph of a task as a launch description of `launch` and `launch_ros`.
 
-The files in launch/ name a task; all else is here, made of the same graph that `tactile launch` starts.
+The files in launch/ name a task; all else is here, made of the same graph that `tactile launch` starts. That
+of `servoing.launch.py` is one arm's part of it, within somebody else's launch (`tactile_bringup.servoing`).
 Needs `launch` and `launch_ros`, which a ROS 2 install has.
 """
 
@@ -29,7 +30,10 @@ if TYPE_CHECKING:  # loads packages that may be missing
 
 Number = TypeVar("Number", int, float)
 
+OnExit = Callable[[ProcessExited, LaunchContext], list[Any] | None]
+
 PACKAGE = "tactile_servoing"
+PUSHED = "ros_namespace"  # where launch_ros keeps what PushRosNamespace has said
 TASK = "the task"
 SIGTERM_TIMEOUT = "8"  # s after SIGINT; longer than nodes take to end in order (`ManagedNode.patience`)
 FLAGS = ("true", "false")
@@ -52,33 +56,91 @@ ARGUMENTS = {
         "or what says where they touch it: one of config/objects, or the path of a file",
     ),
     "headless": ("false", "whether to do without RViz (true, false)"),
+    "rehearse": ("false", "whether to take doubles of the arms, and simulated cameras (true, false)"),
     "run": ("true", "whether to run the task's goals once all nodes are active, then end (true, false)"),
+}
+SERVOING_ARGUMENTS = {
+    "task": ("surface_following", "one of config/tasks, or the path of a file, that gives the arm its role"),
+    "scene": ARGUMENTS["scene"],
+    "arm": ("", "name of the arm in the scene; empty: the only one with a role"),
+    "namespace": ("", "of the nodes, below a pushed one unless it begins with /; empty: the arm's name"),
+    "base_frame": ("", "where the arm stands; empty: <namespace>/base"),
+    "tool_frame": ("", "its flange; empty: <namespace>/tool"),
+    "sensor_frame": ("", "the tactile sensor; empty: <namespace>/tactile_sensor"),
+    "contact_frame": ("", "what it touches, by the belief; empty: <namespace>/contact"),
+    "image_topic": ("", "images of the sensor; empty: tactile/image"),
+    "twist_topic": ("", "twists for an arm that others drive; empty: command/twist"),
+    "arm_node": ("true", "whether to start the safe command stage; false: it runs already (true, false)"),
+    "use_sim_time": ("false", "whether time is that of /clock (true, false)"),
+    "params_file": ("", "ROS parameters on top of all others"),
+    **{name: ARGUMENTS[name] for name in ("model", "filter", "controller", "set", "marker_view")},
 }
 
 
 def describe(task: str) -> LaunchDescription:
     """The launch description of a task, with its arguments."""
+    return _described(ARGUMENTS, lambda context: _actions(task, context))
+
+
+def describe_servoing() -> LaunchDescription:
+    """The launch description of one arm's nodes, with its arguments."""
+    return _described(SERVOING_ARGUMENTS, _servoing_actions)
+
+
+def _described(
+    arguments: dict[str, tuple[str, str]], actions: Callable[[LaunchContext], list[Any]]
+) -> LaunchDescription:
     require_packages()
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
+        for name, (default, text) in arguments.items()
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=lambda context: _actions(task, context))])
+    return LaunchDescription([*declared, OpaqueFunction(function=actions)])
+
+
+def _given(arguments: dict[str, tuple[str, str]], context: LaunchContext) -> dict[str, str]:
+    defaults = {name: default for name, (default, _) in ARGUMENTS.items()}
+    return defaults | {name: LaunchConfiguration(name).perform(context) for name in arguments}
+
+
+def _servoing_actions(context: LaunchContext) -> list[Any]:
+    from tactile_bringup.graph import check_options
+    from tactile_bringup.servoing import Place, load_servoing_graph
+
+    given = _given(SERVOING_ARGUMENTS, context)
+    options = _options(given)
+    check_options(options, "{}:={}")
+    place = Place(
+        namespace=given["namespace"],
+        within=context.launch_configurations.get(PUSHED, ""),
+        **{name: given[name] for name in given if name.endswith(("_frame", "_topic"))},
+        arm_node=_flag(given, "arm_node"),
+        use_sim_time=_flag(given, "use_sim_time"),
+        params_file=Path(given["params_file"]) if given["params_file"] else None,
+    )
+    graph = load_servoing_graph(given["task"], given["scene"] or None, given["arm"], place, options)
+    return [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
 
 
 def _actions(task: str, context: LaunchContext) -> list[Any]:
     from tactile_bringup.graph import check_options, load_graph
 
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    given = _given(ARGUMENTS, context)
+    if pushed := context.launch_configurations.get(PUSHED, "").strip("/"):
+        raise ValueError(
+            f"PushRosNamespace '{pushed}' around {task}.launch.py: a whole cell has names of its own; "
+            "servoing.launch.py starts one arm's nodes in any namespace"
+        )
     task = given["task_file"] or task
     options = _options(given)
     check_options(options, "{}:={}")
     graph = load_graph(task, given["scene"] or None, options)
-    actions = [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
+    folder = Path(launch_config.log_dir)
+    actions = [_node(node, folder, _shut_down(f"node {node.full_name}")) for node in graph.nodes]
     if not _flag(given, "headless"):
-        actions += _viewer(graph, Path(launch_config.log_dir))
+        actions += _viewer(graph, folder)
     if _flag(given, "run"):
-        actions.append(_runner(task, graph.scene_file, given["goals"].split()))
+        actions.append(_runner(task, graph.scene_file, options))
     return actions
 
 
@@ -99,6 +161,7 @@ def _options(given: dict[str, str]) -> GraphOptions:
         marker_view=_flag(given, "marker_view"),
         object_belief=bool(places) or _flag(given, "object_belief"),
         object_file=places,
+        rehearse=_flag(given, "rehearse"),
     )
 
 
@@ -117,8 +180,8 @@ def _flag(given: dict[str, str], name: str) -> bool:
     return text == "true"
 
 
-def _node(node: NodeProcess, folder: Path) -> LifecycleNode:
-    """A node with its parameters in a file, as `tactile launch` gives them; its end is the end of all."""
+def _node(node: NodeProcess, folder: Path, on_exit: OnExit | None = None) -> LifecycleNode:
+    """A node with its parameters in a file, as `tactile launch` gives them."""
     file = folder / f"{node.file_stem}.yaml"
     file.write_text(node.parameter_text())
     return LifecycleNode(
@@ -126,16 +189,18 @@ def _node(node: NodeProcess, folder: Path) -> LifecycleNode:
         executable=node.executable,
         name=node.name,
         namespace=node.namespace,
-        parameters=[str(file)],
+        parameters=[str(file), *([str(node.params_file)] if node.params_file is not None else [])],
+        remappings=list(node.remappings),
         output="both",
-        on_exit=_shut_down(f"node {node.full_name}"),
+        on_exit=on_exit,
         **_ending(),
     )
 
 
-def _runner(task: str, scene: Path, goals: list[str]) -> ExecuteProcess:
+def _runner(task: str, scene: Path, options: GraphOptions) -> ExecuteProcess:
     command = [sys.executable, "-m", "tactile_bringup.cli", "run", task, "--scene", str(scene), "--headless"]
-    command += ["--goals", *goals] if goals else []
+    command += ["--goals", *options.goals] if options.goals else []
+    command += ["--rehearse"] if options.rehearse else []
     return ExecuteProcess(cmd=command, output="screen", name="task", on_exit=_shut_down(TASK), **_ending())
 
 
@@ -145,7 +210,7 @@ def _ending() -> dict[str, Any]:
     return {"sigterm_timeout": patience, "additional_env": {LAUNCHER: str(os.getpid())}}
 
 
-def _shut_down(what: str) -> Callable[[ProcessExited, LaunchContext], list[Any] | None]:
+def _shut_down(what: str) -> OnExit:
     """What to do when a node or the task ends: shut down, with exit code 1 where that is a failure."""
 
     def on_exit(event: ProcessExited, context: LaunchContext) -> list[Any] | None:

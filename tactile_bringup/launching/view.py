@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from tactile_base.config_paths import config_names, config_path
-from tactile_base.topics import BELIEF
+from tactile_base.topics import BELIEF, ROBOT_DESCRIPTION, link_frame
 from tactile_bringup.graph import Graph
 
 DEFAULT = "default"  # the displays of a task that has no file of its own
@@ -22,10 +22,35 @@ def write_view(graph: Graph, folder: Path) -> Path:
     config = yaml.safe_load(config_path(f"rviz/{own}.rviz").read_text())
     manager = config["Visualization Manager"]
     manager["Displays"] = [shown for display in manager["Displays"] for shown in _shown(display, graph)]
+    manager["Displays"] += _arms_shown(graph)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "view.rviz"
     path.write_text(yaml.safe_dump(config, sort_keys=False))
     return path
+
+
+def _arms_shown(graph: Graph) -> list[dict[str, Any]]:
+    """A display of each arm that a URDF describes."""
+    arms = [arm for topic in graph.topics if (arm := ROBOT_DESCRIPTION.arm_of(topic.name)) is not None]
+    return [
+        {
+            "Class": "rviz_default_plugins/RobotModel",
+            "Name": f"Arm ({arm})",
+            "Enabled": True,
+            "Value": True,
+            "Description Source": "Topic",
+            "Description Topic": {
+                "Value": ROBOT_DESCRIPTION.of(arm).name,
+                "Reliability Policy": "Reliable",
+                "Durability Policy": "Transient Local",
+                "Depth": 1,
+            },
+            "TF Prefix": link_frame(arm, "").rstrip("/"),
+            "Visual Enabled": True,
+            "Collision Enabled": False,
+        }
+        for arm in arms
+    ]
 
 
 def _shown(display: dict[str, Any], graph: Graph) -> list[dict[str, Any]]:

@@ -7,27 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, SettingGroups, Settings, setting
+from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND
-from tactile_control.limiter import LimiterSettings
-from tactile_control.motion import Odometer, TravelSettings
-from tactile_control.phases import (
-    DONE,
-    FAILED,
-    GO_TO_START,
-    STOPPING,
-    Command,
-    Goal,
-    PhaseMachine,
-    TaskInputs,
-    newer,
-)
-from tactile_control.watchdog import WatchdogSettings
+from tactile_control.free_task import MOVE, FreeTask, FreeTaskSettings
+from tactile_control.phases import DONE, Command, Goal
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-MOVE = "move"
 _DIFFERENCE = 1e-4  # s of path time; velocities are central differences of poses, exact to 1e-8 of them
 
 
@@ -50,13 +37,10 @@ class TrajectorySettings(Settings):
 
 
 @dataclass(frozen=True)
-class TrajectoryTaskSettings(SettingGroups):
+class TrajectoryTaskSettings(FreeTaskSettings):
     """All settings of the trajectory task."""
 
     task: TrajectorySettings = field(default_factory=TrajectorySettings)
-    travel: TravelSettings = field(default_factory=TravelSettings)
-    limiter: LimiterSettings = field(default_factory=LimiterSettings)
-    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
 
 
 def _six(doc: str) -> tuple[float, ...]:
@@ -110,31 +94,19 @@ class TrajectoryGoal(Goal):
         return np.concatenate([part[:3], np.radians(part[3:])])
 
 
-class Trajectory(PhaseMachine[TaskInputs, Command]):
-    """Moves the controlled frame along a trajectory from where it is; feels nothing.
-
-    Parameters
-    ----------
-    start : ndarray (4, 4), optional
-        Where the trajectory begins, in the base; without, where the arm stands.
-    """
+class Trajectory(FreeTask):
+    """Moves the controlled frame along a trajectory from where it is, or from its start."""
 
     settings_class = TrajectoryTaskSettings
     goal_class = TrajectoryGoal
-    phases = (GO_TO_START, MOVE, STOPPING, DONE, FAILED)
-    work = MOVE
-    needs_sensor = False
+
+    settings: TrajectoryTaskSettings
+    goal: TrajectoryGoal
 
     def __init__(
         self, settings: TrajectoryTaskSettings, goal: TrajectoryGoal, start: Array | None = None
     ) -> None:
-        handlers = {GO_TO_START: self._go_to_start, MOVE: self._move, STOPPING: self._stopping}
-        first = MOVE if start is None else GO_TO_START
-        super().__init__(first, handlers, settings.limiter, settings.watchdog)
-        self.settings = settings
-        self.goal = goal
-        self.start = None if start is None else se3.checked_pose("start", start)
-        self._odometer = Odometer(1e-4)
+        super().__init__(settings, goal, start)
         self._T_base_origin: Array | None = None
         self._path_s = 0.0
         self._moved_ns: int | None = None
@@ -142,12 +114,6 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         self._rate = 0.0
         self._error = np.full(6, np.nan)
         self._feedforward = np.zeros(6)
-
-    def configure(self, settings: TrajectoryTaskSettings) -> None:
-        """Replace the settings; they hold from the next step on."""
-        self.settings = settings
-        self.limiter.configure(settings.limiter)
-        self.watchdog.configure(settings.watchdog)
 
     def pose(self, seconds: float) -> Array:
         """Where the controlled frame is to be in the base (4, 4), after that time at full speed."""
@@ -157,25 +123,6 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
         T[:3, :3] = se3.exp(np.concatenate([np.zeros(3), offset[3:]]))[:3, :3] @ self._T_base_origin[:3, :3]
         T[:3, 3] = self._T_base_origin[:3, 3] + offset[:3]
         return T
-
-    # ---- what a `PhaseMachine` fills in ----
-
-    def _take(self, inputs: TaskInputs) -> None:
-        if newer(inputs.sensor_pose, self._pose):
-            se3.checked_pose("sensor pose", inputs.sensor_pose.T)
-            self._pose = inputs.sensor_pose
-            self._odometer.add(self._pose.T[:3, 3])
-
-    def _stamps(self) -> dict[str, int | None]:
-        return {"pose": self._pose.stamp_ns if self._pose is not None else None}
-
-    def _go_to_start(self, now_ns: int) -> Array:
-        assert self.start is not None
-        twist = self._go_to(self.start, self.settings.travel, now_ns)
-        if twist is None:
-            self._enter(MOVE)
-            return np.zeros(6)
-        return twist
 
     def _move(self, now_ns: int) -> Array:
         """Feedforward of the trajectory's own twist, and feedback of the distance from it."""
@@ -227,20 +174,16 @@ class Trajectory(PhaseMachine[TaskInputs, Command]):
             self._rate = full
         self._path_s = min(self.goal.duration, self._path_s + elapsed * self._rate)
 
-    def _stopping(self, now_ns: int) -> Array:
-        if self._at_rest():
-            self._enter(FAILED if self.reason else DONE)
-        return np.zeros(6)
-
     def _answer(self, wanted: Array, waiting: str) -> Command:
-        common = self._command(wanted, waiting)
+        common = super()._answer(wanted, waiting)
         moving = self.phase == MOVE
         return Command(
             **{
                 **vars(common),
                 "error": self._error if moving else np.full(6, np.nan),
                 "feedforward": self._feedforward if moving else np.zeros(6),
-                "progress": 1.0 if self.phase == DONE else self._path_s / self.goal.duration,
-                "travelled": self._odometer.length,
             }
         )
+
+    def _fraction(self) -> float:
+        return self._path_s / self.goal.duration

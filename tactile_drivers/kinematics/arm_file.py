@@ -98,6 +98,7 @@ def _from_urdf(root: Section) -> Chain:
         acceleration=np.array(root.numbers("acceleration", count)),
         ready=np.radians(root.numbers("ready_deg", count)),
         links=_capsules(root, found.names),
+        description=found.description,
     )
 
 

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_drivers.joint_limits import LENGTH
 from tactile_drivers.kinematics.capsules import Capsules
+from tactile_drivers.kinematics.urdf import Description
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
@@ -50,6 +51,8 @@ class Chain:
         Angles in a good posture, rad, from which others are looked for.
     links : Capsules
         Each in the frame of its joint, turned, or of the base.
+    description : Description or None
+        Of an arm that a URDF describes.
     """
 
     name: str
@@ -61,6 +64,7 @@ class Chain:
     acceleration: Array
     ready: Array
     links: Capsules
+    description: Description | None = field(default=None, repr=False)
     _last: tuple[Array, Array, Array] | None = field(default=None, init=False, repr=False)
 
     @property

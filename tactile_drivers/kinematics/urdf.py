@@ -1,4 +1,4 @@
-"""The chain of joints between two links of a URDF file, as far as kinematics go."""
+"""A URDF file: the chain of joints between two of its links, and where all its links are."""
 
 from __future__ import annotations
 
@@ -20,6 +20,40 @@ class UrdfError(ValueError):
 
 
 @dataclass(frozen=True)
+class LinkJoint:
+    """A joint: its child in its parent at angle 0, `T` (4, 4), and what it turns about; None: it is fixed."""
+
+    name: str
+    parent: str
+    child: str
+    T: Array
+    axis: Array | None
+
+    def at(self, angle: float) -> Array:
+        """The child in the parent (4, 4) at an angle, rad."""
+        return self.T if self.axis is None else self.T @ se3.exp([0.0, 0.0, 0.0, *(angle * self.axis)])
+
+
+@dataclass(frozen=True)
+class Description:
+    """All of a URDF that it takes to show the arm.
+
+    Attributes
+    ----------
+    text : the whole file
+    root : its first link
+    T_base_root : ndarray (4, 4)
+        That link in the chain's base.
+    joints : of all links; what slides is taken as fixed
+    """
+
+    text: str
+    root: str
+    T_base_root: Array
+    joints: tuple[LinkJoint, ...]
+
+
+@dataclass(frozen=True)
 class UrdfChain:
     """As in `chain.Chain`."""
 
@@ -28,6 +62,7 @@ class UrdfChain:
     lower: Array
     upper: Array
     velocity: Array
+    description: Description
 
 
 def read_urdf(path: Path, base: str, flange: str) -> UrdfChain:
@@ -41,7 +76,7 @@ def read_urdf(path: Path, base: str, flange: str) -> UrdfChain:
         If it is none, has no such links, or a joint on the way slides.
     """
     try:
-        root = ElementTree.fromstring(read_text(path))
+        root = ElementTree.fromstring(text := read_text(path))
     except ElementTree.ParseError as error:
         raise UrdfError(f"{path}: not valid XML: {error}") from error
     if root.tag != "robot":
@@ -61,7 +96,29 @@ def read_urdf(path: Path, base: str, flange: str) -> UrdfChain:
         raise UrdfError(f"{path}: no joint turns between '{base}' and '{flange}'")
     limits = np.array([_limits(joint) for joint in turning])
     names = tuple(str(joint.get("name")) for joint in turning)
-    return UrdfChain(names, np.array([*steps, T]), limits[:, 0], limits[:, 1], limits[:, 2])
+    described = _description(path, text, root, base)
+    return UrdfChain(names, np.array([*steps, T]), limits[:, 0], limits[:, 1], limits[:, 2], described)
+
+
+def _description(path: Path, text: str, root: ElementTree.Element, base: str) -> Description:
+    """Where all links are; the root's place in `base` is that at angle 0 of the joints between."""
+    whole = [joint for joint in root.iter("joint") if _link(joint, "parent") and _link(joint, "child")]
+    parents = {_link(joint, "child"): _link(joint, "parent") for joint in whole}
+    first = base
+    while first in parents:
+        first = parents.pop(first)
+    T_root_base = np.eye(4)
+    for joint in _way(path, root, first, base):
+        T_root_base = T_root_base @ _origin(joint)
+    return Description(text, first, se3.inverse(T_root_base), tuple(map(_link_joint, whole)))
+
+
+def _link_joint(joint: ElementTree.Element) -> LinkJoint:
+    axis = None
+    if joint.get("type") in ("revolute", "continuous"):
+        axis = _z_to(_numbers(joint.find("axis"), "xyz", "1 0 0"))[:3, 2]
+    name, parent, child = str(joint.get("name")), _link(joint, "parent"), _link(joint, "child")
+    return LinkJoint(name, parent, child, _origin(joint), axis)
 
 
 def _way(path: Path, root: ElementTree.Element, base: str, flange: str) -> list[ElementTree.Element]:

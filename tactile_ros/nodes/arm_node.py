@@ -1,9 +1,10 @@
 """Arm node: one arm of a scene on ROS, whoever drives it, behind the safe command stage.
 
-Publishes /tf from base to tool at every state of the driver, `arm/pose`, `arm/status` and
-`command/twist_limited`; listens to `command/request`, in the arm's controlled frame, to `contact/state`,
-which bounds the motion, and to `/estop`; `arm/estop` and `arm/reset` are its services. What is refused, and
-what is followed, `SafeArm` decides.
+Publishes /tf from base to tool at every state of the driver, `arm/pose`, `arm/status`,
+`command/twist_limited`, and where joints are known `joint_states` (`tactile_ros.joint_states`); listens to
+`command/request`, in the arm's controlled frame, to `contact/state`, which bounds the motion, and to
+`/estop`; `arm/estop` and `arm/reset` are its services. What is refused, and what is followed, `SafeArm`
+decides.
 
 A driver of the registry `ARMS` is opened here, in a process of its own; so is the one that speaks to the
 nodes of an external arm. A simulated arm is given by the process of the simulated cell, which runs this node
@@ -19,7 +20,6 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,9 +32,10 @@ from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
+from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, load_scene
+from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter import se3
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
@@ -49,7 +50,8 @@ from tactile_ros.cdr import (
     twist_bytes,
 )
 from tactile_ros.conversions import MessageError, numbers_from_pose, transform_stamped
-from tactile_ros.external_arm import ExternalArm
+from tactile_ros.external_arm import ExternalArm, external_settings
+from tactile_ros.joint_states import JointListener, JointPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
@@ -73,12 +75,12 @@ class ArmNodeSettings(Settings):
     )
 
 
-def arm_of_scene(node: ManagedNode, scene: str, rehearse: bool = False) -> tuple[ArmScene, Path]:
-    """The node's arm in a scene, and the scene's file; raises `ConfigurationError` if it is not there."""
+def arm_of_scene(node: ManagedNode, scene: str, rehearse: bool = False) -> tuple[ArmScene, Scene]:
+    """The node's arm in a scene, and the scene; raises `ConfigurationError` if it is not there."""
     loaded = rehearsed(load_scene(scene)) if rehearse else load_scene(scene)
     if node.arm not in loaded.arms:
         raise ConfigurationError(f"{loaded.path}: no arm '{node.arm}'; arms: {', '.join(loaded.arms)}")
-    return loaded.arms[node.arm], loaded.path
+    return loaded.arms[node.arm], loaded
 
 
 class ArmNode(ManagedNode):
@@ -97,15 +99,22 @@ class ArmNode(ManagedNode):
 
     def configure(self) -> None:
         """Open topics and, unless another node does, the driver."""
-        scene = self.scene = self.hosted or self._scene()
+        scene, cell = (self.hosted, None) if self.hosted is not None else self._scene()
+        self.scene = scene
         self.safe = SafeArm(scene, self.now_ns)
-        self.frame = f"{self.arm}/{scene.controlled_frame}"
-        self.tool_frame = topics.tool_frame(self.arm)
+        self.safe.neighbours = self._neighbours(cell) if cell is not None else ()
+        self.frame = self.frame_of(scene.controlled_frame)
         self.limits = scene.limits
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
-        self.static = [transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)]
-        if scene.sensor is not None:
-            self.static.append(transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled))
+        mount = transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled)
+        stand = transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)
+        theirs = scene.driver == EXTERNAL
+        self.static = [] if theirs else [stand]
+        if scene.sensor is not None and (not theirs or external_settings(scene).publish_mount):
+            self.static.append(mount)
+        chain = None if theirs else scene.kinematics
+        self.joints = JointPublisher(self, chain) if chain is not None else None
+        self.static += self.joints.static if self.joints is not None else []
         self.tf_static_out = self.publisher(TFMessage, topics.TF_STATIC.name, TF_STATIC)
         self.pose_out = self.publisher(PoseStamped, topics.ARM_POSE.name, STATE)
         self.status_out = self.publisher(ArmStatus, topics.ARM_STATUS.name, STATE)
@@ -120,7 +129,7 @@ class ArmNode(ManagedNode):
             )
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self._forget()
-        if self.hosted is None:
+        if cell is not None:
             self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
             self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
             self.timer(scene.limits.command_timeout / 4, self._watch)
@@ -131,7 +140,7 @@ class ArmNode(ManagedNode):
     def activate(self) -> None:
         """Tell what never moves; commands are followed from now on."""
         self._forget()
-        if self.scene.driver != EXTERNAL:
+        if self.static:
             self.tf_static_out.publish(TFMessage(transforms=self.static))
 
     def deactivate(self) -> None:
@@ -157,15 +166,27 @@ class ArmNode(ManagedNode):
         except (OSError, RuntimeError) as error:
             raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
 
-    def _scene(self) -> ArmScene:
-        """The arm in the scene, which needs a driver of the registry."""
+    def _neighbours(self, cell: Scene) -> tuple[Neighbour, ...]:
+        """The other arms of the scene, as far as joints are known; their nodes stand beside this one."""
+        beside = self.get_namespace().rpartition("/")[0]
+        listeners: dict[str, JointListener] = {}
+        for name in minded(cell, self.arm):
+            chain = cell.arms[name].kinematics
+            assert chain is not None
+            listeners[name] = JointListener(self, f"{beside}/{name}/{topics.JOINT_STATES.name}", chain)
+        return neighbours(cell, self.arm, lambda name: listeners[name].state, listeners)
+
+    def _scene(self) -> tuple[ArmScene, Scene]:
+        """The arm in the scene, which needs a driver of the registry, and the scene."""
         settings = self.settings.value
-        arm, file = arm_of_scene(self, settings.scene, settings.rehearse)
+        arm, cell = arm_of_scene(self, settings.scene, settings.rehearse)
         if settings.rehearse:
             DOUBLES.load(arm.driver).wait(arm, DOUBLE_STARTS)
         if arm.driver == SIM:
-            raise ConfigurationError(f"{file}: arm '{arm.name}' is moved by the simulated cell (sim_node)")
-        return arm
+            raise ConfigurationError(
+                f"{cell.path}: arm '{arm.name}' is moved by the simulated cell (sim_node)"
+            )
+        return arm, cell
 
     def _forget(self) -> None:
         self._state: ArmState | None = None
@@ -189,6 +210,9 @@ class ArmNode(ManagedNode):
     def checked(self, state: ArmState) -> ArmState | None:
         """The state as the safe command stage completes it; None, told and counted, if it cannot be true."""
         complete = self.safe.take_state(state)
+        if self.safe.neighbours and state.joints is None:
+            others = ", ".join(neighbour.name for neighbour in self.safe.neighbours)
+            self.warn("joints", f"the driver tells no joints: no distance is kept from {others}", period=60.0)
         if complete is None:
             self.count("states refused")
             self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}")
@@ -218,6 +242,8 @@ class ArmNode(ManagedNode):
         numbers = numbers_from_pose(state.T_base_controlled).tolist()
         self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
+        if self.joints is not None:
+            self.joints.publish(state)
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
         texts = {"reason": state.reason, "owner": state.owner, "held_back": state.held_back}
         self.status_out.publish(headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, **texts))

@@ -98,7 +98,8 @@ class CameraNode(ManagedNode):
 
     def _scene(self) -> ArmScene:
         """The arm in the scene, whose sensor needs a camera driver of the registry."""
-        arm, file = arm_of_scene(self, self.settings.value.scene)
+        arm, scene = arm_of_scene(self, self.settings.value.scene)
+        file = scene.path
         if arm.sensor is None:
             raise ConfigurationError(f"{file}: arm '{arm.name}' has no sensor")
         who = {SIM: "is that of the simulated cell (sim_node)", EXTERNAL: "has a driver that runs already"}

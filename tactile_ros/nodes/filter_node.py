@@ -72,16 +72,15 @@ class FilterNode(ManagedNode):
         self.belief_out = self.publisher(PoseWithCovarianceStamped, topics.BELIEF.name, STATE)
         self.state_out = self.publisher(ContactState, topics.STATE.name, STATE)
         self.latency = LatencyPublisher(self, "filter", self.sensor_frame)
-        contact_frame = topics.contact_frame(self.arm)
         self.frame_out = FramePublisher(
-            self, self.sensor_frame, contact_frame, rate=lambda: self.inputs.value.tf_rate
+            self, self.sensor_frame, self.contact_frame, rate=lambda: self.inputs.value.tf_rate
         )
         lookup = self.base_frame, self.sensor_frame
         self.transforms = TransformListener(
             self,
             on_update=self._pump,
             on_jump=lambda reason: self._restart("/tf started anew"),
-            ignore=(contact_frame,),
+            ignore=(self.contact_frame,),
             frames=[lookup],
             limits=self.limits,
         )

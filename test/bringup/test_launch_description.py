@@ -1,5 +1,6 @@
 """`ros2 launch` and RViz get what the graph has."""
 
+import dataclasses
 import importlib.util
 import re
 import sys
@@ -9,6 +10,7 @@ import pytest
 import yaml
 
 from tactile_base.config_paths import config_path
+from tactile_base.topics import ROBOT_DESCRIPTION
 from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.view import write_view
 
@@ -52,28 +54,89 @@ def test_the_view_of_one_arm_is_the_packaged_one(tmp_path):
     assert yaml.safe_load(write_view(graph, tmp_path).read_text()) == packaged
 
 
-@needs_launch
-def test_the_launch_description_starts_the_nodes_of_the_graph(tmp_path, monkeypatch):
-    from launch.actions import DeclareLaunchArgument, ExecuteProcess
-    from launch_ros.actions import LifecycleNode
+def test_the_view_shows_an_arm_that_a_urdf_describes(tmp_path):
+    graph = load_graph("surface_following", "two_arms")
+    described = dataclasses.replace(graph, topics=(*graph.topics, ROBOT_DESCRIPTION.of("left")))
+    displays = yaml.safe_load(write_view(described, tmp_path).read_text())["Visualization Manager"][
+        "Displays"
+    ]
+    (model,) = (display for display in displays if display["Class"].endswith("/RobotModel"))
+    assert model["Description Topic"]["Value"] == "/left/robot_description"
+    assert model["TF Prefix"] == "left/urdf"
+
+
+@pytest.fixture
+def performed(tmp_path, monkeypatch):
+    """The actions of a launch file of ours, with arguments, within a pushed namespace."""
+    from launch.actions import DeclareLaunchArgument
+    from launch_ros.actions import PushRosNamespace
 
     from launch import LaunchContext
     from tactile_bringup.launching import launch_description
 
     monkeypatch.setattr(type(launch_description.launch_config), "log_dir", str(tmp_path))
-    description = launch_description.describe("surface_following")
-    declared = [e.name for e in description.entities if isinstance(e, DeclareLaunchArgument)]
-    assert {"scene", "rate", "record", "headless"} <= set(declared)
-    context = LaunchContext()
-    for entity in description.entities[:-1]:
-        entity.execute(context)
-    actions = description.entities[-1].execute(context)
+
+    def actions(task: str, pushed: str = "", **given: str) -> list:
+        made = launch_description
+        description = made.describe(task) if task != "servoing" else made.describe_servoing()
+        declared = [e.name for e in description.entities if isinstance(e, DeclareLaunchArgument)]
+        assert set(given) <= set(declared)
+        context = LaunchContext()
+        if pushed:
+            PushRosNamespace(pushed).execute(context)
+        for entity in description.entities[:-1]:
+            entity.execute(context)
+        context.launch_configurations.update(given)
+        return description.entities[-1].execute(context)
+
+    return actions
+
+
+@needs_launch
+@pytest.mark.parametrize("rehearse", [False, True])
+def test_the_launch_description_starts_the_nodes_of_the_graph(tmp_path, performed, rehearse):
+    from launch.actions import ExecuteProcess
+    from launch_ros.actions import LifecycleNode
+
+    scene = "ur_example" if rehearse else "ramp"
+    actions = performed("surface_following", scene=scene, rehearse=str(rehearse).lower())
     nodes = [action for action in actions if isinstance(action, LifecycleNode)]
-    graph = load_graph("surface_following", "ramp")
+    graph = load_graph("surface_following", scene, GraphOptions(rehearse=rehearse))
     assert [node.node_executable for node in nodes] == [node.executable for node in graph.nodes]
-    assert sum(type(action) is ExecuteProcess for action in actions) == 1  # what runs the goals
+    assert rehearse == ("rehearse: true" in (tmp_path / "sim.yaml").read_text())
+    (runner,) = (action for action in actions if type(action) is ExecuteProcess)
+    words = [part.text for word in runner.cmd for part in word]
+    assert "run" in words and rehearse == ("--rehearse" in words)
     written = {file.stem for file in Path(tmp_path).glob("*.yaml")}
     assert written == {node.file_stem for node in graph.nodes}
+
+
+@needs_launch
+@pytest.mark.parametrize(
+    ("pushed", "given", "names"),
+    [
+        ("", {}, "/arm/"),
+        ("lab", {}, "/lab/arm/"),
+        ("lab", {"namespace": "left"}, "/lab/left/"),
+        ("lab", {"namespace": "/left"}, "/left/"),
+    ],
+)
+def test_a_launch_within_others_starts_nodes_where_they_say(tmp_path, performed, pushed, given, names):
+    mine = tmp_path / "mine.txt"
+    mine.write_text("{}")
+    actions = performed(
+        "servoing", pushed, scene="ur_example", image_topic="/camera", params_file=str(mine), **given
+    )
+    started = {(node.node_executable, node._Node__node_namespace) for node in actions}
+    assert started == {(name, names[:-1]) for name in ("arm", "estimator", "filter", "controller")}
+    text = (tmp_path / f"{names[1:].replace('/', '.')}filter.yaml").read_text()
+    assert text.startswith(f"{names}filter:") and f"frames.base: {names[1:]}base" in text
+
+
+@needs_launch
+def test_a_namespace_pushed_around_the_launch_of_a_whole_cell_is_refused_with_what_would_be_right(performed):
+    with pytest.raises(ValueError, match=r"PushRosNamespace 'lab' around .*servoing\.launch\.py starts"):
+        performed("surface_following", pushed="lab")
 
 
 @needs_launch
@@ -87,17 +150,9 @@ def test_the_launch_description_starts_the_nodes_of_the_graph(tmp_path, monkeypa
         ("model", "/no/such.onnx", "model:=/no/such.onnx: no such file"),
     ],
 )
-def test_a_wrong_argument_of_a_launch_file_is_refused_in_a_sentence(argument, value, complaint):
-    from launch import LaunchContext
-    from tactile_bringup.launching import launch_description
-
-    context = LaunchContext()
-    description = launch_description.describe("surface_following")
-    for entity in description.entities[:-1]:
-        entity.execute(context)
-    context.launch_configurations[argument] = value
+def test_a_wrong_argument_of_a_launch_file_is_refused_in_a_sentence(performed, argument, value, complaint):
     with pytest.raises(ValueError, match=re.escape(complaint)):
-        description.entities[-1].execute(context)
+        performed("surface_following", **{argument: value})
 
 
 @needs_launch
@@ -117,7 +172,8 @@ def test_a_launch_ends_with_1_when_a_node_dies_and_with_0_when_the_task_is_done(
 
 
 def test_each_launch_file_is_one_of_its_task():
-    files = sorted((config_path("tasks/pushing.yaml").parents[2] / "launch").glob("*.launch.py"))
+    folder = config_path("tasks/pushing.yaml").parents[2] / "launch"
+    files = sorted(set(folder.glob("*.launch.py")) - {folder / "servoing.launch.py"})
     tasks = [file.name.removesuffix(".launch.py") for file in files]
     assert {"surface_following", "object_tracking", "pushing", "dual_pushing"} <= set(tasks)
     for task, file in zip(tasks, files, strict=True):

@@ -390,6 +390,11 @@ def test_a_carried_body_starts_where_the_tool_is(scene_file, other_package):
         ("camera: bench_camera", "camera: webcam", "valid: bench_camera, double_camera, external, replay"),
         ("camera: bench_camera", "camera: sim", "'sim' needs an arm whose driver is 'sim' too"),
         ("driver: external", "driver_settings: {host: x}", "driver_settings: driver 'sim' has none"),
+        (
+            "driver: external",
+            "driver: external\n    driver_settings: {twist_of: hand}",
+            "twist_of = 'hand': must be one of sensor, tool",
+        ),
         ("carried_by: leader", "carried_by: leeder", "unknown name 'leeder' (did you mean 'leader'?)"),
         ("carried_by: leader", "motion: carried", "a body whose motion is 'carried' needs carried_by"),
         ("carried_by: leader", "motion: fixed, carried_by: leader", "'fixed' cannot have carried_by"),

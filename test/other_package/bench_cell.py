@@ -34,6 +34,9 @@ class BenchArm:
     def __init__(self, arm, settings, report):
         if settings.host == "nowhere":
             raise ConnectionError(f"no answer from {settings.host}")
+        self.kinematics, self._joints = arm.kinematics, None
+        if self.kinematics is not None:
+            self._joints = self.kinematics.reach(arm.T_base_start, self.kinematics.ready)
         self._pose, self._twist, self._why = arm.T_base_start, np.zeros(6), ""
         self._report, self._left, self._jump = report, settings.states, settings.jump_after
         self._open = True
@@ -60,13 +63,16 @@ class BenchArm:
             time.sleep(PERIOD)
             twist = self._twist
             self._pose = self._pose @ se3.exp(twist * PERIOD)
+            if self.kinematics is not None:
+                self._joints = self.kinematics.follow(self._joints, self._pose)
             mode = ArmMode.MOVING if twist.any() else ArmMode.RESTING
             if self._left > 0:
                 self._left -= 1
                 self._jump -= 1
                 if self._jump == 0:
                     self._pose = self._pose @ se3.exp(np.array([0, 0.3, 0, 0, 0, 0]))
-                self._report(ArmState(time.time_ns(), self._pose, twist, mode, self._why))
+                state = ArmState(time.time_ns(), self._pose, twist, mode, self._why, self._joints)
+                self._report(state)
 
 
 @dataclass(frozen=True)

@@ -210,7 +210,7 @@ def test_a_state_that_cannot_be_is_refused_and_the_arm_stopped_if_they_go_on(gra
 
 
 def test_commands_to_somebody_elses_driver_pass_the_same_stage(graph, bench):
-    bench(driver="external", sensor=SENSOR_TEXT.replace("bench_camera", "external"))
+    bench(driver="external", sensor="sensor: {camera: external}")
     arm = graph.arm()
     given = graph.collect(TwistStamped, "command/twist", qos.COMMAND)
     statuses = graph.collect(ArmStatus, "arm/status")

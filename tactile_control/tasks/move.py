@@ -1,0 +1,126 @@
+"""Move: an arm goes to a pose through the air: to a start, or out of the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.stamps import NANOSECOND
+from tactile_control.free_task import FreeTask, FreeTaskSettings
+from tactile_control.motion import pose_difference
+from tactile_control.phases import DONE, Goal
+from tactile_filter import se3
+
+Array = NDArray[np.float64]
+
+_RADIUS = 0.1  # m: a turn by an angle counts as much as this, turned by it
+_LONGEST_STEP = 0.1  # s between two steps that counts; inputs were missing in a longer one
+
+
+@dataclass(frozen=True)
+class MoveSettings(Settings):
+    """When a move is given up."""
+
+    patience: float = setting(
+        3.0, lower=0.1, upper=60.0, unit="s", doc="an arm that comes no nearer for so long is held back"
+    )
+    nearer: float = setting(
+        0.0005, lower=1e-5, upper=0.01, unit="m", doc="way that counts as coming nearer; a rad as 0.1 m"
+    )
+
+
+@dataclass(frozen=True)
+class MoveTaskSettings(FreeTaskSettings):
+    """All settings of a move."""
+
+    task: MoveSettings = field(default_factory=MoveSettings)
+
+
+@dataclass(frozen=True)
+class MoveGoal(Goal):
+    """The pose of the controlled frame to go to."""
+
+    position: tuple[float, ...] = setting(
+        (), lower=-20.0, upper=20.0, unit="m", doc="of its origin in the arm's base, 3 numbers"
+    )
+    rotation_deg: tuple[float, ...] = setting(
+        (), lower=-360.0, upper=360.0, unit="deg",
+        doc="its rotation in the base about fixed x, y, z, 3 numbers; none: as it is",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.position) != 3:
+            raise SettingError(f"position: must have 3 elements, has {len(self.position)}")
+        if len(self.rotation_deg) not in (0, 3):
+            raise SettingError(f"rotation_deg: must have 0 or 3 elements, has {len(self.rotation_deg)}")
+
+    @property
+    def destination(self) -> tuple[float, ...]:
+        """See `Goal`."""
+        return self.position
+
+    def pose_from(self, T_base_now: Array) -> Array:
+        """The pose (4, 4) to go to, from where the frame is."""
+        T = T_base_now.copy()
+        if self.rotation_deg:
+            T = se3.pose_from_euler([0.0, 0.0, 0.0, *np.radians(self.rotation_deg)])
+        T[:3, 3] = self.position
+        return T
+
+
+class Move(FreeTask):
+    """Goes up along the pose's -z, across, and down, as a task does to its start (`motion.way_to_start`)."""
+
+    settings_class = MoveTaskSettings
+    goal_class = MoveGoal
+
+    settings: MoveTaskSettings
+    goal: MoveGoal
+
+    def __init__(self, settings: MoveTaskSettings, goal: MoveGoal, start: Array | None = None) -> None:
+        super().__init__(settings, goal, start)
+        self._T_base_goal: Array | None = None
+        self._whole, self._nearest = 0.0, np.inf  # m of way, at first and left at the least
+        self._held_s, self._stepped_ns = 0.0, 0
+
+    def _move(self, now_ns: int) -> Array:
+        if self._T_base_goal is None:
+            self._T_base_goal = self.goal.pose_from(self._sensor_pose())
+        twist = self._go_to(self._T_base_goal, self.settings.travel, now_ns, "pose")
+        if twist is None:
+            self._enter(DONE)
+            return np.zeros(6)
+        return self._fail(reason) if (reason := self._held_back(now_ns)) else twist
+
+    def _held_back(self, now_ns: int) -> str:
+        """Why it is no use to go on; empty as long as the arm comes nearer."""
+        settings, left = self.settings.task, self._left()
+        self._whole = self._whole or left
+        self._held_s += min((now_ns - self._stepped_ns) * NANOSECOND, _LONGEST_STEP)
+        self._stepped_ns = now_ns
+        if left < self._nearest - settings.nearer:
+            self._nearest, self._held_s = left, 0.0
+        if self._held_s <= settings.patience:
+            return ""
+        assert self._T_base_goal is not None
+        distance = se3.norm(self._T_base_goal[:3, 3] - self._sensor_pose()[:3, 3])
+        return (
+            f"the arm comes no nearer than {distance * 1e3:.1f} mm to the pose: held_back of arm/status "
+            "says what keeps it from there"
+        )
+
+    def _left(self) -> float:
+        """Length of the way that is left, m."""
+        at, way = self._sensor_pose(), 0.0
+        for waypoint in self._waypoints or []:
+            position, turn = pose_difference(at, waypoint.T_base_goal)
+            way += se3.norm(position) + _RADIUS * se3.norm(turn)
+            at = waypoint.T_base_goal
+        return way
+
+    def _fraction(self) -> float:
+        return max(0.0, 1.0 - self._nearest / self._whole) if self._whole else 0.0

@@ -1,0 +1,145 @@
+"""The arm node before moveit_servo: a stand-in with its rules, on the scene of the documentation."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import TwistStamped
+from messages import arm_command, vector_from_twist
+from tf2_msgs.msg import TFMessage
+
+from tactile_filter import se3
+from tactile_msgs.msg import ArmCommand
+from tactile_ros import qos
+from tactile_ros.conversions import matrix_from_transform, ns_from_time, transform_stamped
+
+ARM_NODE = "tactile_ros.nodes.arm_node"
+PAGE = Path(__file__).parents[2] / "docs" / "own_arm.md"
+TIMEOUT = 0.1  # s, servo's incoming_command_timeout
+MOUNT = se3.pose_from_euler([0.0, 0.0, 0.065, 0.0, 0.0, 0.0])
+START = se3.pose_from_euler([0.4, 0.0, 0.115, np.pi, 0.0, 0.0])
+TURN = np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0])  # about the sensor's own origin
+FRAMES = {"frames.base": "base_link", "frames.tool": "tool0", "frames.sensor": "tactip"}
+
+
+class Servo:
+    """What moveit_servo makes of twists, and the transforms that its arm's robot_state_publisher has.
+
+    A command older than the timeout is discarded; without one the arm rests. The velocity is that of the tip
+    (tool0); a command in another frame is only turned into its axes, as with
+    apply_twist_commands_about_ee_frame.
+    """
+
+    def __init__(self, graph) -> None:
+        self.graph, self.T, self.twist = graph, START.copy(), np.zeros(6)
+        self.last_ns, self.discarded = graph.now_ns(), 0
+        self.commands = graph.collect(TwistStamped, "/servo_node/delta_twist_cmds", qos.COMMAND)
+        self.taken = len(self.commands)
+        self.tf = graph.publisher(TFMessage, "/tf", qos.TF)
+
+    def step(self) -> None:
+        now_ns = self.graph.now_ns()
+        for command in self.commands[self.taken :]:
+            self.discarded += now_ns - ns_from_time(command.header.stamp) > TIMEOUT * 1e9
+        self.taken = len(self.commands)
+        self.T = self.T @ se3.exp(self._velocity(now_ns) * (now_ns - self.last_ns) * 1e-9)
+        self.last_ns = now_ns
+        elbow = se3.pose_from_euler([0.0, 0.0, 0.333, 0.0, 0.0, now_ns % 10**9 * 1e-10])
+        links = ("base_link", "link1", elbow), ("link1", "tool0", se3.inverse(elbow) @ self.T)
+        self.tf.publish(TFMessage(transforms=[transform_stamped(now_ns, *link) for link in links]))
+
+    def _velocity(self, now_ns: int) -> np.ndarray:
+        self.twist = np.zeros(6)
+        if self.commands:
+            command = self.commands[-1]
+            if now_ns - ns_from_time(command.header.stamp) <= TIMEOUT * 1e9:
+                R = {"tool0": np.eye(3), "tactip": MOUNT[:3, :3]}[command.header.frame_id]
+                parts = vector_from_twist(command.twist).reshape(2, 3)
+                self.twist = (parts @ R.T).ravel()
+        return self.twist
+
+    @property
+    def sensor(self) -> np.ndarray:
+        return self.T @ MOUNT
+
+    def turned(self) -> float:
+        return float(np.linalg.norm(se3.log(se3.inverse(START) @ self.T)[3:]))
+
+
+@pytest.fixture
+def servo(graph, tmp_path):
+    """The node on the page's scene, and the stand-in."""
+    scene = tmp_path / "my_moveit_cell.yaml"
+    scene.write_text(re.search(r"```yaml\n# my_moveit_cell.yaml\n(.*?)```", PAGE.read_text(), re.S)[1])
+    remap = "import sys; sys.argv += ['-r', 'command/twist:=/servo_node/delta_twist_cmds']; "
+    code = f"{remap}from {ARM_NODE} import main; sys.exit(main())"
+    graph.start_code(ARM_NODE, code, {"scene": str(scene), **FRAMES})
+    return Servo(graph)
+
+
+def test_moveit_servo_turns_the_tool_about_the_tip_and_rests_when_commands_end(graph, servo):
+    static = graph.collect(TFMessage, "/tf_static", qos.TF_STATIC)
+    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+
+    def command(twist, until):
+        for _ in graph.ticks(0.01):
+            servo.step()
+            twists.publish(arm_command(graph.now_ns(), "tactip", twist))
+            if until():
+                return
+        raise AssertionError("it never held")
+
+    command(np.zeros(6), lambda: bool(static))
+    assert not servo.commands  # an arm that nobody wants to move is left to others
+    mount = static[0].transforms[0]
+    assert (mount.header.frame_id, mount.child_frame_id) == ("tool0", "tactip")
+    np.testing.assert_allclose(matrix_from_transform(mount.transform), MOUNT, atol=1e-12)
+    start = servo.sensor[:3, 3].copy()
+    command(TURN, lambda: servo.turned() > 0.15)
+    assert np.linalg.norm(servo.sensor[:3, 3] - start) < 5e-4  # the tip stays where it is
+    assert {message.header.frame_id for message in servo.commands} == {"tool0"}
+    assert servo.discarded <= 0.2 * len(servo.commands)  # those for which this process was held up
+    # no command any more: zeros, and then silence
+    ended_ns = graph.now_ns()
+    for _ in graph.ticks(0.01):
+        servo.step()
+        newest_ns = ns_from_time(servo.commands[-1].header.stamp)
+        if graph.now_ns() - max(newest_ns, ended_ns) > 8e8:
+            break
+    moving = [vector_from_twist(message.twist).any() for message in servo.commands]
+    zeros = servo.commands[len(moving) - moving[::-1].index(True) :]
+    first_ns, last_ns = (ns_from_time(zeros[at].header.stamp) for at in (0, -1))
+    assert len(zeros) > 3 and 0.2 < (last_ns - first_ns) * 1e-9 < 0.8
+    before = len(servo.commands)
+    for _ in range(30):
+        servo.step()
+        twists.publish(arm_command(graph.now_ns(), "tactip", np.zeros(6)))
+        graph.spin(0.01)
+    assert len(servo.commands) == before
+    # and again, until the node is killed: servo's own timeout is what is left
+    command(-TURN, lambda: servo.twist[3] < -0.3)
+    graph.processes.children[ARM_NODE].process.kill()
+    killed_ns = graph.now_ns()
+    for _ in graph.ticks(0.005):
+        servo.step()
+        if not servo.twist.any():
+            break
+    assert ns_from_time(servo.commands[-1].header.stamp) < killed_ns  # no command outlives it by more
+
+
+def test_an_arm_whose_sensor_is_mounted_elsewhere_than_the_scene_says_is_not_followed(graph, tmp_path):
+    scene = tmp_path / "cell.yaml"
+    scene.write_text(
+        "arms: {arm: {driver: external, start: {}, sensor: {in_tool: {position: [0, 0, 0.065]}}}}\n"
+    )
+    graph.start(ARM_NODE, {"scene": str(scene)})
+    arm = graph.arm()  # its sensor is at the flange
+    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+    for _ in graph.ticks(0.02):
+        arm.at(graph.now_ns(), START)
+        twists.publish(arm_command(graph.now_ns(), "arm/tactile_sensor", TURN))
+        if any("65.0 mm and 0.0 degrees off in_tool" in r.message for r in graph.reports("arm")):
+            break
+    report = graph.wait_for_count("arm", "commands refused")
+    assert "the arm has no state yet" in report.message
