@@ -2,7 +2,6 @@
 
 #include "arrays.h"
 #include "bounds.h"
-#include "profile.h"
 #include "shapes.h"
 
 #define MOST_BOXES 1000
@@ -169,27 +168,6 @@ static PyObject* py_bounded(PyObject* module, PyObject* const* args, Py_ssize_t 
 }
 
 
-PyDoc_STRVAR(advance_doc,
-             "advance(twist, acceleration, target, limits, dt, /)\n--\n\n"
-             "Way (6,) in dt s of the fastest change to the target twist, and twist and acceleration (6,) then; "
-             "limits\n(4,): linear and angular acceleration, linear and angular jerk.");
-
-static PyObject* py_advance(PyObject* module, PyObject* const* args, Py_ssize_t count) {
-  double twist[6], acceleration[6], target[6], limits[4], way[6], dt;
-  (void)module;
-  if (!has_count("advance", count, 5) || !read_finite(twist, args[0], 6, 0, "twist")
-      || !read_finite(acceleration, args[1], 6, 0, "acceleration")
-      || !read_finite(target, args[2], 6, 0, "target") || !read_finite(limits, args[3], 4, 0, "limits")
-      || !read_numbers(&dt, args + 4, 1)) {
-    return NULL;
-  }
-  for (int i = 0; i < 6; i++) {
-    way[i] = profile_advance(twist + i, acceleration + i, target[i], limits[i / 3], limits[2 + i / 3], dt);
-  }
-  return Py_BuildValue("NNN", new_array(way, 6, 0), new_array(twist, 6, 0), new_array(acceleration, 6, 0));
-}
-
-
 PyDoc_STRVAR(apart_doc, "apart(A, B, /)\n--\n\nDistance (m) between the origins of two poses.");
 
 static PyObject* py_apart(PyObject* module, PyObject* const* args, Py_ssize_t count) {
@@ -267,7 +245,6 @@ static PyMethodDef methods[] = {
     METHOD(braking_speed, NULL),
     METHOD(shortened, NULL),
     METHOD(bounded, bounded_doc),
-    METHOD(advance, advance_doc),
     METHOD(apart, apart_doc),
     METHOD(differ, differ_doc),
     {"finite", py_finite, METH_O, finite_doc},
