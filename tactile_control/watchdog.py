@@ -9,7 +9,7 @@ that is back within `patience` was a hiccup, one that is not has failed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 from tactile_base.settings import Settings, setting
@@ -45,7 +45,8 @@ class WatchdogSettings(Settings):
     @cached_property
     def limits(self) -> dict[str, float]:
         """The age limit (s) of each input, by its name."""
-        return {"belief": self.belief_age, "presence": self.presence_age, "pose": self.pose_age}
+        ages = (item.name for item in fields(self) if item.name.endswith("_age"))
+        return {name.removesuffix("_age"): float(getattr(self, name)) for name in ages}
 
 
 @dataclass(frozen=True)
