@@ -45,8 +45,8 @@ class WatchdogSettings(Settings):
     @cached_property
     def limits(self) -> dict[str, float]:
         """The age limit (s) of each input, by its name."""
-        ages = [field.name for field in fields(self) if field.name.endswith("_age")]
-        return {name.removesuffix("_age"): getattr(self, name) for name in ages}
+        ages = (item.name for item in fields(self) if item.name.endswith("_age"))
+        return {name.removesuffix("_age"): float(getattr(self, name)) for name in ages}
 
 
 @dataclass(frozen=True)
