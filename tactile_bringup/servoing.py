@@ -54,6 +54,12 @@ class Place:
             value = getattr(self, name)
             if value and not form.fullmatch(value):
                 raise ValueError(f"{name} '{value}': must be letters, digits and _, parts divided by /")
+        for name in ("base_frame", "tool_frame", "sensor_frame", "contact_frame"):
+            value = getattr(self, name)
+            if value.startswith("/") or " " in value:
+                raise ValueError(
+                    f"{name} '{value}': must be as on /tf, without / in front and without blanks"
+                )
         if self.params_file is not None and not self.params_file.is_file():
             raise ValueError(f"params_file '{self.params_file}': no such file")
 

@@ -123,8 +123,10 @@ def launch(
     return launch_graph(graph, folder, console, headless)
 
 
-def launch_graph(graph: Graph, folder: Path, console: Console, headless: bool) -> Outcome:
-    """Launch a graph that was loaded before."""
+def launch_graph(
+    graph: Graph, folder: Path, console: Console, headless: bool, command: str = "launch"
+) -> Outcome:
+    """Launch a graph that was loaded before, for a command of that name."""
     from rich.markup import escape
 
     from tactile_bringup.launching.launcher import Launcher
@@ -136,7 +138,7 @@ def launch_graph(graph: Graph, folder: Path, console: Console, headless: bool) -
     with Display(console, live) as display:
         outcome = Launcher(graph, folder.absolute(), display).run()
     if outcome.exit_code:
-        console.print(f"[red]tactile launch: {escape(outcome.reason)}[/]", highlight=False, soft_wrap=True)
+        console.print(f"[red]tactile {command}: {escape(outcome.reason)}[/]", highlight=False, soft_wrap=True)
     rests = {True: "rests", False: "did not report rest in time", None: "never reported"}
     ended = f"stopped: the arm {rests[outcome.at_rest]}; logs: {outcome.logs}"
     console.print(ended, highlight=False, soft_wrap=True)

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     graph = make_graph(arguments)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{TASK}"
     check_folder(folder)
-    return launch_graph(graph, folder, Console(), arguments.headless).exit_code
+    return launch_graph(graph, folder, Console(), arguments.headless, TASK).exit_code
 
 
 def make_graph(arguments: argparse.Namespace) -> Graph:

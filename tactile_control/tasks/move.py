@@ -11,11 +11,12 @@ from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_control.free_task import FreeTask, FreeTaskSettings
 from tactile_control.motion import pose_difference
-from tactile_control.phases import DONE, Goal
+from tactile_control.phases import DONE, Goal, TaskInputs
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
+TOUCHED = "touched something on the way"
 _RADIUS = 0.1  # m: a turn by an angle counts as much as this, turned by it
 _LONGEST_STEP = 0.1  # s between two steps that counts; inputs were missing in a longer one
 
@@ -73,10 +74,14 @@ class MoveGoal(Goal):
 
 
 class Move(FreeTask):
-    """Goes up along the pose's -z, across, and down, as a task does to its start (`motion.way_to_start`)."""
+    """Goes up along the pose's -z, across, and down, as a task does to its start (`motion.way_to_start`).
+
+    An arm with a sensor comes to rest where it touches something; one that touches already may move away.
+    """
 
     settings_class = MoveTaskSettings
     goal_class = MoveGoal
+    minds_contact = True
 
     settings: MoveTaskSettings
     goal: MoveGoal
@@ -86,8 +91,20 @@ class Move(FreeTask):
         self._T_base_goal: Array | None = None
         self._whole, self._nearest = 0.0, np.inf  # m of way, at first and left at the least
         self._held_s, self._stepped_ns = 0.0, 0
+        self._free = self._touched = False  # whether it was out of contact, and is in one since
+
+    def _take(self, inputs: TaskInputs) -> None:
+        super()._take(inputs)
+        if inputs.presence is not None:
+            self._touched = self._touched or (self._free and inputs.presence.in_contact)
+            self._free = self._free or not inputs.presence.in_contact
+
+    def _go_to_start(self, now_ns: int) -> Array:
+        return self._fail(TOUCHED) if self._touched else super()._go_to_start(now_ns)
 
     def _move(self, now_ns: int) -> Array:
+        if self._touched:
+            return self._fail(TOUCHED)
         if self._T_base_goal is None:
             self._T_base_goal = self.goal.pose_from(self._sensor_pose())
         twist = self._go_to(self._T_base_goal, self.settings.travel, now_ns, "pose")

@@ -87,7 +87,8 @@ class ControllerNode(TaskNode):
 
     def configure(self) -> None:
         """Create publishers, subscriptions and the action."""
-        if self.task_type.needs_sensor:
+        minds = self.task_type.minds_contact and self.controlled_frame == self.sensor_frame
+        if self.task_type.needs_sensor or minds:
             age = getattr(self.settings.value.group("watchdog"), "belief_age", 0.0)
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
             self.subscribe(

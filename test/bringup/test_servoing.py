@@ -52,6 +52,8 @@ def test_an_arm_node_that_runs_already_is_not_started_again():
         ({"namespace": "my arm"}, "namespace 'my arm': must be letters, digits and _"),
         ({"namespace": "left/"}, "namespace 'left/': must be"),
         ({"image_topic": "2/image"}, "image_topic '2/image': must be"),
+        ({"tool_frame": "/tool0"}, "tool_frame '/tool0': must be as on /tf"),
+        ({"base_frame": "base link"}, "base_frame 'base link': must be as on /tf"),
         ({"params_file": Path("/no/such.yaml")}, "params_file '/no/such.yaml': no such file"),
     ],
 )

@@ -77,6 +77,14 @@ def test_an_arm_that_is_held_back_ends_the_move_with_how_far_it_is_from_the_pose
     assert plant.now_ns < 10e9  # not only when the longest way has passed
 
 
+def test_a_move_that_touches_something_rests_there_and_a_next_one_may_leave():
+    plant, commands = moved(MoveGoal((0.3, 0.1, 0.0)), Plant(Plane(), pointing_down((0.3, 0.1, 0.04))))
+    assert (commands[-1].phase, commands[-1].reason) == (FAILED, "touched something on the way")
+    assert not commands[-1].twist.any() and 0.0 < plant.depth < 0.006
+    _, away = moved(MoveGoal((0.3, 0.1, 0.05)), plant)
+    assert away[-1].succeeded and plant.depth < 0.0
+
+
 def test_a_move_that_is_cancelled_comes_to_rest_where_it_is():
     plant = Plant(Plane(), START)
     task = Move(MoveTaskSettings(), MoveGoal(THERE))

@@ -53,6 +53,19 @@ def test_a_task_of_another_package_runs_by_its_name(graph, package):
     assert {status.task for status in world.statuses} == {"hold"}
 
 
+def test_a_move_of_an_arm_with_a_sensor_ends_where_it_touches_something(graph):
+    graph.start(CONTROLLER, {"task": "move", "travel.timeout": 600.0, "watchdog.start_timeout": 60.0})
+    world = World(graph)
+    world.restart()
+    world.in_contact = False
+    handle = world.send(task="move", goal="{position: [0.0, 0.0, -0.2]}")
+    assert world.run_until(lambda: abs(world.twist()[2]) > 0.01)
+    world.in_contact = True
+    result = world.result(handle)
+    assert not result.success and result.reason == "touched something on the way"
+    assert world.run_until(world.rests)
+
+
 def test_a_task_that_does_not_exist_ends_the_process_and_lists_those_there_are(graph):
     process = graph.start(CONTROLLER, {"task": "surface_folowing"}, wait=False)
     assert graph.wait(lambda: process.poll() is not None)
