@@ -14,9 +14,15 @@ PACKAGE = "tactile_servoing"
 # Extension module -> folder with its C sources; all of them go into the one module.
 C_MODULES = {
     "tactile_filter._fusion": "tactile_filter/_csrc",
+    "tactile_drivers._native": "tactile_drivers/_csrc",
     "tactile_drivers.sim._contact": "tactile_drivers/sim/_csrc",
+    "tactile_control._laws": "tactile_control/_csrc",
     "tactile_perception._image": "tactile_perception/_csrc",
 }
+
+# Of another module's folder: headers for all, and sources that a module takes besides its own.
+SHARED = "tactile_filter/_csrc"
+SHARED_SOURCES = {"tactile_drivers.sim._contact": ["se3.c"]}
 
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.
 NODES = {
@@ -47,11 +53,12 @@ def extension(name: str, folder: str) -> Extension:
     """A C module without fast-math and without -march: what an instruction set adds is chosen at runtime."""
     import numpy
 
+    shared = SHARED_SOURCES.get(name, [])
     return Extension(
         name,
-        sources=sorted(map(str, Path(folder).glob("*.c"))),
-        depends=sorted(map(str, Path(folder).glob("*.h"))),
-        include_dirs=[numpy.get_include(), folder],
+        sources=sorted(map(str, [*Path(folder).glob("*.c"), *(Path(SHARED) / each for each in shared)])),
+        depends=sorted(map(str, [*Path(folder).glob("*.h"), *Path(SHARED).glob("*.h")])),
+        include_dirs=[numpy.get_include(), folder, SHARED],
         define_macros=[("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")],
         # Python's own -fwrapv would keep loops over x + 1 with an int x from being vectorized
         extra_compile_args=["-O3", "-std=c99", "-Wall", "-Wextra", "-ffp-contract=off", "-fno-wrapv"],

@@ -16,7 +16,6 @@ REQUIREMENTS = {
     "scipy": "scipy",
     "onnxruntime": "onnxruntime",
     "cv2": "opencv-contrib-python-headless",
-    "ruckig": "ruckig",
     "rosbags": "rosbags",
     "mcap": "mcap",
     "zstandard": "zstandard",

@@ -146,13 +146,18 @@ class _OfflineLoop:
                 self.arms[plan.arm].begin(goal)
             for arm in self.sequence.finish():
                 self.arms[arm].end(self.sequence.failure)
-            self._tick()
+            while not self._tick():
+                pass
         wall_s = time.perf_counter() - started
         failure = self.sequence.failure
         return {name: arm.log.finish(not failure, failure, wall_s) for name, arm in self.arms.items()}
 
-    def _tick(self) -> None:
-        """One step of the cell: what the arms report, then what has become due, then new exposures."""
+    def _tick(self) -> bool:
+        """One step of the cell: what the arms report, then what has become due, then new exposures.
+
+        Returns whether that was news for the order of the run: a phase begun, a goal ended.
+        """
+        news = False
         for arm in self.arms.values():
             arm.take_pose()
         now_ns = self.cell.step()
@@ -160,15 +165,16 @@ class _OfflineLoop:
             command = arm.control(now_ns)
             if command is None:
                 continue
-            self.sequence.phase(name, command.phase)
+            news |= self.sequence.phase(name, command.phase)
             if self.progress is not None:
                 self.progress(name, arm.goal_name, command)
             late = arm.over_time(now_ns)
             if command.done or late:
-                arm.task = None
+                arm.task, news = None, True
                 self.sequence.result(name, command.succeeded, command.reason or "took too long")
         for arm in self.arms.values():
             arm.expose()
+        return news
 
 
 @dataclass(frozen=True)

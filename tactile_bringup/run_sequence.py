@@ -168,9 +168,12 @@ class RunSequence:
             state.asked = True
         return [state.plan.arm for state in late]
 
-    def phase(self, arm: str, phase: str) -> None:
-        """Take in the phase that an arm is in."""
-        self._arms[arm].phases.add(phase)
+    def phase(self, arm: str, phase: str) -> bool:
+        """Take in the phase that an arm is in; returns whether it is there for the first time."""
+        phases = self._arms[arm].phases
+        new = phase not in phases
+        phases.add(phase)
+        return new
 
     def result(self, arm: str, success: bool, reason: str) -> bool:
         """Take in how an arm's goal ended; returns whether that was well.

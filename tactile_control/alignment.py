@@ -103,9 +103,9 @@ class Bearing:
 
 def target_bearing(target: ArrayLike, T_base_sensor: Array, X_ss_reference: Array) -> Bearing:
     """Bearing of a position (3,) in the base, m, from the reference sensor frame X_ss' (4, 4)."""
-    T_reference_base = se3.inverse(T_base_sensor @ X_ss_reference)
-    position = T_reference_base[:3, :3] @ np.asarray(target, dtype=np.float64) + T_reference_base[:3, 3]
-    _, y, z = position
+    T_base_reference = se3.compose(T_base_sensor, X_ss_reference)
+    position = (np.asarray(target, dtype=np.float64) - T_base_reference[:3, 3]) @ T_base_reference[:3, :3]
+    _, y, z = position.tolist()
     return Bearing(position, math.degrees(math.atan2(y, z)), math.hypot(y, z))
 
 

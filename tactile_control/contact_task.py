@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -442,18 +443,20 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
     # ---- output ----
 
     def _answer(self, wanted: Array, waiting: str) -> Command:
-        common = self._command(wanted, waiting)
-        self._limited = "speed" in common.limited
         servo = self._servo if self.phase in (SETTLE, self.work) else None
-        shown = vars(common) | {"progress": self._advance_progress(), "travelled": self._odometer.length}
+        shown: dict[str, Any] = {}
         if servo is not None and self._belief is not None:
-            shown |= {
+            shown = {
                 "error": servo.error,
                 "feedforward": servo.feedforward,
                 "reference": servo.reference,
                 "exposure_ns": self._belief.stamp_ns,
             }
-        return Command(**shown)
+        command = self._command(
+            wanted, waiting, progress=self._advance_progress(), travelled=self._odometer.length, **shown
+        )
+        self._limited = "speed" in command.limited
+        return command
 
     def _advance_progress(self) -> float:
         if self.phase == self.work:

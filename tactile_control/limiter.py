@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import NANOSECOND
+from tactile_control import _laws
 from tactile_control.pid import CHANNELS
 from tactile_filter import se3
 
@@ -68,19 +69,30 @@ class TwistLimiter:
 
     def step(self, now_ns: int, wanted: ArrayLike) -> LimitedTwist:
         """The twist to send at `now_ns`; the last one again where no time has passed since."""
-        target, refused = _finite(np.asarray(wanted, dtype=np.float64))
-        dt = self._elapsed(now_ns)
-        limits = self.settings
-        parts, reasons = [], [refused] if refused else []
-        for name, rows, speed, acceleration, unit in (
-            ("linear", slice(0, 3), limits.linear_speed, limits.linear_acceleration, "m/s"),
-            ("angular", slice(3, 6), limits.angular_speed, limits.angular_acceleration, "rad/s"),
+        target, refused = _finite(wanted)
+        dt, limits = self._elapsed(now_ns), self.settings
+        self.twist, done = _laws.limit_twist(
+            self.twist,
+            target,
+            limits.linear_speed,
+            limits.linear_acceleration * dt,
+            limits.angular_speed,
+            limits.angular_acceleration * dt,
+        )
+        return LimitedTwist(self.twist.copy(), self._reason(target, done, refused) if done or refused else "")
+
+    def _reason(self, wanted: Array, done: int, refused: str) -> str:
+        """What was done to a twist, by the bits of `limit_twist`."""
+        limits, reasons = self.settings, [refused] if refused else []
+        for name, part, speed, unit in (
+            ("linear", wanted[:3], limits.linear_speed, "m/s"),
+            ("angular", wanted[3:], limits.angular_speed, "rad/s"),
         ):
-            part, reason = _limit(name, self.twist[rows], target[rows], speed, acceleration * dt, unit)
-            parts.append(part)
-            reasons += [reason] if reason else []
-        self.twist = np.concatenate(parts)
-        return LimitedTwist(self.twist.copy(), "; ".join(reasons))
+            parts = [f"{name} speed {se3.norm(part):.3g} over {speed:g} {unit}"] if done & 1 else []
+            parts += [f"{name} acceleration"] if done & 2 else []
+            reasons += [", ".join(parts)] if parts else []
+            done >>= 2
+        return "; ".join(reasons)
 
     def _elapsed(self, now_ns: int) -> float:
         """Seconds since the last step within [0, longest_step]; zero at the first step."""
@@ -89,27 +101,15 @@ class TwistLimiter:
         return min(max((now_ns - last) * NANOSECOND, 0.0), self.settings.longest_step)
 
 
-def _finite(twist: Array) -> tuple[Array, str]:
+def _finite(wanted: ArrayLike) -> tuple[Array, str]:
     """The twist, or zero and the reason where it cannot be used."""
-    if twist.shape != (6,):
-        return np.zeros(6), f"twist of shape {twist.shape} refused, must be (6,): decelerating to rest"
-    if not np.isfinite(twist).all():
-        bad = [channel for channel, number in zip(CHANNELS, twist, strict=True) if not np.isfinite(number)]
+    twist = _laws.vector(wanted, HUGE)
+    if twist is not None:
+        return twist, ""
+    given = np.asarray(wanted, dtype=np.float64)
+    if given.shape != (6,):
+        return np.zeros(6), f"twist of shape {given.shape} refused, must be (6,): decelerating to rest"
+    if not np.isfinite(given).all():
+        bad = [channel for channel, number in zip(CHANNELS, given, strict=True) if not np.isfinite(number)]
         return np.zeros(6), f"twist not finite in {', '.join(bad)}: decelerating to rest"
-    return twist.clip(-HUGE, HUGE), ""
-
-
-def _limit(
-    name: str, last: Array, wanted: Array, speed: float, largest_change: float, unit: str
-) -> tuple[Array, str]:
-    reasons = []
-    norm = se3.norm(wanted)
-    if norm > speed:
-        wanted = wanted * (speed / norm)
-        reasons.append(f"{name} speed {norm:.3g} over {speed:g} {unit}")
-    change = wanted - last
-    size = se3.norm(change)
-    if size > largest_change * (1.0 + 1e-9):
-        wanted = last + change * (largest_change / size)
-        reasons.append(f"{name} acceleration")
-    return wanted, ", ".join(reasons)
+    return given.clip(-HUGE, HUGE), ""

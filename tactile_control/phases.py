@@ -34,6 +34,9 @@ DONE = "done"
 FAILED = "failed"
 
 AT_REST = 1e-6  # m/s and rad/s
+_NOT_KNOWN, _NOTHING = np.full(6, np.nan), np.zeros(6)  # shared by commands: nobody writes to them
+for _shared in (_NOT_KNOWN, _NOTHING):
+    _shared.setflags(write=False)
 
 
 @dataclass(frozen=True)
@@ -115,9 +118,9 @@ class Command:
     succeeded: bool
     reason: str
     limited: str
-    error: Array = field(default_factory=lambda: np.full(6, np.nan))
-    feedforward: Array = field(default_factory=lambda: np.zeros(6))
-    reference: Array = field(default_factory=lambda: np.full(6, np.nan))
+    error: Array = field(default_factory=lambda: _NOT_KNOWN)
+    feedforward: Array = field(default_factory=lambda: _NOTHING)
+    reference: Array = field(default_factory=lambda: _NOT_KNOWN)
     progress: float = 0.0
     travelled: float = 0.0
     exposure_ns: int = 0
@@ -322,8 +325,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         """Whether the twist sent last was zero."""
         return bool(np.abs(self.limiter.twist).max() <= AT_REST)
 
-    def _command(self, wanted: Array, waiting: str) -> Command:
-        """What all tasks say."""
+    def _command(self, wanted: Array, waiting: str, **more: Any) -> Command:
+        """What all tasks say, and what this one says more."""
         assert self._now_ns is not None
         limited = self.limiter.step(self._now_ns, wanted)
         return Command(
@@ -334,4 +337,5 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
             succeeded=self.phase == DONE,
             reason="; ".join(filter(None, (self.reason, waiting))),
             limited=limited.reason,
+            **more,
         )

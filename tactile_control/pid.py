@@ -13,18 +13,21 @@ Integral and derivative are backward Euler; the derivative is that of an exponen
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import NANOSECOND
+from tactile_control import _laws
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
 CHANNELS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
 SPACES = ("local", "global")
+_INTEGRAL, _TRANSFER = 0, 4  # rows of the state that C advances
 #: Beyond this (m, rad, m/s, rad/s) is no error and no velocity, but a fault; with any gains all stays finite.
 LARGEST_INPUT = 1e3
 
@@ -85,8 +88,7 @@ class PidSettings(Settings):
     )
 
 
-@dataclass(frozen=True)
-class PidOutput:
+class PidOutput(NamedTuple):
     """One step of a `TangentPid`: the feedback and its parts, (6,), in the tangent space of the error."""
 
     feedback: Array
@@ -94,15 +96,19 @@ class PidOutput:
     integral: Array
     derivative: Array
     transfer: Array
-    saturated: NDArray[np.bool_]
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Which channels of the feedback are clipped."""
+        return self.feedback != self.proportional + self.integral + self.derivative + self.transfer
 
 
 def tangent_error(X: Array, X_reference: Array, space: str = "local") -> Array:
     """Error (6,) from X to X_reference, in the local (`X^-1 X*`) or global (`X* X^-1`) tangent space."""
     if space == "local":
-        return se3.log(se3.inverse(X) @ X_reference)
+        return se3.log(se3.between(X, X_reference))
     if space == "global":
-        return se3.log(X_reference @ se3.inverse(X))
+        return se3.log(se3.compose(X_reference, se3.inverse(X)))
     raise ValueError(f"tangent space '{space}': must be one of {', '.join(SPACES)}")
 
 
@@ -126,24 +132,28 @@ class TangentPid:
 
     def __init__(self, settings: PidSettings) -> None:
         self.settings = settings
+        self._gains = _gains(settings)
         self.reset()
+
+    @property
+    def integral(self) -> Array:
+        """Of the error (6,)."""
+        return self._state[_INTEGRAL]
 
     def reset(self) -> None:
         """Forget integral, derivative and the last stamp."""
         self.stamp_ns: int | None = None
-        self.integral = np.zeros(6)
-        self._error = np.zeros(6)
-        self._smooth = np.zeros(6)
-        self._derivative = np.zeros(6)
-        self._transfer = np.zeros(6)
+        self._state = np.zeros((5, 6))
 
     def configure(self, settings: PidSettings) -> None:
         """Replace the settings between two steps without a jump of the output."""
-        before = self._law()
-        self.settings = settings
-        self.integral = _clip(self.integral, settings.integral_limit)
+        before = _laws.pid_law(self._state, self._gains)
+        self.settings, self._gains = settings, _gains(settings)
+        limit = np.asarray(settings.integral_limit)
+        self._state[_INTEGRAL] = self.integral.clip(-limit, limit)
         if self.stamp_ns is not None:
-            self._transfer = before - self._law(transfer=False)
+            self._state[_TRANSFER] = 0.0
+            self._state[_TRANSFER] = before - _laws.pid_law(self._state, self._gains)
 
     def update(self, stamp_ns: int, error: ArrayLike, hold_integral: bool = False) -> PidOutput:
         """Advance to `stamp_ns` with the error (6,) measured there; return the feedback.
@@ -161,12 +171,12 @@ class TangentPid:
         """
         error = checked_vector("error", error)
         dt, gap = self._elapsed(stamp_ns)
-        self._smooth, self._derivative = self._differentiate(error, dt, gap)
-        self._transfer = self._transfer * self._fade(dt)
-        self._error, self.stamp_ns = error, stamp_ns
-        if not hold_integral:
-            self._integrate(error, dt)
-        return self._output()
+        self.stamp_ns, s = stamp_ns, self.settings
+        return PidOutput(
+            *_laws.pid_step(
+                self._state, self._gains, error, dt, gap, not hold_integral, s.ewma_decay, s.transfer_time
+            )
+        )
 
     def _elapsed(self, stamp_ns: int) -> tuple[float, bool]:
         """Seconds since the last step, at most `longest_step`; True after a gap and at the first step."""
@@ -178,59 +188,21 @@ class TangentPid:
         longest = self.settings.longest_step
         return min(dt, longest), dt > longest
 
-    def _differentiate(self, error: Array, dt: float, gap: bool) -> tuple[Array, Array]:
-        if gap:
-            return error.copy(), np.zeros(6)
-        decay = self.settings.ewma_decay
-        smooth = decay * self._smooth + (1.0 - decay) * error
-        return smooth, (smooth - self._smooth) / dt
 
-    def _integrate(self, error: Array, dt: float) -> None:
-        """Backward Euler with clipping; a channel whose output is clipped does not integrate outwards."""
-        grown = _clip(self.integral + error * dt, self.settings.integral_limit)
-        output = self._law()
-        beyond = np.abs(output) > np.asarray(self.settings.output_limit)
-        outwards = beyond & (np.sign(output) * (grown - self.integral) > 0.0)
-        self.integral = np.where(outwards, self.integral, grown)
-
-    def _fade(self, dt: float) -> float:
-        return float(np.exp(-dt / self.settings.transfer_time)) if self.settings.transfer_time > 0.0 else 0.0
-
-    def _law(self, transfer: bool = True) -> Array:
-        gains = self.settings
-        law = (
-            np.asarray(gains.kp) * self._error
-            + np.asarray(gains.ki) * self.integral
-            + np.asarray(gains.kd) * self._derivative
-        )
-        return law + self._transfer if transfer else law
-
-    def _output(self) -> PidOutput:
-        gains = self.settings
-        unclipped = self._law()
-        feedback = _clip(unclipped, gains.output_limit)
-        return PidOutput(
-            feedback=feedback,
-            proportional=np.asarray(gains.kp) * self._error,
-            integral=np.asarray(gains.ki) * self.integral,
-            derivative=np.asarray(gains.kd) * self._derivative,
-            transfer=self._transfer.copy(),
-            saturated=feedback != unclipped,
-        )
+def _gains(settings: PidSettings) -> Array:
+    """As C takes them (5, 6)."""
+    rows = settings.kp, settings.ki, settings.kd, settings.integral_limit, settings.output_limit
+    return np.array(rows, dtype=np.float64)
 
 
 def checked_vector(name: str, value: ArrayLike) -> Array:
     """The value as a new (6,) float array; `ControlInputError` names the channels beyond `LARGEST_INPUT`."""
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (6,):
-        raise ControlInputError(f"{name}: shape {vector.shape}, must be (6,)")
-    if not (abs(vector) <= LARGEST_INPUT).all():
-        named = zip(CHANNELS, vector, strict=True)
-        bad = [f"{channel} = {number}" for channel, number in named if not abs(number) <= LARGEST_INPUT]
-        raise ControlInputError(f"{name} is no number within {LARGEST_INPUT:g}: {', '.join(bad)}")
-    return vector
-
-
-def _clip(value: Array, limit: ArrayLike) -> Array:
-    bound = np.asarray(limit)
-    return value.clip(-bound, bound)
+    vector = _laws.vector(value, LARGEST_INPUT)
+    if vector is not None:
+        return vector
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != (6,):
+        raise ControlInputError(f"{name}: shape {array.shape}, must be (6,)")
+    named = zip(CHANNELS, array, strict=True)
+    bad = [f"{channel} = {number}" for channel, number in named if not abs(number) <= LARGEST_INPUT]
+    raise ControlInputError(f"{name} is no number within {LARGEST_INPUT:g}: {', '.join(bad)}")

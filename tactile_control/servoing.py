@@ -83,8 +83,8 @@ class ServoingController:
     """The paper's tactile servoing controller, in local or global tangent space."""
 
     def __init__(self, settings: ServoingSettings, pid: PidSettings) -> None:
-        self.settings = settings
         self.pid = TangentPid(pid)
+        self.configure(settings, pid)
 
     def reset(self) -> None:
         """Forget the integral and the last error."""
@@ -93,6 +93,8 @@ class ServoingController:
     def configure(self, settings: ServoingSettings, pid: PidSettings) -> None:
         """Replace the settings between two steps; gains go over without a jump."""
         self.settings = settings
+        euler = np.array(settings.reference)
+        self._reference = euler, se3.pose_from_euler(euler)
         if pid != self.pid.settings:
             self.pid.configure(pid)
 
@@ -107,19 +109,18 @@ class ServoingController:
         """
         X_fs = se3.inverse(se3.checked_pose("X_sf", X_sf))
         velocity = checked_vector("velocity", velocity)
-        reference = self.reference_for(X_fs)
-        X_reference = se3.pose_from_euler(reference)
+        reference, X_reference = self.reference_for(X_fs)
         space = self.settings.tangent_space
         pid = self.pid.update(stamp_ns, tangent_error(X_fs, X_reference, space), hold_integral)
-        X_ss_ref = se3.inverse(X_fs) @ X_reference
+        X_ss_ref = se3.between(X_fs, X_reference)
         feedforward = se3.adjoint(X_ss_ref) @ velocity
         twist = to_local(pid.feedback, X_fs, space) + feedforward
         return ServoingOutput(twist, se3.log(X_ss_ref), feedforward, reference, pid)
 
-    def reference_for(self, X_fs: Array) -> Array:
-        """The reference contact pose for an observed one (4, 4): Euler (6,) of X_fs', m and rad."""
-        euler = np.array(self.settings.reference)
-        if self.settings.free_shear:
-            observed = se3.euler_from_pose(X_fs)
-            euler[[0, 1, 5]] = observed[[0, 1, 5]]
-        return euler
+    def reference_for(self, X_fs: Array) -> tuple[Array, Array]:
+        """The reference contact pose for an observed one (4, 4): Euler (6,), m and rad, and X_fs' (4, 4)."""
+        if not self.settings.free_shear:
+            return self._reference
+        euler, observed = self._reference[0].copy(), se3.euler_from_pose(X_fs)
+        euler[[0, 1, 5]] = observed[[0, 1, 5]]
+        return euler, se3.pose_from_euler(euler)

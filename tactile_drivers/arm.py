@@ -15,7 +15,6 @@ none (`ArmScene.controlled_frame`, which stands in the tool at `ArmScene.T_tool_
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -26,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.registry import Registry
 from tactile_base.settings import Settings, setting
-from tactile_filter import se3
+from tactile_drivers import _native
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene
@@ -75,14 +74,14 @@ class ArmLimits(Settings):
         Never less than the way that acceleration and jerk allow: v^2 / 2a + v a / 2j where a is reached,
         v sqrt(v / j), which is less than that, where it is not.
         """
-        return speed * (speed / (2.0 * self.linear_acceleration) + self._lead(delay))
+        return _native.braking_distance(speed, self.linear_acceleration, self.lead(delay))
 
     def braking_speed(self, distance: float, delay: float = 0.0) -> float:
         """The speed (m/s) whose `braking_distance` this is."""
-        a, lead = self.linear_acceleration, self._lead(delay)
-        return a * (math.sqrt(lead * lead + 2.0 * max(distance, 0.0) / a) - lead)
+        return _native.braking_speed(distance, self.linear_acceleration, self.lead(delay))
 
-    def _lead(self, delay: float) -> float:
+    def lead(self, delay: float) -> float:
+        """How long (s) at its speed takes an arm that brakes after `delay` (s) as far as jerk makes it go."""
         return delay + self.linear_acceleration / (2.0 * self.linear_jerk)
 
 
@@ -244,9 +243,4 @@ def open_arm(arm: ArmScene, report: Callable[[ArmState], None]) -> Arm:
 
 def shortened(twist: Array, limits: ArmLimits) -> Array:
     """The twist (6,) with both speeds within limits, directions kept."""
-    out = twist.copy()
-    for part, limit in ((slice(0, 3), limits.linear_velocity), (slice(3, 6), limits.angular_velocity)):
-        norm = se3.norm(out[part])
-        if norm > limit:
-            out[part] *= limit / norm
-    return out
+    return _native.shortened(twist, limits.linear_velocity, limits.angular_velocity)

@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import Arm, ArmMode, ArmState, Box, shortened
+from tactile_drivers import _native
+from tactile_drivers.arm import Arm, ArmLimits, ArmMode, ArmState, SafetySettings
 from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.joint_limits import allowed_part, joint_rates
 from tactile_drivers.twist_profile import TwistProfile
@@ -36,17 +36,6 @@ Array = NDArray[np.float64]
 
 _SAME_TWIST = 1e-9  # m/s and rad/s: below this, a twist is as commanded
 _AXES = "xyz"
-_ROUNDING = 1e-6  # m: further than this beyond a reach, rounding does not decide whether a bound counts
-_ROUNDS = 4  # a bound that another one has pushed the velocity over is met by going through all of them again
-
-
-@dataclass(frozen=True)
-class _Bound:
-    """The velocity along `direction` (3,), in the controlled frame, is at most `speed` (m/s)."""
-
-    direction: Array
-    speed: float
-    reason: str
 
 
 class SafeArm:
@@ -72,10 +61,8 @@ class SafeArm:
     """
 
     def __init__(self, arm: ArmScene, clock: Callable[[], int]) -> None:
-        self.limits, self.settings, self.keep_out = arm.limits, arm.safety, arm.keep_out
-        sensor = arm.sensor.settings if arm.sensor is not None else None
-        self.largest_depth = sensor.protective_depth if sensor is not None else np.inf
-        self._radius = sensor.tip_radius if sensor is not None else 0.0
+        self.limits, self.settings = arm.limits, arm.safety
+        self._room, self._boxes, self._reasons = _room(arm)
         self.neighbours: Sequence[Neighbour] = ()
         self._clock = clock
         self._lock = threading.RLock()
@@ -175,7 +162,7 @@ class SafeArm:
         """Why the command is not followed; '' if it is."""
         if twist.shape != (6,):
             return f"a twist has 6 elements, this one has shape {twist.shape}"
-        if not np.isfinite(twist).all():
+        if not _native.finite(twist):
             return f"the twist is not finite: {twist.tolist()}"
         if self.driver is None or self.state is None:
             return "nobody drives the arm yet" if self.driver is None else "the arm has no state yet"
@@ -239,7 +226,7 @@ class SafeArm:
                 T_base_sensor = self._track.lookup("base", "controlled", stamp_ns)
             except TransformUnavailable:
                 return  # without the pose then it bounds nothing now; the last one still does for a while
-            self._contact = stamp_ns, T_base_sensor @ X_sf
+            self._contact = stamp_ns, se3.compose(T_base_sensor, X_sf)
 
     def _implausible(self, state: ArmState) -> str:
         """Why a state cannot be true; '' if it can."""
@@ -247,14 +234,14 @@ class SafeArm:
             se3.checked_pose("pose", state.T_base_controlled)
         except se3.PoseError as error:
             return str(error)
-        if not np.isfinite(state.twist).all():
+        if not _native.finite(state.twist):
             return f"twist is not finite: {np.asarray(state.twist).tolist()}"
         if self.state is None:
             return ""
         elapsed = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS
         if elapsed < 0.0:
             return f"the state is {-elapsed:.3f} s older than the last one"
-        way = se3.norm(state.T_base_controlled[:3, 3] - self.state.T_base_controlled[:3, 3])
+        way = _native.apart(state.T_base_controlled, self.state.T_base_controlled)
         # each axis has the limit, and the clock of an arm is not ours
         if way > self.settings.jump + 2.0 * self.limits.linear_velocity * elapsed:
             return f"the arm cannot have moved by {way * 1e3:.1f} mm in {elapsed * 1e3:.1f} ms"
@@ -267,15 +254,18 @@ class SafeArm:
         reason = state.reason
         if reason and self._last_refusal and state.mode in (ArmMode.STOPPING, ArmMode.RESTING):
             reason = f"{reason}; last refused: {self._last_refusal}"
-        known = vars(state) | {
-            "mode": ArmMode.ESTOP if self._estop else state.mode,
-            "reason": f"emergency stop: {self._estop}" if self._estop else reason,
-            "owner": self._owner,
-            "command_age": age,
-            "limited": in_force and bool(np.abs(self._wanted - state.twist).max() > _SAME_TWIST),
-            "held_back": self._held_back,
-        }
-        return ArmState(**known)
+        return ArmState(
+            state.stamp_ns,
+            state.T_base_controlled,
+            state.twist,
+            ArmMode.ESTOP if self._estop else state.mode,
+            f"emergency stop: {self._estop}" if self._estop else reason,
+            state.joints,
+            self._owner,
+            age,
+            in_force and _native.differ(self._wanted, state.twist, _SAME_TWIST),
+            self._held_back,
+        )
 
     # ---- what is passed on ----
 
@@ -295,26 +285,27 @@ class SafeArm:
             target = self._profile.twist
         if self._stopping and not target.any():
             self.halt(self._stopping)
-        elif self._sent_ns != self._in_force_ns or (target != self._sent).any():
+        elif self._sent_ns != self._in_force_ns or _native.differ(target, self._sent, 0.0):
             self.driver.command(self._in_force_ns or self.state.stamp_ns, target)
             self._sent, self._sent_ns = target, self._in_force_ns
 
     def _bounded(self, twist: Array) -> tuple[Array, str]:
         """The part of a twist that is followed, and what makes it less ('' where nothing does)."""
-        out = shortened(twist, self.limits)
-        reasons = ["speed"] if (out != twist).any() else []
-        bounds = self._bounds(se3.norm(out[:3]))
-        for _ in range(_ROUNDS):
-            passed = [b for b in bounds if float(b.direction @ out[:3]) > b.speed * (1 + 1e-9) + 1e-12]
-            if not passed:
-                break
-            for bound in passed:
-                out[:3] -= max(0.0, float(bound.direction @ out[:3]) - bound.speed) * bound.direction
-                reasons += [bound.reason] if bound.reason not in reasons else []
-        else:
-            out[:3] = 0.0
+        assert self.state is not None
+        out, less = _native.bounded(
+            twist, self._room, self._boxes, self.state.T_base_controlled, self._felt(self.state.stamp_ns)
+        )
+        reasons = [self._reasons[number] for number in less]
         part, reason = self._joints_allow(out)
-        return part * out, "; ".join([*reasons, *([reason] if reason else [])])
+        if part < 1.0:
+            out, reasons = part * out, [*reasons, reason]
+        return out, "; ".join(reasons)
+
+    def _felt(self, stamp_ns: int) -> Array | None:
+        """T_base_feature (4, 4) of the contact that bounds the motion at a stamp; None where none does."""
+        if self._contact is None or stamp_ns - self._contact[0] > self.settings.contact_memory * SECOND_NS:
+            return None
+        return self._contact[1]
 
     def _joints_allow(self, twist: Array) -> tuple[float, str]:
         """What joints and neighbours allow; all of it where nothing is known of the joints."""
@@ -330,64 +321,30 @@ class SafeArm:
             part, reason = (part * apart, other) if apart < 1.0 else (part, reason)
         return part, reason
 
-    def _bounds(self, speed: float) -> list[_Bound]:
-        """What can bound a velocity of that size (m/s) where the arm is now."""
-        assert self.state is not None
-        T = self.state.T_base_controlled
-        R, p = T[:3, :3], T[:3, 3]
-        found = []
-        reach = self.limits.braking_distance(speed, self._delay) + _ROUNDING
-        for axis, (name, at) in enumerate(zip(_AXES, p.tolist(), strict=True)):
-            low, high = self.settings.workspace_lower[axis], self.settings.workspace_upper[axis]
-            if high - at < reach:
-                found.append(self._bound(R[axis], high - at, f"workspace {name} <= {high:g} m"))
-            if at - low < reach:
-                found.append(self._bound(-R[axis], at - low, f"workspace {name} >= {low:g} m"))
-        for box in self.keep_out:
-            towards, room = _way_into(box, p)
-            if room - self._radius < reach:
-                found.append(self._bound(R.T @ towards, room - self._radius, f"kept out of {box.name}"))
-        return found + self._contact_bounds(T, reach)
-
-    def _contact_bounds(self, T_base_sensor: Array, reach: float) -> list[_Bound]:
-        """What the sensor's skin bounds: no deeper and sheared no further, as the contact is now.
-
-        Only where there is less room than `reach` (m).
-        """
-        assert self.state is not None
-        if self._contact is None:
-            return []
-        stamp_ns, T_base_feature = self._contact
-        if self.state.stamp_ns - stamp_ns > self.settings.contact_memory * SECOND_NS:
-            return []
-        X_fs = se3.inverse(T_base_feature) @ T_base_sensor
-        R_sf, (x, y, depth) = X_fs[:3, :3].T, X_fs[:3, 3].tolist()
-        limit, shear, found = self.settings.largest_shear, float(np.hypot(x, y)), []
-        if self.largest_depth - depth < reach:
-            found += [self._bound(R_sf[:, 2], self.largest_depth - depth, f"depth {self.largest_depth:g} m")]
-        if shear > 0.0 and limit - shear < reach:
-            outward = R_sf @ np.array([x / shear, y / shear, 0.0])
-            found.append(self._bound(outward, limit - shear, f"shear {limit:g} m"))
-        return found
-
     @property
     def _delay(self) -> float:
-        """Until the arm brakes (s): it has to hear of it, and may be speeding up still."""
-        return self.settings.reaction_time + self.limits.linear_acceleration / self.limits.linear_jerk
-
-    def _bound(self, direction: Array, room: float, reason: str) -> _Bound:
-        return _Bound(direction, self.limits.braking_speed(room, self._delay) if room > 0.0 else 0.0, reason)
+        return _delay(self.limits, self.settings)
 
 
-def _way_into(box: Box, p: Array) -> tuple[Array, float]:
-    """The direction (3,) in which a point is nearest to a box, and how far; negative inside of it."""
-    nearest = np.clip(p, box.lower, box.upper)
-    way = nearest - p
-    distance = se3.norm(way)
-    if distance > 0.0:
-        return way / distance, distance
-    depths = np.concatenate([p - box.lower, box.upper - p])
-    face = int(depths.argmin())
-    inward = np.zeros(3)
-    inward[face % 3] = 1.0 if face < 3 else -1.0
-    return inward, -float(depths[face])
+def _delay(limits: ArmLimits, safety: SafetySettings) -> float:
+    """Until the arm brakes (s): it has to hear of it, and may be speeding up still."""
+    return safety.reaction_time + limits.linear_acceleration / limits.linear_jerk
+
+
+def _room(arm: ArmScene) -> tuple[Array, Array, list[str]]:
+    """What bounds an arm as C takes it, room (13,) and boxes (n, 6), and in words, by C's numbers."""
+    limits, safety = arm.limits, arm.safety
+    sensor = arm.sensor.settings if arm.sensor is not None else None
+    depth = sensor.protective_depth if sensor is not None else np.inf
+    room = [
+        limits.linear_velocity, limits.angular_velocity, limits.linear_acceleration,
+        limits.lead(_delay(limits, safety)), *safety.workspace_lower, *safety.workspace_upper,
+        sensor.tip_radius if sensor is not None else 0.0, depth, safety.largest_shear,
+    ]  # fmt: skip
+    reasons = ["speed"]
+    for axis, low, high in zip(_AXES, safety.workspace_lower, safety.workspace_upper, strict=True):
+        reasons += [f"workspace {axis} <= {high:g} m", f"workspace {axis} >= {low:g} m"]
+    reasons += [f"depth {depth:g} m", f"shear {safety.largest_shear:g} m"]
+    reasons += [f"kept out of {box.name}" for box in arm.keep_out]
+    boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
+    return np.array(room), boxes, reasons

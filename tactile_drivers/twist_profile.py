@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import ruckig
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_drivers import _native
 from tactile_drivers.arm import ArmLimits
 
 Array = NDArray[np.float64]
 
 
 class TwistProfile:
-    """Goes towards target twists, each axis by itself; the arithmetic is Ruckig's.
+    """Goes towards target twists, each axis by itself, in up to three stretches of constant jerk.
 
     Attributes
     ----------
@@ -21,9 +21,9 @@ class TwistProfile:
     """
 
     def __init__(self, limits: ArmLimits) -> None:
-        self._generator = ruckig.Ruckig(6)
-        self._trajectory = ruckig.Trajectory(6)
-        self._input = _ruckig_input(limits)
+        self._limits = np.array([
+            limits.linear_acceleration, limits.angular_acceleration, limits.linear_jerk, limits.angular_jerk
+        ])  # fmt: skip
         self.start(np.zeros(6))
 
     def start(self, twist: ArrayLike) -> None:
@@ -31,36 +31,8 @@ class TwistProfile:
         self.twist, self.acceleration = np.array(twist, dtype=np.float64), np.zeros(6)
 
     def advance(self, dt: float, target: Array) -> Array:
-        """Go towards the target twist (6,) for `dt` seconds; returns the way (6,) meanwhile, m and rad.
-
-        Raises
-        ------
-        RuntimeError
-            If Ruckig finds no way.
-        """
-        if not (self.twist.any() or target.any() or self.acceleration.any()):
-            return np.zeros(6)
-        self._input.current_velocity = self.twist
-        self._input.current_acceleration = self.acceleration
-        self._input.target_velocity = target
-        result = self._generator.calculate(self._input, self._trajectory)
-        if result < 0:
-            raise RuntimeError(f"Ruckig found no trajectory from {self.twist} to {target}: {result}")
-        moved, twist, acceleration = self._trajectory.at_time(dt)
-        if dt >= self._trajectory.duration:  # there, exactly: rest is rest
-            self.twist, self.acceleration = target.copy(), np.zeros(6)
-        else:
-            self.twist, self.acceleration = np.array(twist), np.array(acceleration)
-        return np.array(moved)
-
-
-def _ruckig_input(limits: ArmLimits) -> ruckig.InputParameter:
-    """Velocity control with the displacement counted from zero in each step."""
-    inputs = ruckig.InputParameter(6)
-    inputs.control_interface = ruckig.ControlInterface.Velocity
-    inputs.synchronization = ruckig.Synchronization.No
-    inputs.current_position = [0.0] * 6
-    inputs.target_acceleration = [0.0] * 6
-    inputs.max_acceleration = [limits.linear_acceleration] * 3 + [limits.angular_acceleration] * 3
-    inputs.max_jerk = [limits.linear_jerk] * 3 + [limits.angular_jerk] * 3
-    return inputs
+        """Go towards the target twist (6,) for `dt` seconds; returns the way (6,) meanwhile, m and rad."""
+        moved, self.twist, self.acceleration = _native.advance(
+            self.twist, self.acceleration, target, self._limits, dt
+        )
+        return moved

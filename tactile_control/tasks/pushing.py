@@ -154,7 +154,7 @@ class Pushing(ContactTask):
     def fraction(self) -> float:
         """By the way that is left."""
         left = self._distance(self._sensor_pose()) - self.settings.task.tip_radius
-        return float(np.clip(1.0 - left / self._way, 0.0, 1.0))
+        return min(max(1.0 - left / self._way, 0.0), 1.0)
 
     def _next_twist(self, now_ns: int) -> tuple[Array, str]:
         """Before anything moves, whether the target can be reached from where it begins."""
@@ -201,8 +201,8 @@ class Pushing(ContactTask):
         """Of the target, in the reference sensor frame."""
         assert self._belief is not None
         X_sf = self._belief.T
-        X_fs_reference = se3.pose_from_euler(self.servoing.reference_for(se3.inverse(X_sf)))
-        return target_bearing(self._target, self._sensor_pose(), X_sf @ X_fs_reference)
+        _, X_fs_reference = self.servoing.reference_for(se3.inverse(X_sf))
+        return target_bearing(self._target, self._sensor_pose(), se3.compose(X_sf, X_fs_reference))
 
     def _distance(self, T_base_sensor: Array) -> float:
         """Of the sensor's centre from the target, m."""

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_drivers import _native
 from tactile_drivers.shapes.surface import Array, Surface
 
 _QUADRANTS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
@@ -38,21 +39,13 @@ class Box(Surface):
     settings: BoxSettings
 
     @cached_property
-    def _core(self) -> Array:
+    def _core(self) -> list[float]:
         """Half the core's size (3,), m."""
-        return np.array(self.settings.size) / 2 - self.settings.rounding
+        return [size / 2 - self.settings.rounding for size in self.settings.size]
 
     def query(self, points: Array) -> tuple[Array, Array]:
-        beyond = np.abs(points) - self._core
-        sign = np.where(points < 0, -1.0, 1.0)
-        outer = np.maximum(beyond, 0.0)
-        from_core = np.sqrt(np.einsum("ij,ij->i", outer, outer))
-        outside = from_core > 0
-        normal = sign * outer / np.where(outside, from_core, 1.0)[:, None]
-        inside = np.flatnonzero(~outside)
-        face = np.argmax(beyond[inside], axis=1)
-        normal[inside, face] = sign[inside, face]
-        return np.where(outside, from_core, beyond.max(axis=1)) - self.settings.rounding, normal
+        x, y, z = self._core
+        return _native.box_query(points, x, y, z, self.settings.rounding)
 
     def grid(self, n: int = 60) -> Array:
         """A grid on a sphere, cut into eight and moved to the core's corners: faces are what lies between."""

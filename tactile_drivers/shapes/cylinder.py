@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_base.settings import Settings, setting
+from tactile_drivers import _native
 from tactile_drivers.shapes.surface import Array, Surface
 
 _AXES = ("x", "y", "z")
@@ -34,15 +35,8 @@ class Cylinder(Surface):
         return _AXES.index(self.settings.axis) + 1
 
     def query(self, points: Array) -> tuple[Array, Array]:
-        s, points = self.settings, np.roll(points, -self._turn, axis=1)
-        across = np.hypot(points[:, 0], points[:, 1])
-        radial = np.zeros((len(points), 3))
-        radial[:, :2] = points[:, :2] / np.maximum(across, 1e-300)[:, None]
-        radial[across == 0, 0] = 1.0  # on the axis any direction is as good
-        distance, normal = across - s.radius, radial
-        if s.ends:
-            distance, normal = _with_ends(points[:, 2], distance, radial, s.height / 2)
-        return distance, np.roll(normal, self._turn, axis=1)
+        s = self.settings
+        return _native.cylinder_query(points, s.radius, s.height / 2, s.ends, self._turn)
 
     def grid(self, n: int = 60) -> Array:
         s = self.settings
@@ -53,16 +47,3 @@ class Cylinder(Surface):
         if s.ends:
             rows = [np.tile(-end, (n, 1)), *rows, np.tile(end, (n, 1))]
         return np.roll(np.stack(rows), self._turn, axis=-1)
-
-
-def _with_ends(z: Array, side: Array, radial: Array, half: float) -> tuple[Array, Array]:
-    """Distance and normal where the ends are nearer than the side, or the rim is nearest."""
-    axial = np.zeros_like(radial)
-    axial[:, 2] = np.where(z < 0, -1.0, 1.0)
-    end = np.abs(z) - half
-    distance, normal = np.maximum(side, end), np.where((end > side)[:, None], axial, radial)
-    rim = np.flatnonzero((side > 0) & (end > 0))
-    distance[rim] = np.hypot(side[rim], end[rim])
-    parts = side[rim, None] * radial[rim] + end[rim, None] * axial[rim]
-    normal[rim] = parts / distance[rim, None]
-    return distance, normal

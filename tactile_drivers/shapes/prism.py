@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_drivers import _native
 from tactile_drivers.shapes.surface import Array, Surface
 
 
@@ -38,23 +39,8 @@ class Prism(Surface):
 
     def query(self, points: Array) -> tuple[Array, Array]:
         s = self.settings
-        sector, inner = 2 * np.pi / s.sides, s.width / 2 - s.rounding
-        azimuth = np.arctan2(points[:, 1], points[:, 0])
-        facing = np.pi / 2 + sector * np.round((azimuth - np.pi / 2) / sector)  # of the nearest side
-        cos, sin = np.cos(facing), np.sin(facing)
-        beyond = cos * points[:, 0] + sin * points[:, 1] - inner
-        along = cos * points[:, 1] - sin * points[:, 0]
-        past = np.maximum(np.abs(along) - inner * np.tan(sector / 2), 0.0) * np.sign(along)  # the corner
-        above = np.abs(points[:, 2]) - (s.height / 2 - s.rounding)
-        up = np.where(points[:, 2] < 0, -1.0, 1.0)
-        out, over = np.maximum(beyond, 0.0), np.maximum(above, 0.0)
-        from_core = np.sqrt(out**2 + past**2 + over**2)
-        outside = from_core > 0
-        scale = np.where(outside, from_core, 1.0)
-        side = np.where(outside, out / scale, beyond >= above)
-        normal = np.stack([cos * side - sin * past / scale, sin * side + cos * past / scale,
-                           up * np.where(outside, over / scale, beyond < above)], axis=1)  # fmt: skip
-        return np.where(outside, from_core, np.maximum(beyond, above)) - s.rounding, normal
+        inner, height = s.width / 2 - s.rounding, s.height / 2 - s.rounding
+        return _native.prism_query(points, s.sides, inner, height, s.rounding)
 
     def grid(self, n: int = 60) -> Array:
         """A grid on a sphere, cut at the corners of the core and moved there: sides are what lies between."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings
+from tactile_drivers import _native
 
 Array = NDArray[np.float64]
 
@@ -94,26 +95,7 @@ def contact_pose(surface: Surface, T_surface_sensor: Array, radius: float) -> Co
 
     The feature frame {f} has its z axis along the inward normal at the nearest point of the surface and its
     origin where the sensor's centre would be at first touch, `radius` off the surface. Its turn about z is
-    the one for which X_fs, as extrinsic xyz Euler angles, has gamma = 0.
+    the one for which X_fs, as extrinsic xyz Euler angles, has gamma = 0: R_fs = Ry(beta) Rx(alpha).
     """
-    rotation, center = T_surface_sensor[:3, :3], T_surface_sensor[:3, 3]
-    distance, normals = surface.query(center[None])
-    normal, depth = normals[0], radius - float(distance[0])
-    inward = rotation.T @ -normal  # {f}'s z axis in {s}
-    T_fs = np.eye(4)
-    T_fs[:3, :3] = _rotation_without_turn(inward)
-    T_fs[2, 3] = depth
-    angle = float(np.arctan2(np.hypot(inward[0], inward[1]), inward[2]))
-    return ContactGeometry(depth, T_fs, angle, center - float(distance[0]) * normal, normal)
-
-
-def _rotation_without_turn(axis: Array) -> Array:
-    """R_fs = Ry(beta) Rx(alpha) whose third row, {f}'s z axis in {s}, is the unit vector `axis`."""
-    x, y, z = axis
-    cos_beta = np.hypot(y, z)
-    sin_alpha, cos_alpha = (y / cos_beta, z / cos_beta) if cos_beta > 0 else (0.0, 1.0)
-    return np.array([
-        [cos_beta, -x * sin_alpha, -x * cos_alpha],
-        [0.0, cos_alpha, -sin_alpha],
-        [x, cos_beta * sin_alpha, cos_beta * cos_alpha],
-    ])  # fmt: skip
+    distance, normals = surface.query(T_surface_sensor[None, :3, 3])
+    return ContactGeometry(*_native.meet(distance[0], normals[0], T_surface_sensor, radius))

@@ -57,7 +57,8 @@ class SimArm:
     ) -> None:
         self.limits = limits or ArmLimits()
         self._stamp_ns = int(stamp_ns)
-        self._pose = np.eye(4) if T_base_controlled is None else np.array(T_base_controlled, dtype=np.float64)
+        start = np.eye(4) if T_base_controlled is None else np.array(T_base_controlled, dtype=np.float64)
+        self._pose = _read_only(start)
         self.kinematics = kinematics
         self._joints = kinematics.reach(self._pose, kinematics.ready) if kinematics is not None else None
         self._motion = TwistProfile(self.limits)
@@ -73,8 +74,8 @@ class SimArm:
 
     @property
     def T_base_controlled(self) -> Array:
-        """Pose (4, 4) of the controlled frame in the arm's base."""
-        return self._pose.copy()
+        """Pose (4, 4) of the controlled frame in the arm's base; not to be written to."""
+        return self._pose
 
     @property
     def twist(self) -> Array:
@@ -168,7 +169,7 @@ class SimArm:
         """Move as the profile towards the target twist does."""
         moved = self._motion.advance(dt, self._target)
         if moved.any():
-            self._pose = _orthonormal(self._pose @ se3.exp(moved))
+            self._pose = _read_only(se3.orthonormalized(se3.compose(self._pose, se3.exp(moved))))
             self._move_joints()
 
     def _move_joints(self) -> None:
@@ -190,8 +191,6 @@ class SimArm:
             self._mode = ArmMode.RESTING
 
 
-def _orthonormal(T: Array) -> Array:
-    """T with the rotation drawn back onto SO(3), one Newton step of the polar decomposition."""
-    R = T[:3, :3]
-    T[:3, :3] = 1.5 * R - 0.5 * R @ (R.T @ R)
+def _read_only(T: Array) -> Array:
+    T.setflags(write=False)
     return T

@@ -13,6 +13,7 @@ Nothing in it waits: whoever owns the time calls `step`, a loop as fast as it ca
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import unknown_name
 from tactile_base.stamps import SECOND_NS
+from tactile_drivers import _native
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.scene import SIM, ArmScene, BodyScene, Scene
 from tactile_drivers.shapes.surface import ContactGeometry, Surface, contact_pose
@@ -58,8 +60,6 @@ class Truth:
         Angle between the sensor's z axis and the surface's inward normal at the nearest point, rad.
     T_fs : ndarray (4, 4)
         Equivalent surface contact pose X_fs.
-    shear : ndarray (3,)
-        Its shear: x, y (m) and turn gamma (rad) of X_fs as extrinsic xyz Euler angles.
     slip_fraction : float
         How much of the contact slips, 0..1.
     normal_force : float
@@ -73,18 +73,23 @@ class Truth:
     depth: float
     normal_angle: float
     T_fs: Array
-    shear: Array
     slip_fraction: float
     normal_force: float
     point: Array
     normal: Array
+
+    @property
+    def shear(self) -> Array:
+        """Its shear (3,): x, y (m) and turn gamma (rad) of X_fs as extrinsic xyz Euler angles."""
+        T_fs = self.T_fs
+        return np.array([T_fs[0, 3], T_fs[1, 3], np.arctan2(T_fs[1, 0], T_fs[0, 0])])
 
     @classmethod
     def nothing(cls) -> Truth:
         """The truth of a sensor that no surface is there for."""
         nan = float("nan")
         missing = np.full(3, nan)
-        return cls("", False, nan, nan, np.full((4, 4), nan), missing, 0.0, 0.0, missing, missing)
+        return cls("", False, nan, nan, np.full((4, 4), nan), 0.0, 0.0, missing, missing)
 
 
 @dataclass(frozen=True)
@@ -278,15 +283,17 @@ class _Target:
         self._T_base_world = se3.inverse(T_world_base)
         self._T_base_fixed = self._T_base_world @ body.T_world_body
         self._slack = 0.0
-        self._center: Array | None = None
+        self._before: Array | None = None  # T_body_sensor of the last step
 
     @property
     def T_base_body(self) -> Array:
         """The body (4, 4) in the arm's base, now."""
-        return self._T_base_fixed if self.body.fixed else self._T_base_world @ self.body.T_world_body
+        if self.body.fixed:
+            return self._T_base_fixed
+        return se3.compose(self._T_base_world, self.body.T_world_body)
 
     def sensor_in_body(self, T_base_sensor: Array) -> Array:
-        return se3.inverse(self.T_base_body) @ T_base_sensor
+        return se3.between(self.T_base_body, T_base_sensor)
 
     def distance(self, T_base_sensor: Array) -> float:
         """Distance of the sensor's centre from the surface, m."""
@@ -307,9 +314,9 @@ class _Target:
         `brakes` says how far an arm goes on (m), at most, that has moved that far (m) in this step.
         """
         if not self.body.fixed:
-            center = self.sensor_in_body(T_base_sensor)[:3, 3]
-            moved = np.inf if self._center is None else se3.norm(center - self._center)
-            self._center = center
+            T_body_sensor = self.sensor_in_body(T_base_sensor)
+            moved = np.inf if self._before is None else _native.apart(T_body_sensor, self._before)
+            self._before = T_body_sensor
         self._slack -= moved
         if self._slack > brakes(moved):
             return None
@@ -371,7 +378,8 @@ class _CellArm:
     @property
     def T_world_tool(self) -> Array:
         """The tool (4, 4) in the world."""
-        return self._T_world_base @ self.arm.T_base_controlled @ self._T_controlled_tool
+        T_world_controlled = se3.compose(self._T_world_base, self.arm.T_base_controlled)
+        return se3.compose(T_world_controlled, self._T_controlled_tool)
 
     @property
     def touched(self) -> _Body | None:
@@ -381,7 +389,7 @@ class _CellArm:
     def step(self, stamp_ns: int) -> None:
         before = self.arm.T_base_controlled
         T_base_sensor = self.arm.advance_to(stamp_ns)
-        self._moved = se3.norm(T_base_sensor[:3, 3] - before[:3, 3])
+        self._moved = _native.apart(T_base_sensor, before)
 
     def protect(self, arms: Mapping[str, _CellArm]) -> None:
         """Fault this arm if it came too deep into a body, braking now, and those that press it there."""
@@ -507,10 +515,13 @@ def _contact(
     """What the body feels of the sensor: the force acts at the nearest point, or, where it is modelled,
     where its line of action meets the surface's tangent plane there.
     """
-    R, normal, point = T[:3, :3], geometry.normal, geometry.point
+    normal, point = geometry.normal, geometry.point
+    if math.isnan(known.normal_force):  # which is not modelled
+        return BodyContact(arm, stamp_ns, T, truth, known.force, point, normal)
+    R = T[:3, :3]
     force, torque = -R @ known.force, -R @ known.torque
     press = -float(force @ normal)
-    if press > 0:  # not without contact, and not where no force is modelled
+    if press > 0:  # not without contact
         nearest = np.cross(force, torque) / float(force @ force) + T[:3, 3]
         point = nearest + float((nearest - point) @ normal) / press * force
     return BodyContact(arm, stamp_ns, T, truth, force, point, normal)
@@ -518,17 +529,16 @@ def _contact(
 
 def _truth(target: _Target, geometry: ContactGeometry, known: ContactTruth | IdealTruth) -> Truth:
     """What the sensor's model knows, with the geometry of the surface in the arm's base."""
-    T_base_body = target.T_base_body
-    rotation, origin, T_fs = T_base_body[:3, :3], T_base_body[:3, 3], known.T_fs
+    T_base_body, T_fs = target.T_base_body, known.T_fs
+    rotation = T_base_body[:3, :3]
     return Truth(
         surface=target.body.name,
         in_contact=known.contact_nodes > 0,
         depth=geometry.depth,
         normal_angle=geometry.normal_angle,
         T_fs=T_fs,
-        shear=np.array([T_fs[0, 3], T_fs[1, 3], np.arctan2(T_fs[1, 0], T_fs[0, 0])]),
         slip_fraction=known.slip_fraction,
         normal_force=known.normal_force,
-        point=rotation @ geometry.point + origin,
+        point=rotation @ geometry.point + T_base_body[:3, 3],
         normal=rotation @ geometry.normal,
     )

@@ -3,7 +3,7 @@
 The limit surface of Goyal, Ruina and Papadopoulos (1991) as the ellipsoid of Howe and Cutkosky (1996):
 (f_x^2 + f_y^2) / F^2 + m^2 / M^2 = 1, with m about the centre of friction. A foot whose load lies inside
 sticks; one that slides carries a load on it and moves along its normal, which is the motion that dissipates
-most.
+most. What a step of an object needs of it is in C (`_csrc/limit_surface.c`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import SettingError
+from tactile_drivers.sim import _contact
 
 Array = NDArray[np.float64]
-
-_ITERATIONS, _CONVERGED = 60, 1e-12
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Foot:
 
     def inside(self, point: ArrayLike) -> float:
         """How far (m) a point (2,) lies inside the nearest edge; negative outside."""
-        return float(self._inside(np.asarray(point)).min())
+        return _contact.foot_inside(self.numbers, point)[0]
 
     def edge_share(self, center: ArrayLike) -> float:
         """Part of the load on the edge that a centre of pressure (2,) is ahead to.
@@ -74,29 +73,20 @@ class Foot:
         A pressure that is linear over the foot leaves its far corner when its centre leaves the core of the
         area; from there the share grows to 1 with the centre on the edge.
         """
-        ahead = np.asarray(center) - self.center
-        over = float(-((self.corners - self.center) @ np.linalg.solve(self.spread, ahead)).min())
-        if over <= 1.0:
-            return 0.0
-        there = float((1.0 - self._inside(np.asarray(center)) / self._inside(self.center)).max())
-        return 1.0 if there >= 1.0 else (over - 1.0) / (over / there - 1.0)
+        return _contact.foot_edge_share(self.numbers, center)
 
     def edge_before(self, point: ArrayLike) -> tuple[Array, Array]:
         """The two corners (2,) of the edge that a point (2,) is nearest to, or farthest beyond."""
-        first = int(self._inside(np.asarray(point)).argmin())
+        _, first = _contact.foot_inside(self.numbers, point)
         return self.corners[first], self.corners[(first + 1) % len(self.corners)]
 
-    def _inside(self, point: Array) -> Array:
-        return np.asarray(self._inward @ point - self._offset)
-
     @cached_property
-    def _inward(self) -> Array:
+    def numbers(self) -> tuple[Array, Array, Array]:
+        """As C takes it: of each edge corner, inward normal and their product (n, 5); centre; spread."""
         along = np.roll(self.corners, -1, axis=0) - self.corners
-        return np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
-
-    @cached_property
-    def _offset(self) -> Array:
-        return np.asarray(np.einsum("ij,ij->i", self._inward, self.corners))
+        inward = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+        offset = np.einsum("ij,ij->i", inward, self.corners)
+        return np.column_stack([self.corners, inward, offset]), self.center, self.spread
 
 
 def return_to_surface(
@@ -128,39 +118,7 @@ def return_to_surface(
     ValueError
         If what springs do not hold exceeds the ellipsoid: no position of the foot carries the load.
     """
-    scale = np.array([1.0 / force, 1.0 / force, 1.0 / torque])
-    used = scale * np.asarray(load, dtype=float)
-    if used @ used <= 1.0:
-        return np.zeros(3), np.asarray(load, dtype=float)
-    softness, axes = np.linalg.eigh(scale[:, None] * stiffness * scale)
-    part = axes.T @ used
-    multiplier = _multiplier(
-        [float(p) ** 2 for p in part], [max(float(s), 0.0) for s in softness], float(np.abs(softness).max())
-    )
-    left = axes @ (part / (1.0 + multiplier * softness))
-    return multiplier * scale * left, left / scale
-
-
-def _multiplier(squares: list[float], softness: list[float], largest: float) -> float:
-    """The x > 0 at which sum(squares / (1 + x softness)^2) = 1: Newton from the left, where it is convex."""
-    held = [s > 1e-9 * largest for s in softness]
-    if sum(c for c, h in zip(squares, held, strict=True) if not h) >= 1.0:
-        raise ValueError("the load exceeds friction where no spring holds the foot")
-    x = 0.0
-    for _ in range(_ITERATIONS):
-        value, slope = -1.0, 0.0
-        for c, s in zip(squares, softness, strict=True):
-            grown = 1.0 + x * s
-            part = c / (grown * grown)
-            value += part
-            slope += 2.0 * part * s / grown
-        # in 1 / sqrt(sum) the root is nearly a line: converges in a few steps from any start
-        total = value + 1.0
-        change = 2.0 * total * (math.sqrt(total) - 1.0) / slope
-        x += change
-        if abs(value) < _CONVERGED or abs(change) < _CONVERGED * x:
-            break
-    return x
+    return _contact.return_to_surface(load, stiffness, force, torque)
 
 
 def _hull(points: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_drivers.sim import _contact
 
 if TYPE_CHECKING:
     from tactile_drivers.sim.motions import BodyContact
@@ -56,14 +58,9 @@ class SkinForces(Settings):
 
     def force_on_body(self, contact: BodyContact) -> Array:
         """Force (3,) N of a sensor on the body, in its frame: what it models, else by depth and shear."""
-        if np.isfinite(contact.force).all():
+        if not math.isnan(contact.force[0]):
             return contact.force
-        depth = contact.truth.depth
-        press = self.normal_force(depth)
-        shear = self.shear_stiffness(depth) * contact.truth.T_fs[:2, 3]
-        limit, size = self.friction_tip * press, float(np.linalg.norm(shear))
-        if size > limit:
-            shear = shear * (limit / size)
-        return np.asarray(
-            contact.T_body_sensor[:3, :3] @ contact.truth.T_fs[:3, :3].T @ np.array([*shear, press])
+        press, stiffness = self.normal_force(contact.truth.depth), self.shear_stiffness(contact.truth.depth)
+        return _contact.skin_force(
+            contact.T_body_sensor, contact.truth.T_fs, press, stiffness, self.friction_tip
         )

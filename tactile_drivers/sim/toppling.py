@@ -36,9 +36,9 @@ class Touch:
 
     Attributes
     ----------
-    force, point : (3,)
+    force, point : ndarray (3,)
         N, and where it acts, m.
-    normal : (3,)
+    normal : ndarray (3,)
         Of the body, outward.
     along, across : float
         Stiffness of the skin, N/m.
@@ -46,9 +46,9 @@ class Touch:
         Whether the force is what the friction of the skin leaves of it.
     """
 
-    force: Sequence[float]
-    point: Sequence[float]
-    normal: Sequence[float]
+    force: Array
+    point: Array
+    normal: Array
     along: float
     across: float
     slips: bool
@@ -58,22 +58,6 @@ class Touch:
         """(3, 3): how fast the force falls as the object gives way; across, not while the skin slips."""
         across = 0.0 if self.slips else self.across
         return (self.along - across) * np.outer(self.normal, self.normal) + across * np.eye(3)
-
-
-def planar_stiffness(touches: Sequence[Touch], center: tuple[float, float], sticks: bool = False) -> Array:
-    """(3, 3): how fast f_x, f_y and the torque about a centre (m) fall as the object moves and turns there.
-
-    With `sticks` that of tips that slip, too, as if they stuck.
-    """
-    a = b = c = d = e = g = 0.0
-    for touch in touches:
-        across = touch.across if sticks or not touch.slips else 0.0
-        more, (nx, ny, _) = touch.along - across, touch.normal
-        xx, xy, yy = across + more * nx * nx, more * nx * ny, across + more * ny * ny
-        x, y = touch.point[0] - center[0], touch.point[1] - center[1]
-        by_x, by_y = x * xy - y * xx, x * yy - y * xy
-        a, b, c, d, e, g = a + xx, b + xy, c + yy, d + by_x, e + by_y, g + x * by_y - y * by_x
-    return np.array([[a, b, d], [b, c, e], [d, e, g]])
 
 
 class Tipping:

@@ -68,14 +68,24 @@ static inline int read_array(double* res, PyObject* arg, npy_intp rows, npy_intp
 }
 
 
-// as read_array; not finite is an error, too
-static inline int read_finite(double* res, PyObject* arg, npy_intp rows, npy_intp columns, const char* name) {
-  if (!read_array(res, arg, rows, columns, name)) {
-    return 0;
+// an array that is neither (rows, columns) nor a stack of these
+static inline void set_stack_error(PyArrayObject* array, int rows, int columns, const char* name) {
+  PyObject* shape = PyObject_GetAttrString((PyObject*)array, "shape");
+  if (shape && columns == 0) {
+    PyErr_Format(PyExc_ValueError, "%s: must have shape (%d,), or that behind others, has %S", name, rows, shape);
+  } else if (shape) {
+    PyErr_Format(PyExc_ValueError, "%s: must have shape (%d, %d), or that behind others, has %S", name, rows,
+                 columns, shape);
   }
+  Py_XDECREF(shape);
+}
+
+
+// returns 0 with an error set if one of the numbers of an argument is not finite
+static inline int all_finite(const double* data, npy_intp count, PyObject* arg, const char* name) {
   double zero = 0;
-  for (npy_intp i = 0; i < rows * (columns ? columns : 1); i++) {
-    zero += 0*res[i];
+  for (npy_intp i = 0; i < count; i++) {
+    zero += 0*data[i];
   }
   if (zero == 0) {
     return 1;
@@ -88,6 +98,13 @@ static inline int read_finite(double* res, PyObject* arg, npy_intp rows, npy_int
   Py_XDECREF(list);
   Py_XDECREF(array);
   return 0;
+}
+
+
+// as read_array; not finite is an error, too
+static inline int read_finite(double* res, PyObject* arg, npy_intp rows, npy_intp columns, const char* name) {
+  return read_array(res, arg, rows, columns, name)
+         && all_finite(res, rows * (columns ? columns : 1), arg, name);
 }
 
 

@@ -267,6 +267,88 @@ static PyObject* module_inverse(PyObject* module, PyObject* arg) {
 }
 
 
+// the product of two poses, or of the inverse of one with the other
+static PyObject* product_of(PyObject* const* args, Py_ssize_t nargs, const char* name,
+                            void product(Pose*, const Pose*, const Pose*)) {
+  double first[16], second[16];
+  Pose a, b, res;
+  if (!has_count(name, nargs, 2) || !read_pose(first, args[0], "A") || !read_pose(second, args[1], "B")) {
+    return NULL;
+  }
+  se3_from_matrix(&a, first);
+  se3_from_matrix(&b, second);
+  product(&res, &a, &b);
+  return new_pose(&res);
+}
+
+
+static PyObject* module_compose(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  return product_of(args, nargs, "compose", se3_product);
+}
+
+
+static PyObject* module_between(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  return product_of(args, nargs, "between", se3_inverse_product);
+}
+
+
+// a C function of `from` numbers that answers `to`, of each in a stack of arrays of the shape (rows, columns), or
+// (rows,) for columns = 0, behind any others; returns 0 where there is none
+typedef int Conversion(double* res, const double* value);
+typedef struct {
+  int rows, columns;
+} Extents;
+
+static PyObject* convert_each(PyObject* arg, Extents from, Extents to, Conversion* convert, const char* name) {
+  npy_intp shape[NPY_MAXDIMS];
+  int own = from.columns ? 2 : 1, count = from.rows * (from.columns ? from.columns : 1);
+  PyArrayObject* array = (PyArrayObject*)PyArray_FROM_OTF(arg, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
+  if (!array) {
+    return NULL;
+  }
+  int others = PyArray_NDIM(array) - own, result = others + (to.columns ? 2 : 1);
+  PyArrayObject* res = NULL;
+  const double* data = PyArray_DATA(array);
+  if (others < 0 || result > NPY_MAXDIMS || PyArray_DIM(array, others) != from.rows
+      || (own == 2 && PyArray_DIM(array, others + 1) != from.columns)) {
+    set_stack_error(array, from.rows, from.columns, name);
+  } else if (all_finite(data, PyArray_SIZE(array), arg, name)) {
+    memcpy(shape, PyArray_DIMS(array), (size_t)others * sizeof(npy_intp));
+    shape[others] = to.rows;
+    shape[result-1] = to.columns ? to.columns : to.rows;
+    res = (PyArrayObject*)PyArray_SimpleNew(result, shape, NPY_DOUBLE);
+  }
+  npy_intp stack = res ? PyArray_SIZE(array) / count : 0;
+  for (npy_intp i = 0; i < stack; i++) {
+    double* one = (double*)PyArray_DATA(res) + i * to.rows * (to.columns ? to.columns : 1);
+    if (!convert(one, data + i*count)) {
+      const double* row = data + i*count + 12;
+      PyObject* last = Py_BuildValue("[dddd]", row[0], row[1], row[2], row[3]);
+      PyErr_Format(PyExc_ValueError, "%s: last row must be [0, 0, 0, 1], is %S", name, last);
+      Py_XDECREF(last);
+      Py_CLEAR(res);
+      break;
+    }
+  }
+  Py_DECREF(array);
+  return (PyObject*)res;
+}
+
+
+static PyObject* module_pose_from_euler(PyObject* module, PyObject* arg) {
+  (void)module;
+  return convert_each(arg, (Extents){6, 0}, (Extents){4, 4}, se3_from_euler, "pose6");
+}
+
+
+static PyObject* module_euler_from_pose(PyObject* module, PyObject* arg) {
+  (void)module;
+  return convert_each(arg, (Extents){4, 4}, (Extents){6, 0}, se3_to_euler, "T");
+}
+
+
 static PyObject* module_adjoint(PyObject* module, PyObject* arg) {
   (void)module;
   double mat[16], res[36];
@@ -409,7 +491,11 @@ static PyMethodDef methods[] = {
   SE3_METHOD(exp, METH_O),
   SE3_METHOD(log, METH_O),
   SE3_METHOD(inverse, METH_O),
+  SE3_METHOD(compose, METH_FASTCALL),
+  SE3_METHOD(between, METH_FASTCALL),
   SE3_METHOD(adjoint, METH_O),
+  SE3_METHOD(pose_from_euler, METH_O),
+  SE3_METHOD(euler_from_pose, METH_O),
   SE3_METHOD(left_jacobian, METH_O),
   SE3_METHOD(inverse_left_jacobian, METH_O),
   SE3_METHOD(orthonormalized, METH_O),

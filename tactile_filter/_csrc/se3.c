@@ -1,5 +1,6 @@
 #include "se3.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -142,6 +143,35 @@ void se3_to_matrix(double res[16], const Pose* pose) {
   }
   res[12] = res[13] = res[14] = 0;
   res[15] = 1;
+}
+
+
+int se3_from_euler(double m[16], const double euler[6]) {
+  double ca = cos(euler[3]), sa = sin(euler[3]), cb = cos(euler[4]), sb = sin(euler[4]);
+  double cg = cos(euler[5]), sg = sin(euler[5]);
+  double found[16] = {
+    cg*cb, cg*sb*sa - sg*ca, cg*sb*ca + sg*sa, euler[0],
+    sg*cb, sg*sb*sa + cg*ca, sg*sb*ca - cg*sa, euler[1],
+    -sb, cb*sa, cb*ca, euler[2],
+    0, 0, 0, 1};
+  memcpy(m, found, sizeof(found));
+  return 1;
+}
+
+
+int se3_to_euler(double euler[6], const double m[16]) {
+  if (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1) {
+    return 0;
+  }
+  double cos_beta = hypot(m[0], m[4]);
+  int defined = cos_beta > 4*DBL_EPSILON;
+  for (int i = 0; i < 3; i++) {
+    euler[i] = m[4*i+3];
+  }
+  euler[3] = defined ? atan2(m[9], m[10]) : atan2(-m[6], m[5]);
+  euler[4] = atan2(-m[8], cos_beta);
+  euler[5] = defined ? atan2(m[4], m[0]) : 0;
+  return 1;
 }
 
 

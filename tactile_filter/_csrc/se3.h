@@ -24,6 +24,13 @@ void se3_inverse_coefficients(double res[2], double x);
 // sin(t)/t, (1 - cos(t))/t^2, (t - sin(t))/t^3 of t^2 = x
 void se3_exp_coefficients(double res[3], double x);
 
+// pose (4, 4) of x, y, z and turns about the fixed x, y and z in turn
+int se3_from_euler(double mat[16], const double euler[6]);
+
+// and these of a pose, |beta| <= pi/2; at pi/2, where only alpha and gamma together are defined, gamma is 0; returns 0
+// where the last row is none of a pose
+int se3_to_euler(double euler[6], const double mat[16]);
+
 // res = a * b, res not among them
 void se3_product(Pose* res, const Pose* a, const Pose* b);
 

@@ -10,10 +10,10 @@ import pytest
 from tactile_base.version import version
 from tactile_bringup import cli
 
-WITHOUT_MCAP_AND_RUCKIG = """
+WITHOUT_MCAP_AND_LZ4 = """
 import importlib.util
 find = importlib.util.find_spec
-importlib.util.find_spec = lambda name: None if name in ("mcap", "ruckig") else find(name)
+importlib.util.find_spec = lambda name: None if name in ("mcap", "lz4") else find(name)
 """
 
 
@@ -121,11 +121,11 @@ def test_a_disk_that_is_full_at_the_end_of_a_simulation_is_told(tmp_path, capsys
     ids=["command", "node"],
 )
 def test_python_packages_that_are_missing_are_named_with_what_installs_them(tmp_path, command):
-    (tmp_path / "sitecustomize.py").write_text(WITHOUT_MCAP_AND_RUCKIG)
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT_MCAP_AND_LZ4)
     path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     done = subprocess.run(
         [sys.executable, *command], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}
     )
     assert done.returncode == 1 and "Traceback" not in done.stderr
-    assert "Python packages are missing: ruckig, mcap; type: " in done.stderr
+    assert "Python packages are missing: mcap, lz4; type: " in done.stderr
     assert f"{sys.executable} -m pip install" in done.stderr

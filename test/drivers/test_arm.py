@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import ruckig
 
 from tactile_base.settings import SettingError
 from tactile_drivers.arm import ArmLimits, ArmMode, shortened
 from tactile_drivers.sim.arm import SimArm
+from tactile_drivers.twist_profile import TwistProfile
 from tactile_filter import se3
 
 MS = 1_000_000
@@ -181,3 +183,44 @@ def test_time_cannot_go_back():
 def test_a_limit_of_zero_is_refused():
     with pytest.raises(SettingError, match="linear_jerk"):
         ArmLimits(linear_jerk=0.0)
+
+
+def fastest(limits):
+    """The same change of twist, by Ruckig: a function of the twist, acceleration, target and time."""
+    inputs, trajectory = ruckig.InputParameter(6), ruckig.Trajectory(6)
+    inputs.control_interface = ruckig.ControlInterface.Velocity
+    inputs.synchronization = ruckig.Synchronization.No
+    inputs.current_position = inputs.target_acceleration = [0.0] * 6
+    inputs.max_acceleration = [limits.linear_acceleration] * 3 + [limits.angular_acceleration] * 3
+    inputs.max_jerk = [limits.linear_jerk] * 3 + [limits.angular_jerk] * 3
+
+    def advance(twist, acceleration, target, dt):
+        inputs.current_velocity, inputs.current_acceleration = twist, acceleration
+        inputs.target_velocity = target
+        assert ruckig.Ruckig(6).calculate(inputs, trajectory) >= 0
+        return np.array(trajectory.at_time(dt))
+
+    return advance
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_twist_changes_as_fast_as_its_limits_allow(seed):
+    rng = np.random.default_rng(seed)
+    limits = ArmLimits(linear_acceleration=10 ** rng.uniform(-1, 1), linear_jerk=10 ** rng.uniform(0, 3))
+    profile, expected, ends = TwistProfile(limits), fastest(limits), 0
+    for step in range(300):
+        if step % 8 == 0:
+            target = rng.uniform(-1, 1, 6) * rng.integers(0, 2)
+        dt, before = rng.uniform(5e-4, 0.1), (profile.twist, profile.acceleration)
+        moved = profile.advance(dt, target)
+        found = np.array([moved, profile.twist, profile.acceleration])
+        np.testing.assert_allclose(found, expected(*before, target, dt), atol=1e-9)
+        ends += int((profile.twist == target).all() and not profile.acceleration.any())
+    assert ends > 5
+
+
+def test_an_acceleration_over_the_limit_comes_down_to_it():
+    limits, profile = ArmLimits(), TwistProfile(ArmLimits())
+    profile.acceleration = np.array([2.0, 0, 0, 0, 0, 0]) * limits.linear_acceleration
+    profile.advance(limits.linear_acceleration / limits.linear_jerk, np.array([1.0, 0, 0, 0, 0, 0]))
+    assert profile.acceleration[0] == pytest.approx(limits.linear_acceleration)

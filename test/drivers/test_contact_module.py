@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tactile_drivers.sim import _contact
+from tactile_drivers.sim.limit_surface import Foot
 
 NODES, ACTIVE = 4, 2
 
@@ -127,3 +128,28 @@ def test_nothing_is_drawn_where_that_is_forbidden(name):
     shape = {"image": np.zeros((6, 8), np.uint8), "canvas": np.zeros((6, 8), np.float32)}
     with pytest.raises(ValueError, match=f"{name} is read-only"):
         render([], **{name: read_only(shape[name])})
+
+
+def pushed():
+    square = Foot.around([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return _contact.PushedBody(square.numbers, square.arm, np.eye(4), [0, 0, 1], 5, 0.3, [0, 0], 0, 0, 0.9)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ([np.eye(4)], "a pose and a tip for each"),
+        ([np.eye(4), b"short"], "what the method of this name answers"),
+        ([np.eye(3), b""], r"T_world_tool: must have shape \(4, 4\)"),
+    ],
+)
+def test_a_pushed_object_takes_no_tip_that_is_none(arguments, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        pushed().step(*arguments)
+
+
+def test_a_pushed_object_refuses_numbers_that_are_not_finite_and_a_foot_of_another_form():
+    with pytest.raises(ValueError, match="force: must be finite"):
+        pushed().tip(np.eye(4), np.eye(4), [0, 0, 0], [0, 0, 1], [0, np.nan, 0], 1.0, 1.0)
+    with pytest.raises(ValueError, match=r"edges: must have shape \(n, 5\)"):
+        _contact.foot_inside((np.zeros((3, 4)), np.zeros(2), np.eye(2)), [0, 0])

@@ -1,12 +1,11 @@
-// Python bindings of the contact solver and the renderer.
+// Python bindings of the contact solver and the renderer; other files add theirs.
 
-#define PY_SSIZE_T_CLEAN
-#define NPY_NO_DEPRECATED_API NPY_1_7_API_VERSION
-#include <Python.h>
-#include <numpy/arrayobject.h>
+#define IMPORTS_NUMPY
+#include "numpy_api.h"
 
 #include <limits.h>
 
+#include "bindings.h"
 #include "contact.h"
 #include "draw_input.h"
 #include "render.h"
@@ -228,7 +227,7 @@ static PyMethodDef methods[] = {
 static struct PyModuleDef module = {
     PyModuleDef_HEAD_INIT,
     "_contact",
-    "Contact solver and renderer of the simulated sensor.",
+    "Contact and images of simulated sensors, and objects that are pushed.",
     -1,
     methods,
     NULL,
@@ -239,5 +238,7 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__contact(void) {
   import_array();
-  return PyModule_Create(&module);
+  PyObject* made = PyModule_Create(&module);
+  if (made && (add_pushed(made) < 0 || add_point_contact(made) < 0)) Py_CLEAR(made);
+  return made;
 }
