@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_control.pid import CHANNELS, PidSettings, TangentPid
-from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
@@ -101,9 +100,8 @@ class Bearing:
     distance: float
 
 
-def target_bearing(target: ArrayLike, T_base_sensor: Array, X_ss_reference: Array) -> Bearing:
-    """Bearing of a position (3,) in the base, m, from the reference sensor frame X_ss' (4, 4)."""
-    T_base_reference = se3.compose(T_base_sensor, X_ss_reference)
+def target_bearing(target: ArrayLike, T_base_reference: Array) -> Bearing:
+    """Bearing of a position (3,) in the base, m, from the reference sensor frame {s'} (4, 4) there."""
     position = (np.asarray(target, dtype=np.float64) - T_base_reference[:3, 3]) @ T_base_reference[:3, :3]
     _, y, z = position.tolist()
     return Bearing(position, math.degrees(math.atan2(y, z)), math.hypot(y, z))
