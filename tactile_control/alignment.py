@@ -101,9 +101,9 @@ class Bearing:
     distance: float
 
 
-def target_bearing(target: ArrayLike, T_base_sensor: Array, X_ss_reference: Array) -> Bearing:
-    """Bearing of a position (3,) in the base, m, from the reference sensor frame X_ss' (4, 4)."""
-    position = se3.point_in(se3.compose(T_base_sensor, X_ss_reference), target)
+def target_bearing(target: ArrayLike, T_base_reference: Array) -> Bearing:
+    """Bearing of a position (3,) in the base, m, from the reference sensor frame {s'} (4, 4) there."""
+    position = se3.point_in(T_base_reference, target)
     _, y, z = position.tolist()
     return Bearing(position, math.degrees(math.atan2(y, z)), math.hypot(y, z))
 

@@ -13,7 +13,8 @@ where nothing is learnt. The sideways velocity that takes y away at the rate k,
 
     u = -(k y + b v z) g / (g^2 + floor^2)        g = a z - 1
 
-changes its sign with g, and is small where g is: there the object cannot be steered.
+changes its sign with g, and is small where g is: there the object cannot be steered. Where the normal is to
+end in a given direction as well, `pose_steering` says how the way is to bend.
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_control.pose_steering import curvature, largest_curvature
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
 
 LARGEST = 100.0  # rad/m: no object that a tip pushes turns faster
+LEAST = 1.0  # rad/m: what turns less is not led anywhere
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,12 @@ class SteeringSettings(Settings):
     )
     memory: float = setting(
         0.06, lower=0.005, upper=10.0, unit="m", doc="way over which the past is forgotten (to 1/e)"
+    )
+    straight: float = setting(
+        0.06, lower=0.0, upper=1.0, unit="m", doc="the last part of a way to a direction is a straight line"
+    )
+    line_length: float = setting(
+        0.02, lower=1e-3, upper=1.0, unit="m", doc="way in which an offset from that line is taken away"
     )
 
 
@@ -138,5 +147,35 @@ class SteeringController:
         settings, model = self.settings, self.model
         _, y, z = target
         gain = model.turning * z - 1.0
-        wanted = -(settings.gain * y + model.drift * speed * z) * gain / (gain**2 + settings.floor**2)
-        return np.array([0.0, np.clip(wanted, -settings.limit, settings.limit), 0.0, 0.0, 0.0, 0.0])
+        return self._sideways(
+            -(settings.gain * y + model.drift * speed * z) * gain / (gain**2 + settings.floor**2)
+        )
+
+    def step_to_pose(self, end: Array, direction: Array, speed: float) -> Array:
+        """The same for a place (3,) where the sensor's centre is to end, its axis along a direction (3,)."""
+        settings, drift, turning = self.settings, self.model.drift, max(self.model.turning, LEAST)
+        bend = curvature(
+            end[1:],
+            angle_of(direction),
+            1.0 / turning,
+            drift / turning,
+            settings.straight,
+            settings.line_length,
+        )
+        return self._sideways(-(bend + drift) * speed / turning)
+
+    def bends_at_most(self, end: Array, direction: Array, speed: float) -> tuple[float, float]:
+        """Curvatures, 1/m: the largest on the way to a pose, and that which an assumed object can go."""
+        settings = self.settings
+        turning = max(settings.turning, LEAST)
+        planned = largest_curvature(end[1:], angle_of(direction), 1.0 / turning, settings.straight)
+        return planned, turning * settings.limit / speed
+
+    def _sideways(self, wanted: float) -> Array:
+        limit = self.settings.limit
+        return np.array([0.0, min(max(wanted, -limit), limit), 0.0, 0.0, 0.0, 0.0])
+
+
+def angle_of(direction: Array) -> float:
+    """Of a direction (3,) in {s'}, rad: from its z-axis to its y-axis."""
+    return math.atan2(direction[1], direction[2])

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 PUSH = "push"
 FRAMES = ("base", "world")
+OUT_OF_PLANE = 0.1  # of a direction: further out of the plane of pushing it is refused
 
 
 @dataclass(frozen=True)
@@ -72,24 +73,36 @@ class PushingGoal(Goal):
     target: tuple[float, ...] = setting(
         (), lower=-10.0, upper=10.0, unit="m", doc="position where the contact is to arrive, 3 numbers"
     )
+    direction: tuple[float, ...] = setting(
+        (), lower=-1.0, upper=1.0,
+        doc="in which the sensor's axis is to point at the end, 3 numbers of any length; empty: as it comes",
+    )  # fmt: skip
     frame: str = setting(
         "base",
         choices=FRAMES,
-        doc="frame of the target: the arm's base; or the world, in a task file alone, whose scene says where "
-        "the base stands",
+        doc="frame of target and direction: the arm's base; or the world, in a task file alone, whose scene "
+        "says where the base stands",
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.target) != 3:
             raise SettingError(f"target: must be 3 numbers (x, y, z in m), has {len(self.target)}")
+        if self.direction and (len(self.direction) != 3 or not any(self.direction)):
+            raise SettingError(f"direction: must be 3 numbers that are not all zero, is {self.direction}")
 
     def in_base(self, T_world_base: Array) -> PushingGoal:
         """The same target in the arm's base."""
         if self.frame == "base":
             return self
-        target = se3.inverse(T_world_base) @ np.append(self.target, 1.0)
-        return replace(self, target=tuple(target[:3].tolist()), frame="base")
+        T = se3.inverse(T_world_base)
+        target, direction = T @ np.append(self.target, 1.0), T[:3, :3] @ (self.direction or np.zeros(3))
+        return replace(
+            self,
+            target=tuple(target[:3].tolist()),
+            direction=tuple(direction.tolist()) if self.direction else (),
+            frame="base",
+        )
 
 
 class Pushing(ContactTask):
@@ -133,12 +146,15 @@ class Pushing(ContactTask):
 
     def _steer(self, belief: StampedPose, speed: float) -> Array:
         """The sideways velocity (6,) in {s'} for a new belief."""
-        T_base_sensor = self._sensor_pose()
+        T_base_sensor, T_base_reference = self._sensor_pose(), self._reference_frame()
+        bearing = target_bearing(self._target, T_base_reference)
         if not self.settings.steering.enabled:
-            return self.alignment.step(belief.stamp_ns, self._bearing(), self._limited)
+            return self.alignment.step(belief.stamp_ns, bearing, self._limited)
         down = T_base_sensor[:3, 0]
         self.steering.model.update(T_base_sensor[:3, 3], (T_base_sensor @ belief.T)[:3, 2], down)
-        return self.steering.step(self._bearing().position, speed)
+        if not self.goal.direction:
+            return self.steering.step(bearing.position, speed)
+        return self.steering.step_to_pose(*self._end(bearing, T_base_reference), speed)
 
     def finished(self, elapsed: float) -> bool:
         """The sensor's centre is nearer to the target than its radius."""
@@ -146,7 +162,7 @@ class Pushing(ContactTask):
 
     def failure(self, elapsed: float) -> str:
         """The target was passed, or the push takes too long."""
-        bearing = self._bearing()
+        bearing = target_bearing(self._target, self._reference_frame())
         if bearing.position[2] < 0.0:
             beside = abs(bearing.position[1]) * 1e3
             return f"the target was passed {beside:.1f} mm beside the contact: it cannot be reached any more"
@@ -165,7 +181,8 @@ class Pushing(ContactTask):
             self._checked = True
             start = self._sensor_pose() if self.start is None else self.start
             self._way = self._distance(start) - self.settings.task.tip_radius
-            if reason := self._objection(target_bearing(self._target, start, np.eye(4))):
+            bearing = target_bearing(self._target, start)
+            if reason := self._objection(bearing) or self._objection_to_direction(bearing, start):
                 self._fail_here(reason)
                 return np.zeros(6), ""
         return super()._next_twist(now_ns)
@@ -200,12 +217,40 @@ class Pushing(ContactTask):
             )
         return ""
 
-    def _bearing(self) -> Bearing:
-        """Of the target, in the reference sensor frame."""
+    def _objection_to_direction(self, bearing: Bearing, start: Array) -> str:
+        """Why the push cannot end in the goal's direction; '' where it can or has none."""
+        if not self.goal.direction:
+            return ""
+        if not self.settings.steering.enabled:
+            return "a push can end in a direction with steering alone: set steering.enabled, or leave it out"
+        end, direction = self._end(bearing, start)
+        if abs(direction[0]) > OUT_OF_PLANE:
+            out = math.degrees(math.asin(abs(direction[0])))
+            return (
+                f"the direction points {out:.0f} deg out of the plane in which the sensor pushes, its "
+                "yz-plane: give one in it"
+            )
+        needed, most = self.steering.bends_at_most(end, direction, self.settings.task.speed)
+        if needed > most:
+            return (
+                f"to end in that direction the push needs a curve of {1e3 / needed:.0f} mm radius, and an "
+                f"object is pushed along one of {1e3 / most:.0f} mm at the tightest (steering.turning, "
+                "steering.limit, task.speed): give a direction nearer to the target's, or push more slowly"
+            )
+        return ""
+
+    def _end(self, bearing: Bearing, T_base_reference: Array) -> tuple[Array, Array]:
+        """Where the sensor's centre is to end, and its axis then: (3,) each, in the reference frame."""
+        direction = T_base_reference[:3, :3].T @ np.array(self.goal.direction)
+        direction = direction / se3.norm(direction)
+        return bearing.position - self.settings.task.tip_radius * direction, direction
+
+    def _reference_frame(self) -> Array:
+        """The reference sensor frame {s'} (4, 4) in the base."""
         assert self._belief is not None
         X_sf = self._belief.T
         _, X_fs_reference = self.servoing.reference_for(se3.inverse(X_sf))
-        return target_bearing(self._target, self._sensor_pose(), se3.compose(X_sf, X_fs_reference))
+        return se3.compose(self._sensor_pose(), se3.compose(X_sf, X_fs_reference))
 
     def _distance(self, T_base_sensor: Array) -> float:
         """Of the sensor's centre from the target, m."""

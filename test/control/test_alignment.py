@@ -28,7 +28,7 @@ def seen(angle_deg, distance=0.3):
 
 
 def test_the_papers_target_is_seen_47_7_degrees_to_the_side():
-    bearing = target_bearing(TARGET, pushing_along_y(), np.eye(4))
+    bearing = target_bearing(TARGET, pushing_along_y())
     assert bearing.angle_deg == pytest.approx(-np.degrees(np.arctan2(275, 250)))
     assert bearing.distance == pytest.approx(np.hypot(0.275, 0.25))
     np.testing.assert_allclose(bearing.position, [0.0, -0.275, 0.25], atol=1e-12)
@@ -39,7 +39,7 @@ def test_the_target_is_seen_from_the_reference_frame_not_from_where_the_sensor_i
     turn = se3.exp([0.0, 0.0, 0.0, np.radians(10.0), 0.0, 0.0])
     X_ss_reference = turn.copy()
     X_ss_reference[:3, 3] = [0.0, 0.0, 0.003]
-    bearing = target_bearing(TARGET, pushing_along_y(), X_ss_reference)
+    bearing = target_bearing(TARGET, pushing_along_y() @ X_ss_reference)
     expected = np.degrees(np.arctan2(-0.275, 0.247)) + 10.0
     assert bearing.angle_deg == pytest.approx(expected)
     assert bearing.distance == pytest.approx(np.hypot(0.275, 0.247))

@@ -1,11 +1,14 @@
 """Steering by a learnt model: how an object turns is found on the way, and used up to the target."""
 
+import re
+
 import numpy as np
 import pytest
 from kinematic_plant import run
 from test_alignment import TARGET
 from test_pushing import CONTROLLERS, plant_with, target_error
 
+from tactile_base.settings import SettingError
 from tactile_control.steering import SteeringController, SteeringSettings, TurningModel
 from tactile_control.task_file import load_controller
 from tactile_control.tasks.pushing import Pushing, PushingGoal, PushingSettings
@@ -87,3 +90,64 @@ def test_an_object_whose_centre_of_friction_lies_beside_the_contact_arrives(requ
         run(Pushing(settings, PushingGoal(target=TARGET)), plant)
         errors.append(target_error(plant.surface))
     assert errors[0] > 0.010 and errors[1] < 0.002
+
+
+# ---- to a pose ----
+
+
+def ended(request, angle_deg, speed=0.010, changes=None, **face):
+    """A push that is to end at an angle to the left of the world's x-axis: last command, and plant."""
+    controllers = request.config.rootpath / CONTROLLERS
+    settings = load_controller(controllers / "pushing_tuned.yaml", PushingSettings())
+    settings = settings.replaced(task__speed=speed, **(changes or {}))
+    plant = plant_with(**face)
+    plant.noise = np.array([2e-4, 2e-4, 2e-4, 0.01, 0.01, 0.01])
+    goal = PushingGoal(target=TARGET, direction=pointing(angle_deg))
+    return run(Pushing(settings, goal), plant)[-1][1], plant
+
+
+def pointing(angle_deg):
+    return np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg)), 0.0
+
+
+@pytest.mark.parametrize("drift", [-1.0, 0.0, 1.0])
+@pytest.mark.parametrize("angle_deg", [-30.0, 0.0, 30.0])
+def test_an_object_arrives_in_the_direction_that_the_goal_gives(request, angle_deg, drift):
+    command, plant = ended(request, angle_deg, drift=drift)
+    assert command.succeeded and target_error(plant.surface) < 0.004
+    heading = np.degrees(np.arctan2(plant.surface.normal[1], plant.surface.normal[0]))
+    assert heading == pytest.approx(angle_deg, abs=3.0)
+
+
+def test_a_direction_that_the_object_cannot_be_turned_to_on_the_way_is_refused_before_it_moves(request):
+    command, plant = ended(request, -170.0)
+    assert not command.succeeded and np.allclose(plant.surface.normal, [0.0, 1.0, 0.0])
+    assert re.search(r"needs a curve of \d+ mm radius, .* along one of 67 mm at the tightest", command.reason)
+
+
+@pytest.mark.parametrize(
+    ("direction", "changes", "reason"),
+    [
+        ((1.0, 0.0, 0.0), {"steering__enabled": False}, "with steering alone: set steering.enabled"),
+        ((1.0, 0.0, 0.3), {}, "points 17 deg out of the plane"),
+    ],
+)
+def test_a_direction_that_makes_no_sense_is_refused_with_what_would(request, direction, changes, reason):
+    settings = load_controller(
+        request.config.rootpath / CONTROLLERS / "pushing_tuned.yaml", PushingSettings()
+    ).replaced(**changes)
+    command = run(Pushing(settings, PushingGoal(target=TARGET, direction=direction)), plant_with())[-1][1]
+    assert reason in command.reason
+
+
+def test_of_a_direction_that_is_none_the_goal_says_so():
+    with pytest.raises(SettingError, match="direction: must be 3 numbers that are not all zero"):
+        PushingGoal(target=TARGET, direction=(0.0, 0.0, 0.0))
+
+
+def test_a_direction_in_the_world_is_turned_into_the_base():
+    T_world_base = np.eye(4)
+    T_world_base[:3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    goal = PushingGoal(target=TARGET, direction=(0.0, 1.0, 0.0), frame="world").in_base(T_world_base)
+    np.testing.assert_allclose(goal.direction, [1.0, 0.0, 0.0], atol=1e-12)
+    assert PushingGoal(target=TARGET, frame="world").in_base(T_world_base).direction == ()
