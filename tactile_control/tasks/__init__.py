@@ -15,6 +15,7 @@ TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
         "object_tracking": "tactile_control.tasks.object_tracking:ObjectTracking",
         "pushing": "tactile_control.tasks.pushing:Pushing",
         "trajectory": "tactile_control.tasks.trajectory:Trajectory",
+        "touching": "tactile_control.tasks.touching:Touching",
         "data_collection": "tactile_control.tasks.data_collection:DataCollection",
     },
 )

@@ -83,6 +83,15 @@ def test_images_of_somebody_elses_camera_are_taken_compressed_where_the_scene_sa
     assert not any("compressed" in topic for topic in without.node("/recorder").parameters["topics"])
 
 
+def test_stamps_of_somebody_elses_camera_are_corrected_by_those_who_take_its_images(graph_of):
+    options = GraphOptions(marker_view=True)
+    graph = graph_of("bench_arm", "external, time_offset: -0.012", options)
+    assert graph.node("/arm/estimator").parameters["images.time_offset"] == -0.012
+    assert graph.node("/arm/marker_view").parameters["time_offset"] == -0.012
+    ours = graph_of("bench_arm", "bench_camera, time_offset: -0.012", options)  # the camera node does it
+    assert "images.time_offset" not in ours.node("/arm/estimator").parameters
+
+
 @pytest.mark.parametrize(
     "settings, complaint",
     [

@@ -1,0 +1,47 @@
+"""An arm of a scene that touches a surface for a calibration: over the graph, or simulated in one process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tactile_bringup.run_sequence import ArmPlan, arm_plans
+from tactile_control.task_file import NamedGoal, Role, Task
+from tactile_control.tasks.touching import TouchingGoal, TouchingTaskSettings
+from tactile_records.runs.record import RunRecord
+
+if TYPE_CHECKING:
+    from tactile_drivers.scene import Scene
+
+TASK = "touching"
+#: What each calibration has the arm do.
+GOALS = {
+    "time": TouchingGoal(swing=(0.0, 0.0, 0.0015, 0.0, 0.0, 0.0), period=1.0, periods=15),
+}
+
+
+def task_of(scene: Scene, arm: str, what: str) -> Task:
+    """The task by which an arm moves for a calibration of `GOALS`."""
+    settings = TouchingTaskSettings().replaced(watchdog__patience=5.0, watchdog__start_timeout=10.0)
+    role = Role("toucher", TASK, settings, (NamedGoal(what, GOALS[what]),), arms=(arm,))
+    return Task(f"cell_{what}", scene.name, (role,))
+
+
+def plans_of(scene: Scene, arm: str, what: str) -> list[ArmPlan]:
+    """The same for the graph."""
+    return arm_plans(task_of(scene, arm, what), scene)
+
+
+def simulated(scene: Scene, arm: str, what: str, seed: int = 0) -> RunRecord:
+    """The run of a simulated arm, in this process."""
+    from tactile_bringup.offline import OfflineOptions, run_offline
+
+    return run_offline(scene, task_of(scene, arm, what), OfflineOptions(seed=seed))
+
+
+def recorded(path: Path, arm: str) -> RunRecord:
+    """The run of an arm from a bag, or from the record (run.npz) that `tactile simulate` keeps."""
+    from tactile_records.bags.reader import read_bag
+    from tactile_records.runs.from_bag import run_from_bag
+
+    return RunRecord.load(path) if path.suffix == ".npz" else run_from_bag(read_bag(path), arm)

@@ -1,0 +1,68 @@
+"""`tactile cell`: what it finds goes into the scene, and the scene then agrees; each refusal a sentence."""
+
+import json
+
+import pytest
+
+from tactile_base.config_paths import config_path
+from tactile_bringup import cell_touching
+from tactile_bringup.cli import main
+from tactile_drivers.scene import load_scene
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """The table's scene with an ideal sensor, as a function of what its simulation says besides."""
+
+    def write(truth=""):
+        text = config_path("scenes/plane.yaml").read_text()
+        text += f"simulation:\n  sensors:\n    arm: {{fidelity: ideal{truth}}}\n"
+        (tmp_path / "my_cell.yaml").write_text(text)
+        return tmp_path / "my_cell.yaml"
+
+    return write
+
+
+def cell(what, scene, tmp_path, *words):
+    return main(["cell", what, "--scene", str(scene), "--out", str(tmp_path / "out"), *words])
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Fewer oscillations than on a real arm."""
+    goal = cell_touching.GOALS["time"].replaced(periods=7)
+    monkeypatch.setitem(cell_touching.GOALS, "time", goal)
+
+
+def test_a_camera_25_ms_late_is_found_written_into_the_scene_and_then_agreed_with(
+    scene, short, tmp_path, capsys
+):
+    path, run = scene(", delay: 0.025"), tmp_path / "run.npz"
+    cell_touching.simulated(load_scene(path), "arm", "time").save(run)
+    assert cell("time", path, tmp_path, "--from", str(run)) == 3
+    assert "the scene does not agree; --write sets time_offset: -0.02" in capsys.readouterr().out
+    assert cell("time", path, tmp_path, "--from", str(run), "--write") == 0
+    assert load_scene(path).arms["arm"].sensor.settings.time_offset == pytest.approx(-0.025, abs=0.003)
+    assert "# pointing down, the tip 12 mm above the table" in path.read_text()
+    assert cell("time", path, tmp_path, "--simulate", "--seed", "1") == 0
+    numbers = json.loads((tmp_path / "out" / "time.json").read_text())
+    assert numbers["agrees"] and numbers["time_offset_ms"] == pytest.approx(-25.0, abs=3.0)
+    assert numbers["sigma_ms"] < 1.5
+    assert (tmp_path / "out" / "time.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--scene", "plane", "--simulate", "--write"], "--write needs a scene file of your own"),
+        (["--scene", "ur_example", "--simulate"], "arm 'arm' has the driver 'ur', not 'sim'"),
+        (
+            ["--scene", "two_arms", "--simulate"],
+            "--arm must name an arm with a sensor; there are: left, right",
+        ),
+        (["--scene", "plane", "--from", "nowhere.npz"], "nowhere.npz: No such file or directory"),
+    ],
+)
+def test_what_cannot_be_calibrated_is_refused(words, why, tmp_path, capsys):
+    assert main(["cell", "time", *words, "--out", str(tmp_path)]) == 1
+    assert why in " ".join(capsys.readouterr().err.split())
