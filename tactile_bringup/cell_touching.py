@@ -17,12 +17,15 @@ TASK = "touching"
 #: What each calibration has the arm do.
 GOALS = {
     "time": TouchingGoal(swing=(0.0, 0.0, 0.0015, 0.0, 0.0, 0.0), period=1.0, periods=15),
+    "tip": TouchingGoal(upright=3, tilted=8, tilt_deg=30.0, depth=0.001, rest=0.1),
 }
 
 
 def task_of(scene: Scene, arm: str, what: str) -> Task:
     """The task by which an arm moves for a calibration of `GOALS`."""
-    settings = TouchingTaskSettings().replaced(watchdog__patience=5.0, watchdog__start_timeout=10.0)
+    settings = TouchingTaskSettings().replaced(
+        task__press_speed=0.002, watchdog__patience=5.0, watchdog__start_timeout=10.0
+    )
     role = Role("toucher", TASK, settings, (NamedGoal(what, GOALS[what]),), arms=(arm,))
     return Task(f"cell_{what}", scene.name, (role,))
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 HELP = {
     "time": "offset between the camera's stamps and the arm's, by moving back and forth in contact",
+    "tip": "centre of the tip in the tool, by touching a plane upright and at tilts",
 }
 FAILED, DISAGREES = 1, 3
 

@@ -11,7 +11,11 @@ from matplotlib.figure import Figure
 from tactile_records.runs.figures import BELIEF, ESTIMATE, REFERENCE, TRUTH
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tactile_records.calibrating.time_offset import TimeOffset
+    from tactile_records.calibrating.tip import Tip
+    from tactile_records.calibrating.touches import Touch
 
 _SHOWN = 2.5  # s of the signals
 
@@ -43,4 +47,33 @@ def time_offset(found: TimeOffset) -> Figure:
     right.axhspan(low, high, color=REFERENCE, alpha=0.25, label="offset and its sigma")
     right.set(title="Stretches (size: motion in it)", xlabel="time [s]", ylabel="offset [ms]")
     right.legend(loc="lower right")
+    return figure
+
+
+def tip(found: Tip, touches: Sequence[Touch]) -> Figure:
+    """How each touch began, how far the tip was from the plane in each, and where it is."""
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.6), layout="constrained")
+    colors = plt.get_cmap("viridis")(found.tilts / max(float(found.tilts.max()), 1e-9) * 0.9)
+    for touch, color in zip(touches, colors, strict=True):
+        left.plot(1e3 * touch.way, touch.score, ".-", ms=4, lw=0.8, color=color)
+    left.axvline(0.0, color=REFERENCE, label="taken for the first contact")
+    left.set(title="Begin of each touch (light: tilted)", xlabel="way [mm]", ylabel="change in the image")
+    left.legend(loc="upper left")
+    numbers = np.arange(1, len(touches) + 1)
+    middle.bar(numbers - 0.2, 1e3 * found.uncorrected, 0.4, color=ESTIMATE, label="tip where the scene says")
+    middle.bar(numbers + 0.2, 1e3 * found.residuals, 0.4, color=BELIEF, label="tip as found")
+    ticks = [f"{np.degrees(tilt):.0f}" for tilt in found.tilts]
+    middle.set_xticks(numbers, ticks)
+    middle.set(title="Distance from one plane", xlabel="tilt of the touch [deg]", ylabel="[mm]")
+    middle.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
+    x, y, z = 1e3 * found.offset
+    sx, sy, sz = 3e3 * found.sigma
+    right.errorbar([x], [y], xerr=[sx], yerr=[sy], fmt="o", color=BELIEF, label="across: x, y")
+    right.plot([0.0], [0.0], "+", ms=14, color=TRUTH, label="where the scene says")
+    if found.along_observed:
+        edge = 1.3 * max(abs(x) + sx, abs(y) + sy, abs(z) + sz, 0.5)
+        right.errorbar([edge], [z], yerr=[sz], fmt="s", color=REFERENCE, label="along: z, at the right edge")
+    right.set(title="Centre of the tip, 3 sigma", xlabel="x [mm]", ylabel="y, or z [mm]")
+    right.set_aspect("equal", adjustable="datalim")
+    right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
     return figure

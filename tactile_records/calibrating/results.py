@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tactile_drivers.scene import SensorScene
+from tactile_filter import se3
 from tactile_records.calibrating import time_offset
+from tactile_records.calibrating import tip as tips
 from tactile_records.calibrating.result import Result
+from tactile_records.calibrating.touches import touches_of
 from tactile_records.runs.record import RunRecord
 
+Array = NDArray[np.float64]
 AGREES = 3.0  # standard deviations
 
 
@@ -43,4 +51,44 @@ def time(record: RunRecord, sensor: SensorScene) -> Result:
     )
 
 
-RESULTS: Mapping[str, Callable[[RunRecord, SensorScene], Result]] = {"time": time}
+def tip(record: RunRecord, sensor: SensorScene) -> Result:
+    """The tip's centre in the tool, by all touches of a run."""
+    from tactile_records.calibrating import figures
+
+    touches = touches_of(record)
+    found = tips.estimated(np.array([touch.T_base_sensor for touch in touches]).reshape(-1, 4, 4))
+    T_tool_sensor = sensor.T_tool_sensor.copy()
+    T_tool_sensor[:3, 3] += sensor.T_tool_sensor[:3, :3] @ found.offset
+    offset, sigma = 1e3 * found.offset, 1e3 * found.sigma
+    along = f"{offset[2]:.2f} mm, sigma {sigma[2]:.2f} mm"
+    if not found.along_observed:
+        along = "is not told by these tilts: it stays as the scene says"
+    return Result(
+        numbers={
+            "offset_mm": offset.tolist(),
+            "sigma_mm": sigma.tolist(),
+            "along_observed": found.along_observed,
+            "residual_mm": 1e3 * found.residual,
+            "touches": len(touches),
+            "normal": found.normal.tolist(),
+        },
+        lines=(
+            "the tip's centre, from where the scene says:",
+            f"across the axis {offset[0]:.2f}, {offset[1]:.2f} mm, sigma {sigma[:2].max():.2f} mm",
+            f"along the axis {along}",
+            f"residual {1e3 * found.residual:.3f} mm over {len(touches)} touches",
+        ),
+        agrees=bool((np.abs(found.offset) <= AGREES * found.sigma).all()),
+        sensor={"in_tool": pose_values(T_tool_sensor)},
+        draw=lambda: figures.tip(found, touches),
+    )
+
+
+def pose_values(T: Array) -> dict[str, Any]:
+    """A pose (4, 4) as scene files write it, to 0.01 mm and 0.01 degrees."""
+    values = {"position": [round(float(x), 5) for x in T[:3, 3]]}
+    turn = [round(float(np.degrees(x)), 2) for x in se3.euler_from_pose(T)[3:]]
+    return values | ({"rotation_deg": turn} if any(turn) else {})
+
+
+RESULTS: Mapping[str, Callable[[RunRecord, SensorScene], Result]] = {"time": time, "tip": tip}

@@ -51,6 +51,19 @@ def test_a_camera_25_ms_late_is_found_written_into_the_scene_and_then_agreed_wit
     assert (tmp_path / "out" / "time.png").stat().st_size > 20_000
 
 
+def test_a_tip_2_mm_beside_the_scenes_is_found_and_written_where_it_was(scene, tmp_path, capsys):
+    path = scene(", in_tool: {position: [0.0014, -0.0014, 0.065], rotation_deg: [3, 0, 0]}")
+    run = tmp_path / "run.npz"
+    cell_touching.simulated(load_scene(path), "arm", "tip").save(run)
+    assert cell("tip", path, tmp_path, "--from", str(run), "--write") == 0
+    assert "across the axis 1.4" in capsys.readouterr().out
+    where = load_scene(path).arms["arm"].sensor.T_tool_sensor
+    assert where[:2, 3] == pytest.approx([0.0014, -0.0014], abs=1e-4)
+    assert where[2, 3] == pytest.approx(0.065, abs=3e-4)
+    numbers = json.loads((tmp_path / "out" / "tip.json").read_text())
+    assert numbers["touches"] == 11 and numbers["residual_mm"] < 0.02 and not numbers["agrees"]
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [
