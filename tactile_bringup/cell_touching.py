@@ -18,6 +18,16 @@ TASK = "touching"
 GOALS = {
     "time": TouchingGoal(swing=(0.0, 0.0, 0.0015, 0.0, 0.0, 0.0), period=1.0, periods=15),
     "tip": TouchingGoal(upright=3, tilted=8, tilt_deg=30.0, depth=0.001, rest=0.1),
+    "mounting": TouchingGoal(
+        upright=3,
+        tilted=8,
+        tilt_deg=16.0,
+        depth=0.003,
+        rest=0.3,
+        swing=(0.0015, 0.0015, 0.0, 0.0, 0.0, 0.0),
+        period=1.0,
+        periods=1,
+    ),
 }
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 HELP = {
     "time": "offset between the camera's stamps and the arm's, by moving back and forth in contact",
     "tip": "centre of the tip in the tool, by touching a plane upright and at tilts",
+    "mounting": "rotation of the sensor in the tool, by pressing and shearing it on a plane at tilts",
 }
 FAILED, DISAGREES = 1, 3
 
@@ -56,6 +57,8 @@ def register(subparsers: Any) -> None:
 @refusing("cell")
 def run(arguments: argparse.Namespace) -> int:
     """`tactile cell ...`: returns the exit status."""
+    import yaml
+
     from tactile_bringup.scene_file import write_into
     from tactile_drivers.doubles.rehearsal import rehearsed
     from tactile_drivers.scene import load_scene
@@ -79,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_into(scene.path, arm.name, dict(result.sensor))
         say(console, f"{scene.path}: written")
         return 0
-    values = ", ".join(f"{name}: {value}" for name, value in result.sensor.items())
+    values = yaml.safe_dump(dict(result.sensor), default_flow_style=True, width=200).strip()[1:-1]
     verdict = "the scene agrees" if result.agrees else f"the scene does not agree; --write sets {values}"
     say(console, verdict, "green" if result.agrees else "yellow")
     return 0 if result.agrees else DISAGREES

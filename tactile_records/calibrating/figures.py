@@ -13,6 +13,7 @@ from tactile_records.runs.figures import BELIEF, ESTIMATE, REFERENCE, TRUTH
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from tactile_records.calibrating.mounting import Mounting
     from tactile_records.calibrating.time_offset import TimeOffset
     from tactile_records.calibrating.tip import Tip
     from tactile_records.calibrating.touches import Touch
@@ -76,4 +77,33 @@ def tip(found: Tip, touches: Sequence[Touch]) -> Figure:
     right.set(title="Centre of the tip, 3 sigma", xlabel="x [mm]", ylabel="y, or z [mm]")
     right.set_aspect("equal", adjustable="datalim")
     right.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
+    return figure
+
+
+def mounting(found: Mounting) -> Figure:
+    """Normals and motions as the network sees them and as the arm has them, and the rotation between both."""
+    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.6), layout="constrained")
+    said, seen = (np.array([getattr(one, name) for one in found.contacts]) for name in ("said", "seen"))
+    drawn = (
+        (said, "o", TRUTH, "none", "arm, sensor as the scene has it"),
+        (said @ found.R, "o", REFERENCE, "none", "arm, sensor turned as found"),
+        (seen, ".", ESTIMATE, ESTIMATE, "network"),
+    )
+    for normals, marker, color, face, label in drawn:
+        x, y = np.degrees(normals[:, :2].T)
+        left.plot(x, y, marker, ms=9, mfc=face, color=color, label=label)
+    left.set(title="Normal in each contact", xlabel="x [deg]", ylabel="y [deg]")
+    left.set_aspect("equal", adjustable="datalim")
+    figure.legend(loc="outside lower center", ncols=3)
+    for one in found.contacts:
+        if len(one.moved):
+            turned = one.moved @ found.R[:2, :2]
+            for points, color in ((one.moved, TRUTH), (turned, REFERENCE), (one.felt, ESTIMATE)):
+                middle.plot(*(1e3 * points.T), ".", ms=2, color=color)
+    middle.set(title="Motion along the surface", xlabel="x [mm]", ylabel="y [mm]")
+    middle.set_aspect("equal", adjustable="datalim")
+    values, errors = np.degrees(found.rotation), 3.0 * np.degrees(found.sigma)
+    right.bar(["about x", "about y", "about the axis"], values, yerr=errors, color=BELIEF, capsize=6)
+    right.axhline(0.0, color=TRUTH, lw=1)
+    right.set(title="Rotation from the scene's, 3 sigma", ylabel="[deg]")
     return figure

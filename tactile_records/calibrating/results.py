@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_drivers.scene import SensorScene
 from tactile_filter import se3
+from tactile_records.calibrating import mounting as mountings
 from tactile_records.calibrating import time_offset
 from tactile_records.calibrating import tip as tips
 from tactile_records.calibrating.result import Result
@@ -84,6 +85,40 @@ def tip(record: RunRecord, sensor: SensorScene) -> Result:
     )
 
 
+def mounting(record: RunRecord, sensor: SensorScene) -> Result:
+    """How the sensor is turned in the tool, by all contacts of a run."""
+    from tactile_records.calibrating import figures
+
+    found = mountings.estimated(mountings.contacts_of(record))
+    T_tool_sensor = sensor.T_tool_sensor.copy()
+    T_tool_sensor[:3, :3] = sensor.T_tool_sensor[:3, :3] @ found.R
+    turn, sigma = np.degrees(found.rotation), np.degrees(found.sigma)
+    normals, motions = np.degrees(found.normal_residuals), np.degrees(found.motion_residuals)
+    residuals = [float(np.sqrt(np.mean(v**2))) if len(v) else None for v in (normals, motions)]
+    by_motion = "no motion along the surface"
+    if residuals[1] is not None:
+        by_motion = f"{residuals[1]:.2f} degrees in the direction of {len(motions)} motions"
+    return Result(
+        numbers={
+            "rotation_deg": turn.tolist(),
+            "sigma_deg": sigma.tolist(),
+            "normal_residual_deg": residuals[0],
+            "motion_residual_deg": residuals[1],
+            "contacts": len(found.contacts),
+            "shear_scale": [abs(one.turn) for one in found.contacts if len(one.moved)],
+        },
+        lines=(
+            "the sensor's rotation vector from how the scene has it:",
+            f"about its x and y {turn[0]:.2f}, {turn[1]:.2f} degrees, sigma {sigma[:2].max():.2f} degrees",
+            f"about its axis {turn[2]:.2f} degrees, sigma {sigma[2]:.2f} degrees",
+            f"residual {residuals[0]:.2f} degrees over {len(normals)} normals, {by_motion}",
+        ),
+        agrees=bool((np.abs(turn) <= AGREES * sigma).all()),
+        sensor={"in_tool": pose_values(T_tool_sensor)},
+        draw=lambda: figures.mounting(found),
+    )
+
+
 def pose_values(T: Array) -> dict[str, Any]:
     """A pose (4, 4) as scene files write it, to 0.01 mm and 0.01 degrees."""
     values = {"position": [round(float(x), 5) for x in T[:3, 3]]}
@@ -91,4 +126,8 @@ def pose_values(T: Array) -> dict[str, Any]:
     return values | ({"rotation_deg": turn} if any(turn) else {})
 
 
-RESULTS: Mapping[str, Callable[[RunRecord, SensorScene], Result]] = {"time": time, "tip": tip}
+RESULTS: Mapping[str, Callable[[RunRecord, SensorScene], Result]] = {
+    "time": time,
+    "tip": tip,
+    "mounting": mounting,
+}

@@ -2,12 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from tactile_base.config_paths import config_path
 from tactile_bringup import cell_touching
 from tactile_bringup.cli import main
 from tactile_drivers.scene import load_scene
+from tactile_filter import se3
 
 
 @pytest.fixture
@@ -62,6 +64,20 @@ def test_a_tip_2_mm_beside_the_scenes_is_found_and_written_where_it_was(scene, t
     assert where[2, 3] == pytest.approx(0.065, abs=3e-4)
     numbers = json.loads((tmp_path / "out" / "tip.json").read_text())
     assert numbers["touches"] == 11 and numbers["residual_mm"] < 0.02 and not numbers["agrees"]
+
+
+def test_a_sensor_turned_by_5_degrees_is_found_and_written_where_its_tip_stays(scene, tmp_path, capsys):
+    path = scene(", in_tool: {position: [0, 0, 0.065], rotation_deg: [0, 0, 5]}")
+    run = tmp_path / "run.npz"
+    cell_touching.simulated(load_scene(path), "arm", "mounting").save(run)
+    assert cell("mounting", path, tmp_path, "--from", str(run), "--write") == 0
+    where = load_scene(path).arms["arm"].sensor.T_tool_sensor
+    assert where[:3, 3].tolist() == [0.0, 0.0, 0.065]
+    numbers = json.loads((tmp_path / "out" / "mounting.json").read_text())
+    found, sigma = numbers["rotation_deg"], numbers["sigma_deg"]
+    assert all(abs(x - said) < 3.0 * s for x, said, s in zip(found, (0.0, 0.0, 5.0), sigma, strict=True))
+    assert numbers["contacts"] == 11 and not numbers["agrees"] and max(sigma) < 0.8
+    assert se3.euler_from_pose(where)[5] == pytest.approx(np.radians(found[2]), abs=0.002)
 
 
 @pytest.mark.parametrize(
