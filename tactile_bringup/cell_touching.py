@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.run_sequence import ArmPlan, arm_plans
 from tactile_control.task_file import NamedGoal, Role, Task
 from tactile_control.tasks.touching import TouchingGoal, TouchingTaskSettings
 from tactile_records.runs.record import RunRecord
@@ -31,25 +30,20 @@ GOALS = {
 }
 
 
-def task_of(scene: Scene, arm: str, what: str) -> Task:
-    """The task by which an arm moves for a calibration of `GOALS`."""
+def task_of(scene: Scene, arm: str, what: str, **changes: Any) -> Task:
+    """The task by which an arm moves for a calibration of `GOALS`, with changes of its goal by name."""
     settings = TouchingTaskSettings().replaced(
         task__press_speed=0.002, watchdog__patience=5.0, watchdog__start_timeout=10.0
     )
-    role = Role("toucher", TASK, settings, (NamedGoal(what, GOALS[what]),), arms=(arm,))
-    return Task(f"cell_{what}", scene.name, (role,))
+    goals = (NamedGoal(what, GOALS[what].replaced(**changes)),)
+    return Task(f"cell_{what}", scene.name, (Role("toucher", TASK, settings, goals, arms=(arm,)),))
 
 
-def plans_of(scene: Scene, arm: str, what: str) -> list[ArmPlan]:
-    """The same for the graph."""
-    return arm_plans(task_of(scene, arm, what), scene)
-
-
-def simulated(scene: Scene, arm: str, what: str, seed: int = 0) -> RunRecord:
+def simulated(scene: Scene, arm: str, what: str, seed: int = 0, **changes: Any) -> RunRecord:
     """The run of a simulated arm, in this process."""
     from tactile_bringup.offline import OfflineOptions, run_offline
 
-    return run_offline(scene, task_of(scene, arm, what), OfflineOptions(seed=seed))
+    return run_offline(scene, task_of(scene, arm, what, **changes), OfflineOptions(seed=seed))
 
 
 def recorded(path: Path, arm: str) -> RunRecord:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from tactile_base.console import say
-from tactile_bringup.commands.changes import natural_int, refusing
+from tactile_bringup.commands.changes import add_set_option, changed_settings, natural_int, refusing
 from tactile_bringup.commands.launch import add_rehearse_option
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ HELP = {
     "mounting": "rotation of the sensor in the tool, by pressing and shearing it on a plane at tilts",
 }
 FAILED, DISAGREES = 1, 3
+EXAMPLE = "tilt_deg=20"
 
 
 def register(subparsers: Any) -> None:
@@ -47,6 +48,7 @@ def register(subparsers: Any) -> None:
             help="a bag, or a run.npz, in which the arm has done so; nothing moves")  # fmt: skip
         add("--simulate", action="store_true", help="a simulated arm, in one process, without ROS")
         add_rehearse_option(command)
+        add_set_option(command, f"a setting of the touches, as {EXAMPLE} (docs/tasks.md)")
         add("--seed", type=natural_int, default=0, help="of what is simulated (0)")
         add("--write", action="store_true", help="write what was found into the scene file")
         add("--out", type=Path, default=Path("out/cell"), metavar="FOLDER", help="for results (out/cell)")
@@ -111,7 +113,8 @@ def run_of(arguments: argparse.Namespace, scene: Scene, arm: str, console: Conso
             raise ValueError(
                 f"--simulate: arm '{arm}' has the driver '{scene.arms[arm].driver}', not '{SIM}'"
             )
-        record = cell_touching.simulated(scene, arm, arguments.what, arguments.seed)
+        changes = changed_settings(arguments.changes, EXAMPLE)
+        record = cell_touching.simulated(scene, arm, arguments.what, arguments.seed, **changes)
         if record.result["succeeded"]:
             return record
         say(console, f"tactile cell: {record.result['reason']}", "red")
@@ -126,12 +129,13 @@ def _of_the_graph(
     from tactile_bringup import cell_touching
     from tactile_bringup.commands.launch import launch_graph
     from tactile_bringup.graph import GraphOptions, build_graph
+    from tactile_bringup.run_sequence import arm_plans
 
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{arguments.what}"
     check_folder(folder)
     options = GraphOptions(record=folder / "bag", seed=arguments.seed, rehearse=arguments.rehearse)
-    plans = cell_touching.plans_of(scene, arm, arguments.what)
-    graph = build_graph(f"cell_{arguments.what}", scene, plans, options)
+    task = cell_touching.task_of(scene, arm, arguments.what, **changed_settings(arguments.changes, EXAMPLE))
+    graph = build_graph(task.name, scene, arm_plans(task, scene), options)
     if launch_graph(graph, folder, console, arguments.headless).exit_code:
         return None
     say(console, f"bag: {folder / 'bag'}")
