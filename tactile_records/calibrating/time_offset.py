@@ -8,7 +8,8 @@ sensor's axis, s(t): through skin and network, which may bend it but are taken t
 tau is what has to be added to the stamps of the exposures. It is sought where both sides, depth growing along
 the axis, correlate most, within `LARGEST` on both sides. In stretches of one length it is found again, by the
 linear part of the same equation: how these offsets stray, weighted by the motion in each stretch, is its
-uncertainty, and how they go on in time is the drift of the two clocks. A skin that lags behind adds to tau.
+uncertainty, and no less than what the residuals e_i would make if they knew nothing of each other. How the
+offsets go on in time is the drift of the two clocks. A skin that lags behind adds to tau.
 """
 
 from __future__ import annotations
@@ -148,7 +149,9 @@ def estimated(times: Array, depth: Array, arm_times: Array, position: Array) -> 
     tau = float(found.x)
     fit = _Fit(way, times + tau, depth)
     middles, offsets, weights = _stretches(fit, times, tau)
-    sigma, drift, drift_sigma = _line(middles, offsets, weights)
+    spread, drift, drift_sigma = _line(middles, offsets, weights)
+    # a few stretches may agree by chance: no less than what residuals that know nothing of each other make
+    sigma = max(spread, float(np.linalg.norm(fit.rest) / np.linalg.norm(fit.speed) / np.sqrt(len(times))))
     return TimeOffset(
         seconds=tau,
         sigma=sigma,

@@ -14,10 +14,10 @@ from tactile_filter import se3
 OFF = ", in_tool: {position: [0.0014, -0.0014, 0.065], rotation_deg: [0, 0, 5]}"
 
 
-def table(folder, truth):
+def table(folder, truth, rate=30):
     """The table's scene with an ideal sensor, of which its simulation says more than the scene."""
-    text = config_path("scenes/plane.yaml").read_text()
-    text += f"simulation:\n  sensors:\n    arm: {{fidelity: ideal{truth}}}\n"
+    text = config_path("scenes/plane.yaml").read_text().replace("camera_rate: 60", f"camera_rate: {rate}")
+    text += f"simulation:\n  rate: {2 * rate}\n  sensors:\n    arm: {{fidelity: ideal{truth}}}\n"
     (folder / "my_cell.yaml").write_text(text)
     return folder / "my_cell.yaml"
 
@@ -37,17 +37,17 @@ def cell(what, scene, tmp_path, *words):
 
 
 def test_a_camera_25_ms_late_is_found_written_into_the_scene_and_then_agreed_with(tmp_path, capsys):
-    path, run = table(tmp_path, ", delay: 0.025"), tmp_path / "run.npz"
-    cell_touching.simulated(load_scene(path), "arm", "time", periods=7).save(run)
+    path, run = table(tmp_path, ", delay: 0.025", 60), tmp_path / "run.npz"
+    cell_touching.simulated(load_scene(path), "arm", "time", periods=10).save(run)
     assert cell("time", path, tmp_path, "--from", str(run)) == 3
     assert "the scene does not agree; --write sets time_offset: -0.02" in capsys.readouterr().out
     assert cell("time", path, tmp_path, "--from", str(run), "--write") == 0
-    assert load_scene(path).arms["arm"].sensor.settings.time_offset == pytest.approx(-0.025, abs=0.003)
+    assert load_scene(path).arms["arm"].sensor.settings.time_offset == pytest.approx(-0.025, abs=0.004)
     assert "# pointing down, the tip 12 mm above the table" in path.read_text()
-    assert cell("time", path, tmp_path, "--simulate", "--set", "periods=7", "--seed", "1") == 0
+    assert cell("time", path, tmp_path, "--simulate", "--set", "periods=10", "--seed", "1") == 0
     numbers = json.loads((tmp_path / "out" / "time.json").read_text())
-    assert numbers["agrees"] and numbers["time_offset_ms"] == pytest.approx(-25.0, abs=3.0)
-    assert numbers["sigma_ms"] < 1.5
+    assert numbers["agrees"] and numbers["time_offset_ms"] == pytest.approx(-25.0, abs=4.0)
+    assert numbers["sigma_ms"] < 2.5
     assert (tmp_path / "out" / "time.png").stat().st_size > 20_000
 
 
@@ -59,7 +59,7 @@ def test_a_tip_2_mm_beside_the_scenes_is_found_and_written_where_it_was(touched,
     assert where[:2, 3] == pytest.approx([0.0014, -0.0014], abs=1.5e-4)
     assert where[2, 3] == pytest.approx(0.065, abs=1e-3)
     numbers = json.loads((tmp_path / "out" / "tip.json").read_text())
-    assert numbers["touches"] == 11 and numbers["residual_mm"] < 0.02 and not numbers["agrees"]
+    assert numbers["touches"] == 11 and numbers["residual_mm"] < 0.04 and not numbers["agrees"]
 
 
 def test_a_sensor_turned_by_5_degrees_is_found_and_written_where_its_tip_stays(touched, tmp_path):
