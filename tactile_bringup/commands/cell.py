@@ -67,6 +67,10 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_records.calibrating.results import RESULTS
 
     scene = load_scene(arguments.scene)
+    if (arguments.source is not None) + arguments.simulate + arguments.rehearse > 1:
+        raise ValueError("--from, --simulate and --rehearse: at most one of them says where a run comes from")
+    if arguments.write and arguments.rehearse:
+        raise ValueError("--write: what a rehearsal finds is true of its doubles, not of the cell")
     if arguments.write and not Path(arguments.scene).is_file():
         raise ValueError(f"--write needs a scene file of your own, not the packaged '{arguments.scene}'")
     scene = rehearsed(scene) if arguments.rehearse else scene

@@ -80,6 +80,8 @@ def test_a_sensor_turned_by_5_degrees_is_found_and_written_where_its_tip_stays(t
     [
         (["--scene", "plane", "--simulate", "--write"], "--write needs a scene file of your own"),
         (["--scene", "ur_example", "--simulate"], "arm 'arm' has the driver 'ur', not 'sim'"),
+        (["--scene", "ur_example", "--rehearse", "--write"], "is true of its doubles, not of the cell"),
+        (["--scene", "plane", "--simulate", "--rehearse"], "at most one of them says where a run comes from"),
         (
             ["--scene", "two_arms", "--simulate"],
             "--arm must name an arm with a sensor; there are: left, right",
