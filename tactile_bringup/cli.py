@@ -27,6 +27,7 @@ COMMANDS = (
     "tactile_bringup.commands.quantize",
     "tactile_bringup.commands.markers",
     "tactile_bringup.commands.camera",
+    "tactile_bringup.commands.cell",
     "tactile_bringup.commands.data",
     "tactile_bringup.commands.doctor",
 )

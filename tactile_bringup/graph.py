@@ -292,10 +292,15 @@ def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:
 def _transport(arm: ArmScene, prefix: str = "") -> dict[str, Any]:
     """How nodes take the images of somebody else's camera; nothing for others, which are raw."""
     sensor = arm.sensor
-    if sensor is None or sensor.camera != EXTERNAL or not sensor.camera_settings.values:
+    if sensor is None or sensor.camera != EXTERNAL:
         return {}
-    settings = sensor.camera_settings.checked(ExternalCameraSettings, sensor.camera_settings.values)
-    return {f"{prefix}{name}": value for name, value in dataclasses.asdict(settings).items()}
+    values: dict[str, Any] = {}
+    if sensor.camera_settings.values:
+        given = sensor.camera_settings.checked(ExternalCameraSettings, sensor.camera_settings.values)
+        values = dataclasses.asdict(given)
+    if sensor.settings.time_offset:
+        values["time_offset"] = sensor.settings.time_offset
+    return {f"{prefix}{name}": value for name, value in values.items()}
 
 
 def _controller(plan: ArmPlan, arm: ArmScene) -> NodeProcess:

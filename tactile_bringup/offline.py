@@ -327,7 +327,7 @@ class _OfflineArm:
         latency = self.options.latency
         if self.options.jitter > 0.0:
             latency += self.options.jitter * float(self.random.random())
-        due_ns = stamp_ns + round(latency * SECOND_NS)
+        due_ns = self.cell.stamp_ns + round(latency * SECOND_NS)
         if self.queue:
             due_ns = max(due_ns, self.queue[-1].due_ns)  # a chain of nodes keeps the order
         self.queue.append(_Event(due_ns, stamp_ns, StampedPresence(stamp_ns, in_contact), belief))

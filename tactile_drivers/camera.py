@@ -13,7 +13,7 @@ package adds its own by an entry point of the group "tactile_servoing.cameras"::
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_base.stamps import SECOND_NS
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene
@@ -118,6 +119,8 @@ CAMERAS: Registry[CameraDriver] = Registry(
 def open_camera(arm: ArmScene, report: Callable[[CameraFrame], None]) -> Camera:
     """The camera of an arm's sensor, driven by the driver that the scene names.
 
+    Frames are reported with the sensor's `time_offset` added to their stamps.
+
     Raises
     ------
     SettingError
@@ -129,4 +132,10 @@ def open_camera(arm: ArmScene, report: Callable[[CameraFrame], None]) -> Camera:
         raise SettingError(f"arm '{arm.name}' has no sensor in this scene")
     driver = CAMERAS.load(arm.sensor.camera)
     given = arm.sensor.camera_settings
-    return driver(arm, given.checked(driver.settings_class, given.values), report)
+    shift_ns = round(arm.sensor.settings.time_offset * SECOND_NS)
+
+    def shifted(frame: CameraFrame) -> None:
+        report(replace(frame, stamp_ns=frame.stamp_ns + shift_ns))
+
+    settings = given.checked(driver.settings_class, given.values)
+    return driver(arm, settings, shifted if shift_ns else report)

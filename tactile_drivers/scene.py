@@ -62,6 +62,10 @@ class SensorSettings(Settings):
     protective_depth: float = setting(
         0.010, unit="m", lower=1e-4, upper=0.03, doc="depth of the tip at which the arm stops in fault"
     )
+    time_offset: float = setting(
+        0.0, unit="s", lower=-0.5, upper=0.5,
+        doc="added to the stamps of the camera, so that they are those of the exposures on the arm's clock",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -378,6 +382,12 @@ def _sensor(section: Section, arm: str, driver: str, bodies: Mapping[str, BodySc
     section.names("touches", touchable, ())
     settings = section.checked(SensorSettings, plain)
     camera = _registered(section, "camera", CAMERAS, (SIM, EXTERNAL), SIM if driver == SIM else EXTERNAL)
+    if camera == SIM and settings.time_offset > 0.0:
+        section.fail(
+            f"{section.name}.time_offset = {settings.time_offset:g} s: a simulated camera has no frames from "
+            "the future; must be at most 0",
+            "time_offset",
+        )
     if camera == SIM and driver != SIM:
         section.fail(f"{section.name}.camera: '{SIM}' needs an arm whose driver is '{SIM}' too", "camera")
     if camera == EXTERNAL:

@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_base.yaml_edit import with_values
 from tactile_bringup.commands.changes import add_set_option, changed_settings, positive_int, refusing
 
 if TYPE_CHECKING:
@@ -124,6 +123,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
     import yaml
 
     from tactile_bringup.camera_view import watching
+    from tactile_bringup.scene_file import write_into
     from tactile_drivers.camera import CAMERAS
 
     arm = chosen(arguments)
@@ -144,28 +144,6 @@ def run_scene(arguments: argparse.Namespace) -> int:
     write_into(arguments.into, arguments.arm, values)
     print(f"{arguments.into}: written")
     return 0
-
-
-def write_into(path: Path, arm: str | None, values: dict[str, Any]) -> None:
-    """Set values of the sensor of an arm in a scene file, which stays as it was unless it is a scene then.
-
-    Raises `ValueError` or `OSError` with what is wrong.
-    """
-    from tactile_drivers.scene import load_scene
-
-    arms = list(load_scene(path).arms)
-    if arm is None and len(arms) > 1:
-        raise ValueError(f"{path}: --arm must name one of {', '.join(arms)}")
-    name = arm or arms[0]
-    if name not in arms:
-        raise ValueError(f"{path}: there is no arm '{name}'; arms: {', '.join(arms)}")
-    candidate = path.with_name(f".{path.stem}.new.yaml")
-    try:
-        candidate.write_text(with_values(path.read_text(), ["arms", name, "sensor"], values))
-        load_scene(candidate)
-        candidate.replace(path)
-    finally:
-        candidate.unlink(missing_ok=True)
 
 
 def chosen(arguments: argparse.Namespace) -> ArmScene:

@@ -16,6 +16,7 @@ TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
         "pushing": "tactile_control.tasks.pushing:Pushing",
         "trajectory": "tactile_control.tasks.trajectory:Trajectory",
         "move": "tactile_control.tasks.move:Move",
+        "touching": "tactile_control.tasks.touching:Touching",
         "data_collection": "tactile_control.tasks.data_collection:DataCollection",
     },
 )

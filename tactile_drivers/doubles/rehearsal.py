@@ -105,7 +105,8 @@ def _simulated(scene: Scene, arm: ArmScene) -> Any:
             "must be a multiple of it"
         )
     tip = scene.simulation.sensors[arm.name].tip_radius
-    settings = arm.sensor.settings.replaced(tip_radius=tip)
+    # what was measured of the real camera's stamps is not true of the simulated one's
+    settings = arm.sensor.settings.replaced(tip_radius=tip, time_offset=0.0)
     return replace(arm.sensor, camera=SIM, settings=settings)
 
 

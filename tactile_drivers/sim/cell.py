@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import functools
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +35,7 @@ from tactile_drivers.sim.motions import FIXED, BodyContact, Motion, make_motion
 from tactile_drivers.sim.settings import FittedSensorSettings, SkinSettings, TacTipSettings
 from tactile_filter import se3
 from tactile_filter.gaussian import PoseGaussian
+from tactile_filter.transform_buffer import TransformBuffer
 
 if TYPE_CHECKING:
     from tactile_drivers.sim.network_view import ViewSettings
@@ -119,6 +121,7 @@ class Frame:
         X_sf from a sensor of fidelity "fitted" or "ideal" in contact; else None.
     truth : Truth
     T_base_sensor : ndarray (4, 4)
+        Where the arm says that the sensor was at the stamp.
     """
 
     arm: str
@@ -205,6 +208,7 @@ class Cell:
                 self._move_bodies()
             for arm in self._arms.values():
                 arm.protect(self._arms)
+                arm.expose_late(self._ticks)
         return self.stamp_ns
 
     def arm(self, arm: str) -> SimArm:
@@ -249,7 +253,7 @@ class Cell:
         ValueError
             If the arm has no simulated sensor.
         """
-        return self._arm(arm).expose()
+        return self._arm(arm).expose(self._ticks)
 
     def _arm(self, name: str) -> _CellArm:
         if name not in self._arms:
@@ -376,6 +380,8 @@ class _CellArm:
         self._touched: _Target | None = None
         self._sequence = 0
         self._moved, self._rate = 0.0, scene.simulation.rate
+        self._T_said_sensor: Array | None = None
+        self._late: _LateFrames | None = None
         if arm.sensor is not None and arm.simulated_sensor:
             sensor = scene.simulation.sensors[arm.name]
             if sensor.at_input and view is None:
@@ -384,9 +390,16 @@ class _CellArm:
                     "known beforehand, which `tactile simulate` does; with nodes choose 'image'"
                 )
             self.sensor = _Sensor(sensor, seed, view)
+            if sensor.in_tool:
+                T_tool_sensor = se3.pose_from_euler(sensor.in_tool)
+                self._T_said_sensor = se3.inverse(arm.T_tool_controlled) @ T_tool_sensor
             self._ticks_per_frame = round(scene.simulation.rate / arm.sensor.settings.camera_rate)
             self._protective_depth = arm.sensor.settings.protective_depth
             self._targets = [_Target(bodies[name], arm.T_world_base) for name in scene.bodies_of(arm.name)]
+            shift = arm.sensor.settings.time_offset
+            if sensor.delay or shift:
+                self._late = _LateFrames(sensor.delay, shift, self._rate)
+                self._late.see(self.arm)
 
     @property
     def T_world_tool(self) -> Array:
@@ -395,20 +408,28 @@ class _CellArm:
         return se3.compose(T_world_controlled, self._T_controlled_tool)
 
     @property
+    def T_base_tip(self) -> Array:
+        """The sensor (4, 4) in the arm's base, where it really is."""
+        T_base_said = self.arm.T_base_controlled
+        return T_base_said if self._T_said_sensor is None else T_base_said @ self._T_said_sensor
+
+    @property
     def touched(self) -> _Body | None:
         """The body that the sensor touched at its last exposure."""
         return self._touched.body if self._touched is not None else None
 
     def step(self, stamp_ns: int) -> None:
-        before = self.arm.T_base_controlled
-        T_base_sensor = self.arm.advance_to(stamp_ns)
-        self._moved = _native.apart(T_base_sensor, before)
+        before = self.T_base_tip
+        self.arm.advance_to(stamp_ns)
+        self._moved = _native.apart(self.T_base_tip, before)
+        if self._late is not None:
+            self._late.see(self.arm)
 
     def protect(self, arms: Mapping[str, _CellArm]) -> None:
         """Fault this arm if it came too deep into a body, braking now, and those that press it there."""
         if self.sensor is None:
             return
-        T_base_sensor, limit = self.arm.T_base_controlled, self._protective_depth
+        T_base_sensor, limit = self.T_base_tip, self._protective_depth
         for target in self._targets:
             depth = target.depth_if_near(T_base_sensor, self._moved, self.sensor.radius, limit, self._brakes)
             if depth is None:
@@ -452,12 +473,24 @@ class _CellArm:
             self.arm.fault(reason)
 
     def exposure_due(self, ticks: int) -> bool:
-        return self.sensor is not None and ticks % self._ticks_per_frame == 0
+        if self.sensor is None:
+            return False
+        if self._late is not None:
+            return self._late.due(ticks, self._ticks_per_frame)
+        return ticks % self._ticks_per_frame == 0
 
-    def expose(self) -> Frame:
+    def expose_late(self, ticks: int) -> None:
+        """Make an exposure whose frame comes later, if it is time for one."""
+        if self._late is not None and ticks % self._ticks_per_frame == 0:
+            self._late.frames.append((ticks, self._exposed()))
+
+    def expose(self, ticks: int) -> Frame:
+        return self._exposed() if self._late is None else self._late.take(ticks)
+
+    def _exposed(self) -> Frame:
         if self.sensor is None:
             raise ValueError(f"arm '{self.name}' has no sensor that is simulated in this scene")
-        T_base_sensor = self.arm.T_base_controlled
+        T_base_sensor = self.T_base_tip
         target = self._nearest(T_base_sensor)
         self.contact = None
         if target is None:
@@ -473,13 +506,55 @@ class _CellArm:
         self._touched = target if truth.in_contact else None
         image, estimate = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
-        return Frame(self.name, self.arm.stamp_ns, sequence, image, estimate, truth, T_base_sensor)
+        T_base_said = self.arm.T_base_controlled
+        return Frame(self.name, self.arm.stamp_ns, sequence, image, estimate, truth, T_base_said)
 
     def _nearest(self, T_base_sensor: Array) -> _Target | None:
         """The body that the sensor touches, as long as it does, else the nearest to its centre."""
         if self._touched is not None or len(self._targets) == 1:
             return self._touched or self._targets[0]
         return min(self._targets, key=lambda target: target.distance(T_base_sensor), default=None)
+
+
+class _LateFrames:
+    """Frames of a camera that are stamped when they come, and the scene's correction of these stamps.
+
+    Parameters
+    ----------
+    delay : float
+        From the exposure to the stamp, s.
+    shift : float
+        What the scene adds to the stamps, s; not above zero.
+    rate : int
+        Steps in a second.
+    """
+
+    def __init__(self, delay: float, shift: float, rate: int) -> None:
+        self.frames: deque[tuple[int, Frame]] = deque()
+        self._ticks = math.ceil(delay * rate - 1e-9)
+        self._first = max(self._ticks, math.ceil(-shift * rate))  # before it, no pose is known at the stamp
+        self._later_ns = round((delay + shift) * SECOND_NS)
+        self._track = TransformBuffer(SECOND_NS)
+
+    def see(self, arm: SimArm) -> None:
+        """Remember where an arm says that the sensor is."""
+        self._track.set_transform("base", "sensor", arm.stamp_ns, arm.T_base_controlled)
+
+    def due(self, ticks: int, ticks_per_frame: int) -> bool:
+        """Whether the frame of an exposure comes at this step."""
+        exposed = ticks - self._ticks
+        return ticks > self._first and exposed > 0 and exposed % ticks_per_frame == 0
+
+    def take(self, ticks: int) -> Frame:
+        """The frame that comes at this step; those before it that nobody took are lost."""
+        while self.frames and self.frames[0][0] < ticks - self._ticks:
+            self.frames.popleft()
+        if not self.frames or self.frames[0][0] != ticks - self._ticks:
+            raise ValueError("no frame comes at this step; see exposure_due")
+        _, frame = self.frames.popleft()
+        stamp_ns = frame.stamp_ns + self._later_ns
+        T_base_sensor = self._track.lookup("base", "sensor", stamp_ns)
+        return replace(frame, stamp_ns=stamp_ns, T_base_sensor=T_base_sensor)
 
 
 class _Sensor:

@@ -8,6 +8,7 @@ left: {fidelity: image, image: {contact: {friction: 0.9}}}
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
@@ -28,6 +29,8 @@ MODELS: Mapping[str, type[TacTipSettings | IdealSensorSettings]] = {
 }
 FIDELITIES = tuple(MODELS)
 _SENSOR_GROUPS = tuple(item.name for item in fields(TacTipSettings))
+_FAULTS = ("delay", "in_tool")  # what the scene does not know of the sensor
+LARGEST_DELAY = 0.5  # s
 _DATA_GROUPS = ("collection", "variation")
 
 
@@ -40,10 +43,17 @@ class SimulatedSensor:
     model : TacTipSettings or IdealSensorSettings
     at_input : bool
         Images are drawn as a network sees them, see `Cell`.
+    delay : float
+        Frames come, and are stamped, this long after their exposure, s.
+    in_tool : tuple of float
+        Where the sensor really is in the arm's tool (x, y, z, alpha, beta, gamma), m and rad; empty: where
+        the scene says.
     """
 
     model: TacTipSettings | IdealSensorSettings = field(default_factory=TacTipSettings)
     at_input: bool = False
+    delay: float = 0.0
+    in_tool: tuple[float, ...] = ()
 
     @property
     def fidelity(self) -> str:
@@ -64,8 +74,8 @@ class SimulatedSensor:
         """The same sensor with a tip of this radius (m)."""
         if isinstance(self.model, TacTipSettings):
             model = replace(self.model, skin=self.model.skin.replaced(radius=radius))
-            return SimulatedSensor(model, self.at_input)
-        return SimulatedSensor(self.model.replaced(radius=radius))
+            return replace(self, model=model)
+        return replace(self, model=self.model.replaced(radius=radius))
 
     def changed(self, fidelity: str, **model: Any) -> SimulatedSensor:
         """A sensor of this fidelity with settings of its model given by name.
@@ -76,7 +86,7 @@ class SimulatedSensor:
             raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
         base = SimulatedSensor(MODELS[fidelity]()).with_tip_radius(self.tip_radius)
         settings = self.model if type(self.model) is MODELS[fidelity] else base.model
-        return SimulatedSensor(replace(settings, **model), fidelity == INPUT)
+        return replace(self, model=replace(settings, **model), at_input=fidelity == INPUT)
 
 
 @dataclass(frozen=True)
@@ -116,7 +126,20 @@ def read_sensor_groups(root: Section) -> TacTipSettings:
 
 
 def _sensor(section: Section) -> SimulatedSensor:
-    section.allow("fidelity", *(name for name in FIDELITIES if name != INPUT))
+    section.allow("fidelity", *(name for name in FIDELITIES if name != INPUT), *_FAULTS)
+    delay = section.number("delay", 0.0)
+    if not 0.0 <= delay <= LARGEST_DELAY:
+        section.fail(f"{section.name}.delay = {delay:g} s: must lie in [0, {LARGEST_DELAY:g}]", "delay")
+    in_tool: tuple[float, ...] = ()
+    if "in_tool" in section.values:
+        pose, none = section.section("in_tool"), (0.0, 0.0, 0.0)
+        pose.allow("position", "rotation_deg")
+        turn = tuple(map(math.radians, pose.numbers("rotation_deg", 3, none)))
+        in_tool = pose.numbers("position", 3, none) + turn
+    return replace(_of_fidelity(section), delay=delay, in_tool=in_tool)
+
+
+def _of_fidelity(section: Section) -> SimulatedSensor:
     fidelity = section.choice("fidelity", FIDELITIES, "image")
     kind = MODELS[fidelity]
     if issubclass(kind, IdealSensorSettings):

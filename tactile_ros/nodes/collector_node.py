@@ -31,7 +31,6 @@ from tactile_control.collection import (
 )
 from tactile_control.phases import StampedPose
 from tactile_control.tasks.data_collection import DataCollection
-from tactile_drivers.camera import ExternalCameraSettings
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
@@ -43,7 +42,7 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings, P
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_records.collecting.sample_store import SampleStore
 from tactile_ros.conversions import MessageError
-from tactile_ros.image_input import Received, subscribe_images
+from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError
 from tactile_ros.managed_node import run as run_node
 from tactile_ros.parameters import GroupParameters, SettingsParameters
@@ -52,7 +51,7 @@ from tactile_ros.task_node import ZERO, Run, TaskNode, conclude
 
 
 @dataclass(frozen=True)
-class CollectorSettings(ExternalCameraSettings):
+class CollectorSettings(ImageTopicSettings):
     """Where samples go, and over which surface they are taken."""
 
     folder: str = setting("", doc="data folder, made if it is not there; one with samples is gone on with")
@@ -106,7 +105,7 @@ class CollectorNode(TaskNode):
         self.preprocessor = Preprocessor(self.preprocessing.value)
         self.presence = ContactPresence(self.presence_settings.value)
         age = self.task_settings.value.watchdog.image_age
-        subscribe_images(self, self.settings.value.transport, self._take_image, age)
+        subscribe_images(self, self.settings.value, self._take_image, age)
         self.open_task(self.settings.value.step_period, on_transform=self._match_image)
 
     def activate(self) -> None:

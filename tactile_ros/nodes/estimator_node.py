@@ -26,7 +26,6 @@ from std_srvs.srv import Trigger
 from tactile_base import topics
 from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.camera import ExternalCameraSettings
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver, Percept
@@ -35,7 +34,7 @@ from tactile_perception.estimator import Estimator, EstimatorSettings, ModelErro
 from tactile_ros.cdr import gaussian_bytes, headed_bytes
 from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
-from tactile_ros.image_input import Received, subscribe_images
+from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
@@ -46,7 +45,7 @@ DROPPED = ("images lost", "images refused", "images out of order", "estimates re
 
 
 @dataclass(frozen=True)
-class ImageInputSettings(ExternalCameraSettings):
+class ImageInputSettings(ImageTopicSettings):
     """How images are expected to arrive."""
 
     rate: float = setting(
@@ -68,7 +67,10 @@ class EstimatorNode(ManagedNode):
         super().__init__("estimator")
         self.model = SettingsParameters(self, EstimatorSettings(), read_only=("model", "threads"))
         self.images = SettingsParameters(
-            self, ImageInputSettings(), prefix="images", read_only=("age_limit", "transport")
+            self,
+            ImageInputSettings(),
+            prefix="images",
+            read_only=("age_limit", "transport", "time_offset"),
         )
         self.presence = ContactPresence()
         presence = SettingsParameters(
@@ -93,7 +95,7 @@ class EstimatorNode(ManagedNode):
         capture = functools.partial(self.presence.capture, compare=False)
         self.serve_request(Trigger, "~/capture_reference", lambda request: capture(), outlook)
         images = self.images.value
-        subscribe_images(self, images.transport, self._receive, images.age_limit)
+        subscribe_images(self, images, self._receive, images.age_limit)
 
     def activate(self) -> None:
         """Take a new reference image; the last one stays if that is none."""

@@ -17,19 +17,18 @@ from std_srvs.srv import Trigger
 from tactile_base import topics
 from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.camera import ExternalCameraSettings
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.markers.detection import DetectedMarkers, DetectionSettings, density_change, detect
 from tactile_perception.markers.view import side_by_side
 from tactile_ros.conversions import MessageError, header
-from tactile_ros.image_input import Received, subscribe_images
+from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ManagedNode, run
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
 
 
 @dataclass(frozen=True)
-class MarkerViewSettings(ExternalCameraSettings):
+class MarkerViewSettings(ImageTopicSettings):
     """How often a picture is made."""
 
     rate: float = setting(
@@ -45,7 +44,8 @@ class MarkerViewNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("marker_view")
-        self.view = SettingsParameters(self, MarkerViewSettings(), read_only=("age_limit", "transport"))
+        fixed = ("age_limit", "transport", "time_offset")
+        self.view = SettingsParameters(self, MarkerViewSettings(), read_only=fixed)
         self.detection = SettingsParameters(self, DetectionSettings(), prefix="detection")
         self.reference: DetectedMarkers | None = None
         self.last_stamp_ns = 0
@@ -56,7 +56,7 @@ class MarkerViewNode(ManagedNode):
         outlook = "the next image becomes the reference"
         self.serve_request(Trigger, "~/capture_reference", self._capture_reference, outlook)
         view = self.view.value
-        subscribe_images(self, view.transport, self._receive, view.age_limit, stamped=False)
+        subscribe_images(self, view, self._receive, view.age_limit, stamped=False)
 
     def activate(self) -> None:
         """Start with a new reference."""

@@ -18,6 +18,7 @@ from tactile_base.config_paths import config_path
 from tactile_bringup.camera_view import serve, watching
 from tactile_bringup.cli import main
 from tactile_bringup.commands import camera as command
+from tactile_bringup.scene_file import write_into
 from tactile_drivers import uvc_camera, video_devices
 from tactile_drivers.scene import load_scene
 
@@ -242,7 +243,7 @@ def test_the_section_in_the_docs_is_what_the_command_prints_and_what_a_scene_may
     assert main(words) == 0
     printed = capsys.readouterr().out
     assert f"```yaml\n{printed}```" in page
-    command.write_into(scene, "arm", yaml.safe_load(printed)["sensor"])
+    write_into(scene, "arm", yaml.safe_load(printed)["sensor"])
     given = load_scene(scene).arms["arm"].sensor.camera_settings
     assert given.checked(uvc_camera.UvcCameraSettings, given.values).exposure == 0.004
 

@@ -7,7 +7,10 @@ import pytest
 from other_package import installed
 
 from tactile_base.settings import SettingError
-from tactile_bringup.graph import GraphOptions, load_graph
+from tactile_bringup import cell_touching
+from tactile_bringup.graph import GraphOptions, build_graph, load_graph
+from tactile_bringup.run_sequence import arm_plans
+from tactile_drivers.scene import load_scene
 
 SCENE = """\
 arms:
@@ -81,6 +84,26 @@ def test_images_of_somebody_elses_camera_are_taken_compressed_where_the_scene_sa
     assert "/arm/tactile/image/compressed sensor_msgs/msg/CompressedImage sensor" in topics and not images
     without = graph_of("bench_arm", compressed, GraphOptions(record=tmp_path / "bag"))
     assert not any("compressed" in topic for topic in without.node("/recorder").parameters["topics"])
+
+
+def test_stamps_of_somebody_elses_camera_are_corrected_by_those_who_take_its_images(graph_of):
+    options = GraphOptions(marker_view=True)
+    graph = graph_of("bench_arm", "external, time_offset: -0.012", options)
+    assert graph.node("/arm/estimator").parameters["images.time_offset"] == -0.012
+    assert graph.node("/arm/marker_view").parameters["time_offset"] == -0.012
+    ours = graph_of("bench_arm", "bench_camera, time_offset: -0.012", options)  # the camera node does it
+    assert "images.time_offset" not in ours.node("/arm/estimator").parameters
+
+
+def test_a_calibration_by_touch_runs_on_the_graph_of_any_arm_with_the_settings_of_its_task(graph_of):
+    scene = load_scene(graph_of("bench_arm", "bench_camera").scene_file)
+    task = cell_touching.task_of(scene, "arm", "time", periods=20)
+    graph = build_graph(task.name, scene, arm_plans(task, scene), GraphOptions())
+    assert names(graph) == ["/arm/arm", "/arm/camera", *CHAIN]
+    parameters = graph.node("/arm/controller").parameters
+    assert parameters["task"] == "touching" and parameters["watchdog.patience"] == 5.0
+    (plan,) = graph.plans
+    assert plan.goals[0].start is not None and plan.goals[0].goal.periods == 20
 
 
 @pytest.mark.parametrize(

@@ -331,3 +331,47 @@ def test_an_ideal_sensor_that_was_nowhere_has_no_truth():
 def test_tables_of_unequal_length_are_refused():
     with pytest.raises(SettingError, match="must be of one length"):
         IdealSensorSettings(shear_depths=(0.0, 0.001))
+
+
+def with_faults(scene, time_offset=0.0, **faults):
+    """The scene with what its sensor's simulation says that nobody knows, and a correction of stamps."""
+    sensors = {"arm": dataclasses.replace(scene.simulation.sensors["arm"], **faults)}
+    arm = scene.arms["arm"]
+    settings = arm.sensor.settings.replaced(time_offset=time_offset)
+    arm = dataclasses.replace(arm, sensor=dataclasses.replace(arm.sensor, settings=settings))
+    simulation = dataclasses.replace(scene.simulation, sensors=sensors)
+    return dataclasses.replace(scene, arms={"arm": arm}, simulation=simulation)
+
+
+def test_late_frames_show_what_was_and_are_stamped_when_they_come():
+    twists = down_and_along(depth=0.003, along=0.01)
+    exact = run(Cell(ideal(**EXACT), seed=1), twists)
+    late = run(Cell(with_faults(ideal(**EXACT), delay=0.025), seed=1), twists)
+    for before, after in zip(exact, late, strict=False):
+        assert after.stamp_ns == before.stamp_ns + 25_000_000
+        assert after.truth.depth == before.truth.depth
+        moved = np.linalg.norm(after.T_base_sensor[:3, 3] - before.T_base_sensor[:3, 3])
+        assert moved < 0.031 * 0.025
+
+
+def test_a_time_offset_in_the_scene_makes_up_for_a_late_camera():
+    twists = down_and_along(depth=0.003, along=0.01)
+    exact = {frame.stamp_ns: frame for frame in run(Cell(ideal(**EXACT), seed=1), twists)}
+    late = run(Cell(with_faults(ideal(**EXACT), delay=0.025, time_offset=-0.025), seed=1), twists)
+    assert len(late) > 20
+    for frame in late:
+        same = exact[frame.stamp_ns]
+        np.testing.assert_allclose(frame.T_base_sensor, same.T_base_sensor, atol=1e-12)
+        assert frame.truth.depth == same.truth.depth
+
+
+def test_a_sensor_that_is_not_where_the_scene_says_touches_elsewhere():
+    said = ideal(**EXACT)
+    T_said = said.arms["arm"].sensor.T_tool_sensor
+    off = se3.pose_from_euler([0.002, 0.0, 0.001, 0.0, np.radians(3.0), 0.0])
+    where = tuple(se3.euler_from_pose(T_said @ off))
+    frames = run(Cell(with_faults(said, in_tool=where), seed=1), down_and_along(depth=0.003))
+    frame = frames[-1]
+    tip = frame.T_base_sensor @ off
+    assert frame.truth.depth == pytest.approx(0.020 - tip[2, 3], abs=1e-9)
+    assert frame.truth.normal_angle == pytest.approx(np.radians(3.0), abs=1e-9)

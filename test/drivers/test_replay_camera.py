@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tactile_drivers.camera import CAMERAS
+from tactile_drivers.camera import CAMERAS, open_camera
 from tactile_drivers.replay_camera import ReplayCamera, ReplayCameraSettings
-from tactile_drivers.scene import SensorSettings
+from tactile_drivers.scene import SensorSettings, load_scene
 
 PATIENCE = 20.0  # s
 
@@ -82,3 +82,19 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path, path):
     (tmp_path / "text.avi").write_text("no video")
     with pytest.raises(OSError, match=f"{path}: is no video that can be read, and no folder of images"):
         played(tmp_path, path, loop=True)
+
+
+def test_frames_are_reported_with_the_time_offset_of_the_scene(folder):
+    (folder / "scene.yaml").write_text(
+        "arms:\n  arm:\n    driver: external\n    start: {position: [0, 0, 0.1]}\n"
+        "    sensor: {camera: replay, camera_settings: {path: images}, time_offset: -0.4}\n"
+    )
+    frames: list = []
+    before_ns = time.time_ns()
+    camera = open_camera(load_scene(folder / "scene.yaml").arms["arm"], frames.append)
+    end = time.monotonic() + PATIENCE
+    while not frames and time.monotonic() < end:
+        time.sleep(0.002)
+    camera.close()
+    age = (time.time_ns() - frames[0].stamp_ns) * 1e-9
+    assert 0.4 <= age <= 0.4 + (time.time_ns() - before_ns) * 1e-9

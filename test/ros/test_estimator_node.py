@@ -259,6 +259,20 @@ def test_compressed_images_are_taken_by_the_name_of_image_transport(graph, model
     assert graph.wait(lambda: len(estimates) == 1)
 
 
+def test_the_time_offset_of_a_camera_is_added_to_the_stamps(graph, model):
+    settings = {"images.time_offset": -0.012, "presence.reference_frames": REFERENCE_FRAMES}
+    graph.start(ESTIMATOR, {"model": model, **settings})
+    images = graph.publisher(Image, "tactile/image", qos.IMAGE)
+    estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
+    start_ns = time.time_ns() - SECOND
+    for number, picture in enumerate([dots()] * REFERENCE_FRAMES + [dots(5)], 1):
+        images.publish(image_message(start_ns + number * PERIOD_NS, SENSOR, picture))
+        graph.wait_for_count("estimator", "tactile/image messages", number)
+    assert graph.wait(lambda: len(estimates) == 1)
+    exposed_ns = start_ns + (REFERENCE_FRAMES + 1) * PERIOD_NS
+    assert ns_from_time(estimates[0].header.stamp) == exposed_ns - 12_000_000
+
+
 def test_nan_from_the_network_is_refused_counted_and_told(camera):
     camera.send(WHITE)
     report = camera.graph.wait_for_count("estimator", "estimates refused")

@@ -100,3 +100,11 @@ def test_a_camera_rate_that_the_simulation_does_not_have_is_refused_in_a_rehears
     path.write_text(path.read_text().replace("camera_rate: 30", "camera_rate: 50"))
     with pytest.raises(SettingError, match=r"camera_rate = 50 Hz: in a rehearsal .* 120 Hz, must be a mult"):
         rehearsed(load_scene(path))
+
+
+def test_a_correction_of_the_real_cameras_stamps_is_none_of_the_simulated_one(tmp_path):
+    path = cell(tmp_path)
+    path.write_text(path.read_text().replace("camera_rate: 30", "camera_rate: 30\n      time_offset: 0.012"))
+    scene = load_scene(path)
+    assert scene.arms["arm"].sensor.settings.time_offset == 0.012
+    assert rehearsed(scene).arms["arm"].sensor.settings.time_offset == 0.0

@@ -1,0 +1,29 @@
+"""What commands find out of a cell, written into its scene file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tactile_base.yaml_edit import with_values
+from tactile_drivers.scene import load_scene
+
+
+def write_into(path: Path, arm: str | None, values: dict[str, Any]) -> None:
+    """Set values of the sensor of an arm in a scene file, which stays as it was unless it is a scene then.
+
+    Raises `ValueError` or `OSError` with what is wrong.
+    """
+    arms = list(load_scene(path).arms)
+    if arm is None and len(arms) > 1:
+        raise ValueError(f"{path}: --arm must name one of {', '.join(arms)}")
+    name = arm or arms[0]
+    if name not in arms:
+        raise ValueError(f"{path}: there is no arm '{name}'; arms: {', '.join(arms)}")
+    candidate = path.with_name(f".{path.stem}.new.yaml")
+    try:
+        candidate.write_text(with_values(path.read_text(), ["arms", name, "sensor"], values))
+        load_scene(candidate)
+        candidate.replace(path)
+    finally:
+        candidate.unlink(missing_ok=True)

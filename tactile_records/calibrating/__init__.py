@@ -1,0 +1,1 @@
+"""What a real cell is calibrated with: times, tip and mounting, from recordings of touches."""
