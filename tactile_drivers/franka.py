@@ -55,6 +55,10 @@ _GRACE = 1.3  # a motion ends by itself this much later than the stage should ha
 _PATIENT = 10.0  # times longer an arm at rest may be silent
 _RETRY = 1.0  # s, between attempts to connect again
 _RECOVERY = 10.0  # s
+#: A motion that takes over begins with the acceleration that the arm tells, some cycles late. So motions that
+#: follow one another more closely would hardly change it, and the speed would run away.
+_APART = 0.01  # s, between motions
+_TURNED = 0.02  # s, after which a twist is sent again where its frame has turned meanwhile
 _REST = 100  # ms, through which rest is commanded before a motion ends
 _TOO_FAST = 2.0  # times a limit; as norms, twists that give way to another reach 1.73 times
 _POOR = 0.95  # of commands that come in time, below which it is told
@@ -126,6 +130,7 @@ class FrankaArm:
         self._clock = ClockOffset()
         self._changed = threading.Condition()  # guards what follows
         self._twist, self._commanded, self._news = np.zeros(6), 0.0, False
+        self._sent, self._sent_at = np.zeros(6), 0.0
         self._moving, self._reason = False, ""
         self._fault, self._fault_mode = "", ArmMode.FAULT
         self._wants_recovery, self._answer = False, ""
@@ -216,7 +221,7 @@ class FrankaArm:
                 self._lose(in_words(error))
             with self._changed:
                 self._changed.wait_for(
-                    lambda: self._news or self._wants_recovery or not self._open,
+                    lambda: self._ready or self._wants_recovery or not self._open,
                     max(0.0, due - time.monotonic()),
                 )
         self._let_go()
@@ -246,17 +251,26 @@ class FrankaArm:
     def _follow(self) -> None:
         """Do what is asked for, if that is news."""
         with self._changed:
-            twist, age, news = self._twist, time.monotonic() - self._commanded, self._news
-            recover, self._news = self._wants_recovery, False
+            twist, age = self._twist, time.monotonic() - self._commanded
+            recover, send = self._wants_recovery, self._ready and self._last is not None
+            self._news = self._news and not send
         if recover:
             self._recover()
-        elif news and self._last is not None and not (self._fault and twist.any()):
+        elif send and not (self._fault and twist.any()):
             self._send(twist, age)
+
+    @property
+    def _ready(self) -> bool:
+        """Whether there is something to send that may be sent now; a stop always may."""
+        apart = time.monotonic() - self._sent_at
+        return self._news and (apart >= _APART or not self._twist.any())
 
     def _send(self, twist: Array, age: float) -> None:
         """Go after the twist in force, commanded `age` seconds ago, as the arm stands now."""
-        if twist.any() or self._robot.is_in_control:
-            self._robot.move(self._motion(twist, max(0.0, self._timeout - age)), asynchronous=True)
+        if not twist.any() and not (self._sent.any() and self._robot.is_in_control):
+            return  # it rests, or is on its way to
+        self._robot.move(self._motion(twist, max(0.0, self._timeout - age)), asynchronous=True)
+        self._sent, self._sent_at = twist, time.monotonic()
 
     def _motion(self, twist: Array, seconds: float) -> Any:
         """A motion with a twist (6,) of the controlled frame, in it, for some time (s), and then to rest."""
@@ -336,7 +350,8 @@ class FrankaArm:
                 self._reason = f"no command for {silence:.3f} s (limit of the driver {self._timeout:g} s)"
             words = self._words(state.control_command_success_rate)
             self._last = ArmState(stamp_ns, T, twist, self._mode(twist), words, joints)
-            self._news = self._news or bool(self._moving and self._twist[3:].any())  # its frame has turned
+            turned = bool(self._moving and self._twist[3:].any())  # the frame that the twist is given in
+            self._news = self._news or (turned and time.monotonic() - self._sent_at >= _TURNED)
             self._changed.notify_all()
             return self._last
 
@@ -412,6 +427,7 @@ class FrankaArm:
             if self._last is not None:
                 self._fault = "the connection to the arm was lost, and is back"
             self._robot, self._robot_time, self._heard = robot, -1, time.monotonic()
+            self._sent = np.zeros(6)
 
     def _wrong(self, state: Any) -> str:
         """What the controller says otherwise than the scene; '' for nothing."""

@@ -6,7 +6,10 @@ from typing import ClassVar
 
 import ur_cell
 
-LIMITS = "{linear_velocity: 0.1, angular_velocity: 0.5, linear_acceleration: 1.0, angular_acceleration: 4.0}"
+LIMITS = (
+    "{linear_velocity: 0.1, angular_velocity: 0.5, linear_acceleration: 1.0, angular_acceleration: 4.0, "
+    "linear_jerk: 500.0, angular_jerk: 1000.0}"
+)
 
 
 class Double(ur_cell.Double):
