@@ -106,6 +106,7 @@ class FrankaController(FrankaRobotServer):
             "collision": lambda: list(self.collision),
             "recoveries": lambda: self.recoveries,
             "trace": self.trace,
+            "commands": self.commands,
             "now": self.now,
         }
 
@@ -113,6 +114,12 @@ class FrankaController(FrankaRobotServer):
         """What the arm did since the last time it was asked, see `FrankaRobot.trace`."""
         taken = [[time, *(row.tolist() for row in rows)] for time, *rows in self.robot.trace]
         self.robot.trace.clear()
+        return taken
+
+    def commands(self) -> list[list[float]]:
+        """What clients have commanded since the last time it was asked, see `FrankaRobot.commands`."""
+        taken = [[cycle, *command.tolist()] for cycle, command in self.robot.commands]
+        self.robot.commands.clear()
         return taken
 
     def now(self) -> tuple[int, list[float], list[float], bool]:

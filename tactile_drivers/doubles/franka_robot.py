@@ -68,6 +68,8 @@ class FrankaRobot:
     ----------
     trace : deque of (time (s), pose (6,), speed (6,), command (6,))
         What the arm did in its last cycles, in the base.
+    commands : deque of (cycle, command (6,))
+        What clients have commanded, in answer to the state of which cycle.
     error : str
         Why it is in a reflex; empty where it is not.
     """
@@ -90,6 +92,7 @@ class FrankaRobot:
         self.user_stopped = self.guiding = False
         self.success_rate = 1.0
         self.extra = 0.0  # m/s along x, that it tells besides its speed
+        self.commands: deque[tuple[int, Array]] = deque(maxlen=20000)
         self.trace: deque[tuple[float, Array, Array, Array]] = deque(maxlen=20000)
 
     # ---- one cycle ----
@@ -149,6 +152,7 @@ class FrankaRobot:
             return
         dt = PERIOD * (1 if self._answered is None else cycle - self._answered)
         self._missed, self._answered = 0, cycle
+        self.commands.append((cycle, new))
         acceleration = (new - self._commanded) / dt
         jerk = (acceleration - self._acceleration) / dt
         for rate, name, limits in zip(
