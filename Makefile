@@ -26,7 +26,7 @@ demo: build
 	@. scripts/env.sh && exec tactile demo $(TASK) --out out/$(if $(filter surface_following,$(TASK)),demo,$(TASK)) $(ARGS)
 
 test:
-	@scripts/setup.sh test train cluster
+	@scripts/setup.sh test train cluster franka_sim
 	@scripts/build.sh
 	@scripts/test.sh $(ARGS)
 

@@ -242,7 +242,9 @@ class ArmDriver(Protocol):
 
 #: Arm drivers by name, besides the simulated cell's.
 ARMS: Registry[ArmDriver] = Registry(
-    "arm driver", "tactile_servoing.arms", {"ur": "tactile_drivers.ur:UrArm"}
+    "arm driver",
+    "tactile_servoing.arms",
+    {"franka": "tactile_drivers.franka:FrankaArm", "ur": "tactile_drivers.ur:UrArm"},
 )
 
 

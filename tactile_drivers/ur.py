@@ -32,7 +32,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers import ur_link
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
 from tactile_drivers.clock_offset import ClockOffset
-from tactile_drivers.rotation_vectors import pose_of
+from tactile_drivers.rotation_vectors import controlled_twist, pose_of, tool_speed
 from tactile_drivers.scene import ArmScene
 from tactile_filter import se3
 
@@ -201,10 +201,7 @@ class UrArm:
         """Send the twist in force as the TCP's speed in the base, as the arm stands now."""
         if self._link is None or self._last is None:
             return
-        T = self._last.T_base_controlled
-        R, turn = T[:3, :3], T[:3, :3] @ self._twist[3:]
-        lever = T[:3, :3] @ se3.inverse(self._T_tcp_controlled)[:3, 3]  # from the controlled frame to the TCP
-        speed = np.concatenate([R @ self._twist[:3] + np.cross(turn, lever), turn])
+        speed = tool_speed(self._last.T_base_controlled, self._T_tcp_controlled, self._twist)
         self._link.send(ur_link.SPEED.pack(b"v", self._commanded, *speed, self.settings.acceleration))
 
     # ---- states ----
@@ -419,10 +416,3 @@ class _LinkProcess:
 def _unpacked(packet: bytes) -> UrState:
     _, now_ns, stamp, *numbers = ur_link.STATE.unpack(packet)
     return UrState(now_ns, stamp, np.array(numbers[:6]), np.array(numbers[6:12]), *numbers[12:])
-
-
-def controlled_twist(T_base_controlled: Array, T_tcp_controlled: Array, speed: Array) -> Array:
-    """The twist of the controlled frame, in it, of a TCP with that speed (6,) in the base."""
-    R = T_base_controlled[:3, :3]
-    lever = R @ T_tcp_controlled[:3, :3].T @ T_tcp_controlled[:3, 3]  # from the TCP, in the base
-    return np.concatenate([R.T @ (speed[:3] + np.cross(speed[3:], lever)), R.T @ speed[3:]])

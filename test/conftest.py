@@ -23,8 +23,12 @@ settings.register_profile("few", derandomize=True, deadline=None, max_examples=1
 settings.load_profile("same")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests in test/ros start ROS 2 nodes, or read and write its messages."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Tests in test/ros start ROS 2 nodes, or read and write its messages; some run where asked for by -m."""
     for item in items:
         if Path(__file__).parent / "ros" in item.path.parents:
             item.add_marker(pytest.mark.ros)
+    if "asked" not in config.option.markexpr:
+        left_out = [item for item in items if item.get_closest_marker("asked")]
+        items[:] = [item for item in items if item not in left_out]
+        config.hook.pytest_deselected(items=left_out)

@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,6 +16,11 @@ from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import load_scene
 
 SPEED = 0.05  # m/s, at which faults are injected
+ALONG = np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0])
+ZERO = np.zeros(6)
+STILL = 1e-5  # m/s, rad/s: a filter that fades away never ends
+WITHIN = 0.2  # s, from a fault to rest
+ATTEMPTS = 3  # a machine that does something else meanwhile may be late once
 COMMANDS = 0.01  # s, between commands
 _addresses = iter(range(1, 255))
 
@@ -24,10 +31,22 @@ def address() -> str:
 
 
 class Double:
-    """The double in a process of its own; calling it says what goes wrong there."""
+    """The double in a process of its own; calling it says what goes wrong there.
+
+    Attributes
+    ----------
+    mended : list of str
+        What is said to have nothing go wrong any more.
+    """
+
+    mended: ClassVar = [
+        "silence 0", "slow 0", "garbled 0", "stuck_program 0", "torn 0", "loss 0", "teach_button 0",
+        "payload 0", "speed_slider 1", "restore", "come_back",
+    ]  # fmt: skip
+    module = "tactile_drivers.doubles.ur_controller"
 
     def __init__(self, host: str, **settings):
-        command = [sys.executable, "-m", "tactile_drivers.doubles.ur_controller", host, json.dumps(settings)]
+        command = [sys.executable, "-m", self.module, host, json.dumps(settings)]
         self.host = host
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -96,9 +115,8 @@ class Cell:
 
     def move(self):
         """Bring the arm to 50 mm/s."""
-        twist = np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0])
         self.until(
-            lambda: not self.command(twist) and np.abs(self.state.twist - twist).max() < 1e-4, "50 mm/s"
+            lambda: not self.command(ALONG) and np.abs(self.state.twist - ALONG).max() < 1e-4, "50 mm/s"
         )
 
     def until(self, done, what: str, patience: float = 15.0):
@@ -113,3 +131,57 @@ class Cell:
 
     def close(self):
         self.safe.close()
+
+
+def mend(cell, double):
+    """Leave the arm at rest and ready, whatever went wrong before."""
+    for line in double.mended:
+        double(*line.split())
+
+    def ready():
+        try:
+            cell.safe.reset()
+        except RuntimeError:
+            return False
+        return not cell.command(ZERO)
+
+    cell.until(ready, "arm that moves again")
+    cell.command(ZERO, 0.05)
+    cell.rest()
+
+
+def stopped_by(cell, double, inject) -> tuple[float, float, str]:
+    """Inject a fault at 50 mm/s and go on commanding; seconds and metres until rest, and the refusal."""
+    cell.move()
+    double.trace()
+    since = inject()
+    refusal = cell.command(ALONG, 0.35)
+    trace = double.trace()
+    after = trace[trace[:, 0] >= since] if since is not None else trace
+    moving = np.flatnonzero(np.abs(after[:, 7:13]).max(axis=1) > STILL)
+    assert len(moving) < len(after), "the arm goes on"
+    if not len(moving):
+        return 0.0, 0.0, refusal
+    last = moving[-1]
+    assert last < len(after) - 1, "the arm has moved to the end"
+    return after[last, 0] - after[0, 0], float(np.linalg.norm(after[last, 1:4] - after[0, 1:4])), refusal
+
+
+def check_stop(cell, double, inject, words: str, mode=ArmMode.FAULT):
+    """A fault stops the arm in time, is told, and nothing goes on by itself."""
+    for _ in range(ATTEMPTS):
+        seconds, metres, refusal = stopped_by(cell, double, inject)
+        assert re.search(words, refusal), refusal
+        assert cell.state.mode is mode
+        assert cell.state.reason in refusal
+        print(f"at rest after {1e3 * seconds:.0f} ms and {1e3 * metres:.1f} mm: {refusal}")
+        if seconds <= WITHIN:
+            break
+        mend(cell, double)
+    assert seconds <= WITHIN
+    assert metres <= SPEED * WITHIN
+    for line in double.mended:
+        double(*line.split())
+    double.trace()
+    assert cell.command(ALONG, 0.2), "it went on by itself"
+    assert not (np.abs(double.trace()[:, 7:13]) > STILL).any()

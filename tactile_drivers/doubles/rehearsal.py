@@ -60,7 +60,12 @@ class Double(Protocol):
 
 #: Doubles by the name of the driver that they are driven by.
 DOUBLES: Registry[Double] = Registry(
-    "double", "tactile_servoing.doubles", {"ur": "tactile_drivers.doubles.ur_rehearsal:UrRehearsal"}
+    "double",
+    "tactile_servoing.doubles",
+    {
+        "franka": "tactile_drivers.doubles.franka_rehearsal:FrankaRehearsal",
+        "ur": "tactile_drivers.doubles.ur_rehearsal:UrRehearsal",
+    },
 )
 
 

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from tactile_drivers.doubles import rtde
+from tactile_drivers.doubles.double_process import answer_to
 from tactile_drivers.doubles.ur_robot import NORMAL, UrRobot, UrRobotSettings
 from tactile_drivers.rotation_vectors import vector_of
 
@@ -283,13 +284,9 @@ async def _serve(controller: UrController) -> None:
     await asyncio.sleep(0)
     print(json.dumps("ready"), flush=True)
     while line := await reader.readline():
-        name, *numbers = line.decode().split() or [""]
-        try:
-            answer = controller.faults[name](*map(float, numbers))
-            answer = await answer if asyncio.iscoroutine(answer) else answer
-            answer = controller.robot.time if answer is None else answer
-        except (KeyError, ValueError, TypeError):
-            answer = f"'{line.decode().strip()}' means nothing here; there are {', '.join(controller.faults)}"
+        answer = answer_to(line.decode(), controller.faults)
+        answer = await answer if asyncio.iscoroutine(answer) else answer
+        answer = controller.robot.time if answer is None else answer
         print(json.dumps(answer), flush=True)
     moving.cancel()
 

@@ -12,21 +12,13 @@ import time
 
 import numpy as np
 import pytest
-from ur_cell import SPEED, Cell, Double, address, scene_file
+from ur_cell import ALONG, ATTEMPTS, SPEED, WITHIN, ZERO, Cell, Double, address, check_stop, mend, scene_file
 
 from tactile_drivers.arm import ArmMode, open_arm
 from tactile_drivers.scene import load_scene
 
 pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
 
-ALONG = np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0])
-ZERO = np.zeros(6)
-WITHIN = 0.2  # s, from a fault to rest
-ATTEMPTS = 3  # a machine that does something else meanwhile may be late once
-MENDED = [
-    "silence 0", "slow 0", "garbled 0", "stuck_program 0", "torn 0", "loss 0", "teach_button 0", "payload 0",
-    "speed_slider 1", "restore", "come_back",
-]  # fmt: skip
 AS_IT_WAS = [
     "tcp_offset 0 0 0 0 0 0", "local_control 0", "registers_in_use 0", "old_protocol 0", "scripts_ignored 0",
 ]  # fmt: skip
@@ -52,59 +44,6 @@ def cell(opened, double):
     mend(opened, double)
     yield opened
     mend(opened, double)
-
-
-def mend(cell, double):
-    for line in MENDED:
-        double(*line.split())
-
-    def ready():
-        try:
-            cell.safe.reset()
-        except RuntimeError:
-            return False
-        return not cell.command(ZERO)
-
-    cell.until(ready, "arm that moves again")
-    cell.command(ZERO, 0.05)
-    cell.rest()
-
-
-def stopped_by(cell, double, inject) -> tuple[float, float, str]:
-    """Inject a fault at 50 mm/s and go on commanding; seconds and metres until rest, and the refusal."""
-    cell.move()
-    double.trace()
-    since = inject()
-    refusal = cell.command(ALONG, 0.35)
-    trace = double.trace()
-    after = trace[trace[:, 0] >= since] if since is not None else trace
-    moving = np.flatnonzero(np.abs(after[:, 7:13]).max(axis=1) > 0.0)
-    assert len(moving) < len(after), "the arm goes on"
-    if not len(moving):
-        return 0.0, 0.0, refusal
-    last = moving[-1]
-    assert last < len(after) - 1, "the arm has moved to the end"
-    return after[last, 0] - after[0, 0], float(np.linalg.norm(after[last, 1:4] - after[0, 1:4])), refusal
-
-
-def check_stop(cell, double, inject, words: str, mode: ArmMode = ArmMode.FAULT):
-    """A fault stops the arm in time, is told, and nothing goes on by itself."""
-    for _ in range(ATTEMPTS):
-        seconds, metres, refusal = stopped_by(cell, double, inject)
-        assert re.search(words, refusal), refusal
-        assert cell.state.mode is mode
-        assert cell.state.reason in refusal
-        print(f"at rest after {1e3 * seconds:.0f} ms and {1e3 * metres:.1f} mm: {refusal}")
-        if seconds <= WITHIN:
-            break
-        mend(cell, double)
-    assert seconds <= WITHIN
-    assert metres <= SPEED * WITHIN
-    for line in MENDED:
-        double(*line.split())
-    double.trace()
-    assert cell.command(ALONG, 0.2), "it went on by itself"
-    assert not np.abs(double.trace()[:, 7:13]).any()
 
 
 @pytest.mark.parametrize(
@@ -306,7 +245,7 @@ def second():
 
 @pytest.fixture
 def other(second):
-    for line in [*MENDED, *AS_IT_WAS]:
+    for line in [*Double.mended, *AS_IT_WAS]:
         second(*line.split())
     return second
 

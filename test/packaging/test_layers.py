@@ -123,8 +123,11 @@ def third_party(root: Path) -> set[str]:
     return {name for name in names if name not in sys.stdlib_module_names | PACKAGES and not is_ros(name)}
 
 
-#: What drivers of real arms import -> what pip calls it, in an extra of the driver's name.
-OF_DRIVERS = dict.fromkeys(("dashboard_client", "rtde_control", "rtde_receive"), "ur-rtde")
+#: What drivers of real arms and their doubles import -> what pip calls it, in an extra of the driver's name.
+OF_DRIVERS = dict.fromkeys(("dashboard_client", "rtde_control", "rtde_receive"), "ur-rtde") | {
+    "franky": "franky-control",
+    "franky_sim": "franky-sim",
+}
 
 
 def test_every_imported_library_is_required_by_the_package(root: Path):
@@ -154,7 +157,9 @@ def requirement_names(root: Path, with_training: bool = True) -> set[str]:
     config.read(root / "setup.cfg")
     extras = config["options.extras_require"]
     blocks = [config["options"]["install_requires"]]
-    blocks += [extras["train"], extras["cluster"], extras["ur"]] if with_training else []
+    blocks += (
+        [extras["train"], extras["cluster"], extras["ur"], extras["franka_sim"]] if with_training else []
+    )
     return {re.split(r"[<>=\[ ]", line)[0] for block in blocks for line in block.splitlines() if line}
 
 

@@ -1,4 +1,4 @@
-"""Rehearsals: a UR's real driver against the double of its controller, all nodes, a simulated sensor."""
+"""Rehearsals: real drivers against the doubles of their controllers, all nodes, a simulated sensor."""
 
 import re
 import sys
@@ -25,26 +25,30 @@ roles:
       watchdog: {{patience: 30.0, start_timeout: 60.0}}
       contact: {{approach_timeout: 100.0, settle_timeout: 100.0}}
 scenes:
-  my_ur_cell:
+  my_cell:
     follower:
       goals: [{{name: across, direction_deg: 90.0, length: {PATH}}}]
 """
 IDEAL = "simulation: {rate: 60, sensors: {arm: {fidelity: ideal}}}\n"
 
 
-def cell(folder: Path, more: str = "") -> Path:
+NEEDS = {"ur": ("rtde_control",), "franka": ("franky", "franky_sim")}
+
+
+def cell(folder: Path, driver: str, more: str = "") -> Path:
     """The example scene at 30 exposures a second, as a user would copy it; busy machines may be late."""
-    text = config_path("scenes/ur_example.yaml").read_text()
-    text = text.replace("payload: 0.0 ", "state_timeout: 0.5\n      payload: 0.0 ")
-    path = folder / "my_ur_cell.yaml"
+    text = config_path(f"scenes/{driver}_example.yaml").read_text()
+    text = re.sub("(payload|mass): 0.0 ", r"state_timeout: 0.5\n      \g<0>", text)
+    path = folder / "my_cell.yaml"
     path.write_text(text.replace("camera_rate: 60", "camera_rate: 30") + more)
     return path
 
 
 @pytest.fixture
-def launched(tmp_path):
+def launched(tmp_path, driver):
     pytest.importorskip("rclpy", reason="needs ROS 2")
-    pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
+    for module in NEEDS[driver]:
+        pytest.importorskip(module, reason=f"{module} has no wheel for this Python or machine")
     launches = []
 
     def start(*words: str) -> Launched:
@@ -58,9 +62,12 @@ def launched(tmp_path):
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_a_surface_is_followed_through_the_driver_of_a_ur_and_has_the_same_report(launched, tmp_path):
+@pytest.mark.parametrize("driver", list(NEEDS))
+def test_a_surface_is_followed_through_the_driver_of_a_real_arm_and_has_the_same_report(
+    launched, tmp_path, driver
+):
     (tmp_path / "task.yaml").write_text(TASK)
-    scene, bag = cell(tmp_path, IDEAL), tmp_path / "bag"
+    scene, bag = cell(tmp_path, driver, IDEAL), tmp_path / "bag"
     launch = launched(
         "launch", str(tmp_path / "task.yaml"), "--scene", str(scene), "--rehearse", "--headless",
         "--out", str(tmp_path / "runs"), "--record", str(bag),
@@ -76,10 +83,11 @@ def test_a_surface_is_followed_through_the_driver_of_a_ur_and_has_the_same_repor
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_data_are_collected_through_the_driver_of_a_ur(launched, tmp_path):
+@pytest.mark.parametrize("driver", ["ur", pytest.param("franka", marks=pytest.mark.asked)])
+def test_data_are_collected_through_the_driver_of_a_real_arm(launched, tmp_path, driver):
     out = tmp_path / "data"
     launch = launched(
-        "data", "collect", str(out), "--scene", str(cell(tmp_path)), "--rehearse", "--headless",
+        "data", "collect", str(out), "--scene", str(cell(tmp_path, driver)), "--rehearse", "--headless",
         "--samples", "2", "--seed", "9", "--logs", str(tmp_path / "runs"),
         "--set", "motion.air_speed=0.05", "--set", "motion.contact_speed=0.04",
         "--set", "motion.settle_time=0.05",
@@ -91,12 +99,14 @@ def test_data_are_collected_through_the_driver_of_a_ur(launched, tmp_path):
 def test_an_arm_without_a_double_cannot_be_rehearsed(tmp_path):
     path = tmp_path / "cell.yaml"
     path.write_text("arms:\n  arm:\n    driver: external\n    start: {position: [0, 0, 0.1]}\n")
-    with pytest.raises(SettingError, match="there is none for the driver 'external' of 'arm', but for ur"):
+    with pytest.raises(
+        SettingError, match="there is none for the driver 'external' of 'arm', but for franka, ur"
+    ):
         rehearsed(load_scene(path))
 
 
 def test_a_camera_rate_that_the_simulation_does_not_have_is_refused_in_a_rehearsal(tmp_path):
-    path = cell(tmp_path)
+    path = cell(tmp_path, "ur")
     path.write_text(path.read_text().replace("camera_rate: 30", "camera_rate: 50"))
     with pytest.raises(SettingError, match=r"camera_rate = 50 Hz: in a rehearsal .* 120 Hz, must be a mult"):
         rehearsed(load_scene(path))

@@ -1,0 +1,297 @@
+"""The driver of Franka's arms, behind the safe command stage, against the double of their controller.
+
+Distances and times are those of the double's own arm; faults come while it moves at 50 mm/s and goes on being
+commanded.
+"""
+
+import importlib
+import os
+import re
+import time
+
+import numpy as np
+import pytest
+from franka_cell import LIMITS, Double, scene_file
+from ur_cell import ALONG, ATTEMPTS, SPEED, STILL, WITHIN, ZERO, Cell, address, check_stop, mend
+
+from tactile_drivers.arm import ArmMode, open_arm
+from tactile_drivers.scene import load_scene
+
+pytest.importorskip("franky", reason="franky-control has no wheel for this Python or machine")
+pytest.importorskip("franky_sim", reason="franky-sim is not installed")
+
+AS_IT_WAS = ["recover", "version 0", "mass 0", "end_effector 0 0 0 0 0 0"]
+
+
+@pytest.fixture(scope="module")
+def double():
+    double = Double(address())
+    yield double
+    assert not double.close()
+
+
+@pytest.fixture(scope="module")
+def opened(double, tmp_path_factory):
+    cell = Cell(scene_file(tmp_path_factory.mktemp("franka"), double.host))
+    yield cell
+    cell.close()
+
+
+@pytest.fixture
+def cell(opened, double):
+    """The arm at rest and ready, whatever the test before did."""
+    mend(opened, double)
+    yield opened
+    mend(opened, double)
+
+
+@pytest.mark.parametrize(
+    "fault, words, mode",
+    [
+        ("joint_reflex", "joint reflex: more torque on a joint", ArmMode.FAULT),
+        ("cartesian_reflex", "Cartesian reflex: more force on the tool", ArmMode.FAULT),
+        ("cartesian_position_limits", "cartesian position limits violation", ArmMode.FAULT),
+        ("user_stop", "the user stop is pressed", ArmMode.ESTOP),
+        ("guiding", r"moved by hand \(guiding\)", ArmMode.FAULT),
+        ("runs_away 0.3", "the arm moves at 0.35, 2 times its limit of 0.1", ArmMode.FAULT),
+        ("drop", "connection lost|lost, and is back", ArmMode.FAULT),
+        ("leave", "connection", ArmMode.FAULT),
+        ("silence", "connection lost: no state of the arm for 0.1 s|lost, and is back", ArmMode.FAULT),
+        ("slow 0.3", "connection lost: no state|late|lost, and is back", ArmMode.FAULT),
+        ("garbled", "in fault", ArmMode.FAULT),
+    ],
+)
+def test_what_goes_wrong_at_the_controller_stops_the_arm_and_is_told(cell, double, fault, words, mode):
+    check_stop(cell, double, lambda: double(*fault.split()), words, mode)
+
+
+def test_commands_that_do_not_come_any_more_stop_the_arm_as_a_reflex(cell, double):
+    """All that is sent to the controller is lost, as when the driver's machine stands still."""
+    check_stop(cell, double, lambda: double("deaf"), "commands came too late or not at all")
+
+
+def test_a_driver_that_is_told_nothing_any_more_stops_its_arm_and_says_so(cell, double):
+    for _ in range(ATTEMPTS):
+        cell.move()
+        double.trace()
+        since = double("success_rate", 1.0)
+        cell.rest()
+        trace = double.trace()
+        moving = np.flatnonzero((np.abs(trace[:, 7:13]) > STILL).any(axis=1))[-1]
+        seconds = trace[moving, 0] - since
+        assert "no command for" in cell.state.reason
+        if seconds < WITHIN:
+            break
+    assert seconds < WITHIN
+
+
+def test_a_driver_whose_thread_hangs_leaves_the_arm_to_a_motion_that_ends_in_rest(cell, double):
+    for _ in range(ATTEMPTS):
+        cell.move()
+        with cell.driver._changed:  # neither commands nor states pass
+            since = double("success_rate", 1.0)
+            time.sleep(0.5)
+            trace = double.trace()
+        moving = np.flatnonzero((np.abs(trace[:, 7:13]) > STILL).any(axis=1))[-1]
+        seconds = trace[moving, 0] - since
+        mend(cell, double)
+        if seconds < WITHIN + 0.05:
+            break
+    assert seconds < WITHIN + 0.05
+
+
+def test_after_a_user_stop_nothing_moves_until_it_is_released_and_a_reset_and_rest(cell, double):
+    cell.move()
+    double("user_stop")
+    cell.until(lambda: cell.state.mode is ArmMode.ESTOP, "user stop")
+    with pytest.raises(RuntimeError, match="the user stop is pressed"):
+        cell.safe.reset()
+    double("restore")
+    double.trace()
+    assert "user stop" in cell.command(ALONG, 0.3)
+    cell.safe.reset()
+    cell.until(lambda: cell.state.mode is ArmMode.RESTING, "rest")
+    assert "waits for a twist of zero" in cell.command(ALONG, 0.1)
+    assert not double.trace()[:, 7:13].any()
+    assert not cell.command(ZERO)
+    assert not cell.command(ALONG)
+
+
+def test_a_reflex_is_left_by_a_reset_alone(cell, double):
+    before = double("recoveries")
+    double("cartesian_reflex")
+    cell.until(lambda: cell.state.mode is ArmMode.FAULT, "fault")
+    time.sleep(0.2)
+    assert double("recoveries") == before
+    cell.safe.reset()
+    cell.until(lambda: cell.state.mode is ArmMode.RESTING, "rest")
+    assert double("recoveries") == before + 1
+    assert not cell.command(ZERO)
+    cell.move()
+
+
+def test_a_reflex_that_has_to_be_left_by_hand_says_so(cell, double):
+    double("reflex_stays")
+    double("joint_reflex")
+    cell.until(lambda: cell.state.mode is ArmMode.FAULT, "fault")
+    with pytest.raises(RuntimeError, match="recovered by hand, in Desk"):
+        cell.safe.reset()
+
+
+def test_a_connection_that_is_back_is_a_fault_until_a_reset(cell, double):
+    cell.move()
+    double("drop")
+    cell.until(lambda: cell.state.reason.endswith("is back"), "connection")
+    assert cell.state.mode is ArmMode.FAULT
+    assert "is back" in cell.command(ALONG)
+    cell.safe.reset()
+    cell.until(lambda: not cell.command(ZERO), "an arm that follows")
+    cell.move()
+
+
+@pytest.mark.parametrize("fault", ["loss 0.05", "slow 0.01"])
+def test_packages_lost_or_a_little_late_do_not_stop_the_arm(cell, double, fault):
+    double(*fault.split())
+    for _ in range(ATTEMPTS):
+        cell.move()
+        double.trace()
+        refusal = cell.command(ALONG, 0.5)
+        off = np.abs(double.trace()[:, 7:10] - ALONG[:3]).max()
+        if not refusal and off < 0.2 * SPEED:
+            break
+        mend(cell, double)
+        double(*fault.split())
+    assert not refusal
+    assert off < 0.2 * SPEED
+
+
+def test_commands_that_do_not_all_come_in_time_are_told(cell, double):
+    cell.move()
+    double("success_rate", 0.9)
+    cell.command(ALONG, 0.2)
+    assert "control command success rate 90%" in cell.state.reason
+    assert cell.state.mode is ArmMode.MOVING
+
+
+def test_the_thresholds_of_collisions_are_those_of_the_scene(cell, double):
+    torque, force = cell.driver.settings.collision_torque, cell.driver.settings.collision_force
+    assert tuple(double("collision")) == (*torque, *torque, *force, *force)
+
+
+def test_a_controllers_clock_that_jumps_ahead_makes_no_stamp_go_back_or_ahead(cell, double):
+    first = len(cell.states)
+    double("clock", 30.0)
+    cell.until(lambda: len(cell.states) > first + 20, "states")
+    stamps = np.array([state.stamp_ns for state in cell.states])
+    assert (np.diff(stamps) >= 0).all()
+    assert abs(stamps[-1] - time.time_ns()) < 1e9
+
+
+def test_an_arm_that_says_it_is_somewhere_else_is_not_believed(cell, double):
+    seen = len(cell.refused)
+    double("jump", 0.05)
+    cell.until(lambda: len(cell.refused) > seen, "refusal")
+    assert "the arm cannot have moved by 5" in cell.refused[-1]
+
+
+def test_an_emergency_stop_of_the_stage_brings_the_arm_to_rest_within_the_limits(cell, double):
+    cell.move()
+    double.trace()
+    cell.safe.estop("test")
+    assert "emergency stop: test" in cell.command(ALONG, 0.3)
+    speed = np.linalg.norm(double.trace()[:, 7:10], axis=1)
+    slowing = np.flatnonzero(speed[1:] < speed[:-1] - 1e-6)
+    assert speed[-1] == 0.0
+    limits = cell.arm.limits
+    braking = SPEED / limits.linear_acceleration + limits.linear_acceleration / limits.linear_jerk
+    assert 1e-3 * (slowing[-1] - slowing[0]) <= braking + 0.03
+
+
+def test_twists_of_the_sensor_move_and_turn_the_sensor(cell, double):
+    """The end effector stands 65 mm behind it, turned by half a turn in the base."""
+    twist = np.array([0.0, 0.02, 0.01, 0.2, 0.0, 0.1])
+    before = cell.state.T_base_controlled
+    cell.command(twist, 0.5)
+    cell.until(lambda: cell.command(twist) or np.abs(cell.state.twist - twist).max() < 4e-3, "that twist")
+    after = cell.state.T_base_controlled
+    assert before[2, 2] == pytest.approx(-1.0)
+    assert (before[:3, :3].T @ (after - before)[:3, 3])[1] > 0.005
+    cell.command(ZERO, 0.3)
+
+
+# ---- what is refused at the start ----
+
+
+@pytest.fixture(scope="module")
+def second():
+    """A double that nobody drives yet."""
+    double = Double(address())
+    yield double
+    assert not double.close()
+
+
+@pytest.fixture
+def other(second):
+    for line in [*Double.mended, *AS_IT_WAS]:
+        second(*line.split())
+    return second
+
+
+@pytest.mark.parametrize(
+    "fault, settings, words",
+    [
+        (
+            "end_effector 0 0 0.1 0 0 0",
+            {},
+            r"its end effector stands at \[0.0, 0.0, 0.1.* the scene says \[0",
+        ),
+        ("mass 1.5", {}, "its end effector and load weigh 1.5 kg, the scene says 0 kg"),
+        ("", {"model": "panda"}, "the arm is an FR3, the scene says panda"),
+        ("joint_reflex", {}, "joint reflex"),
+        ("user_stop", {}, "the user stop is pressed"),
+        ("guiding", {}, "moved by hand"),
+        ("version 5", {}, "it speaks version 5 of the control interface, and this franky 10"),
+        ("silence", {"connect_timeout": 1.0}, "did not answer within 1 s"),
+        ("leave", {}, "it does not answer on port 1337; is FCI activated in Desk"),
+        (
+            "",
+            {"limits": LIMITS.replace("4.0", "10.0")},
+            "angular_acceleration = 10: with a fr3 it has to be at",
+        ),
+        ("", {"limits": "{linear_velocity: 4.0}"}, "linear_velocity = 4: with a fr3 it has to be at most"),
+    ],
+)
+def test_an_arm_that_is_not_what_the_scene_says_is_refused_with_what_would_be_right(
+    tmp_path, other, fault, settings, words
+):
+    if fault:
+        other(*fault.split())
+    arm = load_scene(scene_file(tmp_path, other.host, **settings)).arms["arm"]
+    with pytest.raises(RuntimeError) as raised:
+        open_arm(arm, lambda state: None)
+    assert not other.trace()[:, 7:13].any()
+    assert re.search(words, str(raised.value))
+
+
+def test_without_franky_the_driver_says_what_to_type(tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    arm = load_scene(scene_file(tmp_path, "127.0.0.1")).arms["arm"]
+    with pytest.raises(RuntimeError, match=r"is missing: pip install 'tactile_servoing\[franka\]'"):
+        open_arm(arm, lambda state: None)
+
+
+@pytest.mark.skipif("rt" in os.uname().release or os.path.exists("/sys/kernel/realtime"), reason="real-time")
+def test_a_kernel_without_real_time_is_refused_unless_the_scene_allows_it(tmp_path, other):
+    arm = load_scene(scene_file(tmp_path, other.host, realtime=True)).arms["arm"]
+    with pytest.raises(RuntimeError, match=r"without them: driver_settings\.realtime: false"):
+        open_arm(arm, lambda state: None)
+
+
+def test_a_driver_that_is_closed_while_it_moves_leaves_the_arm_at_rest(tmp_path, other):
+    cell = Cell(scene_file(tmp_path, other.host))
+    cell.move()
+    cell.close()
+    other.trace()
+    time.sleep(0.1)
+    assert not other.trace()[:, 7:13].any()
+    assert cell.state.T_base_controlled[0, 3] > 0.4
