@@ -55,7 +55,7 @@ def main() -> None:
         for seed in seeds:
             found = time_offset.of_record(simulated(scene(delay), "arm", "time", seed))
             error, sigma = 1e3 * np.array([found.seconds + delay, found.sigma])
-            row("time", f"{-1e3 * delay:g} ms", seed, error, sigma, f"{1e3 * found.residual:.3f} mm")
+            row("time", f"{0.0 - 1e3 * delay:g} ms", seed, error, sigma, f"{1e3 * found.residual:.3f} mm")
     for off in TIP:
         R = se3.pose_from_euler([0.0, 0.0, 0.0, *np.radians(off[3:])])[:3, :3]
         for seed in seeds:
