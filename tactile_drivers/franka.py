@@ -212,8 +212,6 @@ class FrankaArm:
                 if time.monotonic() >= due:
                     due = max(due + period, time.monotonic())
                     self._look()
-            except franky.ControlException as error:  # the arm has ended the motion
-                self._take_end(error)
             except (franky.Exception, RuntimeError) as error:
                 if self._last is None:
                     self._tell_failure(in_words(error))
@@ -257,7 +255,17 @@ class FrankaArm:
         if recover:
             self._recover()
         elif send and not (self._fault and twist.any()):
-            self._send(twist, age)
+            self._guarded(self._send, twist, age)
+
+    def _guarded(self, do: Callable[..., None], *arguments: Any) -> None:
+        """Do it; where the arm has ended the motion, its state says why, or else what franky says does."""
+        import franky
+
+        try:
+            do(*arguments)
+        except franky.ControlException as error:
+            state = _state_of(self._robot)
+            self._take(state, _why_not(state) or in_words(error))
 
     @property
     def _ready(self) -> bool:
@@ -298,12 +306,12 @@ class FrankaArm:
 
         answer = ""
         try:
-            state = self._robot.state
+            state = _state_of(self._robot)
             if _errors(state):
                 self._robot.recover_from_errors()
-                state = self._robot.state
+                state = _state_of(self._robot)
             answer = _why_not(state) or self._wrong(state)
-        except franky.CommandException as error:
+        except (franky.CommandException, RuntimeError) as error:
             answer = in_words(error)
         finally:
             with self._changed:
@@ -314,8 +322,8 @@ class FrankaArm:
 
     def _look(self) -> None:
         """Take the newest state, where there is a new one, and what has become of the motion."""
-        self._robot.poll_motion()  # raises what has ended it
-        self._take(self._robot.state, "")
+        self._guarded(self._robot.poll_motion)
+        self._take(_state_of(self._robot), "")
 
     def _take(self, state: Any, fault: str) -> None:
         """Report a state, if it is a new one, in a fault of that reason if there is one."""
@@ -396,11 +404,6 @@ class FrankaArm:
             return self._fault or self._reason
         return f"{self._reason}; " * bool(self._reason) + f"control command success rate {success_rate:.0%}"
 
-    def _take_end(self, error: Exception) -> None:
-        """The arm has ended the motion; its state says why, or else what franky says does."""
-        state = self._robot.state
-        self._take(state, _why_not(state) or in_words(error))
-
     # ---- the connection ----
 
     def _connect(self) -> None:
@@ -418,7 +421,7 @@ class FrankaArm:
             (robot.rotation_jerk_limit, limits.angular_jerk),
         ):
             limit.set(value)
-        state = robot.state
+        state = _state_of(robot)
         if self._last is None and (wrong := _why_not(state) or self._wrong(state)):
             raise RuntimeError(wrong)
         if settings.model == PANDA and hasattr(robot, "model_urdf"):
@@ -498,6 +501,16 @@ def largest_limits(model: str, limits: ArmLimits, lever: float) -> dict[str, flo
         (jerks[0] / axes - limits.linear_jerk) / per_jerk - limits.angular_acceleration * lever,
     )
     return most
+
+
+def _state_of(robot: Any) -> Any:
+    """The newest state of franky's; raises `RuntimeError` for one that cannot be."""
+    state = robot.state
+    try:
+        se3.checked_pose("pose", np.asarray(state.O_T_EE.matrix))
+    except se3.PoseError as error:
+        raise RuntimeError(f"what the arm tells makes no sense: {error}") from error
+    return state
 
 
 def _why_not(state: Any) -> str:

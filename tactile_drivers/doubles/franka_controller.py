@@ -46,6 +46,7 @@ from tactile_drivers.rotation_vectors import pose_of, vector_of
 
 FCI = 1337  # port
 _LONGEST_LAG = 0.05  # s; further behind, a busy machine has let time go by in which nothing moved
+_LOOK = 1e-4  # s, between looks for an answer
 
 
 class FrankaController(FrankaRobotServer):
@@ -68,7 +69,7 @@ class FrankaController(FrankaRobotServer):
         self.recoveries = 0
         self.rng = np.random.default_rng(1)
         self._on_the_way: deque[tuple[int, bytes]] = deque()
-        self._due = time.monotonic()
+        self._due = self._asked = time.monotonic()
         super().__init__(FrankaRobot(settings), [host])
         commands = self._FrankaServer__command_class_map  # which franky-sim has no other way to
         commands[Command.kConnect] = _Connect
@@ -132,11 +133,16 @@ class FrankaController(FrankaRobotServer):
 
     def cycle(self) -> float:
         """What is due; returns the time (s) until there is more to do."""
+        if self._waiting:
+            self.process_commands()
+            if self._waiting:
+                return _LOOK
         behind = time.monotonic() - self._due
-        if behind > _LONGEST_LAG:
+        patient = self._patient
+        if behind > _LONGEST_LAG and not patient:
             self.robot.cycles += round((behind - PERIOD) / PERIOD)
             self._due, behind = self._due + behind - PERIOD, PERIOD
-        cycles = int(behind / PERIOD)
+        cycles = min(1, int(behind / PERIOD)) if patient else int(behind / PERIOD)
         if cycles:
             self._due += cycles * PERIOD
             self.process_commands()
@@ -144,7 +150,21 @@ class FrankaController(FrankaRobotServer):
             if self.robot.error and self.current_motion_id:
                 self.abort(MoveStatus.kReflexAborted)
             self.send_state()
+            self._asked = time.monotonic()
         return self._due + PERIOD - time.monotonic()
+
+    @property
+    def _patient(self) -> bool:
+        """Whether the arm goes on no sooner than its last state has been answered."""
+        wrong = self.delay or self.loss or self.garbled or self.deaf or self.silent
+        return bool(self.robot.moving and self.robot.settings.patience and not wrong)
+
+    @property
+    def _waiting(self) -> bool:
+        """Whether it waits for the answer to its last state."""
+        late = time.monotonic() - self._asked > self.robot.settings.patience
+        answered = self.robot.answered  # None until the client's first command
+        return self._patient and not late and answered is not None and answered < self.robot.cycles
 
     def process_commands(self) -> None:
         """What a client asks for, where it can be heard."""

@@ -12,7 +12,7 @@ from tactile_drivers.rotation_vectors import vector_of
 from tactile_drivers.scene import ArmScene
 from tactile_filter import se3
 
-_TOLERATED = 100  # cycles without a command: a machine that simulates a cell besides is no real-time machine
+_TOLERANCE = 5.0  # a machine that simulates a cell besides is no real-time machine
 
 
 class FrankaRehearsal(DoubleProcess):
@@ -32,7 +32,7 @@ class FrankaRehearsal(DoubleProcess):
             "start": vector_of(arm.T_base_start @ se3.inverse(arm.T_tool_controlled)).tolist(),
             "end_effector": wanted.end_effector,
             "mass": wanted.mass,
-            "tolerated": _TOLERATED,
+            "tolerance": _TOLERANCE,
         }
         super().__init__(arm, wanted.host, settings)
 

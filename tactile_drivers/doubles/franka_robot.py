@@ -39,7 +39,7 @@ ERRORS = {
 }  # fmt: skip
 _COUNT = 41  # of errors
 _REFLEX_DECELERATION = 10.0  # m/s^2
-_EXTRAPOLATED = 20  # cycles without a command, through which the last acceleration goes on
+_TOLERATED = 20  # cycles without a command, through which the last acceleration goes on; then it stops
 _JOINTS_EVERY = 5  # cycles; joints follow the pose, and take most of the time of a cycle
 
 
@@ -56,9 +56,15 @@ class FrankaRobotSettings(Settings):
         (0.0,) * 6, length=6, lower=-10.0, upper=10.0, unit="m, rad", doc="frame EE in the flange"
     )
     mass: float = setting(0.0, lower=0.0, upper=50.0, unit="kg", doc="of end effector and load")
-    tolerated: int = setting(
-        20, lower=1, upper=1000, doc="cycles without a command after which it stops; 20 in a real one"
-    )
+    tolerance: float = setting(
+        1.0, lower=1.0, upper=100.0,
+        doc="times as many commands may be missing, and they may jump as far, as a real one allows: for a "
+        "machine that is no real-time one",
+    )  # fmt: skip
+    patience: float = setting(
+        0.0, lower=0.0, upper=1.0, unit="s",
+        doc="how long its time stands still for an answer to a state; 0: not at all, as that of a real one",
+    )  # fmt: skip
 
 
 class FrankaRobot:
@@ -70,6 +76,8 @@ class FrankaRobot:
         What the arm did in its last cycles, in the base.
     commands : deque of (cycle, command (6,))
         What clients have commanded, in answer to the state of which cycle.
+    moving, answered : bool, int or None
+        Whether a client moves it, and the cycle whose state was answered last.
     error : str
         Why it is in a reflex; empty where it is not.
     """
@@ -86,8 +94,8 @@ class FrankaRobot:
         self.speed, self._command, self._acceleration = np.zeros(6), np.zeros(6), np.zeros(6)
         self.cycles = 100_000  # since the controller was started
         self._commanded = self._command  # what came last; the command goes on while nothing comes
-        self._moving, self._missed = False, 0
-        self._answered: int | None = None  # cycle of the state that the last command answers
+        self.moving, self._missed = False, 0
+        self.answered: int | None = None  # cycle of the state that the last command answers
         self.error = self.last_error = ""
         self.user_stopped = self.guiding = False
         self.success_rate = 1.0
@@ -102,14 +110,14 @@ class FrankaRobot:
         dt = cycles * PERIOD
         self.cycles += cycles
         before = self.speed.copy()
-        if self._moving:
-            lost = min(cycles - (self._missed == 0), _EXTRAPOLATED - self._missed)
+        if self.moving:
+            lost = min(cycles - (self._missed == 0), _TOLERATED - self._missed)
             self._missed += cycles
             if lost > 0:  # the acceleration goes on
                 self._command = self.speed = self.speed + self._acceleration * (lost * PERIOD)
-            if self._missed > self.settings.tolerated:
+            if self._missed > _TOLERATED * self.settings.tolerance:
                 self.reflex("communication_constraints_violation")
-        if not self._moving and self.speed.any():
+        if not self.moving and self.speed.any():
             part = _REFLEX_DECELERATION * dt / max(np.linalg.norm(self.speed[:3]), np.abs(self.speed).max())
             self.speed = self.speed * max(0.0, 1.0 - part)
         mean = 0.5 * (before + self.speed)
@@ -133,11 +141,11 @@ class FrankaRobot:
         if self.mode not in (RobotMode.kIdle, RobotMode.kMove):
             raise RuntimeError(f"the arm is in mode {self.mode.name}")
         self.end()
-        self._moving, self._missed, self._answered = True, 0, None
+        self.moving, self._missed, self.answered = True, 0, None
 
     def end(self) -> None:
         """Its motion has ended; the arm comes to rest."""
-        self._moving = False
+        self.moving = False
         self._command, self._acceleration = np.zeros(6), np.zeros(6)
         self._commanded = self._command
 
@@ -148,10 +156,10 @@ class FrankaRobot:
         motion.
         """
         new = np.array(command)
-        if not self._moving or (self._answered is not None and cycle <= self._answered):
+        if not self.moving or (self.answered is not None and cycle <= self.answered):
             return
-        dt = PERIOD * (1 if self._answered is None else cycle - self._answered)
-        self._missed, self._answered = 0, cycle
+        dt = PERIOD * (1 if self.answered is None else cycle - self.answered)
+        self._missed, self.answered = 0, cycle
         self.commands.append((cycle, new))
         acceleration = (new - self._commanded) / dt
         jerk = (acceleration - self._acceleration) / dt
@@ -161,7 +169,8 @@ class FrankaRobot:
             DOCUMENTED[self.settings.model],
             strict=True,
         ):
-            if any(np.linalg.norm(rate[i : i + 3]) > limits[i // 3] for i in (0, 3)):
+            most = self.settings.tolerance * np.array(limits)
+            if any(np.linalg.norm(rate[i : i + 3]) > most[i // 3] for i in (0, 3)):
                 self.reflex(f"cartesian_motion_generator_{name}")
                 return
         self._command = self._commanded = self.speed = new
@@ -188,7 +197,7 @@ class FrankaRobot:
             return RobotMode.kGuiding
         if self.error:
             return RobotMode.kReflex
-        return RobotMode.kMove if self._moving else RobotMode.kIdle
+        return RobotMode.kMove if self.moving else RobotMode.kIdle
 
     # ---- what franky-sim's server asks of a robot ----
 

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from franka_cell import real_time
 from launched import Launched
 
 from tactile_base.config_paths import config_path
@@ -49,6 +50,8 @@ def launched(tmp_path, driver):
     pytest.importorskip("rclpy", reason="needs ROS 2")
     for module in NEEDS[driver]:
         pytest.importorskip(module, reason=f"{module} has no wheel for this Python or machine")
+    if driver == "franka" and not real_time():
+        pytest.skip("needs real-time priorities: a thread that is late makes the motions rough")
     launches = []
 
     def start(*words: str) -> Launched:

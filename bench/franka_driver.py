@@ -1,0 +1,123 @@
+"""How fast the driver of a Franka passes commands on and states in, against the double of its controller.
+
+    python bench/franka_driver.py [--seconds 60] [--rate 250]
+
+Twist to wire is from `FrankaArm.command` to the cycle of the double, in a process of its own on the same
+machine, that takes the first command which changes for it. A stamp's error is its difference from the time
+at which the double made the state. Memory, threads and descriptors are those of the driver's process, after a
+tenth of the time and at the end.
+"""
+
+import argparse
+import contextlib
+import itertools
+import multiprocessing
+import multiprocessing.connection
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from ur_driver import KEPT, quantiles, resources
+
+from tactile_drivers.arm import ArmMode, ArmState, open_arm
+from tactile_drivers.doubles.franka_controller import FrankaController
+from tactile_drivers.scene import load_scene
+
+HOST = "127.0.0.78"
+COMMANDS = 0.05  # s, between commands: each has been reached before the next
+SPEEDS = (0.01, 0.012)  # m/s, in turn
+LIMITS = "{linear_acceleration: 1.0, angular_acceleration: 4.0, linear_jerk: 500.0, angular_jerk: 1000.0}"
+
+
+def serve(pipe: multiprocessing.connection.Connection) -> None:
+    """The double; when asked it sends when a command changed, and when each state was made."""
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    controller = FrankaController(HOST)
+    robot, made = controller.robot, {}
+    changes: list[float] = []
+    take, steady = robot.take, [False]
+
+    def note(cycle: int, command: Sequence[float]) -> None:
+        changed = abs(command[0] - robot._commanded[0]) > 1e-9
+        if changed and steady[0]:
+            changes.append(time.monotonic())
+        steady[0] = not changed
+        take(cycle, command)
+
+    robot.take = note  # type: ignore[method-assign]
+    pipe.send("ready")
+    while not pipe.poll():
+        wait = controller.cycle()
+        made[robot.cycles] = time.time_ns()
+        time.sleep(max(0.0, wait))
+    pipe.send((changes, made))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rate", type=float, default=250.0)
+    arguments = parser.parse_args()
+    pipe, theirs = multiprocessing.Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=serve, args=(theirs,), daemon=True)
+    process.start()
+    assert pipe.recv() == "ready"
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "bench.yaml"
+        settings = f"{{host: {HOST}, rate: {arguments.rate}, realtime: false}}"
+        start = "start: {position: [0.4, 0.0, 0.3], rotation_deg: [180, 0, 0]}"
+        arm = f"driver: franka\n    driver_settings: {settings}\n    limits: {LIMITS}\n    {start}\n"
+        scene.write_text(f"arms:\n  arm:\n    {arm}")
+        loaded = load_scene(scene).arms["arm"]
+    states: list[tuple[int, int, int]] = []
+    seen = itertools.count()
+    faults: list[str] = []
+
+    def take(state: ArmState) -> None:
+        if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
+            faults.append(state.reason)
+        if next(seen) % KEPT == 0:  # all of them would be the memory that is measured
+            states.append((time.time_ns(), state.stamp_ns, driver._robot_time))
+
+    driver = open_arm(loaded, lambda state: None)
+    driver._report = take
+    sent: list[float] = []
+    early = None
+    begin = time.monotonic()
+    while (elapsed := time.monotonic() - begin) < arguments.seconds and not faults:
+        sent.append(time.monotonic())
+        driver.command(time.time_ns(), [SPEEDS[len(sent) % 2], 0.0, 0.0, 0.0, 0.0, 0.0])
+        if early is None and elapsed > 0.1 * arguments.seconds:
+            early = resources()
+        time.sleep(COMMANDS)
+    if faults:
+        print(f"ended by a fault after {elapsed:.0f} s: {faults[0]}")
+    late, drift = resources(), driver.drift
+    driver.close()
+    pipe.send("done")
+    changes, made = pipe.recv()
+    at = np.array(changes)
+    wire = [at[i] - t for t in sent[5:] if (i := np.searchsorted(at, t)) < len(at) and at[i] - t < COMMANDS]
+    quantiles("twist to wire", np.array(wire))
+    known = [(now, stamp, made[cycle]) for now, stamp, cycle in states if cycle in made]
+    now, stamp, true = (np.array(column, dtype=np.int64) for column in zip(*known[20:], strict=True))
+    quantiles("stamp's error", np.abs(stamp - true) / 1e9)
+    quantiles("state made to told", (now - true) / 1e9)
+    print(
+        f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}, seen {len(wire)}; "
+        f"drift {1e6 * drift:.1f} ppm"
+    )
+    for name, (memory, threads, fds) in (("early", early or late), ("late", late)):
+        print(f"{name}: {memory:.1f} MB, {threads} threads, {fds} descriptors")
+
+
+if __name__ == "__main__":
+    main()
