@@ -68,6 +68,8 @@ DUAL = {
     "paper": Option(),
     "paper, active follower": Option(variant=Variant(feedforward=1.0)),
     "steering": Option(STEERING),
+    "steering, normals known": Option(STEERING, physics=Physics(noise=0.0)),
+    "steering, slower beyond 0.5 mm of shear": Option(STEERING, Variant(safe_shear=0.0005)),
     "steering, active follower": Option(STEERING, Variant(feedforward=1.0)),
 }
 OPTIONS = {"single": SINGLE, "dual": DUAL}

@@ -82,9 +82,8 @@ def plane(table: str, count: int) -> None:
 
 def loop(count: int) -> None:
     """Signed errors in the loop without ROS, of directions that are not refused."""
-    print(
-        "\n| loop without ROS | direction [deg] | error [mm] | off the direction [deg] |\n| --- | --- | --- | --- |"
-    )
+    print("\n| loop without ROS | direction [deg] | error [mm] | off the direction [deg] |")
+    print("| --- | --- | --- | --- |")
     for table in ("single", "dual"):
         trials = trials_of(table, count)
         wanted = headings(len(trials))

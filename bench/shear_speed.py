@@ -2,10 +2,10 @@
 
     python bench/shear_speed.py
 
-A tip slides over a plane at 10 mm/s, as in surface following, at depths of 2 to 4 mm, on surfaces one to three
-times as sticky as what the ideal sensor's limits of shear are of. Its shear grows with the way until it slips.
-A proportional controller takes the speed down as the believed shear passes a safe one. Friction is that of the
-simulation, the same at all speeds, or one that grows with a power of the speed, as that of rubber can.
+A tip slides over a plane at 10 mm/s, as in surface following, at depths of 2 to 4 mm, on surfaces one to
+three times as sticky as what the ideal sensor's limits of shear are of. Its shear grows with the way until it
+slips. A proportional controller takes the speed down as the believed shear passes a safe one. Friction is that
+of the simulation, the same at all speeds, or one that grows with a power of the speed, as that of rubber can.
 """
 
 from __future__ import annotations
@@ -37,9 +37,8 @@ def slide(limited: bool, exponent: float) -> tuple[float, float, float]:
 
 def main() -> None:
     """Print the table."""
-    print(
-        f"{TRIALS} trials each, {SECONDS:g} s\n\n| friction | speed | largest shear [mm] | way [mm] | stand still |"
-    )
+    print(f"{TRIALS} trials each, {SECONDS:g} s\n")
+    print("| friction | speed | largest shear [mm] | way [mm] | stand still |")
     print("| --- | --- | ---: | ---: | ---: |")
     for friction, exponent in (("the same at all speeds", 0.0), ("grows as speed^0.3", 0.3)):
         for name, limited in (("10 mm/s", False), ("limited by shear", True)):
