@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,12 +107,12 @@ def report(table: str, thing: str, floor: str, seed: int, heading: float) -> Non
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=25, help="of each row of a table")
     parser.add_argument("--loop", type=int, default=0, metavar="TRIALS", help="of each row, in the loop")
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args()
     if chosen.loop:
         loop(chosen.loop)
         return

@@ -4,8 +4,9 @@
 
 A tip slides over a plane at 10 mm/s, as in surface following, at depths of 2 to 4 mm, on surfaces one to
 three times as sticky as what the ideal sensor's limits of shear are of. Its shear grows with the way until it
-slips. A proportional controller takes the speed down as the believed shear passes a safe one. Friction is that
-of the simulation, the same at all speeds, or one that grows with a power of the speed, as that of rubber can.
+slips. A proportional controller takes the speed down as the believed shear passes a safe one. Friction is
+that of the simulation, the same at all speeds, or one that grows with a power of the speed, as that of rubber
+can.
 """
 
 from __future__ import annotations
