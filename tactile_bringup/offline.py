@@ -324,7 +324,9 @@ class _OfflineArm:
         return due
 
     def _send(self, stamp_ns: int, in_contact: bool, belief: StampedPose | None) -> None:
-        latency = self.options.latency + self.options.jitter * float(self.random.random())
+        latency = self.options.latency
+        if self.options.jitter > 0.0:
+            latency += self.options.jitter * float(self.random.random())
         due_ns = stamp_ns + round(latency * SECOND_NS)
         if self.queue:
             due_ns = max(due_ns, self.queue[-1].due_ns)  # a chain of nodes keeps the order

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_control.pid import CHANNELS, PidSettings, TangentPid
+from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
@@ -102,7 +103,7 @@ class Bearing:
 
 def target_bearing(target: ArrayLike, T_base_reference: Array) -> Bearing:
     """Bearing of a position (3,) in the base, m, from the reference sensor frame {s'} (4, 4) there."""
-    position = (np.asarray(target, dtype=np.float64) - T_base_reference[:3, 3]) @ T_base_reference[:3, :3]
+    position = se3.point_in(T_base_reference, target)
     _, y, z = position.tolist()
     return Bearing(position, math.degrees(math.atan2(y, z)), math.hypot(y, z))
 
@@ -126,7 +127,9 @@ class AlignmentController:
         Raises `ControlInputError` for a bearing that is not finite and for a stamp that is not later than the
         last one; nothing changes then.
         """
-        error = np.zeros(6)
+        error, velocity = np.zeros((2, 6))
         error[CHANNEL] = self.settings.reference_bearing_deg - bearing.angle_deg
-        velocity = self.pid.update(stamp_ns, error, hold_integral).feedback * MM
-        return velocity if bearing.distance >= self.settings.cutoff_distance else np.zeros(6)
+        feedback = self.pid.update(stamp_ns, error, hold_integral).feedback
+        if bearing.distance >= self.settings.cutoff_distance:
+            velocity[CHANNEL] = feedback[CHANNEL] * MM
+        return velocity

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,16 +95,17 @@ class Odometer:
     def __init__(self, step: float) -> None:
         self.step = step
         self.length = 0.0
-        self._last: Array | None = None
+        self._last: list[float] | None = None
 
     def add(self, position: Array) -> float:
         """Take in a position (3,) m and return the length so far, m."""
+        now = position.tolist()
         if self._last is None:
-            self._last = position.copy()
-        moved = se3.norm(position - self._last)
+            self._last = now
+        moved = math.dist(now, self._last)
         if moved > self.step:
             self.length += moved
-            self._last = position.copy()
+            self._last = now
         return self.length
 
     def break_off(self) -> None:

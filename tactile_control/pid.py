@@ -89,18 +89,41 @@ class PidSettings(Settings):
 
 
 class PidOutput(NamedTuple):
-    """One step of a `TangentPid`: the feedback and its parts, (6,), in the tangent space of the error."""
+    """One step of a `TangentPid`, in the tangent space of the error.
 
-    feedback: Array
-    proportional: Array
-    integral: Array
-    derivative: Array
-    transfer: Array
+    Attributes
+    ----------
+    parts : ndarray (5, 6)
+        The feedback, and the terms that it is the sum of before it is clipped: proportional, integral,
+        derivative, and what is left of the gains before.
+    """
+
+    parts: Array
+
+    @property
+    def feedback(self) -> Array:
+        """The output (6,)."""
+        return self.parts[0]
+
+    @property
+    def proportional(self) -> Array:
+        """Its proportional term (6,)."""
+        return self.parts[1]
+
+    @property
+    def integral(self) -> Array:
+        """Its integral term (6,)."""
+        return self.parts[2]
+
+    @property
+    def derivative(self) -> Array:
+        """Its derivative term (6,)."""
+        return self.parts[3]
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
         """Which channels of the feedback are clipped."""
-        return self.feedback != self.proportional + self.integral + self.derivative + self.transfer
+        return np.asarray(self.feedback != self.parts[1:].sum(axis=0))
 
 
 def tangent_error(X: Array, X_reference: Array, space: str = "local") -> Array:
@@ -173,7 +196,7 @@ class TangentPid:
         dt, gap = self._elapsed(stamp_ns)
         self.stamp_ns, s = stamp_ns, self.settings
         return PidOutput(
-            *_laws.pid_step(
+            _laws.pid_step(
                 self._state, self._gains, error, dt, gap, not hold_integral, s.ewma_decay, s.transfer_time
             )
         )

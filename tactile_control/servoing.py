@@ -111,11 +111,13 @@ class ServoingController:
         velocity = checked_vector("velocity", velocity)
         reference, X_reference = self.reference_for(X_fs)
         space = self.settings.tangent_space
-        pid = self.pid.update(stamp_ns, tangent_error(X_fs, X_reference, space), hold_integral)
         X_ss_ref = se3.between(X_fs, X_reference)
-        feedforward = se3.adjoint(X_ss_ref) @ velocity
+        error = se3.log(X_ss_ref)
+        law_error = error if space == "local" else tangent_error(X_fs, X_reference, space)
+        pid = self.pid.update(stamp_ns, law_error, hold_integral)
+        feedforward = se3.carry(X_ss_ref, velocity)
         twist = to_local(pid.feedback, X_fs, space) + feedforward
-        return ServoingOutput(twist, se3.log(X_ss_ref), feedforward, reference, pid)
+        return ServoingOutput(twist, error, feedforward, reference, pid)
 
     def reference_for(self, X_fs: Array) -> tuple[Array, Array]:
         """The reference contact pose for an observed one (4, 4): Euler (6,), m and rad, and X_fs' (4, 4)."""

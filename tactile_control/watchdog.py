@@ -9,7 +9,8 @@ that is back within `patience` was a hiccup, one that is not has failed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import NANOSECOND
@@ -41,9 +42,11 @@ class WatchdogSettings(Settings):
         2.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
     )
 
-    def limit(self, name: str) -> float:
-        """The age limit of the input `name`: belief, presence or pose."""
-        return float(getattr(self, f"{name}_age"))
+    @cached_property
+    def limits(self) -> dict[str, float]:
+        """The age limit (s) of each input, by its name."""
+        ages = (item.name for item in fields(self) if item.name.endswith("_age"))
+        return {name.removesuffix("_age"): float(getattr(self, name)) for name in ages}
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,9 @@ class WatchdogState:
     @property
     def ok(self) -> bool:
         return self.reason == ""
+
+
+_ALL_WELL = WatchdogState(1.0, "")
 
 
 class Watchdog:
@@ -85,7 +91,7 @@ class Watchdog:
         ]
         if not reasons:
             self._since_ns = None
-            return WatchdogState(1.0, "")
+            return _ALL_WELL
         if self._since_ns is None:
             self._since_ns = now_ns
         elapsed = (now_ns - self._since_ns) * NANOSECOND
@@ -93,7 +99,7 @@ class Watchdog:
         return WatchdogState(scale, "; ".join(reasons), scale == 0.0 and elapsed >= self.settings.patience)
 
     def _complaint(self, now_ns: int, name: str, stamp_ns: int | None) -> str:
-        limit = self.settings.limit(name)
+        limit = self.settings.limits[name]
         if stamp_ns is None:
             return f"no {name} has arrived (limit {limit * 1e3:.0f} ms)"
         age = (now_ns - stamp_ns) * NANOSECOND
@@ -107,7 +113,7 @@ class Watchdog:
         """For how long an input has been too old, s; it may have been so before anybody looked."""
         return max(
             (
-                (now_ns - stamp) * NANOSECOND - self.settings.limit(name)
+                (now_ns - stamp) * NANOSECOND - self.settings.limits[name]
                 for name, stamp in stamps_ns.items()
                 if stamp is not None
             ),

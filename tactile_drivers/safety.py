@@ -114,7 +114,7 @@ class SafeArm:
             self._drop()
             if self.driver is None:
                 return
-            if self.driver.keeps_limits or not self._profile.twist.any():
+            if self.driver.keeps_limits or not _native.moves(self._profile.twist):
                 self.driver.stop(reason)
             else:  # its states lead it to rest
                 self._stopping = reason
@@ -176,7 +176,7 @@ class SafeArm:
             return f"emergency stop: {self._estop}; arm/reset leaves it"
         if self._fault:
             return f"the arm is in fault: {self._fault}; arm/reset leaves it"
-        self._waits_for_rest = self._waits_for_rest and not quiet and bool(twist.any())
+        self._waits_for_rest = self._waits_for_rest and not quiet and _native.moves(twist)
         if self._waits_for_rest:
             return "after a stop by safety the arm waits for a twist of zero"
         return ""
@@ -283,7 +283,7 @@ class SafeArm:
         if not self.driver.keeps_limits:
             self._profile.advance(dt, target)
             target = self._profile.twist
-        if self._stopping and not target.any():
+        if self._stopping and not _native.moves(target):
             self.halt(self._stopping)
         elif self._sent_ns != self._in_force_ns or _native.differ(target, self._sent, 0.0):
             self.driver.command(self._in_force_ns or self.state.stamp_ns, target)
@@ -311,7 +311,7 @@ class SafeArm:
         """What joints and neighbours allow; all of it where nothing is known of the joints."""
         kinematics = getattr(self.driver, "kinematics", None)
         assert self.state is not None
-        if kinematics is None or self.state.joints is None or not twist.any():
+        if kinematics is None or self.state.joints is None or not _native.moves(twist):
             return 1.0, ""
         rates = joint_rates(kinematics, self.state.joints, twist)
         slow, stop = self.settings.singularity_slow, self.settings.singularity_stop

@@ -112,7 +112,8 @@ class ContactFilter:
     @property
     def rejected(self) -> int:
         """Measurements refused since the last reset."""
-        return sum(self._rejections.values()) + self.late["too late"]
+        refused = sum(self._rejections.values()) if self._rejections else 0
+        return refused + self.late["too late"] if self.late else refused
 
     @property
     def all_rejections(self) -> Counter[str]:

@@ -26,6 +26,9 @@ class BeliefFlag(IntFlag):
     NOT_CONVERGED = 64
 
 
+_INVALID = int(BeliefFlag.INVALID)  # operators of flags take longer than all of a prediction
+
+
 @dataclass(frozen=True)
 class Belief:
     """The contact's pose in the sensor, X_sf = exp(eps^) mean with eps ~ N(0, cov).
@@ -58,7 +61,7 @@ class Belief:
     @property
     def valid(self) -> bool:
         """Whether mean and cov may be used."""
-        return not self.flags & BeliefFlag.INVALID
+        return not int(self.flags) & _INVALID
 
     def vectors(self) -> tuple[Array, Array]:
         """xi_sf (6,) and the Euler surface contact pose (6,) of X_fs; NaN where the belief is not valid."""

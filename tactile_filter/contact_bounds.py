@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_filter import se3
+from tactile_filter import _fusion, se3
 from tactile_filter.transform_buffer import MotionLimits
 
 Array = NDArray[np.float64]
+
+_SHEAR, _DEPTHS, _TILT = 0, (1, 2), 3  # of the limits, what C answers
 
 
 @dataclass(frozen=True)
@@ -76,32 +79,40 @@ class ContactBounds(Settings):
 
     def objection(self, mean: Array) -> str:
         """Why X_sf (4, 4) is no pose that the sensor can feel; empty if it is one."""
-        (a, b, c, px), (d, e, f, py), (g, h, i, pz), _ = mean.tolist()  # X_fs is its inverse
-        x, y, z = (-(u * px + v * py + w * pz) for u, v, w in ((a, d, g), (b, e, h), (c, f, i)))
-        shear = math.hypot(x, y)
-        if not shear <= self.largest_shear:
-            return f"shear is {shear * 1e3:.4g} mm, must not exceed {self.largest_shear * 1e3:g} mm"
-        if not self.least_depth <= z <= self.largest_depth:
+        found = _fusion.contact_fault(mean, self._limits)
+        if found is None:
+            return ""
+        fault, value = found
+        if fault == _SHEAR:
+            return f"shear is {value * 1e3:.4g} mm, must not exceed {self.largest_shear * 1e3:g} mm"
+        if fault in _DEPTHS:
             low, high = self.least_depth * 1e3, self.largest_depth * 1e3
-            return f"depth is {z * 1e3:.4g} mm, must be in [{low:g}, {high:g}] mm"
-        tilt, twist = math.atan2(math.hypot(c, f), i), math.atan2(b, a)
-        for name, angle, limit in (("tilt", tilt, self.largest_tilt), ("twist", twist, self.largest_twist)):
-            if not abs(angle) <= limit:
-                degrees = math.degrees(angle), math.degrees(limit)
-                return f"{name} is {degrees[0]:.1f} degrees, must not exceed {degrees[1]:.0f}"
-        return ""
+            return f"depth is {value * 1e3:.4g} mm, must be in [{low:g}, {high:g}] mm"
+        name, limit = ("tilt", self.largest_tilt) if fault == _TILT else ("twist", self.largest_twist)
+        return f"{name} is {math.degrees(value):.1f} degrees, must not exceed {math.degrees(limit):.0f}"
 
     def sigma_objection(self, cov: Array) -> str:
         """Why a covariance (6, 6) is none of an estimate of this sensor; empty if it is one."""
-        variances = cov.diagonal().tolist()
-        for part, what, unit in ((0, "translation", "m"), (1, "rotation", "rad")):
-            three = variances[3 * part : 3 * part + 3]
-            least, largest = self.least_sigma[part], self.largest_sigma[part]
-            if not all(least * least <= variance <= largest * largest for variance in three):
-                found = ", ".join(f"{sigma:.3g}" for sigma in np.sqrt(three))
-                right = f"[{least:g}, {largest:g}] {unit}"
-                return f"standard deviations of the {what} are {found} {unit}, must be in {right}"
-        return ""
+        part = _fusion.sigma_fault(cov, self._limits)
+        if part is None:
+            return ""
+        what, unit = (("translation", "m"), ("rotation", "rad"))[part]
+        found = ", ".join(f"{sigma:.3g}" for sigma in np.sqrt(cov.diagonal()[3 * part : 3 * part + 3]))
+        right = f"[{self.least_sigma[part]:g}, {self.largest_sigma[part]:g}] {unit}"
+        return f"standard deviations of the {what} are {found} {unit}, must be in {right}"
+
+    @cached_property
+    def _limits(self) -> Array:
+        """As C takes them."""
+        pose = [
+            self.largest_shear,
+            self.least_depth,
+            self.largest_depth,
+            self.largest_tilt,
+            self.largest_twist,
+        ]
+        sigmas = zip(self.least_sigma, self.largest_sigma, strict=True)
+        return np.array([*pose, *(sigma for pair in sigmas for sigma in pair)])
 
     def unreachable(self, before: tuple[int, Array], after: tuple[int, Array]) -> str:
         """Why a contact gets not from one stamped pose X_sf (ns, (4, 4)) to the other; empty if it does."""

@@ -73,6 +73,16 @@ def adjoint(T: ArrayLike) -> Array:
     return _fusion.adjoint(T)
 
 
+def carry(T: ArrayLike, xi: ArrayLike) -> Array:
+    """Ad(T) xi (6,): a twist or tangent vector (6,) of the frame that T leads to, in the frame it is in."""
+    return _fusion.carry(T, xi)
+
+
+def point_in(T: ArrayLike, point: ArrayLike) -> Array:
+    """A point (3,) in the coordinates (3,) of the frame that T (4, 4) leads to."""
+    return _fusion.point_in(T, point)
+
+
 def left_jacobian(xi: ArrayLike) -> Array:
     """Left Jacobian J (6, 6): exp((xi + d)^) = exp((J d)^) exp(xi^) to first order in d. Closed form."""
     return _fusion.left_jacobian(xi)
@@ -108,7 +118,7 @@ def norm(vector: Array) -> float:
 def checked_pose(name: str, value: ArrayLike) -> Array:
     """The value as a (4, 4) float array; `PoseError` with the name where it is no finite rigid transform."""
     T = np.asarray(value, dtype=np.float64)
-    if _fusion.usable_pose(T) is not None:
+    if _fusion.is_pose(T):
         return T
     if T.shape != (4, 4):
         raise PoseError(f"{name}: shape {T.shape}, must be (4, 4)")

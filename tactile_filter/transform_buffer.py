@@ -240,7 +240,8 @@ class TransformBuffer:
     def _checked(self, parent: str, child: str, T_parent_child: ArrayLike) -> Array:
         if not parent or not child:
             raise ValueError(f"transform '{parent}' -> '{child}': a frame's name must not be empty")
-        if parent == child or child in self._ancestors(parent):
+        known = self._links.get(child)
+        if (known is None or known.parent != parent) and child in self._ancestors(parent):
             raise ValueError(f"transform '{parent}' -> '{child}': would close a loop")
         try:
             return se3.orthonormalized(T_parent_child)
@@ -285,8 +286,9 @@ class TransformBuffer:
             return
         link.stamps.insert(at, stamp_ns)
         link.transforms.insert(at, T)
-        kept = bisect.bisect_left(link.stamps, link.stamps[-1] - self.history_ns)
-        if kept:
+        oldest_ns = link.stamps[-1] - self.history_ns
+        if link.stamps[0] < oldest_ns:
+            kept = bisect.bisect_left(link.stamps, oldest_ns)
             del link.stamps[:kept], link.transforms[:kept]
 
     def _forget_paths(self) -> None:

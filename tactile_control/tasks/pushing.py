@@ -140,7 +140,9 @@ class Pushing(ContactTask):
         if self._belief.stamp_ns > self._steered_ns:
             self._steered_ns = self._belief.stamp_ns
             self._sideways = self._steer(self._belief, speed)
-        return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]) + ramp * self._sideways
+        velocity = ramp * self._sideways
+        velocity[2] += speed
+        return velocity
 
     def _steer(self, belief: StampedPose, speed: float) -> Array:
         """The sideways velocity (6,) in {s'} for a new belief."""
@@ -252,4 +254,4 @@ class Pushing(ContactTask):
 
     def _distance(self, T_base_sensor: Array) -> float:
         """Of the sensor's centre from the target, m."""
-        return se3.norm(T_base_sensor[:3, 3] - self._target)
+        return math.dist(T_base_sensor[:3, 3].tolist(), self.goal.target)

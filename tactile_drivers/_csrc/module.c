@@ -223,6 +223,28 @@ static PyObject* py_differ(PyObject* module, PyObject* const* args, Py_ssize_t c
 }
 
 
+PyDoc_STRVAR(moves_doc, "moves(twist, /)\n--\n\nWhether any of a twist's six components is not zero.");
+
+static PyObject* py_moves(PyObject* module, PyObject* arg) {
+  double buffer[6];
+  int moves = 0;
+  (void)module;
+  const double* twist = borrow_array(buffer, arg, 6, 0, "twist");
+  for (int i = 0; twist && i < 6; i++) moves |= twist[i] != 0;
+  return twist ? PyBool_FromLong(moves) : NULL;
+}
+
+
+PyDoc_STRVAR(speed_doc, "speed(twist, /)\n--\n\nThe norm of a twist's translation, m/s.");
+
+static PyObject* py_speed(PyObject* module, PyObject* arg) {
+  double buffer[6];
+  (void)module;
+  const double* v = borrow_array(buffer, arg, 6, 0, "twist");
+  return v ? PyFloat_FromDouble(sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])) : NULL;
+}
+
+
 PyDoc_STRVAR(finite_doc, "finite(twist, /)\n--\n\nWhether all of a twist's six components are finite.");
 
 static PyObject* py_finite(PyObject* module, PyObject* arg) {
@@ -249,6 +271,8 @@ static PyMethodDef methods[] = {
     METHOD(apart, apart_doc),
     METHOD(differ, differ_doc),
     {"finite", py_finite, METH_O, finite_doc},
+    {"moves", py_moves, METH_O, moves_doc},
+    {"speed", py_speed, METH_O, speed_doc},
     {NULL, NULL, 0, NULL},
 };
 

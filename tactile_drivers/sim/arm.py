@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
+from tactile_drivers import _native
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
 from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.twist_profile import TwistProfile
@@ -168,7 +169,7 @@ class SimArm:
     def _integrate(self, dt: float) -> None:
         """Move as the profile towards the target twist does."""
         moved = self._motion.advance(dt, self._target)
-        if moved.any():
+        if _native.moves(moved):
             self._pose = _read_only(se3.orthonormalized(se3.compose(self._pose, se3.exp(moved))))
             self._move_joints()
 
@@ -186,7 +187,7 @@ class SimArm:
     def _settle(self) -> None:
         """A stop that has come to its end is rest; so is a command of zero once it is reached."""
         motion = self._motion
-        still = not (motion.twist.any() or motion.acceleration.any() or self._target.any())
+        still = not any(map(_native.moves, (motion.twist, motion.acceleration, self._target)))
         if still and self._mode in (ArmMode.STOPPING, ArmMode.MOVING):
             self._mode = ArmMode.RESTING
 

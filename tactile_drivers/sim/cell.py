@@ -64,8 +64,10 @@ class Truth:
         How much of the contact slips, 0..1.
     normal_force : float
         Force of the surface on the sensor along the outward normal, N; NaN where it is not modelled.
-    point, normal : ndarray (3,)
-        Nearest point of the true surface (m) and the outward unit normal there, in the arm's base.
+    nearest, outward : ndarray (3,)
+        Nearest point of the true surface (m) and the outward unit normal there, in its body's frame.
+    T_base_body : ndarray (4, 4)
+        That body in the arm's base.
     """
 
     surface: str
@@ -75,8 +77,19 @@ class Truth:
     T_fs: Array
     slip_fraction: float
     normal_force: float
-    point: Array
-    normal: Array
+    nearest: Array
+    outward: Array
+    T_base_body: Array
+
+    @property
+    def point(self) -> Array:
+        """The nearest point (3,) in the arm's base, m."""
+        return np.asarray(self.T_base_body[:3, :3] @ self.nearest + self.T_base_body[:3, 3])
+
+    @property
+    def normal(self) -> Array:
+        """The normal (3,) there in the arm's base."""
+        return np.asarray(self.T_base_body[:3, :3] @ self.outward)
 
     @property
     def shear(self) -> Array:
@@ -88,8 +101,8 @@ class Truth:
     def nothing(cls) -> Truth:
         """The truth of a sensor that no surface is there for."""
         nan = float("nan")
-        missing = np.full(3, nan)
-        return cls("", False, nan, nan, np.full((4, 4), nan), 0.0, 0.0, missing, missing)
+        missing, missing_pose = np.full(3, nan), np.full((4, 4), nan)
+        return cls("", False, nan, nan, missing_pose, 0.0, 0.0, missing, missing, missing_pose)
 
 
 @dataclass(frozen=True)
@@ -427,7 +440,7 @@ class _CellArm:
         return [R @ (twist[:3] + np.cross(twist[3:], arm)) for twist in (self.arm.twist, self.arm.target)]
 
     def _brakes(self, moved: float) -> float:
-        return self._braking_distance(moved * self._rate + se3.norm(self.arm.target[:3]))
+        return self._braking_distance(moved * self._rate + _native.speed(self.arm.target))
 
     def _braking_distance(self, speed: float) -> float:
         """Way (m) from a speed to rest; the next look is a step from now."""
@@ -529,16 +542,15 @@ def _contact(
 
 def _truth(target: _Target, geometry: ContactGeometry, known: ContactTruth | IdealTruth) -> Truth:
     """What the sensor's model knows, with the geometry of the surface in the arm's base."""
-    T_base_body, T_fs = target.T_base_body, known.T_fs
-    rotation = T_base_body[:3, :3]
     return Truth(
         surface=target.body.name,
         in_contact=known.contact_nodes > 0,
         depth=geometry.depth,
         normal_angle=geometry.normal_angle,
-        T_fs=T_fs,
+        T_fs=known.T_fs,
         slip_fraction=known.slip_fraction,
         normal_force=known.normal_force,
-        point=rotation @ geometry.point + T_base_body[:3, 3],
-        normal=rotation @ geometry.normal,
+        nearest=geometry.point,
+        outward=geometry.normal,
+        T_base_body=target.T_base_body,
     )

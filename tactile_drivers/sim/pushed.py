@@ -152,7 +152,7 @@ class Pushed:
             return known
         s, normal, depth = self.settings, contact.normal, contact.truth.depth
         force = s.force_on_body(contact)
-        along, across = s.normal_stiffness(depth, -float(force @ normal)), s.shear_stiffness(depth)
+        along, across = s.normal_stiffness(depth, -float(force.dot(normal))), s.shear_stiffness(depth)
         T_tool_sensor = self._T_tool_sensor[contact.arm]
         return contact.stamp_ns, self._body.tip(
             T_tool_sensor, contact.T_body_sensor, contact.point, normal, force, along, across

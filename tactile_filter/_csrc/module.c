@@ -294,6 +294,36 @@ static PyObject* module_between(PyObject* module, PyObject* const* args, Py_ssiz
 }
 
 
+static PyObject* module_point_in(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double mat[16], point[3], res[3] = {0};
+  if (!has_count("point_in", nargs, 2) || !read_pose(mat, args[0], "T")
+      || !read_finite(point, args[1], 3, 0, "point")) {
+    return NULL;
+  }
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) {
+      res[i] += mat[4*j+i] * (point[j] - mat[4*j+3]);
+    }
+  }
+  return new_array(res, 3, 0);
+}
+
+
+static PyObject* module_carry(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double mat[16], xi[6], adjoint[36], res[6] = {0};
+  if (!has_count("carry", nargs, 2) || !read_pose(mat, args[0], "T") || !read_finite(xi, args[1], 6, 0, "xi")) {
+    return NULL;
+  }
+  routines->adjoint(adjoint, mat);
+  for (int i = 0; i < 36; i++) {
+    res[i / 6] += adjoint[i] * xi[i % 6];
+  }
+  return new_array(res, 6, 0);
+}
+
+
 // a C function of `from` numbers that answers `to`, of each in a stack of arrays of the shape (rows, columns), or
 // (rows,) for columns = 0, behind any others; returns 0 where there is none
 typedef int Conversion(double* res, const double* value);
@@ -413,28 +443,103 @@ static PyObject* module_interpolate(PyObject* module, PyObject* const* args, Py_
 }
 
 
+// how far the rotation of a pose is off, negative for an argument that is none; -2 with an error set
+static double usable(Pose* pose, PyObject* arg) {
+  double buffer[16];
+  const double* mat = borrow_array(buffer, arg, 4, 4, "T");
+  if (!mat) {
+    if (!PyErr_ExceptionMatches(PyExc_ValueError)) {
+      return -2;
+    }
+    PyErr_Clear();
+    return -1;
+  }
+  se3_from_matrix(pose, mat);
+  double error = se3_rotation_error(pose->rot);
+  int is_pose = mat[12] == 0 && mat[13] == 0 && mat[14] == 0 && mat[15] == 1 && error <= ROTATION_TOLERANCE
+                && se3_determinant(pose->rot) > 0 && fabs(mat[3]) <= LARGEST_POSITION
+                && fabs(mat[7]) <= LARGEST_POSITION && fabs(mat[11]) <= LARGEST_POSITION;
+  return is_pose ? error : -1;
+}
+
+
 static PyObject* module_usable_pose(PyObject* module, PyObject* arg) {
   (void)module;
-  double mat[16];
   Pose pose;
-  if (!read_array(mat, arg, 4, 4, "T")) {
-    if (PyErr_ExceptionMatches(PyExc_ValueError)) {
-      PyErr_Clear();
-      Py_RETURN_NONE;
-    }
+  double error = usable(&pose, arg);
+  if (error == -2) {
     return NULL;
   }
-  se3_from_matrix(&pose, mat);
-  double error = se3_rotation_error(pose.rot);
-  if (mat[12] != 0 || mat[13] != 0 || mat[14] != 0 || mat[15] != 1 || !(error <= ROTATION_TOLERANCE)
-      || !(se3_determinant(pose.rot) > 0) || !(fabs(mat[3]) <= LARGEST_POSITION)
-      || !(fabs(mat[7]) <= LARGEST_POSITION) || !(fabs(mat[11]) <= LARGEST_POSITION)) {
+  if (error < 0) {
     Py_RETURN_NONE;
   }
   if (error > ORTHONORMAL) {
     se3_orthonormalize(&pose);
   }
   return new_pose(&pose);
+}
+
+
+static PyObject* module_is_pose(PyObject* module, PyObject* arg) {
+  (void)module;
+  Pose pose;
+  double error = usable(&pose, arg);
+  return error == -2 ? NULL : PyBool_FromLong(error >= 0);
+}
+
+
+// limits of a contact's pose and of its covariance; tactile_filter/contact_bounds.py says what they mean
+enum {SHEAR, LEAST_DEPTH, DEPTH, TILT, TWIST, LEAST_SIGMA, SIGMA, LEAST_TURN_SIGMA, TURN_SIGMA, LIMITS};
+
+// the first of the limits that X_sf is beyond, with its value there; LIMITS if none
+static int beyond_limits(double* value, const double m[16], const double limits[LIMITS]) {
+  Pose X_sf, X_fs;
+  se3_from_matrix(&X_sf, m);
+  se3_inverse(&X_fs, &X_sf);
+  const double* r = X_fs.rot;
+  double found[5] = {hypot(X_fs.pos[0], X_fs.pos[1]), X_fs.pos[2], X_fs.pos[2],
+                     atan2(hypot(r[6], r[7]), r[8]), atan2(r[3], r[0])};
+  for (int i = 0; i < 5; i++) {
+    double size = i == TWIST ? fabs(found[i]) : found[i];
+    if (!(i == LEAST_DEPTH ? size >= limits[i] : size <= limits[i])) {
+      *value = found[i];
+      return i;
+    }
+  }
+  return LIMITS;
+}
+
+
+static PyObject* module_contact_fault(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double mat[16], limits[LIMITS], value;
+  if (!has_count("contact_fault", nargs, 2) || !read_array(mat, args[0], 4, 4, "X_sf")
+      || !read_finite(limits, args[1], LIMITS, 0, "limits")) {
+    return NULL;
+  }
+  int fault = beyond_limits(&value, mat, limits);
+  if (fault == LIMITS) {
+    Py_RETURN_NONE;
+  }
+  return Py_BuildValue("id", fault, value);
+}
+
+
+static PyObject* module_sigma_fault(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
+  (void)module;
+  double buffer[36], limits[LIMITS];
+  const double* cov = has_count("sigma_fault", nargs, 2) ? borrow_array(buffer, args[0], 6, 6, "cov") : NULL;
+  if (!cov || !read_finite(limits, args[1], LIMITS, 0, "limits")) {
+    return NULL;
+  }
+  for (int i = 0; i < 6; i++) {
+    int part = i / 3;
+    double least = limits[LEAST_SIGMA + 2*part], largest = limits[SIGMA + 2*part], variance = cov[7*i];
+    if (!(least*least <= variance && variance <= largest*largest)) {
+      return PyLong_FromLong(part);
+    }
+  }
+  Py_RETURN_NONE;
 }
 
 
@@ -493,6 +598,8 @@ static PyMethodDef methods[] = {
   SE3_METHOD(inverse, METH_O),
   SE3_METHOD(compose, METH_FASTCALL),
   SE3_METHOD(between, METH_FASTCALL),
+  SE3_METHOD(point_in, METH_FASTCALL),
+  SE3_METHOD(carry, METH_FASTCALL),
   SE3_METHOD(adjoint, METH_O),
   SE3_METHOD(pose_from_euler, METH_O),
   SE3_METHOD(euler_from_pose, METH_O),
@@ -500,6 +607,9 @@ static PyMethodDef methods[] = {
   SE3_METHOD(inverse_left_jacobian, METH_O),
   SE3_METHOD(orthonormalized, METH_O),
   SE3_METHOD(usable_pose, METH_O),
+  SE3_METHOD(is_pose, METH_O),
+  SE3_METHOD(contact_fault, METH_FASTCALL),
+  SE3_METHOD(sigma_fault, METH_FASTCALL),
   SE3_METHOD(interpolate, METH_FASTCALL),
   SE3_METHOD(predict, METH_FASTCALL),
   SE3_METHOD(innovation, METH_FASTCALL),

@@ -19,6 +19,8 @@ from tactile_records.runs.record import RunRecord, Series, StageSeries
 Array = NDArray[Any]
 S = TypeVar("S", bound=Series)
 
+_FUSED = int(BeliefFlag.MEASUREMENT_FUSED)
+
 
 class RunLog:
     """The rows of each stream of a record that is being made.
@@ -52,7 +54,7 @@ class RunLog:
 
     def belief(self, belief: Belief) -> None:
         """What the filter believes."""
-        fused = bool(belief.flags & BeliefFlag.MEASUREMENT_FUSED)
+        fused = bool(int(belief.flags) & _FUSED)
         row = (belief.stamp_ns, belief.mean, belief.cov, belief.nis, belief.nis_dof, fused)
         self._rows["belief"].append(row)
 

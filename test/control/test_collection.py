@@ -176,7 +176,7 @@ def test_an_input_that_stops_takes_the_twist_to_zero_within_its_limit(phase, sil
         assert commands[-1].succeeded, "leaving the surface needs no image"
         return
     name = {"images": "image", "poses": "pose"}[silent]
-    stop_ns = last["ns"] + round((limits.limit(name) + limits.ramp_time) * 1e9) + 150 * MS
+    stop_ns = last["ns"] + round((limits.limits[name] + limits.ramp_time) * 1e9) + 150 * MS
     late = [command for now_ns, command in moving if now_ns > stop_ns and not command.done]
     assert late and all(np.all(command.twist == 0.0) for command in late)
     assert not commands[-1].succeeded and f"{name} is" in commands[-1].reason
