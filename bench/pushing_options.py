@@ -51,6 +51,8 @@ SINGLE = {
     "Ki 0.3 without anti-windup": Option(variant=Variant(anti_windup=False)),
     "Ki 1 without anti-windup": Option(("alignment.ki=1",), Variant(anti_windup=False)),
     "steering": Option(STEERING),
+    "steering, slower beyond 0.5 mm of shear": Option(STEERING, Variant(safe_shear=0.0005)),
+    "steering, slower beyond 0.25 mm of shear": Option(STEERING, Variant(safe_shear=0.00025)),
     "steering, wide": Option(STEERING, variation=WIDE),
     "steering, noise x 3": Option(STEERING, physics=Physics(noise=3.0)),
     "steering, a and b not learnt": Option(
@@ -66,10 +68,12 @@ DUAL = {
     "paper": Option(),
     "paper, active follower": Option(variant=Variant(feedforward=1.0)),
     "steering": Option(STEERING),
+    "steering, normals known": Option(STEERING, physics=Physics(noise=0.0)),
+    "steering, slower beyond 0.5 mm of shear": Option(STEERING, Variant(safe_shear=0.0005)),
     "steering, active follower": Option(STEERING, Variant(feedforward=1.0)),
 }
 OPTIONS = {"single": SINGLE, "dual": DUAL}
-COLUMNS = ("error mm", "95 %", "largest", "worst row", "missed", "lost", "depth mm")
+COLUMNS = ("error mm", "95 %", "largest", "worst row", "missed", "lost", "depth mm", "shear mm", "time s")
 LEADER = {"single": "pusher", "dual": "leader"}
 
 
@@ -96,7 +100,7 @@ def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]]) -> s
     arrived = ~found.missed & np.isfinite(found.error)
     error, rest = np.abs(found.error[arrived]), [t for t, well in zip(trials, arrived, strict=True) if well]
     if not rest:
-        return f"| {name} | | | | | {len(trials)} | | |"
+        return f"| {name} | | | | | {len(trials)} | | | | |"
     rows = {trial[:2]: row_mean(error, rest, trial[:2]) for trial in rest}
     worst = max(rows, key=lambda row: rows[row])
     numbers = [
@@ -107,6 +111,8 @@ def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]]) -> s
         f"{len(trials) - len(rest)}",
         f"{found.lost.sum()}",
         " / ".join(f"{1e3 * depth.mean():.1f}" for depth in found.depth),
+        f"{1e3 * found.shear.mean():.2f}",
+        f"{found.seconds.mean():.1f}",
     ]
     return f"| {name} | {' | '.join(numbers)} |"
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingGroups
-from tactile_control.steering import SteeringSettings
+from tactile_control.pose_steering import curvature
+from tactile_control.steering import LEAST, SteeringSettings
 from tactile_drivers.shapes import SHAPES
 from tactile_drivers.sim.limit_surface import Foot
 from tactile_drivers.sim.pushing_scene import GAP, PushVariation, draw, read_profiles
@@ -316,19 +317,24 @@ class Variant:
     signed : target alignment is never switched off; it changes its sign with g of the learnt model
     cautious : steering counts the variance of the learnt turning as well
     feedforward : part of the surface's velocity that the follower feeds forward
+    safe_shear : of the leader, beyond which it moves more slowly, m
+    direction : in which each push is to end (N,), rad from the world's x-axis to its y-axis
     """
 
     anti_windup: bool = True
     signed: bool = False
     cautious: bool = False
     feedforward: float = 0.0
+    safe_shear: float = np.inf
+    direction: Array | None = None
 
 
 @dataclass
 class Outcome:
     """Signed errors (N,) mm, as in the report; pushes that missed or lost contact; largest depths, m.
 
-    `turning` is a of the learnt model at the end, where one is learnt, 1/m.
+    `turning` is a of the learnt model at the end, where one is learnt, 1/m; `heading` that of the normal,
+    rad; `shear` the largest of the leader, m, and `seconds` how long it all took.
     """
 
     error: Array
@@ -336,6 +342,9 @@ class Outcome:
     lost: Array
     depth: list[Array] = field(default_factory=list)
     turning: Array = field(default_factory=lambda: np.zeros(0))
+    heading: Array = field(default_factory=lambda: np.zeros(0))
+    shear: Array = field(default_factory=lambda: np.zeros(0))
+    seconds: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def push(plant: Plant, leader: SettingGroups, follower: SettingGroups | None, variant: Variant) -> Outcome:
@@ -344,6 +353,7 @@ def push(plant: Plant, leader: SettingGroups, follower: SettingGroups | None, va
     held = HELD if follower is not None else 0.0
     outcome = Outcome(*(np.full(plant.count, value) for value in (np.nan, False, False)))
     outcome.depth = [np.zeros(plant.count) for _ in plant.tips]
+    outcome.heading, outcome.shear, outcome.seconds = (np.zeros(plant.count) for _ in range(3))
     done, time = np.zeros(plant.count, bool), 0.0
     while time < LONGEST and not done.all():
         commands = [pusher.step(plant, time - held)]
@@ -360,6 +370,9 @@ def push(plant: Plant, leader: SettingGroups, follower: SettingGroups | None, va
         ended = moving & (np.linalg.norm(away, axis=1) < TIP) | missed
         error = 1e3 * (normal[:, 0] * away[:, 1] - normal[:, 1] * away[:, 0])
         outcome.error = np.where(ended, error, outcome.error)
+        outcome.heading = np.where(ended, np.arctan2(normal[:, 1], normal[:, 0]), outcome.heading)
+        outcome.shear = np.where(moving, np.maximum(outcome.shear, np.abs(plant.shears[0])), outcome.shear)
+        outcome.seconds += moving * DT
         outcome.missed |= missed
         outcome.lost |= moving & (depth <= 0.0) & (time > held + 2.0 * SETTLING + GAP / APPROACH)
         done |= ended
@@ -399,8 +412,16 @@ class _Pusher:
         y, z = (away * across(normal)).sum(axis=1), (away * normal).sum(axis=1)
         if self.settings.steering.enabled or self.variant.signed:
             self.model.update(plant.tips[0], angle)
-        sideways = self._steered(y, z, ahead) if self.settings.steering.enabled else self._aligned(y, z)
+        if self.variant.direction is not None:
+            sideways = self._led(y, z, ahead, angle)
+        elif self.settings.steering.enabled:
+            sideways = self._steered(y, z, ahead)
+        else:
+            sideways = self._aligned(y, z)
         sideways = ramp * sideways
+        if np.isfinite(self.variant.safe_shear):
+            slower = np.where(pushes, np.clip(2.0 - np.abs(shear) / self.variant.safe_shear, 0.1, 1.0), 1.0)
+            ahead, sideways = slower * ahead, slower * sideways
         turning = self.tilt(np.where(touches, wrapped(angle - plant.headings[0]), 0.0))
         return ahead[:, None] * normal + sideways[:, None] * across(normal), turning
 
@@ -418,6 +439,18 @@ class _Pusher:
         spread = s.floor**2 + (z**2 * model.variance if self.variant.cautious else 0.0)
         wanted = -(s.gain * y + model.drift * ahead * z) * gain / (gain**2 + spread)
         return np.clip(wanted, -s.limit, s.limit)
+
+    def _led(self, y: Array, z: Array, ahead: Array, angle: Array) -> Array:
+        """Towards a direction as well: `SteeringController.step_to_pose`."""
+        s, turns = self.settings.steering, wrapped(self.variant.direction - angle)
+        turning = np.maximum(self.model.turning, LEAST)
+        ends = np.stack([y - TIP * np.sin(turns), z - TIP * np.cos(turns)], axis=1)
+        crabs = self.model.drift / turning
+        bends = [
+            curvature(end, turn, 1.0 / a, crab, s.straight, s.line_length)
+            for end, turn, a, crab in zip(ends, turns, turning, crabs, strict=True)
+        ]
+        return np.clip(-(np.array(bends) + self.model.drift) * ahead / turning, -s.limit, s.limit)
 
 
 class _Holder:

@@ -154,14 +154,9 @@ class SteeringController:
     def step_to_pose(self, end: Array, direction: Array, speed: float) -> Array:
         """The same for a place (3,) where the sensor's centre is to end, its axis along a direction (3,)."""
         settings, drift, turning = self.settings, self.model.drift, max(self.model.turning, LEAST)
-        bend = curvature(
-            end[1:],
-            angle_of(direction),
-            1.0 / turning,
-            drift / turning,
-            settings.straight,
-            settings.line_length,
-        )
+        reach, crab = 1.0 / turning, drift / turning
+        turn = angle_of(direction)
+        bend = curvature(end[1:], turn, reach, crab, settings.straight, settings.line_length)
         return self._sideways(-(bend + drift) * speed / turning)
 
     def bends_at_most(self, end: Array, direction: Array, speed: float) -> tuple[float, float]:

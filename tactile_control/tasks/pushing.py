@@ -235,7 +235,7 @@ class Pushing(ContactTask):
             return (
                 f"to end in that direction the push needs a curve of {1e3 / needed:.0f} mm radius, and an "
                 f"object is pushed along one of {1e3 / most:.0f} mm at the tightest (steering.turning, "
-                "steering.limit, task.speed): give a direction nearer to the target's, or push more slowly"
+                "steering.limit, task.speed): give a direction nearer to the target's, or a lower speed"
             )
         return ""
 
