@@ -259,3 +259,13 @@ def test_log_of_a_matrix_that_is_a_little_off_is_that_of_the_nearest_rotation(an
         exact[:3, :3] = R
         expected = np.array([float(x) for x in oracle.closed_log(exact)])
         np.testing.assert_allclose(se3.log(T), expected, atol=4e-15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_products_carried_twists_and_points_are_those_of_the_matrices(seed):
+    A, B = (se3.exp(tangent(angle, seed + 10 * k)) for k, angle in enumerate((0.7, 2.9)))
+    xi, point = tangent(1.0, seed + 20), np.random.default_rng(seed).normal(size=3)
+    np.testing.assert_allclose(se3.compose(A, B), A @ B, atol=1e-14)
+    np.testing.assert_allclose(se3.between(A, B), np.linalg.inv(A) @ B, atol=1e-14)
+    np.testing.assert_allclose(se3.carry(A, xi), se3.adjoint(A) @ xi, atol=1e-14)
+    np.testing.assert_allclose(A @ [*se3.point_in(A, point), 1.0], [*point, 1.0], atol=1e-14)
