@@ -1,9 +1,9 @@
 """What each level of fidelity costs in a push, and how far its table of pushing is from that of the images.
 
-    python bench/pushing_fidelity.py --out out/pushing_fidelity [--trials 5] [--objects blue_square ...]
+    python bench/pushing_fidelity.py --out out/pushing_fidelity [--trials 5] [--table single] [--objects blue_square ...]
         [--floors mdf] [--fidelities image input fitted ideal] [--batches]
 
-Runs the same trials of the single-arm table at each level, in this process; a row a trial is kept in the
+Runs the same trials of a table at each level, in this process; a row a trial is kept in the
 folder, so that an interrupted run goes on and more trials can be added. Times are processor time; a fixed
 piece of NumPy work, timed before and after each push, tells how fast the machine was meanwhile.
 """
@@ -119,6 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/pushing_fidelity"))
     parser.add_argument("--trials", type=int, default=5, help="of each row of the table")
+    parser.add_argument("--table", choices=("single", "dual", "tall"), default="single")
     parser.add_argument("--objects", nargs="+", default=())
     parser.add_argument("--floors", nargs="+", default=("mdf",))
     parser.add_argument("--fidelities", nargs="+", choices=FIDELITIES, default=FIDELITIES)
@@ -130,9 +131,9 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     kept = TrialRows(arguments.out / "trials.jsonl")
     pushes = [
-        Push(Trial(Common("single", fidelity=fidelity), thing, floor, number))
+        Push(Trial(Common(arguments.table, fidelity=fidelity), thing, floor, number))
         for number in range(arguments.trials)
-        for thing, floor in table_of("single").rows(arguments.objects, arguments.floors)
+        for thing, floor in table_of(arguments.table).rows(arguments.objects, arguments.floors)
         for fidelity in arguments.fidelities
     ]
     for push in kept.missing(pushes):

@@ -3,7 +3,7 @@
 set -euo pipefail
 . "$(dirname "$0")/common.sh"
 . scripts/env.sh
-lock
+lock build
 
 shopt -s extglob
 packages=(tactile_!(msgs|*.egg-info))
