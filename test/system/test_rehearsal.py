@@ -116,7 +116,7 @@ def test_a_camera_rate_that_the_simulation_does_not_have_is_refused_in_a_rehears
 
 
 def test_a_correction_of_the_real_cameras_stamps_is_none_of_the_simulated_one(tmp_path):
-    path = cell(tmp_path)
+    path = cell(tmp_path, "ur")
     path.write_text(path.read_text().replace("camera_rate: 30", "camera_rate: 30\n      time_offset: 0.012"))
     scene = load_scene(path)
     assert scene.arms["arm"].sensor.settings.time_offset == 0.012
