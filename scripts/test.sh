@@ -12,6 +12,6 @@ if [ $# -gt 0 ]; then
 fi
 # By file: what a file's tests share is made once. A thread each: there are as many processes as cores.
 status=0
-OMP_NUM_THREADS=1 pytest -q -m "not ros" --numprocesses auto --maxprocesses 4 --dist loadfile || status=$?
-OMP_NUM_THREADS=1 pytest -q -m ros --numprocesses 3 --dist loadfile --no-loadscope-reorder test/ros/test_fuzz.py test/system test || status=$?
+OMP_NUM_THREADS=1 pytest -q --durations=15 -m "not ros" --numprocesses auto --maxprocesses 4 --dist loadfile || status=$?
+OMP_NUM_THREADS=1 pytest -q --durations=15 -m ros --numprocesses 3 --dist loadfile --no-loadscope-reorder test/ros/test_fuzz.py test/system test || status=$?
 exit "$status"
