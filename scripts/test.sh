@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Run pytest on what make installed, in a ROS domain of its own: test.sh [ARGUMENT OF PYTEST...]. Without arguments the
-# whole suite: first, in a process per core, what starts no nodes, then what does, three at a time: they
-# wait for each other much of the time.
+# whole suite: first, in a process per core, what starts no nodes; then whole tasks on nodes, two at a time; then other
+# tests with nodes, three at a time: they wait for each other much of the time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/env.sh
@@ -13,5 +13,6 @@ fi
 # By file: what a file's tests share is made once. A thread each: there are as many processes as cores.
 status=0
 OMP_NUM_THREADS=1 pytest -q --durations=15 -m "not ros" --numprocesses auto --maxprocesses 4 --dist loadfile || status=$?
-OMP_NUM_THREADS=1 pytest -q --durations=15 -m ros --numprocesses 3 --dist loadfile --no-loadscope-reorder test/ros/test_fuzz.py test/system test || status=$?
+OMP_NUM_THREADS=1 pytest -q --durations=15 -m ros --numprocesses 2 --dist loadfile test/system || status=$?
+OMP_NUM_THREADS=1 pytest -q --durations=15 -m ros --numprocesses 3 --dist loadfile --ignore=test/system || status=$?
 exit "$status"
