@@ -16,7 +16,8 @@ ARGS ?=
 TASK ?= surface_following
 export PYTHON TORCH
 
-.PHONY: build demo test lowest lint model lock clean distclean
+# packages: what tests need to be installed
+.PHONY: build demo packages test lowest lint model lock clean distclean
 
 build:
 	@scripts/setup.sh
@@ -25,8 +26,10 @@ build:
 demo: build
 	@. scripts/env.sh && exec tactile demo $(TASK) --out out/$(if $(filter surface_following,$(TASK)),demo,$(TASK)) $(ARGS)
 
-test:
+packages:
 	@scripts/setup.sh test train cluster franka_sim
+
+test: packages
 	@scripts/build.sh
 	@scripts/test.sh $(ARGS)
 
