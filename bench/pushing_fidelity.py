@@ -1,7 +1,7 @@
 """What each level of fidelity costs in a push, and how far its table of pushing is from that of the images.
 
-    python bench/pushing_fidelity.py --out out/pushing_fidelity [--trials 5] [--table single] [--objects blue_square ...]
-        [--floors mdf] [--fidelities image input fitted ideal] [--batches]
+    python bench/pushing_fidelity.py --out out/pushing_fidelity [--trials 5] [--table single]
+        [--objects blue_square ...] [--floors mdf] [--fidelities image input fitted ideal] [--batches]
 
 Runs the same trials of a table at each level, in this process; a row a trial is kept in the
 folder, so that an interrupted run goes on and more trials can be added. Times are processor time; a fixed

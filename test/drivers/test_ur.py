@@ -196,7 +196,9 @@ def test_twists_of_the_sensor_move_and_turn_the_sensor(cell, double):
     twist = np.array([0.0, 0.02, 0.01, 0.2, 0.0, 0.1])
     before = cell.state.T_base_controlled
     cell.command(twist, 0.5)
-    cell.until(lambda: not cell.command(twist) and np.abs(cell.state.twist - twist).max() < 2e-3, "that twist")
+    cell.until(
+        lambda: not cell.command(twist) and np.abs(cell.state.twist - twist).max() < 2e-3, "that twist"
+    )
     after = cell.state.T_base_controlled
     assert before[2, 2] == pytest.approx(-1.0)
     assert (before[:3, :3].T @ (after - before)[:3, 3])[1] > 0.005
