@@ -11,7 +11,6 @@ tenth of the time and at the end.
 import argparse
 import contextlib
 import itertools
-import multiprocessing
 import multiprocessing.connection
 import os
 import sys
@@ -24,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from ur_driver import KEPT, quantiles, resources
+from ur_driver import KEPT, quantiles, resources, show_resources, show_states, started
 
 from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.franka_controller import FrankaController
@@ -66,10 +65,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=250.0)
     arguments = parser.parse_args()
-    pipe, theirs = multiprocessing.Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=serve, args=(theirs,), daemon=True)
-    process.start()
-    assert pipe.recv() == "ready"
+    pipe = started(serve)
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "bench.yaml"
         settings = f"{{host: {HOST}, rate: {arguments.rate}, realtime: false}}"
@@ -108,15 +104,12 @@ def main() -> None:
     wire = [at[i] - t for t in sent[5:] if (i := np.searchsorted(at, t)) < len(at) and at[i] - t < COMMANDS]
     quantiles("twist to wire", np.array(wire))
     known = [(now, stamp, made[cycle]) for now, stamp, cycle in states if cycle in made]
-    now, stamp, true = (np.array(column, dtype=np.int64) for column in zip(*known[20:], strict=True))
-    quantiles("stamp's error", np.abs(stamp - true) / 1e9)
-    quantiles("state made to told", (now - true) / 1e9)
+    show_states(known)
     print(
         f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}, seen {len(wire)}; "
         f"drift {1e6 * drift:.1f} ppm"
     )
-    for name, (memory, threads, fds) in (("early", early or late), ("late", late)):
-        print(f"{name}: {memory:.1f} MB, {threads} threads, {fds} descriptors")
+    show_resources(early, late)
 
 
 if __name__ == "__main__":

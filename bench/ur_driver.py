@@ -16,6 +16,7 @@ import multiprocessing.connection
 import os
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,31 +70,48 @@ def quantiles(name: str, seconds: np.ndarray) -> None:
     print(f"{name}: median {low:.2f} ms, p99 {high:.2f} ms, largest {most:.2f} ms ({len(seconds)})")
 
 
+def started(serve: Callable[[multiprocessing.connection.Connection], None]) -> Any:
+    """The pipe to a double that runs in a process of its own."""
+    pipe, theirs = multiprocessing.Pipe()
+    multiprocessing.get_context("spawn").Process(target=serve, args=(theirs,), daemon=True).start()
+    assert pipe.recv() == "ready"
+    return pipe
+
+
+def show_states(known: Sequence[tuple[int, int, int]]) -> None:
+    """Print what is known of states: when they were told, their stamps, and when they were made (ns)."""
+    now, stamp, true = (np.array(column, dtype=np.int64) for column in zip(*known[20:], strict=True))
+    quantiles("stamp's error", np.abs(stamp - true) / 1e9)
+    quantiles("state made to told", (now - true) / 1e9)
+
+
+def show_resources(early: tuple[float, int, int] | None, late: tuple[float, int, int]) -> None:
+    for name, (memory, threads, fds) in (("early", early or late), ("late", late)):
+        print(f"{name}: {memory:.1f} MB, {threads} threads, {fds} descriptors")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=500.0)
     arguments = parser.parse_args()
-    pipe, theirs = multiprocessing.Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=serve, args=(theirs,), daemon=True)
-    process.start()
-    assert pipe.recv() == "ready"
+    pipe = started(serve)
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "bench.yaml"
         settings = f"{{host: {HOST}, rate: {arguments.rate}}}"
         start = "start: {position: [0.4, 0.0, 0.3]}"
         scene.write_text(f"arms:\n  arm:\n    driver: ur\n    driver_settings: {settings}\n    {start}\n")
         arm = load_scene(scene).arms["arm"]
-    states: list[tuple[int, ArmState]] = []
+    states: list[tuple[int, int, float]] = []
     seen = itertools.count()
-
     faults: list[str] = []
 
     def take(state: ArmState) -> None:
         if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
             faults.append(state.reason)
         if next(seen) % KEPT == 0:  # all of them would be the memory that is measured
-            states.append((time.time_ns(), state))
+            x = round(float(state.T_base_controlled[0, 3]), 12)
+            states.append((time.time_ns(), state.stamp_ns, x))
 
     driver = open_arm(arm, take)
     sent, early = {}, None
@@ -114,16 +132,12 @@ def main() -> None:
     arrived, made = pipe.recv()
     wire = [arrived[speed] - at for speed, at in sent.items() if speed in arrived]
     quantiles("twist to wire", np.array(wire))
-    told = [(now, s.stamp_ns, round(s.T_base_controlled[0, 3], 12)) for now, s in states]
-    known = [(now, stamp, made[x]) for now, stamp, x in told if x in made and abs(x - 0.4) > 1e-6]
-    now, stamp, true = (np.array(column, dtype=np.int64) for column in zip(*known[20:], strict=True))
-    quantiles("stamp's error", np.abs(stamp - true) / 1e9)
-    quantiles("state made to told", (now - true) / 1e9)
+    known = [(now, stamp, made[x]) for now, stamp, x in states if x in made and abs(x - 0.4) > 1e-6]
+    show_states(known)
     print(
         f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}; drift {1e6 * drift:.1f} ppm"
     )
-    for name, (memory, threads, fds) in (("early", early or late), ("late", late)):
-        print(f"{name}: {memory:.1f} MB, {threads} threads, {fds} descriptors")
+    show_resources(early, late)
 
 
 if __name__ == "__main__":

@@ -185,3 +185,21 @@ def check_stop(cell, double, inject, words: str, mode=ArmMode.FAULT):
     double.trace()
     assert cell.command(ALONG, 0.2), "it went on by itself"
     assert not (np.abs(double.trace()[:, 7:13]) > STILL).any()
+
+
+def check_clock_jump(cell, double, seconds: float):
+    """A controller's clock that jumps makes no stamp go back or ahead."""
+    first = len(cell.states)
+    double("clock", seconds)
+    cell.until(lambda: len(cell.states) > first + 20, "states")
+    stamps = np.array([state.stamp_ns for state in cell.states])
+    assert (np.diff(stamps) >= 0).all()
+    assert abs(stamps[-1] - time.time_ns()) < 1e9
+
+
+def check_pose_jump(cell, double):
+    """An arm that says it is somewhere else is not believed."""
+    seen = len(cell.refused)
+    double("jump", 0.05)
+    cell.until(lambda: len(cell.refused) > seen, "refusal")
+    assert "the arm cannot have moved by 5" in cell.refused[-1]
