@@ -19,8 +19,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from latency_under_load import busy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from tactile_base.topics import BELIEF
@@ -141,7 +144,7 @@ def main() -> None:
     folder = arguments.out.resolve()
     use_dds_profile()
     os.environ |= ros_environment(folder / "ros").variables
-    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(arguments.loops)]
+    others = busy(arguments.loops)
     columns = [
         *("recorder stopped s", "exit code", "published", "seen", "in the bag", "missing", "told"),
         *("report says of the bag", "replayed to the bit", "only live"),
