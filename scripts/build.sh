@@ -17,7 +17,8 @@ build() {
     shift 2
     step "$name" "$title" colcon build --base-paths . "${interfaces[@]}" --merge-install \
         --packages-select "$@" --event-handlers console_direct+ \
-        --cmake-args -DPython3_EXECUTABLE="$VIRTUAL_ENV/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release
+        --cmake-args -DPython3_EXECUTABLE="$VIRTUAL_ENV/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
+        -DCMAKE_UNITY_BUILD=ON
 }
 
 # What was built with another Python, or before the folder moved, holds the old paths.

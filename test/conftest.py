@@ -22,12 +22,27 @@ settings.register_profile("explore", deadline=None)
 settings.register_profile("few", derandomize=True, deadline=None, max_examples=10)
 settings.load_profile("same")
 
+HERE = Path(__file__).parent
+WHOLE_TASKS = "whole tasks"
+LONGEST = (WHOLE_TASKS, "test_fuzz")  # what begins last ends last
+
+
+def share(item: pytest.Item) -> str:
+    """What one of several processes runs (`--dist loadgroup`): a file, whose tests share what they start.
+
+    Whole tasks on nodes want a core: one at a time.
+    """
+    whole_task = HERE / "system" in item.path.parents and item.get_closest_marker("ros")
+    return WHOLE_TASKS if whole_task else item.path.stem
+
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Tests in test/ros start ROS 2 nodes, or read and write its messages; some run where asked for by -m."""
     for item in items:
-        if Path(__file__).parent / "ros" in item.path.parents:
+        if HERE / "ros" in item.path.parents:
             item.add_marker(pytest.mark.ros)
+        item.add_marker(pytest.mark.xdist_group(share(item)))
+    items.sort(key=lambda item: share(item) not in LONGEST)
     if "asked" not in config.option.markexpr:
         left_out = [item for item in items if item.get_closest_marker("asked")]
         items[:] = [item for item in items if item not in left_out]

@@ -23,11 +23,18 @@ from tactile_ros.qos import LATENCY, STATE
 from tactile_ros.task_messages import goal_message
 
 CONTROLLER_STAGE = "controller"
+MODES = {
+    ArmStatus.RESTING: "it rests",
+    ArmStatus.MOVING: "it moves",
+    ArmStatus.STOPPING: "it is stopping",
+    ArmStatus.FAULT: "it is in fault",
+    ArmStatus.ESTOP: "it is in emergency stop",
+}
 ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
 ANSWER_TIME = 1.0  # s; an answer can be lost while two nodes are still finding each other: then ask again
 BACKLOG = 10  # events handled at once after the first
 GAP = 0.1  # s between two words of an arm that runs regularly
-SILENCE = 0.5  # s without a word from an arm after which its driver counts as ended
+SILENCE = 0.5  # s after which the last word of an arm says nothing about now
 
 
 @dataclass
@@ -189,15 +196,27 @@ class ArmTask:
             return 0.0
         return self._heard_s - self._moved_s
 
+    def last_word(self) -> str:
+        """What the arm said last, for a person."""
+        if self.silent:
+            return f"it has not reported for {self.unheard_for:.1f} s"
+        mode = MODES.get(self.progress.arm_mode, f"mode {self.progress.arm_mode}")
+        return f"{mode}: {self.progress.arm_reason}" if self.progress.arm_reason else mode
+
     @property
     def regular_for(self) -> float:
         """Seconds for which the arm has reported without a gap longer than `GAP`."""
         return max(0.0, self._heard_s - self._regular_s)
 
     @property
+    def unheard_for(self) -> float:
+        """Seconds since the last word of the arm."""
+        return time.monotonic() - self._heard_s
+
+    @property
     def silent(self) -> bool:
         """Whether nothing has been heard of the arm for `SILENCE`."""
-        return time.monotonic() - self._heard_s > SILENCE
+        return self.unheard_for > SILENCE
 
     def send(self, goal: NamedGoal, task: str) -> None:
         """Send one goal."""

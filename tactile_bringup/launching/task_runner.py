@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import ArmTask, GoalResult, TaskClient
 
 READY_TIMEOUT = 45.0  # s until all nodes are active
-REST_TIMEOUT = 6.0  # s for a cancelled task to bring the arm to rest
+REST_TIMEOUT = 12.0  # s for a cancelled task to bring the arm to rest; a retreat may take 10 (`contact.retreat_timeout`)
 REGULAR = 0.5  # s of regular reports before the first goal starts
 SETTLE_TIMEOUT = 5.0  # s after which it starts all the same
-LISTEN = 1.0  # s after which an arm that is not heard of counts as one whose driver has ended
+GONE = 2.0  # s without a word from an arm after which its driver counts as ended: a busy machine can hold it up
 SETTLED = 0.5  # s of rest that count as the end of a goal whose result does not come
 HELD_UP = 0.5  # s without an answer after which a node counts as held up
 HOLD_TIMEOUT = 30.0  # s that one is waited for: what nodes keep of what they have published (`qos.RECORDED`)
@@ -165,10 +165,13 @@ class TaskRunner:
         started = time.monotonic()
         while time.monotonic() - started < REST_TIMEOUT and len(self.signals) < patience:
             self.client.spin(SPIN)
-            listened = time.monotonic() - started > LISTEN
-            if all(_settled(task) or (listened and task.silent) for task in tasks):
+            listened = time.monotonic() - started > GONE
+            if all(_settled(task) or (listened and task.unheard_for > GONE) for task in tasks):
                 break
-        return all(task.rests_for() > 0.0 for task in tasks)
+        moving = [task for task in tasks if task.rests_for() == 0.0]
+        for task in moving:
+            self.display.say(f"{task.arm} was not seen at rest: {task.last_word()}", "yellow")
+        return not moving
 
     def wait_for_recorder(self, name: str, lives: Callable[[], bool]) -> None:
         """Until a recorder that is held up has what was published: it goes with the nodes that published it.

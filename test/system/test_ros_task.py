@@ -224,7 +224,7 @@ def test_ctrl_c_in_mid_run_brings_the_arm_to_rest_and_leaves_nothing(launch):
     run.process.send_signal(signal.SIGINT)
     assert run.end() == 130, run.output
     assert "stopped by SIGINT: bringing the arm to rest" in run.output
-    assert "stopped: the arm rests" in run.output
+    assert "stopped: the arm rests" in run.output, run.output
     assert run.leaves_nothing(), run.left()
 
 
@@ -252,7 +252,7 @@ def test_a_node_killed_in_mid_run_ends_the_task_with_its_name_and_log(launch, tm
     assert run.end() == 3, run.output
     assert "node /arm/filter was killed by SIGKILL; log: " in run.output
     assert "arm.filter.log" in run.output
-    assert "stopped: the arm rests" in run.output
+    assert "stopped: the arm rests" in run.output, run.output
     assert run.leaves_nothing(), run.left()
     record = read_arms(tmp_path / "bag")["arm"]
     assert record.result["bag_complete"] and not record.result["succeeded"]
