@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import ArmTask, GoalResult, TaskClient
 
 READY_TIMEOUT = 45.0  # s until all nodes are active
-REST_TIMEOUT = 12.0  # s for a cancelled task to bring the arm to rest; a retreat may take 10 (`contact.retreat_timeout`)
+REST_TIMEOUT = 12.0  # s for a cancelled task to bring the arm to rest; `contact.retreat_timeout` is 10
 REGULAR = 0.5  # s of regular reports before the first goal starts
 SETTLE_TIMEOUT = 5.0  # s after which it starts all the same
-GONE = 2.0  # s without a word from an arm after which its driver counts as ended: a busy machine can hold it up
+GONE = 2.0  # s without a word from an arm, which may be held up, after which its driver counts as ended
 SETTLED = 0.5  # s of rest that count as the end of a goal whose result does not come
 HELD_UP = 0.5  # s without an answer after which a node counts as held up
 HOLD_TIMEOUT = 30.0  # s that one is waited for: what nodes keep of what they have published (`qos.RECORDED`)
