@@ -18,16 +18,22 @@ class Kinematics(Protocol):
 
     Attributes
     ----------
+    names : tuple of str (n,)
+        Of the joints.
     lower, upper : ndarray (n,)
         Range of each joint, rad.
     velocity, acceleration : ndarray (n,)
         Largest of each joint, rad/s and rad/s^2.
     """
 
+    names: tuple[str, ...]
     lower: Array
     upper: Array
     velocity: Array
     acceleration: Array
+
+    def pose(self, q: Array) -> Array:
+        """Pose (4, 4) of the controlled frame in the base at joint angles (n,)."""
 
     def jacobian(self, q: Array) -> Array:
         """Jacobian (6, n) of the controlled frame's twist [v, omega], in that frame, at joint angles (n,)."""

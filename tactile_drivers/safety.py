@@ -24,7 +24,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers import _native
 from tactile_drivers.arm import Arm, ArmLimits, ArmMode, ArmState, SafetySettings
 from tactile_drivers.arm_distance import Neighbour
-from tactile_drivers.joint_limits import allowed_part, joint_rates
+from tactile_drivers.joint_limits import Kinematics, allowed_part, joint_rates
 from tactile_drivers.twist_profile import TwistProfile
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 
 _SAME_TWIST = 1e-9  # m/s and rad/s: below this, a twist is as commanded
 _AXES = "xyz"
+_OFF, _TURNED = 0.02, 0.05  # m, rad, by which an arm may differ from its kinematics
 
 
 class SafeArm:
@@ -237,7 +238,7 @@ class SafeArm:
         if not _native.finite(state.twist):
             return f"twist is not finite: {np.asarray(state.twist).tolist()}"
         if self.state is None:
-            return ""
+            return self._another_arm(state)
         elapsed = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS
         if elapsed < 0.0:
             return f"the state is {-elapsed:.3f} s older than the last one"
@@ -246,6 +247,23 @@ class SafeArm:
         if way > self.settings.jump + 2.0 * self.limits.linear_velocity * elapsed:
             return f"the arm cannot have moved by {way * 1e3:.1f} mm in {elapsed * 1e3:.1f} ms"
         return ""
+
+    def _another_arm(self, state: ArmState) -> str:
+        """Why the joints of a state are not those of the kinematics; '' if they are, or are not known."""
+        kinematics: Kinematics | None = getattr(self.driver, "kinematics", None)
+        if kinematics is None or state.joints is None:
+            return ""
+        if len(state.joints) != len(kinematics.names):
+            return f"the arm tells {len(state.joints)} joints, its kinematics have {len(kinematics.names)}"
+        error = se3.log(se3.inverse(kinematics.pose(state.joints)) @ state.T_base_controlled)
+        way, turn = np.linalg.norm(error[:3]), np.linalg.norm(error[3:])
+        if way <= _OFF and turn <= _TURNED:
+            return ""
+        return (
+            f"with its joints as they are, its kinematics in the scene put it {way * 1e3:.0f} mm and "
+            f"{np.degrees(turn):.0f} degrees from where it says it is: are `description` "
+            "and `tool` those of this arm?"
+        )
 
     def _completed(self, state: ArmState) -> ArmState:
         """The driver's state with what the stage knows."""

@@ -102,12 +102,13 @@ class UrSettings(Settings):
 
 
 class UrState(NamedTuple):
-    """What the link tells of the arm: its TCP in its base, and its modes."""
+    """What the link tells of the arm: its TCP in its base, its joints (rad), and its modes."""
 
     now_ns: int
     time: float
     pose: Array
     speed: Array
+    joints: Array
     mode: int
     safety: int
     status: int
@@ -125,7 +126,7 @@ class UrArm:
     def __init__(self, arm: ArmScene, settings: UrSettings, report: Callable[[ArmState], None]) -> None:
         if wrong := _unfit(settings, arm.limits):
             raise RuntimeError(wrong)
-        self.settings, self._report = settings, report
+        self.settings, self.kinematics, self._report = settings, arm.kinematics, report
         self._timeout = _GRACE * arm.limits.command_timeout
         self._T_tcp_controlled = arm.T_tool_controlled
         self._clock = ClockOffset()
@@ -243,6 +244,7 @@ class UrArm:
             fault = f"states of the arm come {late:.3f} s late (limit {self._patience:g} s)"
         T = pose_of(state.pose) @ self._T_tcp_controlled
         twist = controlled_twist(T, self._T_tcp_controlled, state.speed)
+        joints = state.joints if self.kinematics is not None else None
         with self._sending:
             if fault and not self._fault:
                 self._begin_fault(fault, state.safety)
@@ -250,7 +252,7 @@ class UrArm:
             if self._moving and silence > self._timeout:  # the link stops the arm by itself
                 self._twist, self._moving = np.zeros(6), False
                 self._reason = f"no command for {silence:.3f} s (limit of the driver {self._timeout:g} s)"
-            self._last = ArmState(stamp_ns, T, twist, self._mode(twist), self._words(state))
+            self._last = ArmState(stamp_ns, T, twist, self._mode(twist), self._words(state), joints)
             if self._moving and not self._fault and self._twist[3:].any():
                 self._send_speed()  # the frame that the twist is given in has turned
         self._report(self._last)
@@ -415,4 +417,5 @@ class _LinkProcess:
 
 def _unpacked(packet: bytes) -> UrState:
     _, now_ns, stamp, *numbers = ur_link.STATE.unpack(packet)
-    return UrState(now_ns, stamp, np.array(numbers[:6]), np.array(numbers[6:12]), *numbers[12:])
+    pose, speed, joints = np.array(numbers[:18]).reshape(3, 6)
+    return UrState(now_ns, stamp, pose, speed, joints, *numbers[18:])

@@ -28,12 +28,12 @@ SPEED = struct.Struct("=cd6dd")  # b"v", time of the command (monotonic, s), spe
 STOP = struct.Struct("=cd")  # b"s", deceleration
 RECOVER, CLOSE = b"r", b"q"
 # link -> driver
-STATE = struct.Struct("=cq d6d6d iiII d d")  # b"x", and the fields of `UrState`
+STATE = struct.Struct("=cq d6d6d6d iiII d d")  # b"x", and the fields of `UrState`
 ANSWER = b"a"  # and a text; empty: done
 
 VARIABLES = (
-    "timestamp", "actual_TCP_pose", "actual_TCP_speed", "robot_mode", "safety_mode", "robot_status_bits",
-    "runtime_state", "target_speed_fraction", "speed_scaling", "payload",
+    "timestamp", "actual_TCP_pose", "actual_TCP_speed", "actual_q", "robot_mode", "safety_mode",
+    "robot_status_bits", "runtime_state", "target_speed_fraction", "speed_scaling", "payload",
 )  # fmt: skip
 NORMAL, REDUCED, PROTECTIVE_STOP = 1, 2, 3  # safety modes
 RUNNING = 7  # robot mode
@@ -138,9 +138,10 @@ class _Link:
                 continue
             now_ns = time.time_ns()
             fields = (
-                *receive.getActualTCPPose(), *receive.getActualTCPSpeed(), receive.getRobotMode(),
-                receive.getSafetyMode(), receive.getRobotStatus(), receive.getRuntimeState(),
-                receive.getTargetSpeedFraction() * receive.getSpeedScaling(), receive.getPayload(),
+                *receive.getActualTCPPose(), *receive.getActualTCPSpeed(), *receive.getActualQ(),
+                receive.getRobotMode(), receive.getSafetyMode(), receive.getRobotStatus(),
+                receive.getRuntimeState(), receive.getTargetSpeedFraction() * receive.getSpeedScaling(),
+                receive.getPayload(),
             )  # fmt: skip
             if receive.getTimestamp() != stamp:
                 continue  # the next one came in between: these may be of both

@@ -37,10 +37,12 @@ def share(item: pytest.Item) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Tests in test/ros start ROS 2 nodes, or read and write its messages; some run where asked for by -m."""
+    """Mark what needs ROS 2, what runs against the clock, and who runs what; drop what nobody asked for."""
     for item in items:
         if HERE / "ros" in item.path.parents:
             item.add_marker(pytest.mark.ros)
+        if item.get_closest_marker("ros"):
+            item.add_marker(pytest.mark.live)
         item.add_marker(pytest.mark.xdist_group(share(item)))
     items.sort(key=lambda item: share(item) not in LONGEST)
     if "asked" not in config.option.markexpr:

@@ -68,7 +68,9 @@ class Double:
         return self._process.communicate(timeout=10)[1]
 
 
-def scene_file(folder: Path, host: str, rate: float = 125.0, limits: str = "{}", **settings) -> Path:
+def scene_file(
+    folder: Path, host: str, rate: float = 125.0, limits: str = "{}", kinematics: str = "", **settings
+) -> Path:
     """A scene of a UR with a sensor that stands 65 mm out of its TCP."""
     given = {"host": host, "rate": rate, **settings}
     path = folder / "ur_cell.yaml"
@@ -78,6 +80,8 @@ def scene_file(folder: Path, host: str, rate: float = 125.0, limits: str = "{}",
         f"    limits: {limits}\n"
         "    start: {position: [0.4, 0.0, 0.235], rotation_deg: [180, 0, 0]}\n"
         "    sensor: {in_tool: {position: [0.0, 0.0, 0.065]}, camera: external}\n"
+        + f"    kinematics: {kinematics}\n"
+        * bool(kinematics)
     )
     return path
 

@@ -19,6 +19,8 @@ from tactile_drivers.scene import ArmScene
 
 Array = NDArray[np.float64]
 
+STATE_TIMEOUT = 0.5  # s, of the driver, on a machine that simulates a cell besides
+
 
 def answer_to(line: str, faults: Mapping[str, Callable[..., Any]]) -> Any:
     """What a controller answers to a line, the name of something that may go wrong and its numbers."""

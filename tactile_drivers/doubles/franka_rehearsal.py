@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Mapping
 from typing import Any
 
-from tactile_drivers.doubles.double_process import DoubleProcess
+from tactile_drivers.doubles.double_process import STATE_TIMEOUT, DoubleProcess
 from tactile_drivers.franka import FrankaSettings
 from tactile_drivers.rotation_vectors import vector_of
 from tactile_drivers.scene import ArmScene
@@ -38,5 +38,5 @@ class FrankaRehearsal(DoubleProcess):
 
     @staticmethod
     def settings(address: str) -> Mapping[str, Any]:
-        """The address in place of the arm's, on a machine that need not be a real-time one."""
-        return {"host": address, "realtime": False}
+        """The address in place of the arm's, on a machine that simulates a cell and is no real-time one."""
+        return {"host": address, "realtime": False, "state_timeout": STATE_TIMEOUT}

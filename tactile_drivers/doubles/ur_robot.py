@@ -1,7 +1,7 @@
 """UrRobot: what a Universal Robots controller does with its arm, as far as its clients can tell.
 
-The arm is a point with an orientation, its TCP, which follows speedl within an acceleration; joints, if an
-arm has them, are for whoever `moves` it to say. The program that ur_rtde uploads runs here as the reaction to
+The arm is a point with an orientation, its TCP, which follows speedl within an acceleration; the joints of an
+arm whose kinematics are known follow it. The program that ur_rtde uploads runs here as the reaction to
 what it is asked in the registers: `input_int_register_0` holds the command, `output_int_register_0` says
 1 (ready for a command) or 2 (done with it). All this is simulated, and none of it is a real controller.
 """
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.rotation_vectors import pose_of, vector_of
 from tactile_filter import se3
 
@@ -40,6 +41,7 @@ _SAFETY_NAMES = {
 _ANGULAR = 10.0  # rad/m: angular acceleration of a speedl for each m/s^2 of its linear one
 _SAFETY_DECELERATION = 10.0  # m/s^2, of a stop by safety
 _PROGRAM_DECELERATION = 2.0  # m/s^2, when the program ends
+_JOINTS_EVERY = 0.007  # s; joints follow the pose, and take most of the time of a cycle
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,15 @@ class UrRobotSettings(Settings):
         (0.0,) * 6, length=6, lower=-10.0, upper=10.0, unit="m, rad", doc="of the TCP, in the flange"
     )
     payload: float = setting(0.0, lower=0.0, upper=50.0, unit="kg", doc="as installed")
+    kinematics: str = setting("", doc="file of the arm whose joints it tells (config/arms); empty: zeros")
+    joints: tuple[float, ...] = setting(
+        (0.0,) * 6,
+        length=6,
+        lower=-10.0,
+        upper=10.0,
+        unit="rad",
+        doc="angles at the start",
+    )
 
     @property
     def rate(self) -> float:
@@ -79,6 +90,10 @@ class UrRobot:
         self.period = 1.0 / self.settings.rate
         self.time = 100.0  # s since the controller was started
         self.T_base_tcp = pose_of(self.settings.start)
+        self.joints, self._joints_time = np.array(self.settings.joints), self.time
+        self._chain = None
+        if self.settings.kinematics:
+            self._chain = load_arm(self.settings.kinematics).with_tool(pose_of(self.settings.tcp_offset))
         self.speed, self._target = np.zeros(6), np.zeros(6)
         self._acceleration, self._hold = _PROGRAM_DECELERATION, 0.0
         self.tcp_offset, self.payload = list(self.settings.tcp_offset), self.settings.payload
@@ -125,6 +140,7 @@ class UrRobot:
         return self._outputs | {
             "timestamp": self.time,
             "actual_TCP_pose": pose, "target_TCP_pose": pose,
+            "actual_q": tuple(self.joints), "target_q": tuple(self.joints),
             "actual_TCP_speed": speed, "target_TCP_speed": tuple(self._target),
             "robot_mode": self.robot_mode, "safety_mode": self.safety_mode,
             "safety_status_bits": _SAFETY_BITS[self.safety_mode], "robot_status_bits": bits,
@@ -145,6 +161,8 @@ class UrRobot:
             turn = se3.exp(np.concatenate([np.zeros(3), mean[3:] * dt]))
             self.T_base_tcp[:3, :3] = turn[:3, :3] @ self.T_base_tcp[:3, :3]
             self.T_base_tcp[:3, 3] += mean[:3] * dt
+            if self._chain is not None and self.time - self._joints_time > _JOINTS_EVERY:
+                self.joints, self._joints_time = self._chain.follow(self.joints, self.T_base_tcp), self.time
 
     # ---- the program ----
 

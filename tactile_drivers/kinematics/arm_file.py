@@ -69,7 +69,7 @@ def _from_parameters(root: Section) -> Chain:
         return np.array([section.number(key) for section in joints.values()])
 
     return Chain(
-        name=root.path.stem,
+        path=root.path,
         names=tuple(joints),
         steps=np.array([*steps, last @ _pose(root.section("flange"))]),
         lower=lower,
@@ -89,7 +89,7 @@ def _from_urdf(root: Section) -> Chain:
         root.fail(f"urdf: {error}", "urdf")
     count = len(found.names)
     return Chain(
-        name=root.path.stem,
+        path=root.path,
         names=found.names,
         steps=found.steps,
         lower=found.lower,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,8 +41,8 @@ class Chain:
 
     Attributes
     ----------
-    name : str
-        Of the arm.
+    path : Path
+        Of the arm's file.
     names : tuple of str
         Of the n joints.
     steps : ndarray (n + 1, 4, 4)
@@ -55,7 +56,7 @@ class Chain:
         Of an arm that a URDF describes.
     """
 
-    name: str
+    path: Path
     names: tuple[str, ...]
     steps: Array
     lower: Array
@@ -155,7 +156,9 @@ class Chain:
                 best, nearest = error, found
         error6 = se3.log(se3.inverse(self.pose(nearest)) @ T)
         way, turn = np.linalg.norm(error6[:3]) * 1e3, np.degrees(np.linalg.norm(error6[3:]))
-        raise ValueError(f"out of reach of the {self.name}: it comes within {way:.0f} mm, {turn:.0f} degrees")
+        raise ValueError(
+            f"out of reach of the {self.path.stem}: it comes within {way:.0f} mm, {turn:.0f} degrees"
+        )
 
     def _posture(self, q: Array) -> tuple[Array, Array, Array]:
         """Angles, frames and Jacobian; the last are kept, since within a step several ask for the same."""

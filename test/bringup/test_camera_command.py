@@ -22,6 +22,8 @@ from tactile_bringup.scene_file import write_into
 from tactile_drivers import uvc_camera, video_devices
 from tactile_drivers.scene import load_scene
 
+pytestmark = pytest.mark.live
+
 MARKERS = 14 * 10  # of the double's picture
 
 

@@ -15,6 +15,8 @@ import pytest
 from tactile_bringup.launching import keeper, shared_memory
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, describe_exit, tail
 
+pytestmark = pytest.mark.live
+
 ROOT = Path(__file__).resolve().parents[2]
 POLITE = "import time\ntry:\n time.sleep(60)\nexcept KeyboardInterrupt:\n print('bye', flush=True)"
 DEAF = """import signal, time

@@ -33,6 +33,8 @@ from tactile_drivers.scene import load_scene
 pytest.importorskip("franky", reason="franky-control has no wheel for this Python or machine")
 pytest.importorskip("franky_sim", reason="franky-sim is not installed")
 
+pytestmark = pytest.mark.live
+
 AS_IT_WAS = ["recover", "version 0", "mass 0", "end_effector 0 0 0 0 0 0"]
 
 

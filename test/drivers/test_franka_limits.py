@@ -16,6 +16,8 @@ from ur_cell import ZERO, Cell, address, mend
 from tactile_drivers.arm import ArmLimits, ArmMode
 from tactile_drivers.franka import DOCUMENTED, FR3, PANDA, largest_limits
 
+pytestmark = pytest.mark.live
+
 PERIOD = 1e-3  # s
 
 commands = st.one_of(

@@ -12,6 +12,8 @@ from tactile_drivers.camera import CAMERAS, open_camera
 from tactile_drivers.replay_camera import ReplayCamera, ReplayCameraSettings
 from tactile_drivers.scene import SensorSettings, load_scene
 
+pytestmark = pytest.mark.live
+
 PATIENCE = 20.0  # s
 
 

@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,10 +29,18 @@ from ur_cell import (
     scene_file,
 )
 
+from tactile_base.config_paths import config_path
 from tactile_drivers.arm import ArmMode, open_arm
+from tactile_drivers.doubles.ur_robot import UrRobotSettings
+from tactile_drivers.joint_limits import joint_rates
+from tactile_drivers.kinematics.arm_file import load_arm
+from tactile_drivers.rotation_vectors import pose_of
+from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import load_scene
 
 pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
+
+pytestmark = pytest.mark.live
 
 AS_IT_WAS = [
     "tcp_offset 0 0 0 0 0 0", "local_control 0", "registers_in_use 0", "old_protocol 0", "scripts_ignored 0",
@@ -227,6 +236,76 @@ def test_what_arrives_at_the_controller_keeps_the_limits_whatever_is_commanded(c
     acceleration = np.abs(np.diff(trace[:, 7:10], axis=0)).max() * 500.0
     assert 0.5 * limits.linear_velocity < speeds.max() <= limits.linear_velocity * (1 + 1e-6)
     assert acceleration <= cell.driver.settings.acceleration * (1 + 1e-6)
+
+
+# ---- joints ----
+
+
+@pytest.fixture
+def jointed():
+    """A double with the joints of a UR5e, and where they are."""
+    robot = UrRobotSettings()
+    chain = load_arm("ur5e")
+    joints = chain.reach(pose_of(robot.start), chain.ready)
+    double = Double(address(), kinematics="ur5e", joints=joints.tolist())
+    yield double, joints
+    assert not double.close()
+
+
+def test_an_arm_with_kinematics_tells_its_joints_and_minds_their_ranges(tmp_path, jointed):
+    """The elbow of this one ends 3 degrees ahead."""
+    double, start = jointed
+    chain = load_arm("ur5e")
+    rate = joint_rates(chain, start, np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0]))[2]
+    end = start[2] + np.copysign(np.radians(3.0), rate)
+    text = Path(config_path("arms/ur5e.yaml")).read_text()
+    ranges = [-3.1416, round(end, 4)] if rate > 0.0 else [round(end, 4), 3.1416]
+    ready = np.degrees(start[2])
+    elbow = r"(elbow_joint: {a: .*range: )\[.*?\](.*ready_deg: )[-\d.]+"
+    text, changed = re.subn(elbow, rf"\g<1>{ranges}\g<2>{ready:.3f}", text)
+    assert changed == 1
+    (tmp_path / "short.yaml").write_text(text)
+    cell = Cell(scene_file(tmp_path, double.host, kinematics="{description: short.yaml}"))
+    try:
+        cell.until(lambda: not cell.command(ALONG) and "joint 3" in cell.state.held_back, "end of the elbow")
+        cell.command(ALONG, 1.0)
+        joints = np.array([state.joints for state in cell.states])
+        assert abs(joints[-1, 2] - start[2]) > np.radians(2.0)
+        assert (np.abs(joints[:, 2] - start[2]) < np.radians(3.0) + 1e-4).all()
+        for state in cell.states[:: len(cell.states) // 20]:
+            apart = np.abs(cell.arm.kinematics.pose(state.joints) - state.T_base_controlled)
+            assert apart.max() < 2e-3
+    finally:
+        cell.close()
+
+
+@pytest.mark.parametrize(
+    "kinematics, words",
+    [
+        ("{description: panda}", "tells 6 joints, its kinematics have 7"),
+        (
+            "{description: ur5e, tool: {position: [0, 0, 0.04]}}",
+            "put it 40 mm and 0 degrees from where",
+        ),
+    ],
+)
+def test_an_arm_whose_kinematics_are_not_those_of_the_scene_is_not_driven(
+    tmp_path, jointed, kinematics, words
+):
+    double, _ = jointed
+    arm = load_scene(scene_file(tmp_path, double.host, kinematics=kinematics)).arms["arm"]
+    safe = SafeArm(arm, time.time_ns)
+    driver = open_arm(arm, safe.take_state)
+    try:
+        safe.drive(driver)
+        end = time.monotonic() + 5.0
+        while not safe.bad_state and time.monotonic() < end:
+            time.sleep(0.01)
+        assert words in safe.bad_state
+        assert safe.command(time.time_ns(), ALONG, "test") == "the arm has no state yet"
+        assert not double.trace()[:, 7:13].any()
+    finally:
+        safe.close()
 
 
 # ---- what is refused at the start ----

@@ -14,6 +14,8 @@ from tactile_drivers.camera import CAMERAS
 from tactile_drivers.scene import SensorSettings
 from tactile_drivers.uvc_camera import UvcCamera, UvcCameraSettings, open_v4l2, pinned
 
+pytestmark = pytest.mark.live
+
 PATIENCE = 20.0  # s
 
 

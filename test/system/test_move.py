@@ -11,6 +11,8 @@ from launched import Launched
 from tactile_control.phases import StampedPose, TaskInputs
 from tactile_control.tasks.move import Move, MoveGoal, MoveTaskSettings
 
+pytestmark = pytest.mark.live
+
 SCENE = """
 arms:
   arm:

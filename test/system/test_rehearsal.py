@@ -37,9 +37,8 @@ NEEDS = {"ur": ("rtde_control",), "franka": ("franky", "franky_sim")}
 
 
 def cell(folder: Path, driver: str, more: str = "") -> Path:
-    """The example scene at 30 exposures a second, as a user would copy it; busy machines may be late."""
+    """The example scene at 30 exposures a second, as a user would copy it."""
     text = config_path(f"scenes/{driver}_example.yaml").read_text()
-    text = re.sub("(payload|mass): 0.0 ", r"state_timeout: 0.5\n      \g<0>", text)
     path = folder / "my_cell.yaml"
     path.write_text(text.replace("camera_rate: 60", "camera_rate: 30") + more)
     return path
