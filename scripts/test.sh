@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Run pytest on what make installed, in a ROS domain of its own: test.sh [ARGUMENT OF PYTEST...]. Without arguments the
-# whole suite: what runs against the clock in three processes, which mostly wait; beside it, giving way, all the rest in
-# one per core. What that says comes last.
+# whole suite in a process per core: what runs against the clock, and beside it, giving way, in as many all the rest.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/env.sh
@@ -14,10 +13,10 @@ fi
 export OMP_NUM_THREADS=1
 mkdir -p log
 status=0
-nice -n 10 pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
+nice -n 19 pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
 computing=$!
 trap 'kill $computing 2>/dev/null || true' EXIT
-pytest -q --durations=15 -m live --numprocesses 3 --dist loadgroup --no-loadscope-reorder || status=$?
+pytest -q --durations=15 -m live --numprocesses auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder || status=$?
 wait $computing || status=$?
 cat log/test.txt
 exit "$status"

@@ -256,8 +256,17 @@ def _shade_phases(axes: Any, record: RunRecord, t0: int) -> set[str]:
 
 
 def latency(record: RunRecord) -> Figure:
-    """How long after the exposure each stage has its output: distribution, and the medians one on another."""
-    stages = {name: series.seconds * 1e3 for name, series in record.latency.items() if len(series)}
+    """How long after the exposure each stage has its output: distribution, and the medians one on another.
+
+    Of the exposures in the task's own phase, as the report has it; of all where there was none.
+    """
+    series = record.latency
+    worked = any(record.working(stage.stamp_ns).any() for stage in series.values())
+    stages = {
+        name: 1e3 * (stage.seconds[record.working(stage.stamp_ns)] if worked else stage.seconds)
+        for name, stage in series.items()
+    }
+    stages = {name: values for name, values in stages.items() if len(values)}
     if not stages:
         return message("no latency was recorded")
     figure, (spread, stack) = plt.subplots(
@@ -272,7 +281,9 @@ def latency(record: RunRecord) -> Figure:
     right = _latency_axis(stages)
     _draw_latency_requirements(spread, right)
     spread.set(
-        ylabel="part of the frames", ylim=(0.0, 1.02), title="time from exposure to each stage's output"
+        ylabel="part of the frames",
+        ylim=(0.0, 1.02),
+        title=f"time from exposure to each stage's output, {record.work if worked else 'all phases'}",
     )
     spread.legend(loc="center right", bbox_to_anchor=(0.88, 0.5))  # left of the last requirement
     _stack(stack, stages)

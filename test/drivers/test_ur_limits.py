@@ -84,7 +84,7 @@ class Bench:
         turn = se3.exp(np.concatenate([np.zeros(3), link.speed[3:] * dt]))
         link.T[:3, :3] = turn[:3, :3] @ link.T[:3, :3]
         link.T[:3, 3] += link.speed[:3] * dt
-        fields = *vector_of(link.T), *link.speed, 7, 1, 3, 2, 1.0, 0.0
+        fields = *vector_of(link.T), *link.speed, *np.zeros(6), 7, 1, 3, 2, 1.0, 0.0
         link.packets.put(ur_link.STATE.pack(b"x", self.now_ns(), self.now, *fields))
         assert self.told.get(timeout=10) is not None, self.safe.bad_state
         self.speeds.append((dt, link.speed.copy()))

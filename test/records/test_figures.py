@@ -6,6 +6,7 @@ import pytest
 from tactile_filter import se3
 from tactile_records.runs import figures
 from tactile_records.runs.euler_poses import euler_sigmas
+from tactile_records.runs.metrics import report
 from tactile_records.runs.record import (
     ArmSeries,
     BeliefSeries,
@@ -106,6 +107,7 @@ def test_labels_of_the_latency_lie_inside_the_axes_whatever_the_outliers(late, s
     seconds = np.full(1000, 0.006)
     seconds[: round(share * len(seconds))] = late
     record.latency = {"controller": StageSeries(np.arange(1000) * 16_666_667, seconds)}
+    record.command = CommandSeries()  # of no phase
     with figures.style():
         figure = figures.latency(record)
         figure.draw_without_rendering()
@@ -118,3 +120,14 @@ def test_labels_of_the_latency_lie_inside_the_axes_whatever_the_outliers(late, s
     hidden = late * 1e3 > stack.get_xlim()[1]
     told = f"({round(share * 1000)} of 1000 frames of the controller lie beyond" in stack.get_xlabel()
     assert told == hidden
+
+
+def test_the_latency_that_is_drawn_is_that_of_the_report():
+    record = made_up()
+    seconds = record.latency["controller"].seconds
+    seconds[~record.working(record.latency["controller"].stamp_ns)] = 0.4  # of the start
+    p99 = report(record)["latency_ms"]["p99"]
+    assert p99 < 10.0
+    with figures.style():
+        labels = [text.get_text() for text in figures.latency(record).axes[0].get_legend().get_texts()]
+    assert any(f"p99 {p99:.1f} ms" in label for label in labels), labels
