@@ -36,6 +36,7 @@ def share(item: pytest.Item) -> str:
     return WHOLE_TASKS if whole_task else item.path.stem
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist looks for groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what needs ROS 2, what runs against the clock, and who runs what; drop what nobody asked for."""
     for item in items:
