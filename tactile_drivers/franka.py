@@ -51,7 +51,6 @@ _FILTERED = _PERIOD / (_PERIOD + 1.0 / (2.0 * np.pi * 100.0))
 _AT_REST = np.repeat([1e-3, 5e-3], 3)  # m/s, rad/s: what speeds say of an arm that does not move
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: end effectors that differ by less are the same
 _SAME_MASS = 0.05  # kg
-_GRACE = 1.3  # a motion ends by itself this much later than the stage should have stopped the arm
 _PATIENT = 10.0  # times longer an arm at rest may be silent
 _RETRY = 1.0  # s, between attempts to connect again
 _RECOVERY = 10.0  # s
@@ -126,7 +125,7 @@ class FrankaArm:
             raise RuntimeError(wrong)
         self.settings, self.kinematics = settings, arm.kinematics
         self._report, self._limits, self._T_tool_controlled = report, arm.limits, arm.T_tool_controlled
-        self._timeout = _GRACE * arm.limits.command_timeout
+        self._timeout = arm.limits.command_timeout  # a motion ends by itself when the stage should stop it
         self._clock = ClockOffset()
         self._changed = threading.Condition()  # guards what follows
         self._twist, self._commanded, self._news = np.zeros(6), 0.0, False

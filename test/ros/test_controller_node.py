@@ -399,8 +399,10 @@ def test_one_belief_of_another_time_or_sensor_changes_nothing(world):
         world.step()
         world.lie = lambda message: None
         count = len(world.statuses)
-        assert world.run_until(lambda count=count: len(world.statuses) > count + 15)
-        assert world.phase() == "follow" and world.twist()[1] > 0.005
+        assert world.run_until(
+            lambda count=count: len(world.statuses) > count + 15 and world.twist()[1] > 0.005
+        )
+        assert {status.phase for status in world.statuses[count:]} == {"follow"}
 
 
 def test_a_stray_transform_is_refused_and_counts_for_no_way(world):
