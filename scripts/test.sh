@@ -13,7 +13,7 @@ fi
 export OMP_NUM_THREADS=1
 mkdir -p log
 status=0
-nice -n 19 pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
+nice -n 5 pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
 computing=$!
 trap 'kill $computing 2>/dev/null || true' EXIT
 pytest -q --durations=15 -m live --numprocesses auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder || status=$?
