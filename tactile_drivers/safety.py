@@ -237,6 +237,8 @@ class SafeArm:
             return str(error)
         if not _native.finite(state.twist):
             return f"twist is not finite: {np.asarray(state.twist).tolist()}"
+        if state.joints is not None and not np.isfinite(state.joints).all():
+            return f"joints are not finite: {np.asarray(state.joints).tolist()}"
         if self.state is None:
             return self._another_arm(state)
         elapsed = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS

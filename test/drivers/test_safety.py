@@ -273,6 +273,7 @@ def changed(state, **changes):
             "moved by 140.0 mm in",
         ),
         ({"twist": np.full(6, np.inf)}, "twist is not finite"),
+        ({"joints": np.array([0.1, np.nan])}, "joints are not finite"),
         ({"stamp_ns": 5}, "older than the last one"),
     ],
 )

@@ -1,5 +1,6 @@
 """The scripts behind the Makefile say clearly what is wrong, and repair the wheels once."""
 
+import ast
 import importlib.util
 import os
 import shutil
@@ -182,3 +183,41 @@ def test_c_code_that_does_not_compile_fails_the_build_with_its_name(tmp_path: Pa
     result = run(sys.executable, "setup.py", "build_ext", "--inplace", cwd=tmp_path)
     assert result.returncode != 0
     assert "broken.c:1" in result.stdout + result.stderr
+
+
+def test_packages_are_looked_for_where_pip_is_told_to_look(scripts: Path, tmp_path: Path):
+    (tmp_path / "pip.conf").write_text(
+        "[global]\nindex-url = https://lab.example/simple\nfind-links = /of/the/file\n"
+    )
+    code = "import install; print(install.configured())"
+    result = run(
+        sys.executable, "-c", code, cwd=scripts,
+        PIP_CONFIG_FILE=str(tmp_path / "pip.conf"), PIP_EXTRA_INDEX_URL="https://one.example https://two.example",
+        PIP_FIND_LINKS="/wheels",
+    )  # fmt: skip
+    assert ast.literal_eval(result.stdout) == {
+        "UV_INDEX_STRATEGY": "unsafe-best-match",
+        "UV_DEFAULT_INDEX": "https://lab.example/simple",
+        "UV_INDEX": "https://one.example https://two.example",
+        "UV_FIND_LINKS": "/wheels",
+    }, result.stderr
+
+
+def test_without_uv_or_where_it_fails_pip_installs(scripts: Path, tmp_path: Path):
+    """With a Python that is a script: it notes what it is asked for, and has no uv to give."""
+    python, asked = tmp_path / "bin" / "python", tmp_path / "asked"
+    python.parent.mkdir()
+    python.write_text(f'#!/bin/sh\necho "$@" >>{asked}\n')
+    python.chmod(0o755)
+    code = (
+        "import pathlib, sys, install; "
+        f"install.PIP = ({str(python)!r}, '-m', 'pip'); install.UV = pathlib.Path({str(tmp_path / 'uv')!r}); "
+        "sys.argv = ['install.py', '-r', 'wanted.txt']; sys.exit(install.main())"
+    )
+    assert run(sys.executable, "-c", code, cwd=scripts).returncode == 0
+    assert asked.read_text().splitlines()[-1] == "-m pip install --progress-bar off -r wanted.txt"
+    (tmp_path / "uv").write_text("#!/bin/sh\nexit 1\n")
+    (tmp_path / "uv").chmod(0o755)
+    result = run(sys.executable, "-c", code, cwd=scripts)
+    assert result.returncode == 0 and "uv failed: trying pip" in result.stdout
+    assert asked.read_text().splitlines()[-1] == "-m pip install --progress-bar off -r wanted.txt"
