@@ -104,11 +104,18 @@ def _tracking(record: RunRecord, run: Run) -> Tracking | None:
     return track if track is not None and len(track) else None
 
 
+def _nothing(record: RunRecord, run: Run) -> str:
+    """Why there is nothing to compare with."""
+    if leader_of(record, run) is None:
+        return "no arm carries what this one follows"
+    return "no leader moved while this arm tracked"
+
+
 def poses(record: RunRecord, run: Run) -> Figure:
     """Leader and follower in three dimensions along the path, a panel for each of the leader's goals."""
     track = _tracking(record, run)
     if track is None:
-        return message("no leader moved while this arm tracked: there are no poses to compare")
+        return message(f"{_nothing(record, run)}: there are no poses to compare")
     indices = [int(index) for index in np.unique(track.goal)]
     columns = min(3, len(indices))
     rows = -(-len(indices) // columns)
@@ -144,7 +151,7 @@ def errors(record: RunRecord, run: Run) -> Figure:
     """Error by component over time, with the leader's goals one after the other."""
     track = _tracking(record, run)
     if track is None:
-        return message("no leader moved while this arm tracked: there is no error to show")
+        return message(f"{_nothing(record, run)}: there is no error to show")
     error, seconds = track.error * UNITS, (track.stamp_ns - track.stamp_ns[0]) * 1e-9
     figure, panels = plt.subplots(3, 2, figsize=(13, 9), sharex=True, layout="constrained")
     changes = np.flatnonzero(np.diff(track.goal)) + 1

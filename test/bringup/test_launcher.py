@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -92,6 +93,34 @@ def test_a_signal_brings_the_arm_to_rest_first(start, number):
     assert f"OUTCOME {128 + number} True []" in launch.output
     assert "cancel requested" in (launch.folder / "logs" / "arm.cell.log").read_text()
     assert launch.leaves_nothing(), launch.left()
+
+
+def held_up(launch) -> int:
+    """Hold the cell up and ask for the end; its process."""
+    launch.wait_for("arm: follow")
+    cell = next(pid for pid, words in launch.running().items() if any("fake_cell" in word for word in words))
+    os.kill(cell, signal.SIGSTOP)
+    launch.process.send_signal(signal.SIGINT)
+    launch.wait_for("bringing the arm to rest")
+    return cell
+
+
+def test_an_arm_that_is_held_up_is_waited_for(start):
+    launch = start(seconds=30)
+    cell = held_up(launch)
+    time.sleep(1.3)
+    os.kill(cell, signal.SIGCONT)
+    assert launch.end() == 130
+    assert "OUTCOME 130 True []" in launch.output
+
+
+def test_of_an_arm_that_was_not_seen_at_rest_the_last_word_is_told(start):
+    launch = start(seconds=30)
+    cell = held_up(launch)
+    launch.wait_for("arm was not seen at rest: it has not reported for 2.")
+    os.kill(cell, signal.SIGCONT)
+    assert launch.end() == 130
+    assert "OUTCOME 130 False" in launch.output
 
 
 def test_a_signal_during_the_start_ends_it(start):
