@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from tactile_base.config_paths import named_file
 from tactile_base.topics import (
@@ -358,10 +359,16 @@ def _role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
         "role": plan.role.name,
         "task": plan.role.task,
         "goals": [goal.name for goal in plan.goals],
-        "targets": [list(target) if np.isfinite(target).all() else None for target in plan.targets],
+        "targets": _known(plan.targets),
+        "directions": _known(plan.directions),
         "T_world_base": arm.T_world_base.tolist(),
         "tip_radius": arm.sensor.settings.tip_radius if arm.sensor is not None else 0.0,
     }
+
+
+def _known(rows: NDArray[np.float64]) -> list[list[float] | None]:
+    """Each row (3,), or None where it holds nothing."""
+    return [row.tolist() if np.isfinite(row).all() else None for row in rows]
 
 
 def _plain(value: Any) -> Any:

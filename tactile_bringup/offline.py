@@ -221,6 +221,7 @@ class _OfflineArm:
                 goals=[goal.name for goal in plan.goals],
                 tip_radius=sensor.settings.tip_radius if sensor is not None else 0.0,
                 targets=plan.targets,
+                directions=plan.directions,
                 T_world_base=scene.arms[plan.arm].T_world_base,
                 loose=loose_outline(scene, plan.arm),
                 surface=surface_mesh(scene, plan.arm),

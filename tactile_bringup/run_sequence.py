@@ -38,7 +38,15 @@ class ArmPlan:
     @property
     def targets(self) -> NDArray[np.float64]:
         """The position in the base (G, 3) that each goal is to reach, m; NaN for one that has none."""
-        given = [getattr(goal.goal, "target", ()) or (np.nan,) * 3 for goal in self.goals]
+        return self._of_goals("target")
+
+    @property
+    def directions(self) -> NDArray[np.float64]:
+        """The direction in the base (G, 3) in which each goal is to end; NaN for one that has none."""
+        return self._of_goals("direction")
+
+    def _of_goals(self, name: str) -> NDArray[np.float64]:
+        given = [getattr(goal.goal, name, ()) or (np.nan,) * 3 for goal in self.goals]
         return np.array(given, dtype=float)
 
 

@@ -58,7 +58,8 @@ def run_from_bag(bag: Bag, arm: str) -> RunRecord:
         seed=int(bag.note.get("seed", 0)),
         goals=role.get("goals", []),
         tip_radius=role.get("tip_radius", RunRecord.tip_radius),
-        targets=np.array([target or [np.nan] * 3 for target in role.get("targets", [])]).reshape(-1, 3),
+        targets=_rows_of_three(role.get("targets", [])),
+        directions=_rows_of_three(role.get("directions", [])),
         T_world_base=np.array(role.get("T_world_base", np.eye(4).tolist())),
     )
     for stream, (topic, row) in STREAMS.items():
@@ -67,6 +68,11 @@ def run_from_bag(bag: Bag, arm: str) -> RunRecord:
     problem = _add_bodies(record, bag)
     record.result = _result(bag, record) | ({"surface_problem": problem} if problem else {})
     return record
+
+
+def _rows_of_three(given: list[list[float] | None]) -> Array:
+    """Rows (N, 3); NaN for None."""
+    return np.array([row or [np.nan] * 3 for row in given], dtype=float).reshape(-1, 3)
 
 
 class _Rows:

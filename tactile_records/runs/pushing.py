@@ -40,6 +40,8 @@ FIELDS = {
     "push.error_true_mm": "the same by the true normal",
     "push.error_believed_mm": "the same by the believed normal",
     "push.error_axis_mm": "the same by the sensor's own axis",
+    "push.direction_error_deg": "angle from the goal's direction to the sensor's axis at the end; positive: "
+    "the axis points to its left; null: the goal has none",
     "push.distance_mm": "distance from the centre of the tip to the target at the end",
     "push.shear_max_mm": "largest true shear (believed, without a truth)",
     "push.tip_depth_max_mm": "largest true depth (believed, without a truth)",
@@ -171,12 +173,22 @@ def push_numbers(record: RunRecord, run: Run) -> dict[str, Any]:
         "error_true_mm": by_truth,
         "error_believed_mm": by_belief,
         "error_axis_mm": _last(known.error(target, known.axis)),
+        "direction_error_deg": _direction_error(record, known),
         "distance_mm": _last(np.linalg.norm(target - known.center, axis=1)),
         "shear_max_mm": largest(known.shear),
         "tip_depth_max_mm": largest(known.depth),
         **_body_numbers(record),
         **_follower_numbers(record, run),
     }
+
+
+def _direction_error(record: RunRecord, known: Contacts) -> float | None:
+    wanted = record.directions[np.isfinite(record.directions).all(axis=1)]
+    if not len(wanted) or not len(known):
+        return None
+    x, y = (record.T_world_base[:3, :3] @ wanted[-1])[:2]
+    axis = known.axis[-1]
+    return float(np.degrees(np.arctan2(x * axis[1] - y * axis[0], x * axis[0] + y * axis[1])))
 
 
 def _last(values: Array) -> float:
@@ -211,6 +223,10 @@ def _follower_numbers(record: RunRecord, run: Run) -> dict[str, Any]:
     }
 
 
+def _direction_row(error: float | None) -> list[tuple[str, str, str]]:
+    return [] if error is None else [("from the goal's direction", text(error, "deg", 1), "")]
+
+
 def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first."""
     push = values["push"]
@@ -220,6 +236,7 @@ def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("target to contact normal", text(push["error_mm"], "mm", 2), ""),
         ("by the believed normal", text(push["error_believed_mm"], "mm", 2), ""),
         ("tip's centre to target", text(push["distance_mm"], "mm", 1), ""),
+        *_direction_row(push["direction_error_deg"]),
         ("time of the push", text(values["work_s"], "s", 1), ""),
         ("contact kept", percent(values["contact_fraction"]), "100 %"),
         ("largest shear", text(push["shear_max_mm"], "mm", 2), ""),

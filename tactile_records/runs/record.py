@@ -178,6 +178,8 @@ class RunRecord:
     goals : names of the arm's goals; `command.goal` indexes it
     targets : ndarray (G, 3)
         Position in the base that each goal is to reach, m; NaN for one without such a thing.
+    directions : ndarray (G, 3)
+        Direction in the base in which each goal is to end, of any length; NaN for one without.
     T_world_base : ndarray (4, 4) where the arm stands
     body : BodySeries
         The body that the arm touches and a motion model moves; empty where nobody knows its pose.
@@ -197,6 +199,7 @@ class RunRecord:
     tip_radius: float = 0.020
     goals: list[str] = field(default_factory=list)
     targets: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    directions: Array = field(default_factory=lambda: np.zeros((0, 3)))
     T_world_base: Array = field(default_factory=lambda: np.eye(4))
     pose: PoseSeries = field(default_factory=PoseSeries)
     truth: TruthSeries = field(default_factory=TruthSeries)
@@ -269,7 +272,7 @@ class RunRecord:
             if isinstance(value, Series | SurfaceMesh | LooseBody):
                 setattr(record, item.name, _from_columns(type(value), item.name, arrays))
             elif isinstance(value, np.ndarray):
-                setattr(record, item.name, arrays[item.name])
+                setattr(record, item.name, arrays.get(item.name, value))  # older files have fewer
         record.latency = {s: _from_columns(StageSeries, f"latency/{s}", arrays) for s in stages}
         return record
 

@@ -91,6 +91,17 @@ def test_a_target_on_the_right_has_the_other_sign_and_the_same_size():
     assert found["error_abs_mm"] == pytest.approx(15.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("degrees", [-120.0, -10.0, 0.0, 30.0])
+def test_the_angle_to_the_goals_direction_is_positive_where_the_axis_points_to_its_left(degrees):
+    record = made_up()  # its axis points along the world's x
+    assert push(record)["direction_error_deg"] is None
+    wanted = 2.5 * np.array([np.cos(np.radians(degrees)), -np.sin(np.radians(degrees)), 0.0])
+    record.directions = (T_WORLD_BASE[:3, :3].T @ wanted)[None]
+    assert push(record)["direction_error_deg"] == pytest.approx(degrees, abs=1e-9)
+    rows = dict(row[:2] for row in pushing.summary(pushing.numbers(record, {record.arm: record})))
+    assert rows["from the goal's direction"] == f"{degrees:.1f} deg"
+
+
 def test_the_error_is_that_of_the_end_of_the_push_and_not_of_the_retreat():
     assert push(made_up())["distance_mm"] == pytest.approx(np.hypot(350.0 - END_X, 10.0), abs=1e-9)
 
