@@ -9,14 +9,14 @@ export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((1 + $$ % 101))}
 if [ $# -gt 0 ]; then
     exec pytest "$@"
 fi
-# A thread each: there are as many processes as cores.
+# By file: what its tests share is made once. A thread each: there are as many processes as cores.
 export OMP_NUM_THREADS=1
 mkdir -p log
 status=0
 nice -n 5 pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
 computing=$!
 trap 'kill $computing 2>/dev/null || true' EXIT
-pytest -q --durations=15 -m live --numprocesses auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder || status=$?
+pytest -q --durations=15 -m live --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder || status=$?
 wait $computing || status=$?
 cat log/test.txt
 exit "$status"

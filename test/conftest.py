@@ -23,29 +23,16 @@ settings.register_profile("few", derandomize=True, deadline=None, max_examples=1
 settings.load_profile("same")
 
 HERE = Path(__file__).parent
-WHOLE_TASKS = "whole tasks"
-LONGEST = (WHOLE_TASKS, "test_fuzz")  # what begins last ends last
 
 
-def share(item: pytest.Item) -> str:
-    """What one of several processes runs (`--dist loadgroup`): a file, whose tests share what they start.
-
-    Whole tasks on nodes want a core: one at a time.
-    """
-    whole_task = HERE / "system" in item.path.parents and item.get_closest_marker("ros")
-    return WHOLE_TASKS if whole_task else item.path.stem
-
-
-@pytest.hookimpl(tryfirst=True)  # before xdist looks for groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what needs ROS 2, what runs against the clock, and who runs what; drop what nobody asked for."""
+    """Mark what needs ROS 2, what runs against the clock; the longest first; drop what nobody asked for."""
     for item in items:
         if HERE / "ros" in item.path.parents:
             item.add_marker(pytest.mark.ros)
         if item.get_closest_marker("ros"):
             item.add_marker(pytest.mark.live)
-        item.add_marker(pytest.mark.xdist_group(share(item)))
-    items.sort(key=lambda item: share(item) not in LONGEST)
+    items.sort(key=lambda item: item.path.stem != "test_fuzz" and HERE / "system" not in item.path.parents)
     if "asked" not in config.option.markexpr:
         left_out = [item for item in items if item.get_closest_marker("asked")]
         items[:] = [item for item in items if item not in left_out]

@@ -95,7 +95,7 @@ def test_an_arm_whose_driver_does_not_watch_its_commands_is_stopped_when_they_st
 
 
 def test_an_arm_whose_driver_falls_silent_is_stopped_and_commands_are_refused(graph, bench):
-    bench(settings="{states: 100}")
+    bench(settings="{states: 500}")  # it has to be commanded before
     keep_commanding(graph, SENSOR, lambda: "stop: no state from the driver for" in told(graph))
     report = graph.wait_for_count("arm", "commands refused")
     assert "no state from the driver" in report.message
@@ -163,6 +163,8 @@ def test_after_an_emergency_stop_nothing_moves_until_a_reset_and_a_twist_of_zero
         assert graph.call(Trigger, "arm/estop", Trigger.Request()).success
     keep_asking(lambda: statuses[-1].mode == ArmStatus.ESTOP and not any(statuses[-1].twist))
     assert "emergency stop: asked for" in statuses[-1].reason
+    rested_ns = ns_from_time(statuses[-1].header.stamp)
+    keep_asking(lambda: ns_from_time(poses[-1].header.stamp) >= rested_ns)
     where = position(poses)
     stop.publish(Bool(data=False))  # takes nothing back
     graph.restart("arm")  # nor does this

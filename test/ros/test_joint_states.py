@@ -171,9 +171,12 @@ def test_two_arms_in_nodes_of_their_own_keep_apart_and_one_that_falls_silent_sto
                 return
         raise AssertionError(f"it never held: {[found[-1:] for found in statuses.values()]}")
 
-    drive(0.05, lambda left, right: left.held_back and max(abs(left.twist[0]), abs(right.twist[0])) < 1e-4)
+    def near(left, right) -> bool:
+        rest = max(abs(left.twist[0]), abs(right.twist[0])) < 1e-4
+        return rest and left.held_back == "0.02 m from right" and min(distances, default=1.0) < 0.05
+
+    drive(0.05, near)
     assert 0.019 < min(distances) < 0.05 < distances[0]
-    assert statuses["left"][-1].held_back == "0.02 m from right"
     drive(-0.05, lambda left, right: max(left.twist[0], right.twist[0]) < -0.04)  # the way back is open
     graph.processes.children["right"].process.kill()
     drive(-0.05, lambda left, _: left.held_back == "no joints of right" and not any(left.twist))
