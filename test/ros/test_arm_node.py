@@ -95,7 +95,7 @@ def test_an_arm_whose_driver_does_not_watch_its_commands_is_stopped_when_they_st
 
 
 def test_an_arm_whose_driver_falls_silent_is_stopped_and_commands_are_refused(graph, bench):
-    bench(settings="{states: 500}")  # it has to be commanded before
+    bench(settings="{states: 300}")  # it has to be commanded before
     keep_commanding(graph, SENSOR, lambda: "stop: no state from the driver for" in told(graph))
     report = graph.wait_for_count("arm", "commands refused")
     assert "no state from the driver" in report.message
@@ -203,7 +203,7 @@ def test_what_the_sensor_feels_bounds_how_deep_any_command_takes_it(graph, bench
 
 
 def test_a_state_that_cannot_be_is_refused_and_the_arm_stopped_if_they_go_on(graph, bench):
-    bench(settings="{jump_after: 100}")
+    bench(settings="{jump_after: 300}")  # it has to be commanded before
     poses = graph.collect(PoseStamped, "arm/pose")
     keep_commanding(graph, SENSOR, lambda: "stop: no state from the driver for" in told(graph))
     assert "last refused: the arm cannot have moved by" in told(graph)
