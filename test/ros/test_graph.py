@@ -122,7 +122,7 @@ def test_the_ramp_is_followed_at_depth_and_along_the_normal(graph, tmp_path):
 def test_each_exposure_is_answered_or_counted_as_dropped(cell):
     cell.following()
     assert cell.graph.wait(
-        lambda: sum(len(m.exposed) for m in cell.latencies if m.stage == "controller") > 150
+        lambda: sum(len(m.exposed) for m in cell.latencies if m.stage == "controller") > 300
     )
     seen: dict[str, dict[int, int]] = {"camera": {}, "filter": {}, "controller": {}}
     for message in cell.latencies:
@@ -131,7 +131,7 @@ def test_each_exposure_is_answered_or_counted_as_dropped(cell):
     since = max(min(by_stamp) for by_stamp in seen.values())
     until = min(max(by_stamp) for by_stamp in seen.values())
     stamps = {stage: {s for s in by_stamp if since <= s <= until} for stage, by_stamp in seen.items()}
-    assert len(stamps["camera"]) > 50  # of three stages, which a busy machine does not tell of at once
+    assert len(stamps["camera"]) > 100
     assert stamps["filter"] == stamps["controller"]
     missing = stamps["camera"] - stamps["filter"]
     assert len(missing) <= seen["filter"][until] - seen["filter"][since]

@@ -177,6 +177,7 @@ def test_two_arms_in_nodes_of_their_own_keep_apart_and_one_that_falls_silent_sto
 
     drive(0.05, near)
     assert 0.019 < min(distances) < 0.05 < distances[0]
+    assert statuses["left"][-1].held_back == "0.02 m from right"
     drive(-0.05, lambda left, right: max(left.twist[0], right.twist[0]) < -0.04)  # the way back is open
     graph.processes.children["right"].process.kill()
     drive(-0.05, lambda left, _: left.held_back == "no joints of right" and not any(left.twist))
