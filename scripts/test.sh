@@ -1,10 +1,9 @@
 #!/usr/bin/env bash
-# Run pytest on what make installed, in a ROS domain of its own: test.sh [ARGUMENT OF PYTEST...]. Without arguments the
-# whole suite in a process per core: what runs against the clock, and beside it, giving way, in as many all the rest.
+# Run pytest on what make installed: test.sh [ARGUMENT OF PYTEST...]. Without arguments the whole suite in a process per
+# core: what runs against the clock, and in as many, giving way to it, all the rest.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/env.sh
-export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((1 + $$ % 101))}
 # The command pytest, not `python -m pytest`: the latter would import the sources instead of what is installed.
 if [ $# -gt 0 ]; then
     exec pytest "$@"
@@ -12,11 +11,12 @@ fi
 # By file: what its tests share is made once. A thread each: there are as many processes as cores.
 export OMP_NUM_THREADS=1
 mkdir -p log
+. scripts/giving_way.sh
 status=0
-nice -n 5 pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
+giving_way pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
 computing=$!
-trap 'kill $computing 2>/dev/null || true' EXIT
+trap 'kill -- -$computing 2>/dev/null || true' EXIT
 pytest -q --durations=15 -m live --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder || status=$?
-wait $computing || status=$?
+finish $computing || status=$?
 cat log/test.txt
 exit "$status"

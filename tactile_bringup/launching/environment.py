@@ -37,6 +37,12 @@ class RosEnvironment:
         """ROS_AUTOMATIC_DISCOVERY_RANGE of the nodes."""
         return self.variables["ROS_AUTOMATIC_DISCOVERY_RANGE"]
 
+    @property
+    def shared(self) -> bool:
+        """Whether others may be in the domain now."""
+        here = self.discovery_range in ("LOCALHOST", "OFF")
+        return not (self.domain_chosen or (here and _is_free(self.domain_id)))
+
 
 def ros_environment(log_folder: Path, base: Mapping[str, str] | None = None) -> RosEnvironment:
     """The environment of a run, from `base` (default: ours). What the user has set is kept.

@@ -19,12 +19,19 @@ from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup
 from tactile_bringup.launching.progress import Display
-from tactile_bringup.launching.task_runner import Interrupted, TaskRunner, Unfinished, collecting_signals
+from tactile_bringup.launching.task_runner import (
+    Interrupted,
+    NotReady,
+    TaskRunner,
+    Unfinished,
+    collecting_signals,
+)
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import GoalResult
 
 EXIT_NODE_DIED = 3
+NAMESAKE_TIMEOUT = 20.0  # s for another launch to end: what its arms and its nodes may take
 
 
 @dataclass
@@ -105,16 +112,46 @@ class Launcher:
             f"ROS domain {environment.domain_id} ({chosen}), discovery {environment.discovery_range}, "
             f"logs in {self.logs}"
         )
+        if environment.shared:
+            self._wait_for_namesakes(group)
         for node in self.graph.nodes:
             self._start_node(group, node)
+        self._runner = self._connect(group)
+        self._runner.wait_until_active()
+        self._runner.run()
+
+    def _wait_for_namesakes(self, group: ProcessGroup) -> None:
+        """Until no node of another launch has the name of one that is to be started; raises `NotReady`.
+
+        A launch that ends is waited for. Beside one that goes on, two nodes would answer as one: ours would
+        count as active before it is, and obey commands meant for the other. Each look is that of a fresh
+        participant, which does not know the dead.
+        """
+        started, told = time.monotonic(), False
+        while namesakes := self._namesakes(group):
+            if time.monotonic() - started > NAMESAKE_TIMEOUT:
+                raise NotReady(
+                    f"nodes of these names run in this ROS domain already: {namesakes}; end them, or set "
+                    "another ROS_DOMAIN_ID"
+                )
+            if not told:
+                self.display.say(f"waiting for another launch to end: {namesakes}", "yellow")
+            told = True
+
+    def _namesakes(self, group: ProcessGroup) -> str:
+        runner = self._connect(group)
+        try:
+            return ", ".join(sorted(runner.namesakes()))
+        finally:
+            runner.client.close()
+
+    def _connect(self, group: ProcessGroup) -> TaskRunner:
         # here, since ROS reads the environment when it is loaded
         from tactile_bringup.launching.task_client import TaskClient
 
         names = [node.full_name for node in self.graph.nodes]
-        client = TaskClient(environment.domain_id)
-        self._runner = TaskRunner(client, names, self.graph.plans, self.display, self._signals, group.check)
-        self._runner.wait_until_active()
-        self._runner.run()
+        client = TaskClient(self._environment.domain_id)
+        return TaskRunner(client, names, self.graph.plans, self.display, self._signals, group.check)
 
     def _start_node(self, group: ProcessGroup, node: NodeProcess) -> None:
         self._parameters.mkdir(parents=True, exist_ok=True)

@@ -129,6 +129,10 @@ class TaskClient:
         self._executor.shutdown()
         rclpy.try_shutdown()
 
+    def node_names(self) -> set[str]:
+        """Full names of the nodes in the domain, as far as they are known by now."""
+        return {f"{space.rstrip('/')}/{name}" for name, space in self._node.get_node_names_and_namespaces()}
+
     def arm(self, name: str) -> ArmTask:
         """The task of that arm."""
         if name not in self._arms:

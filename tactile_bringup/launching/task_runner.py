@@ -17,6 +17,7 @@ from tactile_bringup.run_sequence import ArmPlan, RunSequence
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import ArmTask, GoalResult, TaskClient
 
+HEARD = 4.0  # s in which every node is heard of: one announces itself every 3 s (config/dds/fastdds.xml)
 READY_TIMEOUT = 45.0  # s until all nodes are active
 REST_TIMEOUT = 12.0  # s for a cancelled task to bring the arm to rest; `contact.retreat_timeout` is 10
 REGULAR = 0.5  # s of regular reports before the first goal starts
@@ -85,6 +86,13 @@ class TaskRunner:
     def arms(self) -> list[str]:
         """The arms that do something."""
         return [plan.arm for plan in self.plans]
+
+    def namesakes(self) -> set[str]:
+        """Nodes of others with names of ours, which have not been started; listens for `HEARD`."""
+        end = time.monotonic() + HEARD
+        while not (found := self.client.node_names() & set(self.nodes)) and time.monotonic() < end:
+            self._turn()
+        return found
 
     def wait_until_active(self, timeout_s: float | None = None) -> None:
         """Until all nodes are active and take goals; raises `NotReady` with the state of the others."""

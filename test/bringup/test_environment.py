@@ -40,3 +40,14 @@ def test_a_domain_in_use_by_whichever_participant_is_passed_over(number):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
         participant.bind(("", 7400 + 250 * domain + 10 + 2 * number))
         assert free_domain_id(start=DOMAINS.index(domain)) != domain
+
+
+def test_a_domain_counts_as_shared_while_somebody_may_be_in_it():
+    domain = str(free_domain_id(start=70))
+    assert not ros_environment(Path("logs"), {}).shared
+    assert not ros_environment(Path("logs"), {"ROS_DOMAIN_ID": domain}).shared
+    everywhere = {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+    assert ros_environment(Path("logs"), everywhere).shared
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(("", 7400 + 250 * int(domain) + 10))
+        assert ros_environment(Path("logs"), {"ROS_DOMAIN_ID": domain}).shared

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from launched import Launched
 
+from tactile_bringup.launching.environment import free_domain_id
+
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = pytest.mark.ros
 
@@ -19,7 +21,9 @@ FAKES = Path(__file__).parent / "fakes"
 class Launch(Launched):
     """`launch_fake.py` with its fake cell."""
 
-    def __init__(self, folder: Path, fault: str = "", seconds: float = 0.3, goals: int = 1) -> None:
+    def __init__(
+        self, folder: Path, fault: str = "", seconds: float = 0.3, goals: int = 1, **variables: str
+    ) -> None:
         command = [
             sys.executable,
             str(FAKES / "launch_fake.py"),
@@ -29,7 +33,7 @@ class Launch(Launched):
             str(goals),
         ]
         given = os.pathsep.join(filter(None, [str(FAKES), os.environ.get("PYTHONPATH")]))
-        super().__init__(folder, command, PYTHONPATH=given)
+        super().__init__(folder, command, PYTHONPATH=given, **variables)
 
 
 @pytest.fixture
@@ -37,7 +41,9 @@ def start(tmp_path):
     launches = []
 
     def start(**options) -> Launch:
-        launches.append(Launch(tmp_path, **options))
+        folder = tmp_path / f"launch{len(launches)}"
+        folder.mkdir()
+        launches.append(Launch(folder, **options))
         return launches[-1]
 
     yield start
@@ -129,6 +135,30 @@ def test_a_signal_during_the_start_ends_it(start):
     launch.process.send_signal(signal.SIGINT)
     assert launch.end() == 130
     assert not launch.running()
+
+
+def test_a_launch_waits_for_the_end_of_another_one_in_its_domain(start):
+    domain = str(free_domain_id())
+    other = start(seconds=30, ROS_DOMAIN_ID=domain)
+    other.wait_for("arm: follow")
+    launch = start(ROS_DOMAIN_ID=domain)
+    launch.wait_for("waiting for another launch to end: /arm/cell")
+    assert not (launch.folder / "logs" / "arm.cell.log").exists()
+    other.process.kill()
+    assert launch.end() == 0, launch.output
+    assert f"ROS domain {domain} (as set)" in launch.output
+    assert launch.leaves_nothing(), launch.left()
+
+
+def test_a_launch_beside_another_one_that_goes_on_in_its_domain_is_refused(start):
+    domain = str(free_domain_id())
+    other = start(seconds=60, ROS_DOMAIN_ID=domain)
+    other.wait_for("arm: follow")
+    launch = start(fault="impatient", ROS_DOMAIN_ID=domain)
+    assert launch.end() == 4
+    assert "nodes of these names run in this ROS domain already: /arm/cell; end them" in launch.output
+    assert not (launch.folder / "logs" / "arm.cell.log").exists()
+    assert other.process.poll() is None and "stopp" not in other.output
 
 
 def test_a_node_that_ignores_signals_is_killed_and_said_so(start):

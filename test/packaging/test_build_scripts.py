@@ -220,3 +220,28 @@ def test_without_uv_or_where_it_fails_pip_installs(scripts: Path, tmp_path: Path
     result = run(sys.executable, "-c", code, cwd=scripts)
     assert result.returncode == 0 and "uv failed: trying pip" in result.stdout
     assert asked.read_text().splitlines()[-1] == "-m pip install --progress-bar off -r wanted.txt"
+
+
+GIVES_WAY = """
+import os, sys, time
+yields = os.sched_getscheduler(0) == os.SCHED_IDLE
+print(yields, flush=True)
+end = time.monotonic() + 30.0 * (os.geteuid() == 0)  # nobody else may ask for a normal policy again
+while os.sched_getscheduler(0) == os.SCHED_IDLE and time.monotonic() < end:
+    time.sleep(0.01)
+print(os.sched_getscheduler(0) == os.SCHED_IDLE and os.geteuid() == 0)
+sys.exit(3)
+"""
+
+
+def test_what_gives_way_is_finished_like_anything_else_and_its_status_counts(root: Path, tmp_path: Path):
+    (tmp_path / "work.py").write_text(GIVES_WAY)
+    script = f"""
+    . {root}/scripts/giving_way.sh
+    giving_way {sys.executable} {tmp_path}/work.py >{tmp_path}/out &
+    work=$!
+    while ! grep -q . {tmp_path}/out; do sleep 0.01; done
+    finish $work
+    """
+    assert subprocess.run(["bash", "-c", script], timeout=60).returncode == 3
+    assert (tmp_path / "out").read_text().split() == ["True", "False"]

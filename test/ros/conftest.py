@@ -1,6 +1,5 @@
 """Real nodes in processes of their own over real DDS, each test in a ROS domain of its own on this host."""
 
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -40,8 +39,7 @@ class Graph:
     """Nodes under test, and a node of the test's own in the same domain."""
 
     def __init__(self, folder: Path) -> None:
-        base = {name: value for name, value in os.environ.items() if name != "ROS_DOMAIN_ID"}
-        environment = ros_environment(folder, base)
+        environment = ros_environment(folder)
         self.variables = environment.variables
         self.folder = folder
         self.processes = ProcessGroup(grace_s=20.0, kill_after_s=1.0)

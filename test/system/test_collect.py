@@ -14,6 +14,7 @@ import pytest
 from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
 from tactile_bringup.commands.data_collect import chosen_settings, chosen_surface, frame_on
+from tactile_bringup.launching.environment import free_domain_id
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_drivers.scene import load_scene
 from tactile_perception.datasets.dataset import read_dataset
@@ -39,9 +40,11 @@ def rows(path: Path) -> list[dict[str, str]]:
 @pytest.mark.slow
 def test_a_killed_collection_goes_on_and_nothing_is_lost_or_there_twice(tmp_path):
     pytest.importorskip("rclpy", reason="needs ROS 2")
+    variables = {**os.environ, "ROS_DOMAIN_ID": str(free_domain_id())}  # both in one, as on a robot
     out = tmp_path / "data"
     journal = out / "targets_images.partial.csv"
-    with subprocess.Popen(command(out, "--samples", str(SAMPLES)), stdout=subprocess.DEVNULL) as process:
+    collect = command(out, "--samples", str(SAMPLES))
+    with subprocess.Popen(collect, env=variables, stdout=subprocess.DEVNULL) as process:
         deadline = time.monotonic() + 30.0
         while not (first := rows(journal)) and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -50,9 +53,7 @@ def test_a_killed_collection_goes_on_and_nothing_is_lost_or_there_twice(tmp_path
     image = (out / "processed_images" / "image_1.png").read_bytes()
     deadline, again = time.monotonic() + 20.0, None
     while time.monotonic() < deadline:  # the killed command's nodes take a moment to end
-        again = subprocess.run(
-            command(out, "--samples", str(SAMPLES)), capture_output=True, text=True, timeout=60.0
-        )
+        again = subprocess.run(collect, env=variables, capture_output=True, text=True, timeout=60.0)
         if "another process" not in again.stderr:
             break
         time.sleep(0.3)

@@ -20,6 +20,8 @@ plan = ArmPlan("arm", Role("follower", "surface_following", SurfaceFollowingSett
 graph = Graph("surface_following", "fake", Path("fake.yaml"), ("arm",), (node,), (), (plan,))
 if fault == "never_active":
     task_runner.READY_TIMEOUT = 3.0
+if fault == "impatient":
+    launcher.NAMESAKE_TIMEOUT = 1.0
 with Display(Console(), live=False) as display:
     outcome = launcher.Launcher(graph, folder, display).run()
 print("OUTCOME", outcome.exit_code, outcome.at_rest, outcome.escalated, outcome.reason)
