@@ -1,21 +1,26 @@
 """What all nodes share: how they start, report, fail and end."""
 
+import os
+import signal
 import textwrap
 
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from sensor_msgs.msg import Image
 from std_msgs.msg import Int64
 
+from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
 
 TOY = textwrap.dedent("""
     import sys
     from dataclasses import dataclass
+    from sensor_msgs.msg import Image
     from std_msgs.msg import Int64
     from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
     from tactile_ros.parameters import SettingsParameters
-    from tactile_ros.qos import STATE
+    from tactile_ros.qos import IMAGE, STATE
     from tactile_base.settings import Settings, setting
 
     @dataclass(frozen=True)
@@ -32,6 +37,7 @@ TOY = textwrap.dedent("""
             self.fail("configure")
             self.out = self.publisher(Int64, "doubled", STATE)
             self.subscribe(Int64, "number", self.double, STATE, age_limit=0.2)
+            self.subscribe(Image, "image", lambda image: None, IMAGE)
 
         def activate(self):
             self.fail("activate")
@@ -153,3 +159,31 @@ def test_a_parameter_of_the_wrong_type_at_start_ends_the_process_and_names_the_t
     assert process.returncode == 1
     log = graph.log("toy").read_text()
     assert "parameter gain: must be of type DOUBLE" in log and "Traceback" not in log
+
+
+def test_a_node_that_was_held_up_beside_images_hears_of_the_rest_soon(graph):
+    toy = graph.start_code("toy", TOY)
+    doubled = graph.collect(Int64, "doubled")
+    numbers = graph.publisher(Int64, "number", qos.writer_profile(qos.STATE))
+    images = graph.publisher(Image, "image", qos.IMAGE)
+    picture = Image(height=480, width=640, step=640, encoding="mono8", data=bytes(480 * 640))
+    sent = 0
+
+    def send() -> None:
+        nonlocal sent
+        sent += 1
+        numbers.publish(Int64(data=sent))
+        images.publish(picture)
+
+    late = []
+    for _ in range(3):
+        os.kill(toy.pid, signal.SIGSTOP)
+        graph.every(0.008, 0.6, send)  # more than shared memory holds: some of it is missed
+        os.kill(toy.pid, signal.SIGCONT)
+        resumed = sent
+        for _ in graph.ticks(0.008):
+            send()
+            if doubled and doubled[-1].data > 2 * resumed:
+                break
+        late.append(sent - resumed)
+    assert max(late) < 100, late  # 0.8 s; until the next heartbeat of Fast DDS by itself it can be 3 s
