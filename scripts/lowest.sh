@@ -29,7 +29,7 @@ computing=(control/test_{steering,pushing,object_tracking}.py filter/test_{fusio
 files=("${drivers[@]/#/test/drivers/test_}")
 files=("${files[@]/%/.py}" "${computing[@]/#/--ignore=test/}")
 [ $# -gt 0 ] || set -- -q --disable-warnings --hypothesis-profile=few --numprocesses auto --maxprocesses 4 --dist loadfile \
-    -m "not slow and not ros" test/base test/filter test/control "${files[@]}" test/records \
+    -m "not slow and not live" test/base test/filter test/control "${files[@]}" test/records \
     test/perception/test_estimator.py test/perception/test_estimate.py test/perception/test_evaluation.py
 export OMP_NUM_THREADS=1  # there are as many processes as cores
 exec "$venv/bin/pytest" "$@"

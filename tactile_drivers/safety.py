@@ -123,7 +123,7 @@ class SafeArm:
     def halt(self, reason: str) -> None:
         """Have the driver stop the arm as it can, whether it still says anything or not."""
         with self._lock:
-            self._drop()
+            self._let_go()
             if self.driver is not None:
                 self.driver.stop(reason)
 
@@ -212,7 +212,7 @@ class SafeArm:
             self._fault = (state.reason or "no reason given") if stopped else ""
             if self._fault:
                 self._waits_for_rest = True
-                self._drop()
+                self._let_go()
             self._steer(dt)
             self.state = self._completed(state)
             return self.state
@@ -294,6 +294,11 @@ class SafeArm:
         self._wanted = self._sent = np.zeros(6)
         self._in_force_ns = self._sent_ns = None
         self._held_back = self._stopping = ""
+
+    def _let_go(self) -> None:
+        """The arm comes to rest by itself: nothing leads it there, and no later `stop` begins to."""
+        self._drop()
+        self._profile.start(np.zeros(6))
 
     def _steer(self, dt: float) -> None:
         """Pass on as much of the command in force as the bounds allow, if that is news to the driver."""

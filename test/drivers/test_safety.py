@@ -198,6 +198,31 @@ def test_a_fault_that_the_arm_does_not_leave_says_why_and_an_emergency_stop_stay
     assert cell.safe.estopped and "emergency stop" in cell.drive(ALONG, 1)
 
 
+def estopped(cell):
+    cell.safe.estop("asked for")
+
+
+def halted(cell):
+    cell.safe.halt("its node was deactivated")
+
+
+def faulty(cell):
+    cell.arm.fault("it touched something")
+
+
+@pytest.mark.parametrize("end", [estopped, halted, faulty])
+def test_an_arm_that_was_stopped_is_not_moved_by_the_stop_of_a_commander_that_falls_silent(end):
+    cell = Cell(driver=Follower)
+    cell.drive(ALONG, 300)
+    end(cell)
+    cell.step(200)
+    assert not cell.arm.twist.any()
+    where = cell.position.copy()
+    cell.safe.stop("no command for 0.116 s")
+    cell.step(200)
+    np.testing.assert_array_equal(cell.position, where)
+
+
 def resting(cell):
     cell.step()
 
