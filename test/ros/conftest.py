@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
+from tactile_bringup.launching import shared_memory  # noqa: E402
 from tactile_bringup.launching.environment import ros_environment  # noqa: E402
 from tactile_bringup.launching.processes import ProcessGroup, tail  # noqa: E402
 from tactile_ros import qos  # noqa: E402
@@ -42,6 +43,7 @@ class Graph:
         environment = ros_environment(folder)
         self.variables = environment.variables
         self.folder = folder
+        self.started_ns = time.time_ns()
         self.processes = ProcessGroup(grace_s=20.0, kill_after_s=1.0)
         use_dds_profile()
         self.context = rclpy.Context()
@@ -56,14 +58,18 @@ class Graph:
         self.diagnostics = self.collect(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
 
     def close(self) -> None:
-        for publisher in list(self.node.publishers):  # nodes go on while somebody moves their arm
-            self.node.destroy_publisher(publisher)
+        """End the nodes without their goodbyes, one of which could lock this process up for good.
+
+        So it is for a participant of Fast DDS that announces itself at that moment (docs/operating.md).
+        """
+        self.processes.stop(urgent=True)
+        self.processes.close()
         for action in self.actions:  # one that is left keeps the whole participant alive
             action.destroy()
         self.executor.remove_node(self.node)
-        self.node.destroy_node()  # before the others: they go on while somebody commands their arm
+        self.node.destroy_node()
         self.context.shutdown()
-        self.processes.close()
+        shared_memory.remove_orphans(self.started_ns)  # what is left would be taken over with its old state
 
     # ---- nodes under test ----
 
