@@ -245,3 +245,31 @@ def test_what_gives_way_is_finished_like_anything_else_and_its_status_counts(roo
     """
     assert subprocess.run(["bash", "-c", script], timeout=60).returncode == 3
     assert (tmp_path / "out").read_text().split() == ["True", "False"]
+
+
+PYTEST = """#!/usr/bin/env bash
+case "$*" in
+    *last-failed*) echo "again" >>calls; exit $AGAIN ;;
+    *"not live"*) exit 0 ;;
+    *) mkdir -p log/live/v/cache; printf '{\\n%s}' "$FAILED" >log/live/v/cache/lastfailed; exit 1 ;;
+esac
+"""
+
+
+@pytest.mark.parametrize(
+    "retest, failed, again, status, asked",
+    [("1", 1, 0, 0, True), ("1", 3, 1, 1, True), ("1", 4, 0, 1, False), ("0", 1, 0, 1, False)],
+)
+def test_few_tests_that_fail_beside_others_run_once_more_where_asked_for(
+    scripts: Path, tmp_path: Path, retest: str, failed: int, again: int, status: int, asked: bool
+):
+    programs = tmp_path / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    for name, text in {"pytest": PYTEST, "python": "#!/bin/sh\n"}.items():
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    names = "".join(f'  "test_{number}": true\n' for number in range(failed))
+    ended = run("scripts/test.sh", cwd=tmp_path, RETEST=retest, FAILED=names, AGAIN=str(again))
+    assert ended.returncode == status, ended.stdout + ended.stderr
+    assert (tmp_path / "calls").exists() is asked
+    assert ("run once more, alone" in ended.stdout) is asked
