@@ -14,11 +14,11 @@ export OMP_NUM_THREADS=1
 mkdir -p log
 . scripts/giving_way.sh
 status=0 live=0
-giving_way pytest -q --durations=15 -m "not live" --numprocesses auto --maxprocesses 4 --dist loadfile >log/test.txt 2>&1 &
+suite=(pytest -q --durations=15 --numprocesses auto --maxprocesses 4 --dist loadfile)
+giving_way "${suite[@]}" -m "not live" >log/test.txt 2>&1 &
 computing=$!
 trap 'kill -- -$computing 2>/dev/null || true' EXIT
-pytest -q --durations=15 -m live --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder \
-    -o cache_dir=log/live || live=$?
+"${suite[@]}" -m live --no-loadscope-reorder -o cache_dir=log/live || live=$?
 finish $computing || status=$?
 cat log/test.txt
 if [ "${RETEST:-0}" = 1 ] && [ $live = 1 ] && [ "$(grep -c '": true' log/live/v/cache/lastfailed)" -le 3 ]; then

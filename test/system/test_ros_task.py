@@ -124,6 +124,7 @@ def test_contact_is_kept_at_depth_and_along_the_normal(finished):
     assert values["normal_rms_deg"] <= 2.0
     assert values["path_length_mm"] == pytest.approx(40.0, abs=1.0)
     assert usual_speed(record) == pytest.approx(10.0, rel=0.05)
+    assert 5.0 < values["speed_mm_s"] < 10.5
 
 
 def test_every_frame_is_estimated_or_counted_as_lost(finished):
