@@ -1,18 +1,17 @@
 """How fast the driver of a Franka passes commands on and states in, against the double of its controller.
 
-    python bench/franka_driver.py [--seconds 60] [--rate 250]
+    python bench/franka_driver.py [--seconds 60] [--rate 250] [--priority 40]
 
 Twist to wire is from `FrankaArm.command` to the cycle of the double, in a process of its own on the same
 machine, that takes the first command which changes for it. A stamp's error is its difference from the time
-at which the double made the state. Memory, threads and descriptors are those of the driver's process, after a
-tenth of the time and at the end.
+at which the double made the state. Memory, threads, descriptors and drift are those of the driver's process,
+at each tenth of the time. With a priority driver and double are scheduled and locked into memory as nodes are
+with `priority`; `taskset -c 1` before it keeps both on a core that nothing else should use.
 """
 
 import argparse
-import contextlib
 import itertools
 import multiprocessing.connection
-import os
 import sys
 import tempfile
 import time
@@ -23,10 +22,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from ur_driver import KEPT, quantiles, resources, show_resources, show_states, started
+from ur_driver import KEPT, Resources, quantiles, schedule, show_states, started
 
 from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.franka_controller import FrankaController
+from tactile_drivers.doubles.franka_robot import PERIOD
 from tactile_drivers.scene import load_scene
 
 HOST = "127.0.0.78"
@@ -35,12 +35,14 @@ SPEEDS = (0.01, 0.012)  # m/s, in turn
 LIMITS = "{linear_acceleration: 1.0, angular_acceleration: 4.0, linear_jerk: 500.0, angular_jerk: 1000.0}"
 
 
-def serve(pipe: multiprocessing.connection.Connection) -> None:
-    """The double; when asked it sends when a command changed, and when each state was made."""
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+def serve(pipe: multiprocessing.connection.Connection, priority: int, seconds: float) -> None:
+    """The double; when asked it sends when a command changed, when each state was made, its longest pause.
+
+    Its tables are made at the start: one that grows by copying would hold up the cycles of 1 ms.
+    """
     controller = FrankaController(HOST)
-    robot, made = controller.robot, {}
+    robot, first, pause = controller.robot, controller.robot.cycles, 0.0
+    made = np.zeros(round((seconds + 60.0) / PERIOD), dtype=np.int64)  # ns, by cycle since the first
     changes: list[float] = []
     take, steady = robot.take, [False]
 
@@ -52,20 +54,25 @@ def serve(pipe: multiprocessing.connection.Connection) -> None:
         take(cycle, command)
 
     robot.take = note  # type: ignore[method-assign]
+    schedule(priority)
     pipe.send("ready")
+    last = time.monotonic()
     while not pipe.poll():
         wait = controller.cycle()
-        made[robot.cycles] = time.time_ns()
+        made[robot.cycles - first] = time.time_ns()
+        now = time.monotonic()
+        last, pause = now, max(pause, now - last if robot.moving else 0.0)
         time.sleep(max(0.0, wait))
-    pipe.send((changes, made))
+    pipe.send((changes, first, made, pause))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=250.0)
+    parser.add_argument("--priority", type=int, default=0)
     arguments = parser.parse_args()
-    pipe = started(serve)
+    pipe = started(serve, arguments.priority, arguments.seconds)
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "bench.yaml"
         settings = f"{{host: {HOST}, rate: {arguments.rate}, realtime: false}}"
@@ -86,30 +93,27 @@ def main() -> None:
     driver = open_arm(loaded, lambda state: None)
     driver._report = take
     sent: list[float] = []
-    early = None
+    held = Resources(arguments.seconds)
+    schedule(arguments.priority)
     begin = time.monotonic()
     while (elapsed := time.monotonic() - begin) < arguments.seconds and not faults:
         sent.append(time.monotonic())
         driver.command(time.time_ns(), [SPEEDS[len(sent) % 2], 0.0, 0.0, 0.0, 0.0, 0.0])
-        if early is None and elapsed > 0.1 * arguments.seconds:
-            early = resources()
+        held.look(elapsed, driver.drift)
         time.sleep(COMMANDS)
+    held.look(arguments.seconds, driver.drift)
     if faults:
         print(f"ended by a fault after {elapsed:.0f} s: {faults[0]}")
-    late, drift = resources(), driver.drift
     driver.close()
     pipe.send("done")
-    changes, made = pipe.recv()
+    changes, first, made, pause = pipe.recv()
     at = np.array(changes)
     wire = [at[i] - t for t in sent[5:] if (i := np.searchsorted(at, t)) < len(at) and at[i] - t < COMMANDS]
     quantiles("twist to wire", np.array(wire))
-    known = [(now, stamp, made[cycle]) for now, stamp, cycle in states if cycle in made]
-    show_states(known)
-    print(
-        f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}, seen {len(wire)}; "
-        f"drift {1e6 * drift:.1f} ppm"
-    )
-    show_resources(early, late)
+    show_states([(now, stamp, made[cycle - first]) for now, stamp, cycle in states if made[cycle - first]])
+    print(f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}, seen {len(wire)}")
+    print(f"longest time between two cycles of the double while it moves: {1e3 * pause:.1f} ms")
+    held.show()
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
 """How fast the driver of a UR passes commands on and states in, against the double of its controller.
 
-    python bench/ur_driver.py [--seconds 60] [--rate 500]
+    python bench/ur_driver.py [--seconds 60] [--rate 500] [--priority 20]
 
 Twist to wire is from `UrArm.command` to the bytes' arrival at the double, in a process of its own on the same
-machine. A stamp's error is its difference from the time at which the double made the state. Memory, threads
-and descriptors are those of the driver's process, after a tenth of the time and at the end.
+machine. A stamp's error is its difference from the time at which the double made the state. Memory, threads,
+descriptors and drift are those of the driver's process, at each tenth of the time. With a priority driver and
+double are scheduled and locked into memory as nodes are with `priority`.
 """
 
 import argparse
 import asyncio
 import contextlib
+import gc
 import itertools
 import multiprocessing
 import multiprocessing.connection
@@ -25,14 +27,16 @@ import numpy as np
 from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.ur_controller import UrController
 from tactile_drivers.scene import load_scene
+from tactile_ros.scheduling import set_priority
 
 HOST = "127.0.0.77"
 COMMANDS = 1.0 / 60.0  # s, between commands
 KEPT = 10  # one in so many states
 
 
-def serve(pipe: multiprocessing.connection.Connection) -> None:
+def serve(pipe: multiprocessing.connection.Connection, priority: int) -> None:
     """The double; when asked it sends when which command came, and when each state was made."""
+    schedule(priority)
     controller = UrController(HOST)
     robot, arrived, made = controller.robot, {}, {}
     write = robot.write
@@ -58,11 +62,32 @@ def serve(pipe: multiprocessing.connection.Connection) -> None:
     asyncio.run(run())
 
 
-def resources() -> tuple[float, int, int]:
-    """Memory (MB), threads and descriptors of this process."""
-    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    fds = len(os.listdir("/proc/self/fd"))
-    return float(status["VmRSS"].split()[0]) / 1e3, int(status["Threads"]), fds
+class Resources:
+    """Memory, threads and descriptors of this process and drift of its arm's clock, ten times in a run."""
+
+    def __init__(self, seconds: float) -> None:
+        self._every, self._rows = seconds / 10.0, list[tuple[float, ...]]()
+
+    def look(self, elapsed: float, drift: float) -> None:
+        """Note them where a tenth of the time (s) has passed since the last look."""
+        if elapsed < (len(self._rows) + 1) * self._every:
+            return
+        status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+        fds = len(os.listdir("/proc/self/fd"))
+        memory = float(status["VmRSS"].split()[0]) / 1e3
+        self._rows.append((elapsed, memory, int(status["Threads"]), fds, 1e6 * drift))
+
+    def show(self) -> None:
+        for row in self._rows:
+            print("{:5.0f} s: {:.1f} MB, {} threads, {} descriptors, drift {:.2f} ppm".format(*row))
+
+
+def schedule(priority: int) -> None:
+    """As a node does: a real-time priority with locked memory, and all that is there so far no garbage."""
+    if missing := set_priority(priority):
+        print(f"this user may not have {missing}")
+    gc.collect()
+    gc.freeze()
 
 
 def quantiles(name: str, seconds: np.ndarray) -> None:
@@ -70,10 +95,13 @@ def quantiles(name: str, seconds: np.ndarray) -> None:
     print(f"{name}: median {low:.2f} ms, p99 {high:.2f} ms, largest {most:.2f} ms ({len(seconds)})")
 
 
-def started(serve: Callable[[multiprocessing.connection.Connection], None]) -> Any:
+def started(serve: Callable[..., None], *arguments: Any) -> Any:
     """The pipe to a double that runs in a process of its own."""
     pipe, theirs = multiprocessing.Pipe()
-    multiprocessing.get_context("spawn").Process(target=serve, args=(theirs,), daemon=True).start()
+    process = multiprocessing.get_context("spawn").Process(
+        target=serve, args=(theirs, *arguments), daemon=True
+    )
+    process.start()
     assert pipe.recv() == "ready"
     return pipe
 
@@ -85,17 +113,13 @@ def show_states(known: Sequence[tuple[int, int, int]]) -> None:
     quantiles("state made to told", (now - true) / 1e9)
 
 
-def show_resources(early: tuple[float, int, int] | None, late: tuple[float, int, int]) -> None:
-    for name, (memory, threads, fds) in (("early", early or late), ("late", late)):
-        print(f"{name}: {memory:.1f} MB, {threads} threads, {fds} descriptors")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate", type=float, default=500.0)
+    parser.add_argument("--priority", type=int, default=0)
     arguments = parser.parse_args()
-    pipe = started(serve)
+    pipe = started(serve, arguments.priority)
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "bench.yaml"
         settings = f"{{host: {HOST}, rate: {arguments.rate}}}"
@@ -114,7 +138,8 @@ def main() -> None:
             states.append((time.time_ns(), state.stamp_ns, x))
 
     driver = open_arm(arm, take)
-    sent, early = {}, None
+    sent, held = {}, Resources(arguments.seconds)
+    schedule(arguments.priority)
     begin = time.monotonic()
     while (elapsed := time.monotonic() - begin) < arguments.seconds:
         speed = 0.01 + 1e-9 * len(sent)  # each one can be told from the others
@@ -123,10 +148,9 @@ def main() -> None:
             break
         sent[speed] = time.monotonic()
         driver.command(time.time_ns(), [speed, 0.0, 0.0, 0.0, 0.0, 0.0])
-        if early is None and elapsed > 0.1 * arguments.seconds:
-            early = resources()
+        held.look(elapsed, driver.drift)
         time.sleep(COMMANDS)
-    late, drift = resources(), driver.drift
+    held.look(arguments.seconds, driver.drift)
     driver.close()
     pipe.send("done")
     arrived, made = pipe.recv()
@@ -134,10 +158,8 @@ def main() -> None:
     quantiles("twist to wire", np.array(wire))
     known = [(now, stamp, made[x]) for now, stamp, x in states if x in made and abs(x - 0.4) > 1e-6]
     show_states(known)
-    print(
-        f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}; drift {1e6 * drift:.1f} ppm"
-    )
-    show_resources(early, late)
+    print(f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}")
+    held.show()
 
 
 if __name__ == "__main__":

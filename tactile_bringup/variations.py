@@ -120,6 +120,8 @@ def _variation(name: str, unit: float = 1.0) -> Callable[[Setup, float], Setup]:
 
 
 def _noise(setup: Setup, factor: float) -> Setup:
+    if factor <= 0.0:
+        raise SettingError(f"noise = {factor:g}: must be above 0, for the filter takes no certain estimate")
     models = {name: sensor.model for name, sensor in setup.scene.simulation.sensors.items()}
     sensors = {}
     for name, model in models.items():

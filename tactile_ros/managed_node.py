@@ -28,6 +28,7 @@ from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
@@ -46,7 +47,12 @@ from tactile_filter.pose_numbers import MessageError
 from tactile_ros.cdr import header_of
 from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.ending import Commander, Ending
-from tactile_ros.parameters import SettingsParameters, declare_read_only, fixed_settings
+from tactile_ros.parameters import (
+    SettingsParameters,
+    declare_read_only,
+    fixed_settings,
+    refusing_unknown_types,
+)
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
 from tactile_ros.scheduling import set_priority
 
@@ -262,6 +268,12 @@ class ManagedNode(LifecycleNode):
         timer = self.create_timer(period, lambda: callback() if self.active else None, clock=self.steady)
         self._while_configured.append((self.destroy_timer, timer))
         return timer
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, **kwargs: Any) -> Any:
+        """As rclpy's; a parameter of a type that does not exist is refused, where rclpy's own would raise."""
+        if srv_type in (SetParameters, SetParametersAtomically):
+            callback = refusing_unknown_types(callback)
+        return super().create_service(srv_type, srv_name, callback, **kwargs)
 
     def serve(self, service_type: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """Offer a service while the node is configured."""

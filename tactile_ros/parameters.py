@@ -127,6 +127,29 @@ class GroupParameters(Generic[G]):
         return self._type(**values)
 
 
+def refusing_unknown_types(serve: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """What serves `SetParameters` or `SetParametersAtomically`, but sets nothing where a type is none.
+
+    rclpy's own (`rclpy.parameter_service`) raises for one, which would end the node.
+    """
+    types = [each.value for each in Parameter.Type]
+
+    def answer(request: Any, response: Any) -> Any:
+        unknown = [each for each in request.parameters if each.value.type not in types]
+        if not unknown:
+            return serve(request, response)
+        name, number = unknown[0].name, unknown[0].value.type
+        reason = f"nothing was set: {name} is of type {number}, types are 0 to {max(types)}"
+        refused = SetParametersResult(successful=False, reason=reason)
+        if hasattr(response, "results"):
+            response.results = [refused] * len(request.parameters)
+        else:
+            response.result = refused
+        return response
+
+    return answer
+
+
 def declare_read_only(node: Node, name: str, default: Any, description: str) -> Any:
     """Declare a parameter that is fixed once the node runs, and return its value."""
     descriptor = ParameterDescriptor(description=description, read_only=True)

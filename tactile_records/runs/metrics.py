@@ -127,10 +127,15 @@ def depth_of(X_fs: Array) -> Array:
 
 
 def normal_angle(X_fs: Array, reference: Array) -> Array:
-    """Angle (N,) rad between surface normals in {s} and those of Euler reference contact poses (N, 6)."""
-    kinds, which = np.unique(reference, axis=0, return_inverse=True)
+    """Angle (N,) rad between surface normals in {s} and those of Euler reference contact poses (N, 6).
+
+    NaN where there is no reference (NaN).
+    """
+    angle, known = np.full(len(X_fs), np.nan), np.isfinite(reference).all(axis=1)
+    kinds, which = np.unique(reference[known], axis=0, return_inverse=True)
     wanted = np.array([se3.pose_from_euler(kind)[2, :3] for kind in kinds]).reshape(-1, 3)
-    return _angle_between(X_fs[:, 2, :3], wanted[which.ravel()])
+    angle[known] = _angle_between(X_fs[known, 2, :3], wanted[which.ravel()])
+    return angle
 
 
 def inverses(T: Array) -> Array:
@@ -254,7 +259,7 @@ def _goal(record: RunRecord, index: int, following_truth: TruthSeries) -> dict[s
 def _overshoot_mm(record: RunRecord) -> float:
     rows = record.truth.rows(np.isin(record.phase_at(record.truth.stamp_ns), ("settle", record.work)))
     over = depth_of(rows.T_fs) - record.reference_at(rows.stamp_ns)[:, 2]
-    return float(max(0.0, over.max() * 1e3)) if len(over) else np.nan
+    return float(np.maximum(0.0, over.max() * 1e3)) if len(over) else np.nan
 
 
 def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:

@@ -230,14 +230,11 @@ class RunRecord:
     def reference_at(self, stamp_ns: Array) -> Array:
         """The reference contact pose (N, 6) in force at each stamp: the first one that followed, before it.
 
-        Raises `ValueError` if no command of the record has a reference: there is nothing to hold a contact
-        against.
+        NaN where no command of the record has one, as when the task ended before its first belief.
         """
         known = np.flatnonzero(np.isfinite(self.command.reference).all(axis=1))
         if not len(known):
-            if len(np.atleast_1d(stamp_ns)) == 0:
-                return np.zeros((0, 6))
-            raise ValueError("no command of this record has a reference contact pose")
+            return np.full((len(stamp_ns), 6), np.nan)
         index = np.searchsorted(self.command.stamp_ns[known], np.asarray(stamp_ns), side="right") - 1
         return np.asarray(self.command.reference[known[np.maximum(index, 0)]])
 

@@ -169,6 +169,7 @@ def test_the_draw_of_the_centre_of_friction_can_be_widened():
         (("filter", 1.0), "filter = 1.0: must be a name"),
         (("mass", "heavy"), "mass = 'heavy': must be a number"),
         (("friction", -1.0), "friction"),
+        (("noise", 0.0), "noise = 0: must be above 0"),
     ],
 )
 def test_a_wrong_variable_is_told(varied, message):

@@ -186,6 +186,15 @@ def test_a_run_without_truth_gives_null_not_a_number_of_nothing(tmp_path):
     assert ("depth RMS about reference", "unknown", "<= 0.3 mm") in summary({"arm": record}, {"arm": values})
 
 
+def test_a_run_without_a_reference_gives_null_for_what_is_measured_against_one(tmp_path):
+    record = made_up()
+    record.command.reference[:] = np.nan  # as where a task ends before its first belief
+    values = written(record, tmp_path / "report.json")
+    against = ("depth_rms_mm", "depth_bias_mm", "depth_max_mm", "normal_rms_deg", "depth_overshoot_mm")
+    assert [values[name] for name in against] == [None] * len(against)
+    assert values["contact_fraction"] == 1.0
+
+
 def test_an_empty_record_can_be_reported(tmp_path):
     values = written(RunRecord(task="surface_following"), tmp_path / "report.json")
     assert values["contact_fraction"] is None and values["succeeded"] is False

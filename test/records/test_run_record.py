@@ -49,10 +49,9 @@ def test_the_reference_holds_until_another_follows_and_the_first_one_before_it()
     assert depths.tolist() == [0.003, 0.003, 0.003, 0.003, 0.006, 0.006]
 
 
-def test_contacts_of_a_run_without_a_reference_cannot_be_held_against_one():
+def test_contacts_of_a_run_without_a_reference_are_held_against_none():
     assert small_record().reference_at(np.zeros(0)).shape == (0, 6)
-    with pytest.raises(ValueError, match="no command of this record has a reference"):
-        small_record().reference_at(np.array([20]))
+    assert np.isnan(small_record().reference_at(np.array([20, 30]))).all()
 
 
 def test_columns_not_recorded_are_nan():

@@ -7,6 +7,8 @@ import textwrap
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int64
 
@@ -159,6 +161,26 @@ def test_a_parameter_of_the_wrong_type_at_start_ends_the_process_and_names_the_t
     assert process.returncode == 1
     log = graph.log("toy").read_text()
     assert "parameter gain: must be of type DOUBLE" in log and "Traceback" not in log
+
+
+@pytest.mark.parametrize("service", [SetParameters, SetParametersAtomically], ids=lambda kind: kind.__name__)
+def test_a_parameter_of_a_type_that_is_none_is_refused_and_the_node_goes_on(toy, service):
+    sound, unknown = (Parameter("gain", value=2.0).to_parameter_msg() for _ in range(2))
+    unknown.value.type = 192
+    name = {SetParameters: "set_parameters", SetParametersAtomically: "set_parameters_atomically"}[service]
+    answer = toy.call(service, f"toy/{name}", service.Request(parameters=[sound, unknown]))
+    results = answer.results if service is SetParameters else [answer.result]
+    assert [each.successful for each in results] == [False] * len(results)
+    assert "gain is of type 192" in results[0].reason
+    assert toy.get_parameter("toy", "gain") == 1.0
+    assert toy.set_parameter("toy", "gain", 2.0).successful
+
+
+@pytest.mark.parametrize("transition", [{"id": 200}, {"id": 3}, {"label": "fly"}], ids=str)
+def test_a_transition_that_cannot_be_is_refused_and_the_node_goes_on(toy, transition):
+    request = ChangeState.Request(transition=Transition(**transition))
+    assert not toy.call(ChangeState, "toy/change_state", request).success
+    assert state(toy) == "active"
 
 
 def test_a_node_that_was_held_up_beside_images_hears_of_the_rest_soon(graph):
