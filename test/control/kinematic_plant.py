@@ -5,6 +5,8 @@ No images and no skin: the belief is the exact surface contact pose without shea
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from tactile_control.phases import StampedPose, StampedPresence, TaskInputs
@@ -123,6 +125,26 @@ def run(task, plant, limit_s=60.0, change=None, each=None):
             break
         plant.step(command.twist)
     return commands
+
+
+def freeze_after(names, at_ns):
+    """Inputs named stop arriving at `at_ns`."""
+    kept = {}
+
+    def change(k, inputs):
+        latest = max((i.stamp_ns for i in (inputs.presence, inputs.sensor_pose) if i), default=0)
+        for name in names:
+            if latest < at_ns:
+                kept[name] = getattr(inputs, name)
+        return dataclasses.replace(inputs, **{n: kept[n] for n in names if latest >= at_ns})
+
+    return change
+
+
+def rest_after(commands, event_ns):
+    """Milliseconds from an event to the first command of zero twist after which all are zero."""
+    moving = [now for now, c, _, _ in commands if np.abs(c.twist).max() > 1e-6]
+    return (max(moving, default=event_ns) - event_ns) / MS
 
 
 class PushedFace:

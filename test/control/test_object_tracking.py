@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from kinematic_plant import MS, Plane, Plant, pointing_down, run
+from kinematic_plant import MS, Plane, Plant, freeze_after, pointing_down, rest_after, run
 
 from tactile_base.settings import SettingError
 from tactile_control.contact_task import APPROACH, SETTLE
@@ -166,6 +166,19 @@ def test_a_surface_that_goes_away_faster_than_the_arm_may_is_lost_and_said_so(se
     _, _, commands = tracked(settings, speed=-0.02)
     assert commands[-1][1].phase == FAILED
     assert commands[-1][1].reason == "contact was lost in phase track"
+
+
+@pytest.mark.parametrize(
+    "names, expected",
+    [(("belief",), "belief is"), (("presence",), "presence is"), (("sensor_pose",), "pose is")],
+)
+def test_a_silent_input_stops_the_arm_within_200_ms_and_is_named(settings, names, expected):
+    at_ns = WHEN + 3_000_000_000
+    _, _, commands = tracked(settings, change=freeze_after(names, at_ns), delay_steps=0)
+    assert max(np.abs(c.twist).max() for now, c, _, _ in commands if WHEN < now < at_ns) > 0.004
+    assert rest_after(commands, at_ns) <= 200.0
+    last = commands[-1][1]
+    assert last.phase == FAILED and expected in last.reason and "limit 100 ms" in last.reason
 
 
 def test_a_surface_that_jumps_away_is_approached_again(settings):

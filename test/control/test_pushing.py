@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from kinematic_plant import PushedFace, PushingPlant, run
+from kinematic_plant import PushedFace, PushingPlant, freeze_after, rest_after, run
 from test_alignment import TARGET, pushing_along_y
 
 from tactile_base.settings import SettingError
@@ -128,6 +128,26 @@ def test_a_lost_contact_ends_the_push_and_says_so(settings):
     _, commands = pushed(settings, plant_with(), change=change)
     assert phases_of(commands)[-4:] == [PUSH, STOPPING, RETREAT, FAILED]
     assert commands[-1][1].reason == "contact was lost in phase push"
+
+
+# ---- inputs that stop ----
+
+
+@pytest.mark.parametrize(
+    "names, expected",
+    [(("belief",), "belief is"), (("presence",), "presence is"), (("sensor_pose",), "pose is")],
+)
+@pytest.mark.parametrize("controller", ["pushing.yaml", "pushing_tuned.yaml"])
+def test_a_silent_input_brings_the_push_to_rest_within_200_ms_and_is_named(
+    controllers, controller, names, expected
+):
+    settings, at_ns = load_controller(controllers / controller, PushingSettings()), 15 * 10**9
+    _, commands = pushed(settings, plant_with(), change=freeze_after(names, at_ns))
+    pushing = [np.abs(c.twist).max() for now, c, _, _ in commands if now < at_ns and c.phase == PUSH]
+    assert pushing[-1] > 0.005
+    assert rest_after(commands, at_ns) <= 200.0
+    last = commands[-1][1]
+    assert last.phase == FAILED and expected in last.reason and "limit 100 ms" in last.reason
 
 
 # ---- targets that cannot be reached ----

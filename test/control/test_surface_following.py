@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from kinematic_plant import MS, Plane, Plant, Sphere, pointing_down, run
+from kinematic_plant import MS, Plane, Plant, Sphere, freeze_after, pointing_down, rest_after, run
 
 from tactile_base.settings import SettingError
 from tactile_control.contact_task import APPROACH, LEAVE, SETTLE
@@ -44,12 +44,6 @@ def phases_of(commands):
 
 def following(commands, phase=FOLLOW):
     return [(c, depth, tilt) for _, c, depth, tilt in commands if c.phase == phase]
-
-
-def rest_after(commands, event_ns):
-    """Milliseconds from an event to the first command of zero twist after which all are zero."""
-    moving = [now for now, c, _, _ in commands if np.abs(c.twist).max() > 1e-6]
-    return (max(moving, default=event_ns) - event_ns) / MS
 
 
 # ---- runs that go well ----
@@ -174,20 +168,6 @@ def test_the_same_run_gives_the_same_bits(settings):
 
 
 # ---- faults ----
-
-
-def freeze_after(names, at_ns):
-    """Inputs named stop arriving at `at_ns`."""
-    kept = {}
-
-    def change(k, inputs):
-        latest = max((i.stamp_ns for i in (inputs.presence, inputs.sensor_pose) if i), default=0)
-        for name in names:
-            if latest < at_ns:
-                kept[name] = getattr(inputs, name)
-        return dataclasses.replace(inputs, **{n: kept[n] for n in names if latest >= at_ns})
-
-    return change
 
 
 @pytest.mark.parametrize(
