@@ -1,7 +1,7 @@
 """Watchdog: ages of the inputs against their limits, and the ramp to rest when one is too old.
 
 From the moment an input goes silent to zero twist it takes its age limit plus `ramp_time`: with the defaults
-180 ms, so that the arm is commanded to rest within 200 ms; a controller that was itself held up meanwhile
+160 ms, so that the arm rests within 200 ms; a controller that was itself held up meanwhile
 commands rest at once. The message says which input, how old it is, and its limit. At rest it waits: an input
 that is back within `patience` was a hiccup, one that is not has failed.
 """
@@ -26,7 +26,7 @@ class WatchdogSettings(Settings):
     )
     pose_age: float = setting(0.1, lower=0.005, upper=1.0, unit="s", doc="oldest sensor pose acted upon")
     ramp_time: float = setting(
-        0.08, lower=0.0, upper=1.0, unit="s", doc="time in which the last twist goes to zero, linearly"
+        0.06, lower=0.0, upper=1.0, unit="s", doc="time in which the last twist goes to zero, linearly"
     )
     patience: float = setting(
         1.0,

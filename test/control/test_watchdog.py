@@ -31,7 +31,7 @@ def test_all_silent_inputs_are_named():
 
 
 def test_it_recovers_when_inputs_come_back():
-    watchdog = Watchdog(WatchdogSettings())
+    watchdog = Watchdog(WatchdogSettings(ramp_time=0.08))
     assert not watchdog.step(130 * MS, {"belief": 0}).ok
     assert watchdog.step(140 * MS, {"belief": 135 * MS}).scale == 1.0
     assert watchdog.step(239 * MS, {"belief": 135 * MS}).scale == pytest.approx(0.95)  # the ramp starts anew
