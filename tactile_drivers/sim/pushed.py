@@ -76,7 +76,7 @@ class PushedSettings(SkinForces):
         doc="of the leading edge where it catches on the floor, so that the object can topple; 0: never",
     )  # fmt: skip
     edge_way: float = setting(
-        0.02, unit="m", lower=0.0, upper=10.0,
+        0.03, unit="m", lower=0.0, upper=10.0,
         doc="how far an edge slides under load until it meets something to catch on",
     )  # fmt: skip
 
