@@ -22,6 +22,9 @@ COLUMNS = (
     "largest [mm]", "paper's mean [mm]", "paper's deviation [mm]", "contact lost", "toppled", "time [s]",
 )  # fmt: skip
 
+LARGEST_ERROR = 20.0  # mm, where a map's colors end: the tip's radius, beyond which a target was passed
+LUMA = (0.299, 0.587, 0.114)  # how bright red, green and blue look
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -154,11 +157,13 @@ def write_map(folder: Path, chosen: Map, rows: Sequence[Row], trials: Sequence[T
         lines.append([*(shown(v) for _, v in varied), *counts, *outcome.numbers()[:3], broken])
     with whole_file(paths[1]) as temporary:
         temporary.write_text(markdown([*columns, "a trial that shows how it breaks"], lines))
-    _draw_map(paths[0], chosen, {varied: Outcome.of(found) for varied, found in places})
+    title = f"{chosen.name}: {chosen.object} on {chosen.floor}, controller {trials[0].common.controller}"
+    outcomes = {varied: Outcome.of(found) for varied, found in places}
+    _draw_map(paths[0], chosen, outcomes, title.replace("_", " "))
     return paths
 
 
-def _draw_map(path: Path, chosen: Map, outcomes: dict[Any, Outcome]) -> None:
+def _draw_map(path: Path, chosen: Map, outcomes: dict[Any, Outcome], title: str) -> None:
     import matplotlib.pyplot as plt
 
     from tactile_records.runs.figures import style
@@ -169,22 +174,22 @@ def _draw_map(path: Path, chosen: Map, outcomes: dict[Any, Outcome]) -> None:
         success = {varied: 100.0 * outcome.success for varied, outcome in outcomes.items()}
         size = {varied: outcome.size for varied, outcome in outcomes.items()}
         draw(panels[0], chosen, success, "at the target [%]", "RdYlGn", (0.0, 100.0))
-        draw(panels[1], chosen, size, "mean size of the error [mm]", "viridis_r", (0.0, None))
-        figure.suptitle(f"{chosen.name}: {chosen.object} on {chosen.floor}".replace("_", " "), weight="bold")
+        draw(panels[1], chosen, size, "mean size of the error [mm]", "viridis_r", (0.0, LARGEST_ERROR))
+        figure.suptitle(title, weight="bold")
         figure.savefig(path)
         plt.close(figure)
 
 
 def _draw_lines(
-    axes: Any, chosen: Map, values: dict[Any, float], title: str, colors: str, limits: tuple[Any, Any]
+    axes: Any, chosen: Map, values: dict[Any, float], title: str, colors: str, limits: tuple[float, float]
 ) -> None:
     ((name, along),) = chosen.variables.items()
     axes.plot([shown(v) for v in along], [values.get(((name, v),), np.nan) for v in along], "o-")
-    axes.set(title=title, xlabel=chosen.text(name), ylim=limits)
+    axes.set(title=title, xlabel=chosen.text(name), ylim=(limits[0], 1.05 * limits[1]))
 
 
 def _draw_grid(
-    axes: Any, chosen: Map, values: dict[Any, float], title: str, colors: str, limits: tuple[Any, Any]
+    axes: Any, chosen: Map, values: dict[Any, float], title: str, colors: str, limits: tuple[float, float]
 ) -> None:
     (first, along), (second, up) = chosen.variables.items()
     grid = np.array([[values.get(((first, a), (second, b)), np.nan) for a in along] for b in up])
@@ -193,7 +198,9 @@ def _draw_grid(
     axes.set_yticks(range(len(up)), map(shown, up))
     for (row, column), value in np.ndenumerate(grid):
         if np.isfinite(value):
-            axes.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=8)
+            light = np.dot(image.cmap(image.norm(value))[:3], LUMA)
+            ink = "black" if light > 0.5 else "white"
+            axes.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=8, color=ink)
     axes.grid(visible=False)
     axes.set(title=title, xlabel=chosen.text(first), ylabel=chosen.text(second))
     axes.figure.colorbar(image, ax=axes)

@@ -45,9 +45,7 @@ from tactile_drivers.doubles.franka_robot import PERIOD, FrankaRobot, FrankaRobo
 from tactile_drivers.rotation_vectors import pose_of, vector_of
 
 FCI = 1337  # port
-# s; further behind, a busy machine has let time go by in which nothing moved. Below the 20 ms of silence that end
-# a motion: no client can answer states that were not sent.
-_LONGEST_LAG = 0.01
+_LONGEST_LAG = 0.01  # s; further behind, nothing moved: nobody could answer states that were not sent
 _LOOK = 1e-4  # s, between looks for an answer
 
 
