@@ -18,6 +18,7 @@ import multiprocessing.connection
 import os
 import tempfile
 import time
+from array import array
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,7 @@ def serve(pipe: multiprocessing.connection.Connection, priority: int) -> None:
         write(values)
 
     robot.write = note  # type: ignore[method-assign]
-    controller.follow = lambda: made.__setitem__(round(robot.T_base_tcp[0, 3], 12), time.time_ns())
+    controller.follow = lambda: made.__setitem__(picometres(robot.T_base_tcp), time.time_ns())
 
     async def run() -> None:
         moving = asyncio.create_task(controller.run())
@@ -80,6 +81,11 @@ class Resources:
     def show(self) -> None:
         for row in self._rows:
             print("{:5.0f} s: {:.1f} MB, {} threads, {} descriptors, drift {:.2f} ppm".format(*row))
+
+
+def picometres(T_base_tcp: np.ndarray) -> int:
+    """Where the tool is along x, by which a state is known again."""
+    return round(1e12 * float(T_base_tcp[0, 3]))
 
 
 def schedule(priority: int) -> None:
@@ -126,16 +132,15 @@ def main() -> None:
         start = "start: {position: [0.4, 0.0, 0.3]}"
         scene.write_text(f"arms:\n  arm:\n    driver: ur\n    driver_settings: {settings}\n    {start}\n")
         arm = load_scene(scene).arms["arm"]
-    states: list[tuple[int, int, float]] = []
+    states = array("q")  # three numbers each, in an eighth of the memory of tuples: it is what is measured
     seen = itertools.count()
     faults: list[str] = []
 
     def take(state: ArmState) -> None:
         if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
             faults.append(state.reason)
-        if next(seen) % KEPT == 0:  # all of them would be the memory that is measured
-            x = round(float(state.T_base_controlled[0, 3]), 12)
-            states.append((time.time_ns(), state.stamp_ns, x))
+        if next(seen) % KEPT == 0:
+            states.extend((time.time_ns(), state.stamp_ns, picometres(state.T_base_controlled)))
 
     driver = open_arm(arm, take)
     sent, held = {}, Resources(arguments.seconds)
@@ -156,8 +161,8 @@ def main() -> None:
     arrived, made = pipe.recv()
     wire = [arrived[speed] - at for speed, at in sent.items() if speed in arrived]
     quantiles("twist to wire", np.array(wire))
-    known = [(now, stamp, made[x]) for now, stamp, x in states if x in made and abs(x - 0.4) > 1e-6]
-    show_states(known)
+    kept = np.array(states).reshape(-1, 3).tolist()
+    show_states([(now, stamp, made[x]) for now, stamp, x in kept if x in made and abs(x - 0.4e12) > 1e6])
     print(f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}")
     held.show()
 
