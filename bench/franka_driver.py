@@ -91,18 +91,18 @@ def main() -> None:
         if next(seen) % KEPT == 0:
             states.extend((time.time_ns(), state.stamp_ns, driver._robot_time))
 
+    schedule(arguments.priority)  # which processes and threads of the driver inherit
     driver = open_arm(loaded, lambda state: None)
     driver._report = take
     sent = array("d")
     held = Resources(arguments.seconds)
-    schedule(arguments.priority)
     begin = time.monotonic()
     while (elapsed := time.monotonic() - begin) < arguments.seconds and not faults:
         sent.append(time.monotonic())
         driver.command(time.time_ns(), [SPEEDS[len(sent) % 2], 0.0, 0.0, 0.0, 0.0, 0.0])
         held.look(elapsed, driver.drift)
         time.sleep(COMMANDS)
-    held.look(arguments.seconds, driver.drift)
+    held.look(elapsed, driver.drift)
     if faults:
         print(f"ended by a fault after {elapsed:.0f} s: {faults[0]}")
     driver.close()
@@ -116,7 +116,6 @@ def main() -> None:
     show_states(known[known[:, 2] > 0])
     print(f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}, seen {len(wire)}")
     print(f"longest time between two cycles of the double while it moves: {1e3 * pause:.1f} ms")
-    held.show()
 
 
 if __name__ == "__main__":

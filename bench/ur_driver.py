@@ -67,20 +67,18 @@ class Resources:
     """Memory, threads and descriptors of this process and drift of its arm's clock, ten times in a run."""
 
     def __init__(self, seconds: float) -> None:
-        self._every, self._rows = seconds / 10.0, list[tuple[float, ...]]()
+        self._every, self._looks = seconds / 10.0, 0
 
     def look(self, elapsed: float, drift: float) -> None:
-        """Note them where a tenth of the time (s) has passed since the last look."""
-        if elapsed < (len(self._rows) + 1) * self._every:
+        """Print them where a tenth of the time (s) has passed since the last look."""
+        if elapsed < (self._looks + 1) * self._every:
             return
         status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
         fds = len(os.listdir("/proc/self/fd"))
         memory = float(status["VmRSS"].split()[0]) / 1e3
-        self._rows.append((elapsed, memory, int(status["Threads"]), fds, 1e6 * drift))
-
-    def show(self) -> None:
-        for row in self._rows:
-            print("{:5.0f} s: {:.1f} MB, {} threads, {} descriptors, drift {:.2f} ppm".format(*row))
+        self._looks += 1
+        numbers = f"{memory:.1f} MB, {status['Threads'].strip()} threads, {fds} descriptors"
+        print(f"{elapsed:5.0f} s: {numbers}, drift {1e6 * drift:.2f} ppm", flush=True)
 
 
 def picometres(T_base_tcp: np.ndarray) -> int:
@@ -142,9 +140,9 @@ def main() -> None:
         if next(seen) % KEPT == 0:
             states.extend((time.time_ns(), state.stamp_ns, picometres(state.T_base_controlled)))
 
+    schedule(arguments.priority)  # which processes and threads of the driver inherit
     driver = open_arm(arm, take)
     sent, held = {}, Resources(arguments.seconds)
-    schedule(arguments.priority)
     begin = time.monotonic()
     while (elapsed := time.monotonic() - begin) < arguments.seconds:
         speed = 0.01 + 1e-9 * len(sent)  # each one can be told from the others
@@ -155,7 +153,7 @@ def main() -> None:
         driver.command(time.time_ns(), [speed, 0.0, 0.0, 0.0, 0.0, 0.0])
         held.look(elapsed, driver.drift)
         time.sleep(COMMANDS)
-    held.look(arguments.seconds, driver.drift)
+    held.look(elapsed, driver.drift)
     driver.close()
     pipe.send("done")
     arrived, made = pipe.recv()
@@ -164,7 +162,6 @@ def main() -> None:
     kept = np.array(states).reshape(-1, 3).tolist()
     show_states([(now, stamp, made[x]) for now, stamp, x in kept if x in made and abs(x - 0.4e12) > 1e6])
     print(f"states: {next(seen)} at {arguments.rate:g} Hz; commands: {len(sent)}")
-    held.show()
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Task and controller files: YAML to roles, settings and goals; errors name file, line and valid choices.
 
 A task file says who does what on a scene: for each role which task, with which controller file, and on each
-scene which arms have the role and which goals they run one after the other (docs/tasks.md)::
+scene which arms have the role and which goals they run one after the other (docs/tasks.md); `other` stands
+for scenes that have no name here::
 
     roles:
       leader: {task: trajectory}
@@ -32,6 +33,7 @@ from tactile_control.tasks import TASKS
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
+OTHER = "other"  # among a task's scenes: those that it does not name
 G = TypeVar("G", bound=SettingGroups)
 
 
@@ -164,16 +166,16 @@ def load_task(
     roles, scenes = root.sections("roles"), root.sections("scenes")
     if not roles:
         root.fail("roles: a task must have at least one")
-    if scene not in scenes:
+    here = scenes.get(scene, scenes.get(OTHER))
+    if here is None:
         root.fail(f"no goals for this scene: {unknown_name(scene, list(scenes))}", "scenes")
-    scenes[scene].allow(*roles)
+    here.allow(*roles)
     folder = Path(controllers) if controllers is not None else _controllers_of(Path(path))
     only = (controller or "").rpartition("=")[0]
     if only and only not in roles:
         raise SettingError(f"controller {controller}: role {unknown_name(only, list(roles))}")
     loaded = [
-        _role(name, section, scenes[scene].section(name), folder, controller, roles)
-        for name, section in roles.items()
+        _role(name, section, here.section(name), folder, controller, roles) for name, section in roles.items()
     ]
     task = Task(Path(path).stem, scene, tuple(loaded))
     for change in changes:

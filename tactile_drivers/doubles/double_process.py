@@ -70,19 +70,20 @@ class DoubleProcess:
 
     def now(self) -> tuple[int, Array, Array]:
         """Time (ns), pose (4, 4) in the base and twist (6,), in itself, of the controlled frame."""
-        now_ns, pose, speed, self.stopped = self._ask("now")
+        now_ns, pose, speed, self.stopped = self.ask("now")
         T = pose_of(pose) @ self._T_tool_controlled
         return now_ns, T, controlled_twist(T, self._T_tool_controlled, np.array(speed))
 
     def protective_stop(self) -> None:
         """Stop as after a collision."""
-        self._ask(self.stop)
+        self.ask(self.stop)
 
     def close(self) -> None:
         """End it."""
         self._process.communicate()
 
-    def _ask(self, line: str) -> Any:
+    def ask(self, line: str) -> Any:
+        """The controller's answer to a line: the name of something that may go wrong, and its numbers."""
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.write(f"{line}\n")
         self._process.stdin.flush()

@@ -315,7 +315,11 @@ def main() -> int:
     parser.add_argument("settings", nargs="?", default="{}", help="settings of the arm (JSON)")
     arguments = parser.parse_args()
     settings = FrankaRobotSettings.from_mapping(json.loads(arguments.settings))
-    controller = FrankaController(arguments.host, settings)
+    try:
+        controller = FrankaController(arguments.host, settings)
+    except OSError as error:
+        print(f"{arguments.host}: {error}", file=sys.stderr)
+        return 1
     with contextlib.suppress(PermissionError):  # in time also on a busy machine, where it may
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     print(json.dumps("ready"), flush=True)

@@ -54,6 +54,9 @@ class Double(Protocol):
     def protective_stop(self) -> None:
         """Stop as after a collision."""
 
+    def ask(self, line: str) -> Any:
+        """What it answers to a line that its user has typed: something that may go wrong."""
+
     def close(self) -> None:
         """End it."""
 

@@ -277,11 +277,11 @@ def _names(payload: bytes) -> list[str]:
 
 async def _serve(controller: UrController) -> None:
     """The controller, and what is asked of it on standard input, until that ends."""
+    await controller.come_back()  # an address that cannot be had ends it before it is ready
     moving = asyncio.create_task(controller.run())
     loop = asyncio.get_running_loop()
     reader = asyncio.StreamReader()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    await asyncio.sleep(0)
     print(json.dumps("ready"), flush=True)
     while line := await reader.readline():
         answer = answer_to(line.decode(), controller.faults)
@@ -298,7 +298,11 @@ def main() -> int:
     parser.add_argument("settings", nargs="?", default="{}", help="settings of the arm (JSON)")
     arguments = parser.parse_args()
     controller = UrController(arguments.host, UrRobotSettings.from_mapping(json.loads(arguments.settings)))
-    asyncio.run(_serve(controller))
+    try:
+        asyncio.run(_serve(controller))
+    except OSError as error:
+        print(f"{arguments.host}: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

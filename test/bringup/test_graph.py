@@ -12,6 +12,7 @@ import yaml
 from tactile_base.config_paths import config_names, config_path
 from tactile_base.settings import SettingError
 from tactile_bringup.graph import Graph, GraphOptions, load_graph
+from tactile_control.task_file import OTHER
 
 TASK = """\
 roles:
@@ -30,6 +31,7 @@ PACKAGED = [
     (task, scene)
     for task in config_names("tasks")
     for scene in yaml.safe_load(config_path(f"tasks/{task}.yaml").read_text())["scenes"]
+    if scene != OTHER
 ]
 
 IDEAL_SCENE = """
@@ -245,8 +247,15 @@ def test_a_scene_file_with_a_typo_names_file_line_and_choices(tmp_path):
 def test_a_scene_that_the_task_has_no_goals_for_is_refused(tmp_path):
     file = tmp_path / "kitchen.yaml"
     file.write_text(IDEAL_SCENE)
-    with pytest.raises(SettingError, match=r"no goals for this scene: unknown name 'kitchen'.*ramp"):
-        load_graph("surface_following", str(file))
+    with pytest.raises(SettingError, match=r"no goals for this scene: unknown name 'kitchen'.*pushing"):
+        load_graph("pushing", str(file))
+
+
+def test_a_scene_of_ones_own_is_followed_for_a_short_way(tmp_path):
+    file = tmp_path / "kitchen.yaml"
+    file.write_text(IDEAL_SCENE)
+    (goal,) = load_graph("surface_following", str(file)).plans[0].goals
+    assert (goal.name, goal.goal.length) == ("across", 0.05)
 
 
 def test_a_scene_and_a_task_of_ones_own_run_with_the_packaged_controllers(tmp_path):

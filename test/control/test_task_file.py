@@ -176,6 +176,12 @@ def test_a_scene_without_goals_is_named_with_those_that_have(write):
         load_task(path, "rump", controllers)
 
 
+def test_a_scene_that_is_not_named_has_the_goals_of_other_scenes_where_there_are_some(write):
+    path, controllers = write(TASK + "  other: {follower: {goals: [{name: across, length: 0.05}]}}\n")
+    goals = [load_task(path, scene, controllers).role("follower").goals[0].name for scene in ("ramp", "mine")]
+    assert goals == ["up", "across"]
+
+
 @pytest.mark.parametrize("change", ["follower.task.speed=0.02", "task.speed=0.02"])
 def test_a_change_goes_over_all_files_and_one_role_needs_no_name(write, change):
     path, controllers = write(TASK)
