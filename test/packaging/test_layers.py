@@ -161,7 +161,7 @@ def requirement_names(root: Path, with_training: bool = True) -> set[str]:
     extras = config["options.extras_require"]
     blocks = [config["options"]["install_requires"]]
     blocks += (
-        [extras["train"], extras["cluster"], extras["ur"], extras["franka_sim"]] if with_training else []
+        [extras["train"], extras["cluster"], extras["ur"], extras["franka-sim"]] if with_training else []
     )
     return {re.split(r"[<>=\[ ]", line)[0] for block in blocks for line in block.splitlines() if line}
 
