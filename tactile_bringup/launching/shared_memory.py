@@ -4,6 +4,9 @@ A Fast DDS process holds a file lock on `<segment>_el` for as long as it lives; 
 `fastdds shm clean` tells the dead from the living. Some port files stay without a lock file even after a
 regular end, so these count as dead when no lock on them is held and no process maps them. Segments of other
 users, and those made before `since_ns`, are left alone.
+
+Nodes of other launches start meanwhile. One that finds its lock taken, if only by our look at it, goes on
+without shared memory and hears nobody. So locks are read from the kernel's list, where it shows all of them.
 """
 
 from __future__ import annotations
@@ -11,21 +14,33 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import time
+from collections.abc import Iterator
 from pathlib import Path
+
+from tactile_base.stamps import SECOND_NS
 
 SHARED_MEMORY = Path("/dev/shm")
 _LOCK = "_el"
 _SEGMENT = re.compile(r"^(fastdds|fastrtps)_(?P<name>port\d+|[0-9a-f]{16})(_el|_sl)?$")
+_FRESH = SECOND_NS // 5  # ns, for which a file may wait for its maker to lock it
+_LOCKS = Path("/proc/locks")
+_ALL_PROCESSES = "pid:[4026531836]"  # the namespace in which that list is whole
 _MUTEX = re.compile(r"^sem\.(fastdds|fastrtps)_(?P<name>port\d+)_mutex$")
 
 
 def remove_orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[str]:
     """Remove what dead processes left, made at or after `since_ns` (epoch, ns); returns the files removed."""
-    return [path.name for path in orphans(since_ns, folder) if _unlink(path)]
+    return sorted(path.name for group in _dead(since_ns, folder) for path in group if _unlink(path))
 
 
 def orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[Path]:
     """The files of dead processes of this user, made at or after `since_ns` (epoch, ns)."""
+    return sorted(path for group in _dead(since_ns, folder) for path in group)
+
+
+def _dead(since_ns: int, folder: Path) -> Iterator[list[Path]]:
+    """Files that belong together, each time as they are found dead: a port may be used again."""
     groups: dict[str, list[Path]] = {}
     made: dict[str, int] = {}
     for path in folder.glob("*"):
@@ -34,9 +49,10 @@ def orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[Path]:
             name = match["name"]
             groups.setdefault(name, []).append(path)
             made[name] = max(made.get(name, 0), status.st_mtime_ns)
-    mapped = _mapped_files(folder)
-    dead = [g for name, g in groups.items() if made[name] >= since_ns and not _is_owned(g, mapped)]
-    return sorted(path for group in dead for path in group)
+    mapped, until_ns = _mapped_files(folder), time.time_ns() - _FRESH
+    for name, group in groups.items():
+        if since_ns <= made[name] <= until_ns and not _is_owned(group, mapped):
+            yield group
 
 
 def segments(folder: Path = SHARED_MEMORY) -> set[str]:
@@ -77,8 +93,11 @@ def _mapped_files(folder: Path) -> set[str]:
 
 
 def _is_locked(path: Path) -> bool:
-    """Whether a process holds the lock; by a shared one: two who look at once do not see each other."""
+    """Whether a process holds the lock; in a container by a shared one, which two may have at once."""
     try:
+        if os.readlink("/proc/self/ns/pid") == _ALL_PROCESSES:
+            inode = str(path.stat().st_ino)
+            return any(line.split()[-3].endswith(f":{inode}") for line in _LOCKS.read_text().splitlines())
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -178,11 +178,26 @@ def test_the_tail_of_a_log_is_its_last_lines(tmp_path):
     assert tail(log, 2) == "98\n99"
 
 
-def test_only_segments_without_a_living_owner_are_removed(tmp_path):
+def made(*paths):
+    """Files of a while ago."""
+    for path in paths:
+        path.touch()
+        os.utime(path, (time.time() - 10.0,) * 2)
+
+
+@pytest.fixture(params=["by the kernel's list", "by a lock of its own, as in a container"])
+def look(request, monkeypatch):
+    whole = request.param.startswith("by the kernel")
+    monkeypatch.setattr(
+        shared_memory, "_ALL_PROCESSES", os.readlink("/proc/self/ns/pid") if whole else "elsewhere"
+    )
+
+
+def test_only_segments_without_a_living_owner_are_removed(tmp_path, look):
     data = "fastdds_0123456789abcdef"
     names = [data, data + "_el", "fastdds_port7000", "sem.fastdds_port7000_mutex"]
     for name in [*names, "fastdds_fedcba9876543210", "fastdds_fedcba9876543210_el", "somebody_elses"]:
-        (tmp_path / name).touch()
+        made(tmp_path / name)
     lock_file = str(tmp_path / "fastdds_fedcba9876543210_el")
     lock = f"import fcntl, time\nf = open({lock_file!r})\nfcntl.flock(f, 2)\n"
     owner = subprocess.Popen(python(lock + "print('up', flush=True)\ntime.sleep(60)"), stdout=subprocess.PIPE)
@@ -198,14 +213,27 @@ def test_only_segments_without_a_living_owner_are_removed(tmp_path):
 
 
 def test_segments_older_than_the_run_stay(tmp_path):
-    (tmp_path / "fastdds_0123456789abcdef").touch()
-    assert shared_memory.remove_orphans(time.time_ns() + 10**9, folder=tmp_path) == []
+    made(tmp_path / "fastdds_0123456789abcdef")
+    assert shared_memory.remove_orphans(time.time_ns() - 10**9, folder=tmp_path) == []
+
+
+def test_a_segment_that_its_maker_may_not_have_locked_yet_stays(tmp_path):
+    (tmp_path / "fastdds_0123456789abcdef_el").touch()
+    assert shared_memory.remove_orphans(folder=tmp_path) == []
+
+
+def test_a_look_takes_no_lock_which_a_node_that_starts_would_miss(tmp_path, monkeypatch):
+    monkeypatch.setattr(shared_memory, "_ALL_PROCESSES", os.readlink("/proc/self/ns/pid"))
+    monkeypatch.delattr(fcntl, "flock")
+    made(tmp_path / "fastdds_port7411_el")
+    assert shared_memory.remove_orphans(folder=tmp_path) == ["fastdds_port7411_el"]
 
 
 def test_a_dead_segment_goes_though_a_reader_still_maps_it(tmp_path):
     names = ["fastdds_0123456789abcdef", "fastdds_0123456789abcdef_el", "fastdds_port7000"]
     for name in names:
         (tmp_path / name).write_bytes(b"\0")
+        made(tmp_path / name)
     maps = [mmap_of(tmp_path / name) for name in ("fastdds_0123456789abcdef", "fastdds_port7000")]
     assert shared_memory.remove_orphans(folder=tmp_path) == names[:2]
     for mapped in maps:
@@ -215,8 +243,8 @@ def test_a_dead_segment_goes_though_a_reader_still_maps_it(tmp_path):
 
 def test_two_who_look_at_once_both_see_that_a_segment_is_dead(tmp_path, monkeypatch):
     dead = [tmp_path / "fastdds_0123456789abcdef", tmp_path / "fastdds_0123456789abcdef_el"]
-    for path in dead:
-        path.touch()
+    made(*dead)
+    monkeypatch.setattr(shared_memory, "_ALL_PROCESSES", "elsewhere")
     seen, flock = [], fcntl.flock
 
     def look_again(*arguments):
