@@ -11,7 +11,6 @@ double are scheduled and locked into memory as nodes are with `priority`.
 import argparse
 import asyncio
 import contextlib
-import gc
 import itertools
 import multiprocessing
 import multiprocessing.connection
@@ -28,7 +27,7 @@ import numpy as np
 from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.ur_controller import UrController
 from tactile_drivers.scene import load_scene
-from tactile_ros.scheduling import set_priority
+from tactile_ros.scheduling import set_priority, settle_garbage
 
 HOST = "127.0.0.77"
 COMMANDS = 1.0 / 60.0  # s, between commands
@@ -90,8 +89,7 @@ def schedule(priority: int) -> None:
     """As a node does: a real-time priority with locked memory, and all that is there so far no garbage."""
     if missing := set_priority(priority):
         print(f"this user may not have {missing}")
-    gc.collect()
-    gc.freeze()
+    settle_garbage()
 
 
 def quantiles(name: str, seconds: np.ndarray) -> None:

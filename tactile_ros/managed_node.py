@@ -54,7 +54,7 @@ from tactile_ros.parameters import (
     refusing_unknown_types,
 )
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
-from tactile_ros.scheduling import set_priority
+from tactile_ros.scheduling import set_priority, settle_garbage
 
 Result = TransitionCallbackReturn
 
@@ -354,7 +354,7 @@ class ManagedNode(LifecycleNode):
         for watch in self.report.inputs.values():
             watch.restart()
         self.active = True
-        _settle_garbage()
+        settle_garbage()
         self.get_logger().info("active")
         return Result.SUCCESS
 
@@ -424,12 +424,6 @@ def refused_counter(topic: str) -> str:
 def lost_counter(topic: str) -> str:
     """Name of the counter of messages on `topic` that the middleware has lost on their way to a node."""
     return f"{topic} messages lost"
-
-
-def _settle_garbage() -> None:
-    """Take everything loaded so far out of the collector's sight: a full collection costs 10 ms."""
-    gc.collect()
-    gc.freeze()
 
 
 def make_executor() -> Any:

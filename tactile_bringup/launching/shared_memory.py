@@ -23,10 +23,10 @@ from tactile_base.stamps import SECOND_NS
 SHARED_MEMORY = Path("/dev/shm")
 _LOCK = "_el"
 _SEGMENT = re.compile(r"^(fastdds|fastrtps)_(?P<name>port\d+|[0-9a-f]{16})(_el|_sl)?$")
+_MUTEX = re.compile(r"^sem\.(fastdds|fastrtps)_(?P<name>port\d+)_mutex$")
 _FRESH = SECOND_NS // 5  # ns, for which a file may wait for its maker to lock it
 _LOCKS = Path("/proc/locks")
 _ALL_PROCESSES = "pid:[4026531836]"  # the namespace in which that list is whole
-_MUTEX = re.compile(r"^sem\.(fastdds|fastrtps)_(?P<name>port\d+)_mutex$")
 
 
 def remove_orphans(since_ns: int = 0, folder: Path = SHARED_MEMORY) -> list[str]:
