@@ -36,7 +36,7 @@ KEPT = 10  # one in so many states
 
 def serve(pipe: multiprocessing.connection.Connection, priority: int) -> None:
     """The double; when asked it sends when which command came, and when each state was made."""
-    schedule(priority)
+    schedule(priority and priority + 1)  # on a core with ur_rtde, which spins while it waits for an answer
     controller = UrController(HOST)
     robot, arrived, made = controller.robot, {}, {}
     write = robot.write
