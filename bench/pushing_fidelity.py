@@ -1,26 +1,54 @@
 """What each level of fidelity costs in a push, and how far its table of pushing is from that of the images.
 
     python bench/pushing_fidelity.py --out out/pushing_fidelity [--trials 5] [--table single]
-        [--objects blue_square ...] [--floors mdf] [--fidelities image input fitted ideal] [--batches]
+        [--objects blue_square ...] [--floors mdf] [--fidelities image input fitted ideal plane]
+        [--batches | --parts]
 
-Runs the same trials of a table at each level, in this process; a row a trial is kept in the
+Runs the same trials of a table at each level, in this process (`plane`: all of them at once, by
+`bench/pushing_plane.py` with the network's errors); a row a trial is kept in the
 folder, so that an interrupted run goes on and more trials can be added. Times are processor time; a fixed
-piece of NumPy work, timed before and after each push, tells how fast the machine was meanwhile.
+piece of NumPy work, timed before and after each push, tells how fast the machine was meanwhile. `--parts`
+tells instead what the parts of one push take, of the first of the fidelities.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from pushing_options import Option, outcome
+from pushing_plane import Physics
 
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.experiment import Common, Trial, numbers_of, table_of, trial_run
 from tactile_bringup.trials import Row, TrialRows
+from tactile_control.phases import PhaseMachine
+from tactile_drivers.safety import SafeArm
+from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.simulation import FIDELITIES
+from tactile_filter.bayes_filter import ContactFilter
+
+PLANE = "plane"
+LEVELS = (*FIDELITIES, PLANE)
+
+#: What a run calls, and the part of the pipeline that it is; none of them calls another.
+PARTS: dict[str, tuple[tuple[type, str], ...]] = {
+    "controller (task)": ((PhaseMachine, "step"),),
+    "safe command stage": ((SafeArm, "command"), (SafeArm, "take_state")),
+    "filter": ((ContactFilter, "observe"),),
+    "arm and pushed object": ((Cell, "step"),),
+    "sensor": ((Cell, "expose"),),
+}
 
 
 @dataclass(frozen=True)
@@ -65,6 +93,32 @@ def timed(push: Push) -> Row:
         "cpu_s": cpu_s,
         "reference_s": 0.5 * (before + reference_time()),
     }
+
+
+def timed_together(pushes: list[Push]) -> list[Row]:
+    """Rows of trials that run side by side in the plane, with equal parts of the time."""
+    if not pushes:
+        return []
+    trials = [(push.trial.object, push.trial.floor, push.trial.number) for push in pushes]
+    before = reference_time()
+    started = time.process_time()
+    found = outcome(pushes[0].trial.common.table, Option(physics=Physics(network=True)), trials)
+    cpu_s = (time.process_time() - started) / len(trials)
+    reference_s = 0.5 * (before + reference_time())
+    return [
+        {
+            "name": push.name,
+            "fidelity": PLANE,
+            "object": push.trial.object,
+            "floor": push.trial.floor,
+            "error_mm": float(found.error[i]),
+            "succeeded": not found.missed[i],
+            "simulated_s": float(found.seconds[i]),
+            "cpu_s": cpu_s,
+            "reference_s": reference_s,
+        }
+        for i, push in enumerate(pushes)
+    ]
 
 
 def show(rows: list[Row], fidelities: list[str]) -> None:
@@ -115,6 +169,38 @@ def batch_times() -> None:
         print(f"batch of {count:2d}: best {best:.3f} ms, median {median:.3f} ms an image")
 
 
+def part_times(trial: Trial) -> None:
+    """Time that the parts of a push take, and how fast it would be if all but one took none."""
+    spent: Counter[str] = Counter()
+
+    def clocked(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed_call(*arguments: Any, **named: Any) -> Any:
+            started = time.thread_time()
+            try:
+                return call(*arguments, **named)
+            finally:
+                spent[part] += time.thread_time() - started
+
+        return timed_call
+
+    for part, calls in PARTS.items():
+        for owner, name in calls:
+            setattr(owner, name, clocked(part, getattr(owner, name)))
+    best: Counter[str] = Counter()
+    for _ in range(5):
+        spent.clear()
+        started = time.thread_time()
+        run = trial_run(trial)
+        spent["all"] = time.thread_time() - started
+        best = best & spent if best else Counter(spent)  # the least of each: other work only adds
+    poses = next(iter(run.values())).pose.stamp_ns
+    simulated_s, steps = float(poses[-1] - poses[0]) / SECOND_NS, len(poses)
+    best["the loop, records and clocks"] = best["all"] - sum(best[part] for part in PARTS)
+    for part, seconds in best.items():
+        times = simulated_s / seconds
+        print(f"{part:30s}{1e6 * seconds / steps:7.1f} us a step, alone {times:6.0f} times real time")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/pushing_fidelity"))
@@ -122,11 +208,16 @@ def main() -> None:
     parser.add_argument("--table", choices=("single", "dual", "tall"), default="single")
     parser.add_argument("--objects", nargs="+", default=())
     parser.add_argument("--floors", nargs="+", default=("mdf",))
-    parser.add_argument("--fidelities", nargs="+", choices=FIDELITIES, default=FIDELITIES)
+    parser.add_argument("--fidelities", nargs="+", choices=LEVELS, default=LEVELS)
     parser.add_argument("--batches", action="store_true", help="time the network in batches, nothing else")
+    parser.add_argument("--parts", action="store_true", help="time the parts of one push, nothing else")
     arguments = parser.parse_args()
     if arguments.batches:
         batch_times()
+        return
+    if arguments.parts:
+        thing, floor = table_of(arguments.table).rows(arguments.objects, arguments.floors)[0]
+        part_times(Trial(Common(arguments.table, fidelity=arguments.fidelities[0]), thing, floor, 0))
         return
     arguments.out.mkdir(parents=True, exist_ok=True)
     kept = TrialRows(arguments.out / "trials.jsonl")
@@ -136,8 +227,12 @@ def main() -> None:
         for thing, floor in table_of(arguments.table).rows(arguments.objects, arguments.floors)
         for fidelity in arguments.fidelities
     ]
-    for push in kept.missing(pushes):
-        kept.add(timed(push))
+    missing = kept.missing(pushes)
+    for push in missing:
+        if push.trial.common.fidelity != PLANE:
+            kept.add(timed(push))
+    for row in timed_together([push for push in missing if push.trial.common.fidelity == PLANE]):
+        kept.add(row)
     show(kept.of(pushes), list(arguments.fidelities))
 
 

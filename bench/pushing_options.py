@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +44,7 @@ class Option:
 
 SINGLE = {
     "paper": Option(),
+    "paper, errors of the network": Option(physics=Physics(network=True)),
     "paper, wide": Option(variation=WIDE),
     "never switched off": Option(("alignment.cutoff_distance=0",)),
     "never switched off, sign of the learnt model": Option(variant=Variant(signed=True)),
@@ -54,6 +56,7 @@ SINGLE = {
     "steering, slower beyond 0.5 mm of shear": Option(STEERING, Variant(safe_shear=0.0005)),
     "steering, slower beyond 0.25 mm of shear": Option(STEERING, Variant(safe_shear=0.00025)),
     "steering, wide": Option(STEERING, variation=WIDE),
+    "steering, errors of the network": Option(STEERING, physics=Physics(network=True)),
     "steering, noise x 3": Option(STEERING, physics=Physics(noise=3.0)),
     "steering, a and b not learnt": Option(
         (*STEERING, "steering.turning_deviation=0.01", "steering.drift_deviation=0.001")
@@ -66,6 +69,7 @@ SINGLE = {
 }
 DUAL = {
     "paper": Option(),
+    "paper, errors of the network": Option(physics=Physics(network=True)),
     "paper, active follower": Option(variant=Variant(feedforward=1.0)),
     "steering": Option(STEERING),
     "steering, normals known": Option(STEERING, physics=Physics(noise=0.0)),
@@ -73,7 +77,10 @@ DUAL = {
     "steering, active follower": Option(STEERING, Variant(feedforward=1.0)),
 }
 OPTIONS = {"single": SINGLE, "dual": DUAL}
-COLUMNS = ("error mm", "95 %", "largest", "worst row", "missed", "lost", "depth mm", "shear mm", "time s")
+COLUMNS = (
+    "error mm", "95 %", "largest", "worst row", "missed", "lost", "depth mm", "shear mm", "time s",
+    "x real time",
+)  # fmt: skip
 LEADER = {"single": "pusher", "dual": "leader"}
 
 
@@ -95,12 +102,12 @@ def trials_of(table: str, count: int) -> list[tuple[str, str, int]]:
     return [(*row, seed) for seed in range(1, count + 1) for row in load_tables()[table].rows()]
 
 
-def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]]) -> str:
-    """Of one option: errors of the pushes that arrived, and how many missed the target."""
+def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]], cpu_s: float) -> str:
+    """Of one option: errors of the pushes that arrived, how many missed the target, and how fast all were."""
     arrived = ~found.missed & np.isfinite(found.error)
     error, rest = np.abs(found.error[arrived]), [t for t, well in zip(trials, arrived, strict=True) if well]
     if not rest:
-        return f"| {name} | | | | | {len(trials)} | | | | |"
+        return f"| {name} | | | | | {len(trials)} | | | | | |"
     rows = {trial[:2]: row_mean(error, rest, trial[:2]) for trial in rest}
     worst = max(rows, key=lambda row: rows[row])
     numbers = [
@@ -113,6 +120,7 @@ def line(name: str, found: Outcome, trials: Sequence[tuple[str, str, int]]) -> s
         " / ".join(f"{1e3 * depth.mean():.1f}" for depth in found.depth),
         f"{1e3 * found.shear.mean():.2f}",
         f"{found.seconds.mean():.1f}",
+        f"{found.seconds.sum() / cpu_s:.0f}",
     ]
     return f"| {name} | {' | '.join(numbers)} |"
 
@@ -131,8 +139,9 @@ def compare(table: str, names: Sequence[str], count: int) -> None:
     for name, option in OPTIONS[table].items():
         if names and name not in names:
             continue
+        started = time.process_time()
         found = outcome(table, option, trials)
-        print(line(name, found, trials), flush=True)
+        print(line(name, found, trials, time.process_time() - started), flush=True)
 
 
 def check(tables: Sequence[str], names: Sequence[str], count: int) -> None:

@@ -4,7 +4,8 @@ The physics are those of `tactile_drivers/sim/pushed.py` and of the ideal sensor
 floor (one shear, no roll and pitch), and the controllers those of `tactile_control`, again in arrays; gains,
 objects and floors come from the same files, the draws of a trial from the same seed. `pushing_options.py
 --check` says how far its errors are from those of the loop without ROS. Left out: the arm's lag, the safe
-stage, and the filter, in whose place the noise of the normal is averaged over four images.
+stage, and the filter, in whose place the errors of a sensor are averaged over four images. Those errors are
+the ideal sensor's noise, or what is fitted to the shipped network (`tactile_drivers.sim.network_error`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from tactile_control.pose_steering import curvature
 from tactile_control.steering import LEAST, SteeringSettings
 from tactile_drivers.shapes import SHAPES
 from tactile_drivers.sim.limit_surface import Foot
+from tactile_drivers.sim.network_error import NetworkError, load_error_model
 from tactile_drivers.sim.pushing_scene import GAP, PushVariation, draw, read_profiles
 from tactile_drivers.sim.settings import IdealSensorSettings
 from tactile_drivers.sim.skin_force import SkinForces
@@ -61,6 +63,7 @@ class Physics:
     pressed : part of its depth that a tip, which rolls on its radius less that, is pressed in
     size : of the objects along the floor, over the profiles'
     noise : of the sensors, over the ideal sensor's
+    network : the sensors err as the network does, in place of noise
     latency : images between an exposure and the twist that answers it
     """
 
@@ -69,6 +72,7 @@ class Physics:
     pressed: float = 0.42  # tactile_drivers.sim.ideal_sensor
     size: float = 1.0
     noise: float = 1.0
+    network: bool = False
     latency: int = 0
 
 
@@ -111,6 +115,8 @@ class Plant:
         self.pivot = self.center.copy()
         self._random = np.random.default_rng(0)
         self._noise = [np.zeros((self.count, 3)) for _ in range(arms)]
+        self._slips = [np.zeros(self.count, bool) for _ in range(arms)]
+        self._errors = [_NetworkErrors(self.count, arm) for arm in range(arms)]
         self._seen = [[] for _ in range(arms)]
 
     def contact(self, arm: int) -> tuple[Array, Array]:
@@ -127,11 +133,16 @@ class Plant:
 
     def believed(self, arm: int) -> tuple[Array, Array, Array]:
         """Angle of the contact normal (N,), shear (N,) and depth (N,) of the last step, with noise."""
-        fresh = self.physics.noise * NOISE * self._random.standard_normal((self.count, 3))
-        self._noise[arm] += AVERAGED * (fresh - self._noise[arm])
         normal, depth = self.contact(arm)
-        angle = np.arctan2(normal[:, 1], normal[:, 0]) + self._noise[arm][:, 0]
-        now = angle, self.shears[arm] + self._noise[arm][:, 1], depth + self._noise[arm][:, 2]
+        angle = np.arctan2(normal[:, 1], normal[:, 0])
+        if self.physics.network:
+            tilt = wrapped(angle - self.headings[arm])
+            fresh = self._errors[arm](tilt, self.shears[arm], depth, self._slips[arm])
+        else:
+            fresh = self.physics.noise * NOISE * self._random.standard_normal((self.count, 3))
+        self._noise[arm] += AVERAGED * (fresh - self._noise[arm])
+        errors = self._noise[arm].T
+        now = angle + errors[0], self.shears[arm] + errors[1], depth + errors[2]
         seen = self._seen[arm]
         seen.append(now)
         return seen.pop(0) if len(seen) > self.physics.latency else seen[0]
@@ -153,6 +164,7 @@ class Plant:
             press, along, sideways = _skin(skin, deep, depth > 0.0)
             largest = np.interp(deep, SENSOR.shear_depths, SENSOR.shear_limits)
             largest = np.minimum(largest, skin.friction_tip * press / np.maximum(sideways, 1e-9))
+            self._slips[arm] = np.abs(shear) > largest
             shear = np.clip(shear, -largest, largest)
             jacobian = np.zeros((self.count, 2, 3))
             reach = self.tips[arm] + (TIP - deep)[:, None] * normal - pivot
@@ -193,6 +205,28 @@ class Plant:
             x = np.where(moves, x + 2.0 * total * (np.sqrt(total) - 1.0) / np.maximum(slope, 1e-30), 0.0)
         left = np.einsum("nij,nj->ni", axes, part / (1.0 + x[:, None] * softness))
         return np.where(moves[:, None], x[:, None] * scale * left, 0.0)
+
+
+class _NetworkErrors:
+    """How the network errs on N contacts, of which the plane knows and takes three numbers."""
+
+    def __init__(self, count: int, seed: int) -> None:
+        self.model = load_error_model()
+        self._errors = NetworkError(self.model, seed, (count,))
+        self._present = np.zeros(count, bool)
+
+    def __call__(self, tilt: Array, shear: Array, depth: Array, slips: Array) -> Array:
+        """Errors (N, 3) of the normal's angle, the shear and the depth; none where it sees no contact."""
+        present = depth >= np.where(self._present, self.model.leave, self.model.touch)
+        self._errors.begin(present & ~self._present)
+        self._present, pose = present, np.zeros((len(tilt), 6))
+        pose[:, 1], pose[:, 2], pose[:, 3] = shear, depth, tilt
+        error, _ = self._errors.errors(pose, slips)
+        y, z, phi = error[:, 1], error[:, 2], error[:, 3]
+        # X_sf is said in the sensor's frame, shear and depth are in the contact's, and x points down
+        cos, sin = np.cos(tilt), np.sin(tilt)
+        seen = np.stack([-phi, sin * z - cos * y, -(sin * y + cos * z)], axis=1)
+        return np.where(present[:, None], seen, 0.0)
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,11 @@ def picometres(T_base_tcp: np.ndarray) -> int:
     return round(1e12 * float(T_base_tcp[0, 3]))
 
 
+def numbered(command: int) -> float:
+    """The speed (m/s) of a command, by which it is known again."""
+    return 0.01 + 1e-9 * command
+
+
 def schedule(priority: int) -> None:
     """As a node does: a real-time priority with locked memory, and all that is there so far no garbage."""
     if missing := set_priority(priority):
@@ -140,14 +145,14 @@ def main() -> None:
 
     schedule(arguments.priority)  # which processes and threads of the driver inherit
     driver = open_arm(arm, take)
-    sent, held = {}, Resources(arguments.seconds)
+    sent, held = array("d"), Resources(arguments.seconds)
     begin = time.monotonic()
     while (elapsed := time.monotonic() - begin) < arguments.seconds:
-        speed = 0.01 + 1e-9 * len(sent)  # each one can be told from the others
         if faults:
             print(f"ended by a fault after {elapsed:.0f} s: {faults[0]}")
             break
-        sent[speed] = time.monotonic()
+        speed = numbered(len(sent))
+        sent.append(time.monotonic())
         driver.command(time.time_ns(), [speed, 0.0, 0.0, 0.0, 0.0, 0.0])
         held.look(elapsed, driver.drift)
         time.sleep(COMMANDS)
@@ -155,7 +160,7 @@ def main() -> None:
     driver.close()
     pipe.send("done")
     arrived, made = pipe.recv()
-    wire = [arrived[speed] - at for speed, at in sent.items() if speed in arrived]
+    wire = [arrived[numbered(n)] - at for n, at in enumerate(sent) if numbered(n) in arrived]
     quantiles("twist to wire", np.array(wire))
     kept = np.array(states).reshape(-1, 3).tolist()
     show_states([(now, stamp, made[x]) for now, stamp, x in kept if x in made and abs(x - 0.4e12) > 1e6])

@@ -94,32 +94,41 @@ def load_error_model(path: Path = SHIPPED) -> ErrorModel:
 
 
 class NetworkError:
-    """Draws answers of a network for true contacts, one after the other; deterministic by seed."""
+    """Draws answers of a network for true contacts, one after the other; deterministic by seed.
 
-    def __init__(self, model: ErrorModel, seed: int = 0) -> None:
+    With a shape, for so many contacts side by side.
+    """
+
+    def __init__(self, model: ErrorModel, seed: int = 0, shape: tuple[int, ...] = ()) -> None:
         self.model = model
         self._random = np.random.default_rng(seed)
+        self._rest, self._doubt, self._pose = np.empty((3, *shape, 6))
         self.begin()
 
-    def begin(self) -> None:
-        """A new contact: what lasted of the last one is forgotten."""
-        self._rest, self._doubt = self._random.standard_normal((2, 6))
-        self._rest *= self.model.start
-        self._pose: Array | None = None
+    def begin(self, which: NDArray[np.bool_] | None = None) -> None:
+        """A new contact, side by side where `which` says so: what lasted of the last one is forgotten."""
+        new = ... if which is None else which
+        rest, doubt = self._random.standard_normal((2, *self._pose.shape))
+        self._rest[new] = (rest * self.model.start)[new]
+        self._doubt[new] = doubt[new]
+        self._pose[new] = np.nan
+
+    def errors(self, pose: Array, slips: Array | float) -> tuple[Array, Array]:
+        """Errors (..., 6) for Euler contact poses (..., 6) of X_fs, and logs of the stated deviations."""
+        known = self.model.features(pose, slips) @ self.model.coefficients
+        bias, spread, sigma = np.moveaxis(known.reshape(*pose.shape[:-1], 3, 6), -2, 0)
+        fresh = self._random.standard_normal((3, *pose.shape))
+        way = np.linalg.norm(WAY * (pose - self._pose), axis=-1, keepdims=True)
+        kept = np.exp(-np.nan_to_num(way) / self.model.way)  # none yet where a contact is new
+        new = np.sqrt(1.0 - kept * kept)
+        self._rest = kept * self._rest + new * fresh[0]
+        self._doubt = kept * self._doubt + new * fresh[1]
+        self._pose = np.array(pose)
+        doubt = self.model.doubt * self._doubt
+        rest = np.exp(spread + self.model.justified * doubt) * self._rest
+        return bias + rest + self.model.noise * fresh[2], sigma + doubt
 
     def estimate(self, T_fs: Array, slips: bool) -> PoseGaussian:
         """A Gaussian over X_sf about what the network would say of the true X_fs (4, 4)."""
-        pose = se3.euler_from_pose(T_fs)
-        bias, spread, sigma = (self.model.features(pose, slips) @ self.model.coefficients).reshape(3, 6)
-        fresh = self._random.standard_normal((3, 6))
-        if self._pose is not None:
-            way = float(np.linalg.norm(WAY * (pose - self._pose)))
-            kept = np.exp(-way / self.model.way)
-            new = np.sqrt(1.0 - kept * kept)
-            self._rest = kept * self._rest + new * fresh[0]
-            self._doubt = kept * self._doubt + new * fresh[1]
-        self._pose = pose
-        doubt = self.model.doubt * self._doubt
-        rest = np.exp(spread + self.model.justified * doubt) * self._rest
-        error = bias + rest + self.model.noise * fresh[2]
-        return PoseGaussian(se3.exp(error) @ se3.inverse(T_fs), np.diag(np.exp(2.0 * (sigma + doubt))))
+        error, sigma = self.errors(se3.euler_from_pose(T_fs), slips)
+        return PoseGaussian(se3.exp(error) @ se3.inverse(T_fs), np.diag(np.exp(2.0 * sigma)))
