@@ -96,6 +96,25 @@ def test_an_error_stays_while_the_contact_does_and_goes_on_the_way_to_another():
     assert np.abs(similar[1]).max() < 0.3
 
 
+def test_contacts_side_by_side_err_as_one_does_each_and_begin_when_told():
+    model = load_error_model()
+    pose = np.array([0.001, -0.002, 0.003, 0.1, -0.05, 0.02])
+    one, many = NetworkError(model, 4), NetworkError(model, 4, (1,))
+    for further in (0.0, 1e-3, 2e-3):
+        single, several = one.errors(pose + further, 1.0), many.errors(pose[None] + further, np.ones(1))
+        for a, b in zip(single, several, strict=True):
+            assert b[0] == pytest.approx(a, rel=1e-9, abs=1e-15)
+    side = NetworkError(model, 5, (400,))
+    still = np.tile(pose, (400, 1))
+    first, _ = side.errors(still, np.zeros(400))
+    new = np.arange(400) < 200
+    side.begin(new)
+    second, _ = side.errors(still, np.zeros(400))
+    alike = [[np.corrcoef(first[part, k], second[part, k])[0, 1] for k in range(6)] for part in (new, ~new)]
+    assert np.abs(alike[0]).max() < 0.3  # 4 deviations of a correlation of 200 pairs
+    assert min(alike[1]) > 0.8
+
+
 def test_the_same_seed_gives_the_same_bits_and_another_one_others():
     def means(seed):
         sensor = FittedSensor(seed=seed)
