@@ -1,9 +1,6 @@
 """A cell with the driver of a Franka behind the safe command stage, and the double of its controller."""
 
-import contextlib
 import json
-import os
-import threading
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,21 +10,6 @@ LIMITS = (
     "{linear_velocity: 0.1, angular_velocity: 0.5, linear_acceleration: 1.0, angular_acceleration: 4.0, "
     "linear_jerk: 500.0, angular_jerk: 1000.0}"
 )
-
-
-def real_time() -> bool:
-    """Whether this machine lets a thread have a real-time priority; it is tried in one that ends."""
-    granted = []
-
-    def ask():
-        with contextlib.suppress(PermissionError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-            granted.append(True)
-
-    thread = threading.Thread(target=ask)
-    thread.start()
-    thread.join()
-    return bool(granted)
 
 
 class Double(ur_cell.Double):

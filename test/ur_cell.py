@@ -1,10 +1,12 @@
 """A cell with the driver of a UR behind the safe command stage, and the double of its controller."""
 
+import contextlib
 import json
 import os
 import re
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import ClassVar
@@ -28,6 +30,21 @@ _addresses = iter(range(1, 255))
 def address() -> str:
     """A loopback address that no other test uses at the same time."""
     return f"127.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}.{next(_addresses)}"
+
+
+def real_time() -> bool:
+    """Whether this machine lets a thread have a real-time priority; it is tried in one that ends."""
+    granted = []
+
+    def ask():
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+            granted.append(True)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    return bool(granted)
 
 
 class Double:

@@ -49,7 +49,7 @@ from tactile_ros.cdr import (
     split_stamp,
     twist_bytes,
 )
-from tactile_ros.conversions import MessageError, numbers_from_pose, transform_stamped
+from tactile_ros.conversions import MessageError, header, numbers_from_pose, transform_stamped
 from tactile_ros.external_arm import ExternalArm, external_settings
 from tactile_ros.joint_states import JointListener, JointPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
@@ -216,7 +216,19 @@ class ArmNode(ManagedNode):
         if complete is None:
             self.count("states refused")
             self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}")
+            if self._state is None:
+                self._tell_unbelieved()
         return complete
+
+    def _tell_unbelieved(self) -> None:
+        """To those who wait for a first state, that those which came cannot be true."""
+        now_ns = self.now_ns()
+        if not self.active or now_ns < self._status_due_ns:
+            return
+        self._status_due_ns = now_ns + int(SECOND_NS / self.settings.value.status_rate)
+        status = ArmStatus(header=header(now_ns, self.base_frame), mode=ArmStatus.FAULT, command_age=-1.0)
+        status.reason = f"what it says of itself is not believed: {self.safe.bad_state}"
+        self.status_out.publish(status)
 
     def moving_transform(self) -> TransformStamped:
         """An example of what /tf says of the arm; `transform_numbers` are its numbers."""

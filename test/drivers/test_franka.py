@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from franka_cell import LIMITS, Double, real_time, scene_file
+from franka_cell import LIMITS, Double, scene_file
 from ur_cell import (
     ALONG,
     ATTEMPTS,
@@ -25,6 +25,7 @@ from ur_cell import (
     check_pose_jump,
     check_stop,
     mend,
+    real_time,
 )
 
 from tactile_drivers.arm import ArmMode, open_arm

@@ -26,6 +26,7 @@ from ur_cell import (
     check_pose_jump,
     check_stop,
     mend,
+    real_time,
     scene_file,
 )
 
@@ -380,6 +381,26 @@ def test_a_cb3_is_driven_at_125_hz_and_in_the_upper_registers(tmp_path):
     finally:
         cell.close()
         double.close()
+
+
+def test_a_driver_with_a_real_time_priority_has_room_on_a_core_of_its_own(tmp_path, other):
+    """ur_rtde spins while it waits for its own threads, which must not wait for it on the only core."""
+    cores = os.sched_getaffinity(0)
+    if not real_time() or len(cores) < 2:
+        pytest.skip("no real-time priorities here, or one core only")
+    own = min(cores)
+    os.sched_setaffinity(other._process.pid, cores - {own})
+    try:
+        os.sched_setaffinity(0, {own})
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+        cell = Cell(scene_file(tmp_path, other.host))
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, cores)
+    try:
+        cell.move()
+    finally:
+        cell.close()
 
 
 def test_a_driver_that_is_closed_while_it_moves_leaves_the_arm_at_rest_and_its_program_ended(tmp_path, other):

@@ -23,6 +23,7 @@ class BenchArmSettings(Settings):
     host: str = setting("here", doc="'nowhere' is not reached")
     states: int = setting(10**9, lower=0, doc="states that are reported before the arm falls silent")
     jump_after: int = setting(10**9, lower=0, doc="states after which it says that it is somewhere else")
+    nowhere: bool = setting(False, doc="it says that it is at no pose at all")
 
 
 class BenchArm:
@@ -38,6 +39,8 @@ class BenchArm:
         if self.kinematics is not None:
             self._joints = self.kinematics.reach(arm.T_base_start, self.kinematics.ready)
         self._pose, self._twist, self._why = arm.T_base_start, np.zeros(6), ""
+        if settings.nowhere:
+            self._pose = np.full((4, 4), np.nan)
         self._report, self._left, self._jump = report, settings.states, settings.jump_after
         self._open = True
         self._thread = threading.Thread(target=self._run)

@@ -212,6 +212,16 @@ def test_a_state_that_cannot_be_is_refused_and_the_arm_stopped_if_they_go_on(gra
     assert np.abs(position(poses) - [0.1, 0.2, 0.3]).max() < 0.1
 
 
+def test_those_who_wait_for_a_first_state_are_told_why_none_is_believed(graph, bench):
+    statuses, transforms = graph.collect(ArmStatus, "arm/status"), graph.collect(TFMessage, "/tf", qos.TF)
+    bench(settings="{nowhere: true}", status_rate=20.0)
+    assert graph.wait(lambda: len(statuses) > 5)
+    assert {status.mode for status in statuses} == {ArmStatus.FAULT}
+    assert "is not believed: pose" in statuses[-1].reason and not transforms
+    stamps = [ns_from_time(status.header.stamp) for status in statuses]
+    assert len(stamps) < 2 + (stamps[-1] - stamps[0]) * 20e-9
+
+
 def test_commands_to_somebody_elses_driver_pass_the_same_stage(graph, bench):
     bench(driver="external", sensor="sensor: {camera: external}")
     arm = graph.arm()

@@ -1,19 +1,22 @@
 """Bytes that are no message, on every topic that a node listens to: it counts them and goes on."""
 
+import os
 import struct
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from messages import gaussian_message, image_message
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from messages import arm_command, gaussian_message, image_message
+from other_package import installed
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
+from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter import se3
-from tactile_msgs.msg import ContactPresence, ContactState
+from tactile_msgs.msg import ArmCommand, ArmStatus, ContactPresence, ContactState
 from tactile_ros import qos
 from tactile_ros.conversions import header, transform_stamped
 from tactile_ros.managed_node import refused_counter
@@ -21,17 +24,21 @@ from tactile_ros.managed_node import refused_counter
 SENSOR = "arm/tactile_sensor"
 FILTER, OBJECT = "tactile_ros.nodes.filter_node", "tactile_ros.nodes.object_node"
 CONTROLLER, ESTIMATOR = "tactile_ros.nodes.controller_node", "tactile_ros.nodes.estimator_node"
-CELL = {FILTER: {}, OBJECT: {"arms": "[arm]"}, CONTROLLER: {}, ESTIMATOR: {}}
+COLLECTOR, VIEW = "tactile_ros.nodes.collector_node", "tactile_ros.nodes.marker_view_node"
+ARM = "tactile_ros.nodes.arm_node"
+CELL = {FILTER: {}, OBJECT: {"arms": "[arm]"}, CONTROLLER: {}, ESTIMATOR: {}, COLLECTOR: {}, VIEW: {}}
 SEED, FORGED = 20, 150  # messages a topic
 EXTREMES = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e160, 5e-324)
-LISTENERS = {
-    "/tf": "filter",
-    "/tf_static": "filter",
-    "contact/estimate": "filter",
-    "contact/presence": "filter",
-    "contact/belief": "object",
-    "contact/state": "controller",
-    "tactile/image": "estimator",
+#: Who counts what is refused on a topic; nobody where the middleware itself drops what is no message.
+LISTENERS: dict[str, tuple[str, ...]] = {
+    "/tf": ("filter", "controller", "collector"),
+    "/tf_static": ("filter", "controller", "collector"),
+    "contact/estimate": ("filter",),
+    "contact/presence": ("filter", "controller"),
+    "contact/belief": ("object", "controller"),
+    "contact/state": ("object", "controller"),
+    "tactile/image": ("estimator", "collector", "marker_view"),
+    "arm/status": (),
 }
 HEAD = 200  # bytes in which lengths and names stand
 
@@ -44,6 +51,7 @@ def examples() -> list:
     gaussian = gaussian_message(stamp_ns, SENSOR, pose, cov)
     presence = ContactPresence(header=header(stamp_ns, SENSOR), in_contact=True)
     state = ContactState(header=header(stamp_ns, SENSOR))
+    status = ArmStatus(header=header(stamp_ns, "arm/base"), mode=ArmStatus.RESTING, reason="at rest")
     image = image_message(stamp_ns, SENSOR, np.full((480, 640), 100, np.uint8))
     return [
         (TFMessage, "/tf", qos.TF, tf),
@@ -53,6 +61,7 @@ def examples() -> list:
         (ContactPresence, "contact/presence", qos.STATE, presence),
         (ContactState, "contact/state", qos.STATE, state),
         (Image, "tactile/image", qos.IMAGE, image),
+        (ArmStatus, "arm/status", qos.STATE, status),
     ]
 
 
@@ -83,9 +92,20 @@ def forged(sound: bytes, random: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def heard_as(topic: str) -> str:
-    """The name by which the node that listens counts a topic."""
-    return f"/arm/{topic}" if LISTENERS[topic] == "object" and not topic.startswith("/") else topic
+def throw(graph, publisher, make, meanwhile=lambda: None) -> None:
+    """Publish the sound messages that `make` gives with every length forged in turn, then at random."""
+    random, sound = np.random.default_rng(SEED), serialize_message(make())
+    for at in [*range(4, min(len(sound), HEAD) - 3, 4), *[None] * FORGED]:
+        meanwhile()
+        sound = serialize_message(make())
+        publisher.publish(forged(sound, random) if at is None else with_length(sound, at))
+        graph.spin(0.001)
+    graph.settle()  # all answer still
+
+
+def heard_as(node: str, topic: str) -> str:
+    """The name by which a node that listens counts a topic."""
+    return f"/arm/{topic}" if node == "object" and not topic.startswith("/") else topic
 
 
 def memory_mb(process) -> float:
@@ -96,6 +116,7 @@ def memory_mb(process) -> float:
 
 @pytest.fixture(scope="module")
 def running(shared_graph):
+    CELL[COLLECTOR]["folder"] = shared_graph.folder / "data"
     return {node: shared_graph.start(node, parameters) for node, parameters in CELL.items()}
 
 
@@ -103,18 +124,42 @@ def running(shared_graph):
 def test_no_bytes_end_a_node_nor_make_it_allocate_what_they_claim(shared_graph, running, example):
     message_type, topic, profile, _ = example
     before = {node: memory_mb(process) for node, process in running.items()}
-    publisher = shared_graph.publisher(message_type, topic, profile)
-    arm, random = shared_graph.arm(), np.random.default_rng(SEED)
+    publisher, arm = shared_graph.publisher(message_type, topic, profile), shared_graph.arm()
     place = [each[1] for each in examples()].index(topic)
-    sound = serialize_message(examples()[place][3])
-    lengths = range(4, min(len(sound), HEAD) - 3, 4)
-    for at in [*lengths, *[None] * FORGED]:
-        arm.at(time.time_ns())
-        sound = serialize_message(examples()[place][3])
-        publisher.publish(forged(sound, random) if at is None else with_length(sound, at))
-        shared_graph.spin(0.001)
-    shared_graph.settle()  # all answer still
-    shared_graph.wait_for_count(LISTENERS[topic], refused_counter(heard_as(topic)))
+    throw(shared_graph, publisher, lambda: examples()[place][3], lambda: arm.at(time.time_ns()))
+    for node in LISTENERS[topic]:
+        shared_graph.wait_for_count(node, refused_counter(heard_as(node, topic)))
     for node, process in running.items():
         assert process.poll() is None, shared_graph.log(node).read_text()[-2000:]
         assert memory_mb(process) - before[node] < 100.0
+
+
+def test_no_bytes_end_the_node_of_an_arm_and_a_stop_is_still_followed(graph, tmp_path):
+    folders = [*installed(tmp_path), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    graph.variables["PYTHONPATH"] = os.pathsep.join(filter(None, folders))
+    scene = tmp_path / "bench.yaml"
+    scene.write_text("arms: {arm: {driver: bench_arm, sensor: {camera: bench_camera}}}\n")
+    process = graph.start(ARM, {"scene": str(scene)})
+    poses, statuses = graph.collect(PoseStamped, "arm/pose"), graph.collect(ArmStatus, "arm/status")
+    still = np.zeros(6)
+
+    def contact_state() -> ContactState:
+        return ContactState(header=header(time.time_ns(), SENSOR))
+
+    makes = {
+        "command/request": (ArmCommand, qos.COMMAND, lambda: arm_command(time.time_ns(), SENSOR, still)),
+        "contact/state": (ContactState, qos.STATE, contact_state),
+        "/estop": (Bool, qos.STATE, lambda: Bool(data=False)),
+    }
+    before, publishers = memory_mb(process), {}
+    for topic, (message_type, profile, make) in makes.items():
+        publishers[topic] = graph.publisher(message_type, topic, profile)
+        throw(graph, publishers[topic], make)
+    for topic in ("command/request", "contact/state"):
+        graph.wait_for_count("arm", refused_counter(topic))
+    assert process.poll() is None and memory_mb(process) - before < 100.0
+    publishers["/estop"].publish(Bool(data=True))
+    assert graph.wait(lambda: statuses and statuses[-1].mode == ArmStatus.ESTOP)
+    here, seen = poses[-1].pose, len(poses)
+    assert graph.wait(lambda: len(poses) > seen + 10)
+    assert poses[-1].pose == here

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from franka_cell import real_time
 from launched import Launched
+from ur_cell import real_time
 
 from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
