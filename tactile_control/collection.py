@@ -189,9 +189,6 @@ class CollectionWatchdogSettings(WatchdogSettings):
     """Age limits; collection looks at the sensor's pose and at the image."""
 
     image_age: float = setting(0.2, lower=0.005, upper=2.0, unit="s", doc="oldest image acted upon")
-    start_timeout: float = setting(
-        5.0, lower=0.1, upper=60.0, unit="s", doc="wait this long for inputs that have not arrived yet"
-    )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 A minute of it by default; FUZZ_SECONDS=600 for ten, and FUZZ_SEED for others::
 
-    FUZZ_SECONDS=600 scripts/test.sh -s test/ros/test_fuzz.py
+    FUZZ_SECONDS=600 scripts/test.sh -s -o faulthandler_timeout=0 test/ros/test_fuzz.py
 """
 
 import os
