@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tactile_records.bags.contents import Bag
 from tactile_records.bags.reader import read_bag
@@ -18,17 +17,15 @@ from tactile_records.replay.sweep import base_settings
 from tactile_records.runs import metrics
 from tactile_records.runs.from_bag import arms_of, run_from_bag
 
+UNKNOWN_HASH = "RIHS01_" + 64 * "0"  # rosbags knows none of actions
+
 
 def as_sqlite(bag: Bag, folder: Path) -> Path:
     """The same messages as `ros2 bag record --storage sqlite3` keeps them."""
-    store = get_typestore(Stores.EMPTY)
-    for name, text in bag.definitions.items():
-        types = get_types_from_msg(text, name)
-        store.register({key: value for key, value in types.items() if key not in store.types})
     with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connections = {
-            topic: writer.add_connection(topic, type_name, typestore=store)
-            for topic, type_name in bag.types.items()
+            topic: writer.add_connection(topic, name, msgdef=bag.definitions[name], rihs01=UNKNOWN_HASH)
+            for topic, name in bag.types.items()
         }
         for message in bag.messages:
             writer.write(connections[message.topic], message.received_ns, message.data)
