@@ -12,9 +12,8 @@ from typing import Any
 from urllib.parse import quote
 
 from tactile_records.bags.contents import Bag, Recorded
+from tactile_records.bags.sqlite_pages import Row, stray_rows
 from tactile_records.bags.unpacking import MESSAGE_COST, TooLarge, Unpacker
-
-Row = tuple[int, int, int, bytes]  # id, topic, stamp (ns), data
 
 
 def read_sqlite(file: Path, bag: Bag, unpacker: Unpacker) -> bool:
@@ -56,7 +55,10 @@ def _read(file: Path, bag: Bag, unpacker: Unpacker, faults: list[str]) -> bool:
             topics = _read_topics(database, bag, faults)
             _read_definitions(database, bag, faults)
             kept = {number: bag.wanted(*topic) for number, topic in topics.items()}
-            for _, number, stamp_ns, data in _rows(database, file.stat().st_size, topics.keys(), faults):
+            rows = _rows(database, file.stat().st_size, topics.keys(), faults)
+            if faults:  # the end of the file is missing, and with it perhaps what finds the messages
+                rows = _rows_or_strays(rows, file, topics.keys(), faults)
+            for _, number, stamp_ns, data in rows:
                 topic, type_name = topics[number]
                 bag.counts[topic] += 1
                 if kept[number]:
@@ -115,6 +117,23 @@ def _rows(
         faults.append(
             f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]!r:.40}"
         )
+
+
+def _rows_or_strays(
+    rows: Iterator[Row], file: Path, topics: Collection[int], faults: list[str]
+) -> Iterator[Row]:
+    """The rows; where there is none, those that stand in the file nevertheless."""
+    if (first := next(rows, None)) is not None:
+        yield first
+        yield from rows
+        return
+    last = 0
+    for row in stray_rows(file):
+        if row[0] > last and row[1] in topics:  # of a page that was given up there may be older ones
+            last = row[0]
+            yield row
+    if last:
+        faults.append("the page by which messages are found is missing")
 
 
 def _read_topics(database: sqlite3.Connection, bag: Bag, faults: list[str]) -> dict[int, tuple[str, str]]:
