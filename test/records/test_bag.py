@@ -259,15 +259,22 @@ def test_a_truncated_sqlite_bag_gives_what_sqlite_still_finds(tmp_path, part):
     assert not bag.complete and "ends early" in bag.problem
 
 
-def test_a_truncated_sqlite_bag_in_which_sqlite_finds_nothing_is_an_error_that_names_a_tool(tmp_path):
-    """The page that leads to the rows stands in the middle of a large file."""
+def test_a_truncated_sqlite_bag_gives_its_messages_without_the_page_that_leads_to_them(tmp_path):
+    """That page stands in the middle of a large file."""
     with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
         connection = bag.add_connection(TWIST.name, TWIST.type, typestore=STORE)
         for index in range(5000):
-            bag.write(connection, 1000 + index, bytes(1000))
+            bag.write(connection, 1000 + index, index.to_bytes(1000, "little"))
     file = next((tmp_path / "run").glob("*.db3"))
+    whole = file.stat().st_size
     with file.open("r+b") as stream:
-        stream.truncate(file.stat().st_size // 4)
+        stream.truncate(whole // 4)
+    bag = read_bag(tmp_path / "run")
+    read = [int.from_bytes(message.data, "little") for message in bag.messages]
+    assert read == list(range(len(read))) and len(read) > 1000
+    assert not bag.complete and "page by which messages are found is missing" in bag.problem
+    with file.open("r+b") as stream:
+        stream.truncate(5 * 4096)  # before any message
     with pytest.raises(BagError, match=r"nothing in it can be read.*ends early.*sqlite3 run.db3 .recover"):
         read_bag(tmp_path / "run")
 
