@@ -61,6 +61,12 @@ class Push:
     def name(self) -> str:
         return f"{self.trial.common.fidelity}/{self.trial.name}"
 
+    def row(self, **numbers: Any) -> Row:
+        """What is kept of it."""
+        trial = self.trial
+        about = {"fidelity": trial.common.fidelity, "object": trial.object, "floor": trial.floor}
+        return {"name": self.name, **about, **numbers}
+
 
 def reference_time() -> float:
     """Best of several, s: 4000 products of 4x4 matrices one after the other, and their sums."""
@@ -82,17 +88,13 @@ def timed(push: Push) -> Row:
     run = trial_run(push.trial)
     cpu_s = time.process_time() - started
     stamps, numbers = next(iter(run.values())).pose.stamp_ns, numbers_of(run)
-    return {
-        "name": push.name,
-        "fidelity": push.trial.common.fidelity,
-        "object": push.trial.object,
-        "floor": push.trial.floor,
-        "error_mm": numbers["push"]["error_mm"],
-        "succeeded": numbers["succeeded"],
-        "simulated_s": float(stamps[-1] - stamps[0]) / SECOND_NS,
-        "cpu_s": cpu_s,
-        "reference_s": 0.5 * (before + reference_time()),
-    }
+    return push.row(
+        error_mm=numbers["push"]["error_mm"],
+        succeeded=numbers["succeeded"],
+        simulated_s=float(stamps[-1] - stamps[0]) / SECOND_NS,
+        cpu_s=cpu_s,
+        reference_s=0.5 * (before + reference_time()),
+    )
 
 
 def timed_together(pushes: list[Push]) -> list[Row]:
@@ -106,17 +108,13 @@ def timed_together(pushes: list[Push]) -> list[Row]:
     cpu_s = (time.process_time() - started) / len(trials)
     reference_s = 0.5 * (before + reference_time())
     return [
-        {
-            "name": push.name,
-            "fidelity": PLANE,
-            "object": push.trial.object,
-            "floor": push.trial.floor,
-            "error_mm": float(found.error[i]),
-            "succeeded": not found.missed[i],
-            "simulated_s": float(found.seconds[i]),
-            "cpu_s": cpu_s,
-            "reference_s": reference_s,
-        }
+        push.row(
+            error_mm=float(found.error[i]),
+            succeeded=not found.missed[i],
+            simulated_s=float(found.seconds[i]),
+            cpu_s=cpu_s,
+            reference_s=reference_s,
+        )
         for i, push in enumerate(pushes)
     ]
 

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from tactile_records.bags.contents import Bag, Recorded
-from tactile_records.bags.sqlite_pages import Row, stray_rows
+from tactile_records.bags.sqlite_pages import Row, page_size, stray_rows
 from tactile_records.bags.unpacking import MESSAGE_COST, TooLarge, Unpacker
 
 
@@ -34,12 +34,7 @@ def _missing(file: Path) -> tuple[int, int]:
     """How many bytes the file is shorter than its header says, and the size of its whole pages."""
     with file.open("rb") as stream:
         head = stream.read(32)
-    page, pages, size = (
-        int.from_bytes(head[16:18], "big"),
-        int.from_bytes(head[28:32], "big"),
-        file.stat().st_size,
-    )
-    page = 65536 if page == 1 else max(page, 1)
+    page, pages, size = max(page_size(head), 1), int.from_bytes(head[28:32], "big"), file.stat().st_size
     return max(0, page * pages - size), size // page * page
 
 

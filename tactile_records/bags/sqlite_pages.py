@@ -19,11 +19,16 @@ _INTEGERS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # bytes of an integer by its t
 _COLUMNS, _SHORTEST = 4, 8  # of a message; bytes of a cell, at least
 
 
+def page_size(head: bytes) -> int:
+    """Bytes of a page, by the first 18 or more of a file."""
+    size = int.from_bytes(head[16:18], "big")
+    return 65536 if size == 1 else size
+
+
 def stray_rows(file: Path) -> Iterator[Row]:
     """All rows that look like messages, in the order of pages; those that are not whole are left out."""
     with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        size = int.from_bytes(data[16:18], "big")
-        size = 65536 if size == 1 else size
+        size = page_size(data[:18])
         if size < 512:
             return
         usable, left = size - data[20], len(data)

@@ -1,5 +1,6 @@
 """Real nodes in processes of their own over real DDS, each test in a ROS domain of its own on this host."""
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -72,6 +73,11 @@ class Graph:
         shared_memory.remove_orphans(self.started_ns)  # what is left would be taken over with its old state
 
     # ---- nodes under test ----
+
+    def import_from(self, folders: list[str]) -> None:
+        """Let nodes that are started from now on find packages in these folders, too."""
+        before = self.variables.get("PYTHONPATH", "")
+        self.variables["PYTHONPATH"] = os.pathsep.join(filter(None, [*folders, before]))
 
     def start(
         self, module: str, parameters: dict[str, Any] | None = None, wait: bool = True, namespace: str = ARM

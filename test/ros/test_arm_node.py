@@ -1,7 +1,5 @@
 """The arm node and the camera node with drivers of another package, found by its entry points."""
 
-import os
-
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -26,8 +24,7 @@ SENSOR_TEXT = "sensor: {in_tool: {position: [0, 0, 0.065]}, camera: bench_camera
 @pytest.fixture
 def bench(graph, tmp_path):
     """Writes a scene with the other package's arm; starts one of the nodes on it."""
-    folders = [*installed(tmp_path), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    graph.variables["PYTHONPATH"] = os.pathsep.join(filter(None, folders))
+    graph.import_from(installed(tmp_path))
     path = tmp_path / "bench.yaml"
 
     def start(

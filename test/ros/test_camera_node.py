@@ -1,7 +1,6 @@
 """The camera node with the driver of USB cameras, on a double of a device at 120 frames a second."""
 
 import dataclasses
-import os
 
 import cv2
 import numpy as np
@@ -36,9 +35,7 @@ class Double:
 
     def __init__(self, graph, folder) -> None:
         (folder / "site").mkdir()
-        graph.variables["PYTHONPATH"] = os.pathsep.join(
-            [*installed(folder / "site"), graph.variables.get("PYTHONPATH", "")]
-        )
+        graph.import_from(installed(folder / "site"))
         self.graph, self.scene, self.unplugged = graph, folder / "cell.yaml", folder / "unplugged"
         self.images = graph.collect(Image, "tactile/image", qos.IMAGE)
 

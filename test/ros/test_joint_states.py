@@ -1,6 +1,5 @@
 """Joints of an arm with known kinematics on the graph, and what RViz shows it by."""
 
-import os
 import sys
 
 import numpy as np
@@ -142,8 +141,7 @@ arms:
 
 
 def test_two_arms_in_nodes_of_their_own_keep_apart_and_one_that_falls_silent_stops_the_other(graph, tmp_path):
-    folders = [*installed(tmp_path), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    graph.variables["PYTHONPATH"] = os.pathsep.join(filter(None, folders))
+    graph.import_from(installed(tmp_path))
     path = tmp_path / "two.yaml"
     path.write_text(TWO)
     for name in ("left", "right"):

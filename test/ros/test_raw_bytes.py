@@ -1,6 +1,5 @@
 """Bytes that are no message, on every topic that a node listens to: it counts them and goes on."""
 
-import os
 import struct
 import time
 from pathlib import Path
@@ -26,7 +25,7 @@ FILTER, OBJECT = "tactile_ros.nodes.filter_node", "tactile_ros.nodes.object_node
 CONTROLLER, ESTIMATOR = "tactile_ros.nodes.controller_node", "tactile_ros.nodes.estimator_node"
 COLLECTOR, VIEW = "tactile_ros.nodes.collector_node", "tactile_ros.nodes.marker_view_node"
 ARM = "tactile_ros.nodes.arm_node"
-CELL = {FILTER: {}, OBJECT: {"arms": "[arm]"}, CONTROLLER: {}, ESTIMATOR: {}, COLLECTOR: {}, VIEW: {}}
+CELL = {FILTER: {}, OBJECT: {"arms": "[arm]"}, CONTROLLER: {}, ESTIMATOR: {}, VIEW: {}}
 SEED, FORGED = 20, 150  # messages a topic
 EXTREMES = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e160, 5e-324)
 #: Who counts what is refused on a topic; nobody where the middleware itself drops what is no message.
@@ -116,8 +115,8 @@ def memory_mb(process) -> float:
 
 @pytest.fixture(scope="module")
 def running(shared_graph):
-    CELL[COLLECTOR]["folder"] = shared_graph.folder / "data"
-    return {node: shared_graph.start(node, parameters) for node, parameters in CELL.items()}
+    cell = CELL | {COLLECTOR: {"folder": shared_graph.folder / "data"}}
+    return {node: shared_graph.start(node, parameters) for node, parameters in cell.items()}
 
 
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example[1])
@@ -135,8 +134,7 @@ def test_no_bytes_end_a_node_nor_make_it_allocate_what_they_claim(shared_graph, 
 
 
 def test_no_bytes_end_the_node_of_an_arm_and_a_stop_is_still_followed(graph, tmp_path):
-    folders = [*installed(tmp_path), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    graph.variables["PYTHONPATH"] = os.pathsep.join(filter(None, folders))
+    graph.import_from(installed(tmp_path))
     scene = tmp_path / "bench.yaml"
     scene.write_text(
         "arms:\n  arm:\n    driver: bench_arm\n    sensor: {camera: bench_camera}\n"
