@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPr
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_drivers.arm import ArmMode
 from tactile_drivers.arm_distance import neighbours
+from tactile_drivers.doubles.lies import Lies
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
@@ -63,6 +64,7 @@ class OfflineOptions:
     goals : names of the goals to run; empty: all
     time_limit : a goal that takes longer than this on the cell's clock is given up, s
     sensor : settings of the sensor's model that replace the scene's
+    lies : what does not tell the truth; None: nothing
     """
 
     fidelity: str | None = None
@@ -76,6 +78,7 @@ class OfflineOptions:
     time_limit: float = 180.0
     filter: FilterSettings = field(default_factory=load_filter_settings)
     sensor: dict[str, Any] = field(default_factory=dict)
+    lies: Lies | None = None
 
 
 def run_offline(
@@ -161,6 +164,8 @@ class _OfflineLoop:
         for arm in self.arms.values():
             arm.take_pose()
         now_ns = self.cell.step()
+        if self.options.lies is not None:
+            self.options.lies.see(self.cell)
         for name, arm in self.arms.items():
             command = arm.control(now_ns)
             if command is None:
@@ -202,7 +207,9 @@ class _OfflineArm:
     ) -> None:
         self.plan, self.cell, self.options = plan, cell, options
         self.safe = SafeArm(scene.arms[plan.arm], lambda: cell.stamp_ns)
-        self.safe.drive(cell.arm(plan.arm))
+        self.lies = options.lies or Lies()
+        self.driver = self.lies.driver(plan.arm, cell.arm(plan.arm))
+        self.safe.drive(self.driver)
         self.safe.neighbours = neighbours(scene, plan.arm, cell.status, cell.arms)
         sensor = scene.arms[plan.arm].sensor
         self.perceive = perceive
@@ -261,7 +268,7 @@ class _OfflineArm:
 
     def take_pose(self) -> None:
         """What the arm reports at this step; the controller sees it from the next one on."""
-        state = self.safe.take_state(self.cell.status(self.plan.arm))
+        state = self.safe.take_state(self.driver.state)
         if state is None:
             raise RuntimeError(
                 f"{self.plan.arm}: the cell gives a state that cannot be: {self.safe.bad_state}"
@@ -301,7 +308,7 @@ class _OfflineArm:
         if self.perceive is None or not self.cell.exposure_due(self.plan.arm):
             return
         frame = self.cell.expose(self.plan.arm)
-        percept = self.perceive(frame)
+        percept = self._percept(frame)
         self.log.truth(frame.stamp_ns, frame.truth)
         if self.loose:
             self.log.body(frame.stamp_ns, self.cell.T_world_body(self.loose))
@@ -317,6 +324,15 @@ class _OfflineArm:
             self.log.belief(belief)
         pose = StampedPose(frame.stamp_ns, belief.mean) if belief.valid else None
         self._send(frame.stamp_ns, percept.in_contact, pose)
+
+    def _percept(self, frame: Frame) -> Percept:
+        """What perception makes of a frame, as far as nothing lies."""
+        assert self.perceive is not None
+        name, stamp_ns = frame.arm, frame.stamp_ns
+        if frame.image is not None:
+            frame = replace(frame, image=self.lies.image(name, stamp_ns, frame.image))
+        percept = self.perceive(frame)
+        return replace(percept, estimate=self.lies.estimate(name, stamp_ns, percept.estimate))
 
     def _due(self, now_ns: int) -> list[_Event]:
         due = []

@@ -239,6 +239,10 @@ class Cell:
             raise KeyError(unknown_name(body, list(self._bodies)))
         return self._bodies[body].motion
 
+    def depth(self, arm: str) -> float:
+        """Depth (m) of the undeformed tip in the surface that it is deepest in, now; -inf without any."""
+        return self._arm(arm).depth()
+
     def exposure_due(self, arm: str) -> bool:
         """Whether the camera of the arm's sensor exposes at the present step."""
         return self._arm(arm).exposure_due(self._ticks)
@@ -453,6 +457,13 @@ class _CellArm:
                     f"protective stop: {1e3 * depth:.1f} mm deep in '{target.body.name}', "
                     f"{1e3 * closing:.0f} mm/s into it (limit {1e3 * limit:g} mm)"
                 )
+
+    def depth(self) -> float:
+        """Of the undeformed tip in the surface that it is deepest in, m; -inf without any."""
+        if self.sensor is None:
+            return -math.inf
+        nearest = min((target.distance(self.T_base_tip) for target in self._targets), default=math.inf)
+        return self.sensor.radius - nearest
 
     def velocities(self, point: Array) -> list[Array]:
         """Of a point (3,) of the world that goes along with the arm, in it: now, and as commanded."""
