@@ -270,14 +270,19 @@ class _OfflineArm:
         """What the arm reports at this step; the controller sees it from the next one on."""
         state = self.safe.take_state(self.driver.state)
         if state is None:
-            raise RuntimeError(
-                f"{self.plan.arm}: the cell gives a state that cannot be: {self.safe.bad_state}"
-            )
+            if not self.safe.alarm:
+                raise RuntimeError(f"{self.plan.arm}: a state that cannot be: {self.safe.bad_state}")
+            self._abort(self.safe.alarm)
+            return
         pose = StampedPose(state.stamp_ns, state.T_base_controlled)
         self.inputs = TaskInputs(self.inputs.belief, self.inputs.presence, pose)
         self.log.pose(pose, state.twist)
-        if state.mode is ArmMode.FAULT and self.task is not None:
-            self.task.abort(f"the arm is in fault: {state.reason}")
+        if state.mode is ArmMode.FAULT:
+            self._abort(state.reason)
+
+    def _abort(self, reason: str) -> None:
+        if self.task is not None:
+            self.task.abort(f"the arm is in fault: {reason}")
 
     def control(self, now_ns: int) -> Command | None:
         """Steps of the task for what has become due, or for the time that has passed; the last command."""
@@ -299,7 +304,7 @@ class _OfflineArm:
         if self.task is None:
             return None
         command = self.task.step(now_ns, self.inputs)
-        self.safe.command(now_ns, command.twist)
+        self.safe.command(now_ns, command.twist, self.plan.role.name)
         self.log.command(now_ns, self.goal, command)
         return command
 

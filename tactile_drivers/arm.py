@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+LONGEST_CALL = 0.01  # s, that `command` and `stop` of a driver may take
+
+
 class ArmMode(IntEnum):
     """What the arm does; the values are those of tactile_msgs/ArmStatus."""
 
@@ -101,7 +104,12 @@ class SafetySettings(Settings):
     )
     contact_memory: float = setting(
         0.3, lower=0.0, upper=10.0, unit="s",
-        doc="a belief bounds the motion for this long, carried along with the arm's own motion",
+        doc="a belief bounds the motion for this long, carried along with the arm's own motion; without a "
+        "newer word on the contact an arm with a sensor backs off, or crawls",
+    )  # fmt: skip
+    crawl_speed: float = setting(
+        0.002, lower=1e-4, upper=0.05, unit="m/s",
+        doc="largest speed of an arm with a sensor of which nothing is heard; turning, of the tip's surface",
     )  # fmt: skip
     reaction_time: float = setting(
         0.02,
@@ -129,8 +137,11 @@ class SafetySettings(Settings):
     )  # fmt: skip
     jump: float = setting(
         0.005, lower=1e-4, upper=1.0, unit="m",
-        doc="a state further from the last than the largest speed takes the arm, and this, is refused",
+        doc="a state further from the last than what was commanded takes the arm, and this, is a fault",
     )  # fmt: skip
+    state_age: float = setting(
+        0.1, lower=0.005, upper=10.0, unit="s", doc="states that are later than this, on average, are a fault"
+    )
 
 
 @dataclass(frozen=True)
@@ -144,7 +155,7 @@ class Box:
 
 @dataclass(frozen=True)
 class ArmState:
-    """State of the arm at a stamp; down to `joints` it is the driver's, the rest the safe command stage's.
+    """State of the arm at a stamp; down to `speed_scaling` it is the driver's, the rest the safe command stage's.
 
     Attributes
     ----------
@@ -156,6 +167,8 @@ class ArmState:
         Why the arm does what it does; empty in normal operation.
     joints : ndarray (n,) or None
         Angles of the joints, rad, of an arm whose driver has `kinematics`.
+    speed_scaling : float
+        The part (0 to 1) of what it is told that the arm is set to do, by a slider at its pendant for instance.
     owner : str
         Who commands the arm; empty for nobody.
     command_age : float
@@ -164,6 +177,10 @@ class ArmState:
         True while the arm does less than it is asked for.
     held_back : str
         Which bound of speed, depth, shear, workspace, joints or other arms makes the command less; or empty.
+    refused, refused_source : str
+        Why the last command was not followed, and whose it was; empty if it was followed.
+    remark : str
+        What is not as it should be and no fault yet; or empty.
     """
 
     stamp_ns: int
@@ -172,20 +189,29 @@ class ArmState:
     mode: ArmMode
     reason: str = ""
     joints: Array | None = None
+    speed_scaling: float = 1.0
     owner: str = ""
     command_age: float = -1.0
     limited: bool = False
     held_back: str = ""
+    refused: str = ""
+    refused_source: str = ""
+    remark: str = ""
 
 
 class Arm(Protocol):
-    """A driver that has been opened.
+    """A driver that has been opened. Any thread may call it, and `stop` while another call is under way.
 
     Attributes
     ----------
     keeps_limits : bool
         Whether it keeps the limits of acceleration and jerk itself. If not, it is given twists that do, one
         after each of its states.
+    prompt : bool, optional
+        Whether `command` and `stop` always return at once, since they wait for nothing. Without it they are
+        called in threads of their own (`tactile_drivers.sender`).
+    shared : bool, optional
+        Whether others may move the arm while nobody commands it here. Without it that is a fault.
     kinematics : Kinematics, optional
         Of an arm that has them; then its states tell `joints`, and the stage minds their limits.
     """
@@ -195,11 +221,15 @@ class Arm(Protocol):
     def command(self, stamp_ns: int, twist: ArrayLike) -> None:
         """Follow a twist (6,) of the controlled frame, in that frame, emitted at `stamp_ns`.
 
-        It comes from the safe command stage, which has refused what no arm may follow.
+        It comes from the safe command stage, which has refused what no arm may follow. It returns within
+        `LONGEST_CALL`; a longer call is told, and commands that come meanwhile are left out but the newest.
         """
 
     def stop(self, reason: str) -> None:
-        """Bring the arm to rest within its limits; the next command moves it again."""
+        """Bring the arm to rest within its limits; the next command moves it again.
+
+        It returns within `LONGEST_CALL`, also while `command` has not returned yet.
+        """
 
     def recover(self) -> None:
         """Leave a fault, if the arm allows it; `RuntimeError` says why it does not."""

@@ -119,6 +119,7 @@ class FrankaArm:
 
     settings_class = FrankaSettings
     keeps_limits = True
+    prompt = True
 
     def __init__(self, arm: ArmScene, settings: FrankaSettings, report: Callable[[ArmState], None]) -> None:
         if wrong := _unfit(arm, settings):

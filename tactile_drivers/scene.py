@@ -30,6 +30,7 @@ from tactile_drivers.shapes import SHAPES
 from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.motions import CARRIED, FIXED, MOTIONS
 from tactile_drivers.sim.simulation import Simulation, read_simulation
+from tactile_drivers.tracking import TrackingSettings
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ EXTERNAL = "external"  # somebody else's driver or camera, which runs already
 _NAME = re.compile(r"[a-z][a-z0-9_]*")  # a ROS namespace and frame prefix
 _POSE_KEYS = ("position", "rotation_deg")
 _ARM_KEYS = (
-    "driver", "driver_settings", "base", "start", "limits", "safety", "keep_out", "sensor", "kinematics",
+    "driver", "driver_settings", "base", "start", "limits", "safety", "tracking", "keep_out", "sensor", "kinematics",
 )  # fmt: skip
 
 
@@ -103,6 +104,8 @@ class ArmScene:
         The arm's base, and where its controlled frame starts, in the world.
     limits : ArmLimits
     safety : SafetySettings
+    tracking : TrackingSettings
+        How well the arm does what it is told.
     keep_out : tuple of Box
         Where the tip must not go, in the arm's base.
     sensor : SensorScene or None
@@ -118,6 +121,7 @@ class ArmScene:
     T_world_start: Array
     limits: ArmLimits
     safety: SafetySettings
+    tracking: TrackingSettings
     keep_out: tuple[Box, ...]
     sensor: SensorScene | None
     kinematics: Chain | None = field(default=None, compare=False)
@@ -334,6 +338,7 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
         T_world_start=_pose(section.section("start")),
         limits=section.settings("limits", ArmLimits),
         safety=safety,
+        tracking=section.settings("tracking", TrackingSettings),
         keep_out=tuple(_box(name, box) for name, box in section.sections("keep_out").items()),
         sensor=sensor,
         kinematics=_kinematics(section.section("kinematics"), sensor)

@@ -122,6 +122,7 @@ class UrArm:
 
     settings_class = UrSettings
     keeps_limits = False  # of jerk: it is given twists that do
+    prompt = True
 
     def __init__(self, arm: ArmScene, settings: UrSettings, report: Callable[[ArmState], None]) -> None:
         if wrong := _unfit(settings, arm.limits):
@@ -252,7 +253,9 @@ class UrArm:
             if self._moving and silence > self._timeout:  # the link stops the arm by itself
                 self._twist, self._moving = np.zeros(6), False
                 self._reason = f"no command for {silence:.3f} s (limit of the driver {self._timeout:g} s)"
-            self._last = ArmState(stamp_ns, T, twist, self._mode(twist), self._words(state), joints)
+            self._last = ArmState(
+                stamp_ns, T, twist, self._mode(twist), self._words(state), joints, float(state.scaling)
+            )
             if self._moving and not self._fault and self._twist[3:].any():
                 self._send_speed()  # the frame that the twist is given in has turned
         self._report(self._last)

@@ -46,6 +46,7 @@ class ExternalArm:
     """An `Arm` whose states are the transforms of its tool, and whose twists are published."""
 
     keeps_limits = False  # nothing is known of it
+    prompt = shared = True
 
     def __init__(self, node: ManagedNode, arm: ArmScene, report: Callable[[ArmState], None]) -> None:
         self._node, self._report = node, report

@@ -48,6 +48,7 @@ class SimArm:
     """
 
     keeps_limits = True
+    prompt = True
 
     def __init__(
         self,

@@ -43,7 +43,8 @@ class Arms:
         self.last = {}
         self.safe = {}
         for name in self.cell.arms:
-            safe = self.safe[name] = SafeArm(self.scene.arms[name], lambda: self.cell.stamp_ns)
+            safe = SafeArm(self.scene.arms[name], lambda: self.cell.stamp_ns, feels=False)
+            self.safe[name] = safe
             safe.drive(self.cell.arm(name))
             safe.neighbours = neighbours(self.scene, name, self.state_of, self.cell.arms)
             safe.take_state(self.cell.status(name))
@@ -54,7 +55,9 @@ class Arms:
         return self.last[name]
 
     def go(self, seconds, **velocities):
-        """Ask arms for twists, in their own frames, at each step."""
+        """Ask arms for twists, in their own frames, at each step, after one of zero."""
+        for name in velocities:
+            self.safe[name].command(self.cell.stamp_ns, np.zeros(6))
         for _ in range(round(seconds * 120)):
             for name, twist in velocities.items():
                 assert self.safe[name].command(self.cell.stamp_ns, twist) == ""

@@ -11,6 +11,7 @@ from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, Box, SafetySetting
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_drivers.sim.arm import SimArm
+from tactile_drivers.tracking import TrackingSettings
 from tactile_filter import se3
 
 MS = 1_000_000
@@ -39,19 +40,22 @@ class Follower(SimArm):
 class Cell:
     """An arm behind the stage, on one clock."""
 
-    def __init__(self, start=None, driver=SimArm, keep_out=(), sensor=True, limits=None, **safety):
+    def __init__(self, start=None, driver=SimArm, keep_out=(), sensor=True, limits=None, feels=False, owned=True, **safety):
         tip = SimpleNamespace(settings=SimpleNamespace(protective_depth=0.010, tip_radius=0.020))
         limits = limits or ArmLimits()
         self.arm = driver(limits, np.eye(4) if start is None else start, 10**9)
         scene = SimpleNamespace(
             limits=limits,
             safety=SafetySettings(**safety),
+            tracking=TrackingSettings(),
             keep_out=keep_out,
             sensor=tip if sensor else None,
         )
-        self.safe = SafeArm(scene, lambda: self.arm.stamp_ns)
+        self.safe = SafeArm(scene, lambda: self.arm.stamp_ns, feels=feels)
         self.safe.drive(self.arm)
         self.safe.take_state(self.arm.state)
+        if owned:
+            self.safe.command(self.arm.stamp_ns, np.zeros(6), ME)
         self.twists = []
 
     @property
@@ -120,15 +124,17 @@ def test_an_arm_obeys_one_commander_until_that_one_has_been_silent():
     cell.step(100)
     assert "is commanded by" in cell.drive(-ALONG, 1, OTHER)
     cell.step(200)
-    assert cell.drive(-ALONG, 100, OTHER) == ""
+    assert "waits for a twist of zero, as from every new commander" in cell.drive(-ALONG, 300, OTHER)
+    assert cell.safe.state.owner == ME and not cell.arm.twist.any()
+    assert cell.drive(np.zeros(6), 1, OTHER) == "" and cell.drive(-ALONG, 100, OTHER) == ""
     assert cell.safe.state.owner == OTHER
     assert "is commanded by /joystick" in cell.drive(ALONG, 1)
 
 
 def test_a_stray_command_that_is_refused_does_not_lock_the_commander_out():
-    cell = Cell()
-    assert "ahead of the clock" in cell.safe.command(cell.arm.stamp_ns + 95 * MS, ALONG, OTHER)
-    assert cell.drive(ALONG, 100) == ""
+    cell = Cell(owned=False)
+    assert "ahead of the clock" in cell.safe.command(cell.arm.stamp_ns + 95 * MS, 0 * ALONG, OTHER)
+    assert cell.drive(0 * ALONG, 1) == "" and cell.drive(ALONG, 100) == ""
     np.testing.assert_allclose(cell.arm.twist, ALONG, atol=1e-12)
 
 
@@ -179,8 +185,9 @@ def test_a_fault_of_the_arm_is_left_by_a_reset_and_a_twist_of_zero():
     cell.safe.reset()
     cell.step()
     assert "waits for a twist of zero" in cell.drive(ALONG, 1)
-    cell.step(300)  # or nobody asks for anything for a while
-    assert cell.drive(ALONG, 100) == ""
+    cell.step(300)  # silence does not take its place
+    assert "waits for a twist of zero" in cell.drive(ALONG, 1)
+    assert cell.drive(np.zeros(6), 1) == "" and cell.drive(ALONG, 100) == ""
 
 
 def test_a_fault_that_the_arm_does_not_leave_says_why_and_an_emergency_stop_stays():

@@ -1,0 +1,250 @@
+"""TrackingMonitor: does the arm do what it was told? What it was told against what its states say.
+
+An arm without overshoot moves, on each axis, no faster than it was told to within its lag, and no slower,
+but for the time that its acceleration takes. Over a window, the way that its poses have come has to lie
+between the integrals of both. The twists that it reports of itself have to fit the same way.
+
+What is more than was told, or otherwise, is a lie or a danger, and known at once. Less than was told can have
+a reason of the arm's own (a singularity, somebody's slider): that is told first, and a fault if it goes on.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import Settings, setting
+from tactile_base.stamps import SECOND_NS
+from tactile_drivers.arm import ArmLimits, ArmState
+from tactile_filter import se3
+
+Array = NDArray[np.float64]
+
+_STEP_NS = 8_000_000  # states nearer to each other than this are looked at together
+_PAUSE_NS = SECOND_NS // 2  # without states for so long the window begins anew
+_STANDS, _PART = 0.1, 0.5  # of the least way that was told: less is none, and less is too little
+_UNITS = (1e3, "mm"), (180.0 / np.pi, "deg")
+
+
+@dataclass(frozen=True)
+class TrackingSettings(Settings):
+    """How well an arm does what it is told, and from when on it does not."""
+
+    window: float = setting(
+        0.1, lower=0.02, upper=1.0, unit="s", doc="over which ways are compared with what was told"
+    )
+    lag: float = setting(
+        0.1, lower=0.0, upper=1.0, unit="s",
+        doc="after this at the latest the arm does what it was told, but for its acceleration",
+    )  # fmt: skip
+    speed_tolerance: float = setting(
+        0.002, lower=1e-4, upper=0.5, unit="m/s", doc="by which an arm may move otherwise than it was told"
+    )
+    angular_tolerance: float = setting(0.03, lower=1e-3, upper=5.0, unit="rad/s", doc="the same, turning")
+    part: float = setting(0.3, lower=0.0, upper=1.0, doc="and by this part of the speed that it was told")
+    patience: float = setting(
+        0.4, lower=0.0, upper=10.0, unit="s",
+        doc="an arm that does less than half of what it is told for this long is in fault",
+    )  # fmt: skip
+
+
+class Deviation(NamedTuple):
+    """What an arm did otherwise, in words, and whether it moved although it was told to rest."""
+
+    text: str
+    by_itself: bool
+
+
+class _Bounds:
+    """Least and largest velocity (6,) in the base that a signal allows now, and their integrals."""
+
+    def __init__(self, lag: float, acceleration: Array | None) -> None:
+        self._lag_ns, self._acceleration = round(lag * SECOND_NS), acceleration
+        self._said: deque[tuple[int, Array]] = deque([(0, np.zeros(6))])
+        self.low, self.high = np.zeros(6), np.zeros(6)
+        self.way_low, self.way_high = np.zeros(6), np.zeros(6)
+
+    def say(self, stamp_ns: int, velocity: Array) -> None:
+        """It is this from now on."""
+        self._said.append((stamp_ns, velocity))
+
+    def advance(self, from_ns: int, to_ns: int, part: float) -> None:
+        """Integrate over an interval; an arm that is slowed down may do only `part` of it."""
+        said, since = self._said, from_ns - self._lag_ns
+        while len(said) > 1 and said[1][0] <= since:
+            said.popleft()
+        held = [velocity for stamp, velocity in said if stamp <= to_ns] or [said[0][1]]
+        held = held if part >= 1.0 else [*held, part * held[0], part * held[-1]]
+        dt = (to_ns - from_ns) / SECOND_NS
+        low, high = np.min(held, axis=0), np.max(held, axis=0)
+        if self._acceleration is not None:
+            low = np.minimum(low, self.low + self._acceleration * dt)
+            high = np.maximum(high, self.high - self._acceleration * dt)
+        self.low, self.high = low, high
+        self.way_low, self.way_high = self.way_low + low * dt, self.way_high + high * dt
+
+
+class _Sample(NamedTuple):
+    stamp_ns: int
+    T: Array
+    told: tuple[Array, Array]
+    reported: tuple[Array, Array]
+    fastest: tuple[float, float]
+
+
+class TrackingMonitor:
+    """See the module's text; all velocities (6,) are of the controlled frame's origin, along the base's axes.
+
+    Attributes
+    ----------
+    shortfall : str
+        What the arm does less than it was told, as long as that is no fault; '' for nothing.
+    moves : bool
+        Whether its poses moved in the last window, by more than they may at rest.
+    """
+
+    def __init__(self, limits: ArmLimits, settings: TrackingSettings) -> None:
+        self.settings, self._limits = settings, limits
+        self._tolerance = np.array([settings.speed_tolerance, settings.angular_tolerance])
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew, with an arm at rest that was told nothing."""
+        limits = self._limits
+        acceleration = np.repeat([limits.linear_acceleration, limits.angular_acceleration], 3)
+        self._told = _Bounds(self.settings.lag, acceleration)
+        self._reported = _Bounds(self.settings.lag, None)
+        self._samples: deque[_Sample] = deque()
+        self._short_since: int | None = None
+        self.shortfall, self.moves = "", False
+
+    def due(self, stamp_ns: int) -> bool:
+        """Whether a state of that stamp is to be looked at: some come too often."""
+        return not self._samples or not 0 <= stamp_ns - self._samples[-1].stamp_ns < _STEP_NS
+
+    def told(self, stamp_ns: int, velocity: Array) -> None:
+        """The arm is told to move at this velocity (6,) from now on."""
+        self._told.say(stamp_ns, velocity)
+
+    def see(self, state: ArmState) -> Deviation | None:
+        """Take a state; what it says that the arm did otherwise, over the last window."""
+        self._reported.say(state.stamp_ns, in_base(state.T_base_controlled, state.twist))
+        last = self._samples[-1] if self._samples else None
+        if last is None or state.stamp_ns - last.stamp_ns > _PAUSE_NS:
+            self._samples.clear()
+            last_ns = state.stamp_ns
+        else:
+            last_ns = last.stamp_ns
+        self._told.advance(last_ns, state.stamp_ns, state.speed_scaling)
+        self._reported.advance(last_ns, state.stamp_ns, 1.0)
+        return self._compared(self._sampled(state))
+
+    def _sampled(self, state: ArmState) -> _Sample:
+        told, reported = self._told, self._reported
+        largest = np.maximum(np.abs(told.low), np.abs(told.high))
+        fastest = se3.norm(largest[:3]), se3.norm(largest[3:])
+        sample = _Sample(
+            state.stamp_ns,
+            state.T_base_controlled,
+            (told.way_low, told.way_high),
+            (reported.way_low, reported.way_high),
+            fastest,
+        )
+        self._samples.append(sample)
+        return sample
+
+    def _compared(self, now: _Sample) -> Deviation | None:
+        samples, window_ns = self._samples, round(self.settings.window * SECOND_NS)
+        while len(samples) > 2 and now.stamp_ns - samples[1].stamp_ns >= window_ns:
+            samples.popleft()
+        first = samples[0]
+        seconds = (now.stamp_ns - first.stamp_ns) / SECOND_NS
+        if seconds == 0.0:
+            return None
+        way = _way(first.T, now.T)
+        self.moves = _beyond(way, self._tolerance * self.settings.window)
+        fastest = np.max([sample.fastest for sample in samples], axis=0)
+        allowed = self._tolerance * self.settings.window + self.settings.part * fastest * seconds
+        low, high = now.told[0] - first.told[0], now.told[1] - first.told[1]
+        told = _nearest(way, low, high)
+        if _beyond(way - _nearest(way, np.minimum(low, 0.0), np.maximum(high, 0.0)), allowed):
+            by_itself = bool((np.abs(low) + np.abs(high) < 1e-9).all())
+            return Deviation(_otherwise(seconds, told, way), by_itself)
+        low, high = now.reported[0] - first.reported[0], now.reported[1] - first.reported[1]
+        reported = _nearest(way, low, high)
+        if _beyond(way - reported, allowed + self.settings.part * _sizes(reported)):
+            return Deviation(_disagreeing(seconds, reported, way), by_itself=False)
+        return self._short_of(now.stamp_ns, seconds, told, way, allowed)
+
+    def _short_of(
+        self, stamp_ns: int, seconds: float, told: Array, way: Array, allowed: Array
+    ) -> Deviation | None:
+        """What is missing of the least way that the arm was told; told first, and a fault if it goes on."""
+        missing = _beyond(told - way, allowed)
+        if not missing:
+            self._short_since, self.shortfall = None, ""
+            return None
+        short = _sizes(told) > allowed
+        done = float(np.min(_along(way, told)[short], initial=1.0))
+        self._short_since = stamp_ns if self._short_since is None else self._short_since
+        self.shortfall = f"the arm does {max(done, 0.0):.0%} of what it is told"
+        lasted = (stamp_ns - self._short_since) / SECOND_NS
+        if done < _STANDS or (done < _PART and lasted >= self.settings.patience):
+            return Deviation(_otherwise(seconds, told, way), by_itself=False)
+        return None
+
+
+def in_base(T_base_controlled: Array, twist: Array) -> Array:
+    """A twist (6,) of the controlled frame, in it, along the base's axes."""
+    R = T_base_controlled[:3, :3]
+    return np.concatenate([R @ twist[:3], R @ twist[3:]])
+
+
+def _way(A: Array, B: Array) -> Array:
+    """From pose A to pose B (6,), m and rad, along the base's axes."""
+    turn = np.eye(4)
+    turn[:3, :3] = B[:3, :3] @ A[:3, :3].T
+    return np.concatenate([B[:3, 3] - A[:3, 3], se3.log(turn)[3:]])
+
+
+def _nearest(way: Array, low: Array, high: Array) -> Array:
+    return np.minimum(np.maximum(way, low), high)
+
+
+def _sizes(way: Array) -> Array:
+    return np.array([se3.norm(way[:3]), se3.norm(way[3:])])
+
+
+def _along(way: Array, told: Array) -> Array:
+    """The parts (2,) of what was told, moving and turning, that were done."""
+    parts = [way[:3] @ told[:3], way[3:] @ told[3:]]
+    return np.array(parts) / np.maximum(_sizes(told) ** 2, 1e-18)
+
+
+def _beyond(difference: Array, allowed: Array) -> bool:
+    return bool((_sizes(difference) > allowed).any())
+
+
+def _otherwise(seconds: float, told: Array, way: Array) -> str:
+    return f"in {seconds * 1e3:.0f} ms it was told to go {_words(told, way)}, and went {_words(way, told)}"
+
+
+def _disagreeing(seconds: float, reported: Array, way: Array) -> str:
+    return (
+        f"in {seconds * 1e3:.0f} ms its speeds say that it went {_words(reported, way)}, "
+        f"its poses {_words(way, reported)}"
+    )
+
+
+def _words(way: Array, other: Array) -> str:
+    """A way in mm and degrees, without the part that is small in both."""
+    parts = []
+    for index, (scale, unit) in enumerate(_UNITS):
+        both = [scale * each[3 * index : 3 * index + 3] for each in (way, other)]
+        if max(np.abs(part).max() for part in both) >= 0.1:
+            parts.append(f"({', '.join(f'{value + 0.0:.1f}' for value in both[0])}) {unit}")
+    return " and ".join(parts) or "nowhere"
