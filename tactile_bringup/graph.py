@@ -223,7 +223,7 @@ def build_collection_graph(
     collector : parameter -> value, for the collector
     """
     options = options or GraphOptions()
-    nodes = _drivers(scene, options)
+    nodes = _drivers(scene, options, feels=False)  # a network that could say so is yet to be trained
     nodes.append(_node("collector", f"/{arm}", {**collector, **_transport(scene.arms[arm])}))
     topics = tuple(_topics([scene.arms[arm]]))
     role = Role("collector", task, TASKS.load(task).settings_class(), (goal,))
@@ -248,20 +248,21 @@ def _node(name: str, namespace: str, parameters: Mapping[str, Any]) -> NodeProce
     return NodeProcess(name, namespace, f"tactile_ros.nodes.{name}_node", name, parameters)
 
 
-def _drivers(scene: Scene, options: GraphOptions) -> list[NodeProcess]:
+def _drivers(scene: Scene, options: GraphOptions, feels: bool = True) -> list[NodeProcess]:
     """What moves arms and exposes sensors: the simulated cell, a process for each other arm and camera."""
     nodes = []
     where: dict[str, Any] = {"scene": str(scene.path.absolute())}
     if options.rehearse:
         where["rehearse"] = True
+    moved = where if feels else where | {"feels": False}
     if scene.is_simulated:
-        parameters = where | {"seed": options.seed}
+        parameters = moved | {"seed": options.seed}
         if options.rate is not None:
             parameters["camera_rate"] = float(options.rate)
         nodes.append(_node("sim", "/", parameters))
     for arm in scene.arms.values():
         if arm.driver != SIM:
-            nodes.append(_node("arm", f"/{arm.name}", where))
+            nodes.append(_node("arm", f"/{arm.name}", moved))
         if arm.sensor is not None and arm.sensor.camera not in (SIM, EXTERNAL):
             nodes.append(_node("camera", f"/{arm.name}", {"scene": where["scene"]}))
     return nodes

@@ -54,6 +54,7 @@ LEAVE = "leave"
 APPROACH = "approach"
 SETTLE = "settle"
 LOST_CONTACT = ("reapproach", "fail")
+LEAVE_WITHIN = 3.0  # retreat distances, within which a contact that was there before the task has to end
 TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; the work takes the large middle part
@@ -76,7 +77,7 @@ class ContactSettings(Settings):
         doc="the approach goes on for this much after the first touch, where images say little yet",
     )
     approach_distance: float = setting(
-        0.05, lower=1e-3, upper=0.5, unit="m", doc="without contact within this the task fails"
+        0.015, lower=1e-3, upper=0.5, unit="m", doc="without contact within this the task fails"
     )
     approach_timeout: float = setting(20.0, lower=0.1, upper=600.0, unit="s", doc="longest approach")
     settle_depth_tolerance: float = setting(
@@ -291,7 +292,10 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if gone >= settings.retreat_distance and not self._touching():
             self._enter(self._after_leaving)
             return np.zeros(6)
-        if gone >= settings.approach_distance or self._in_phase(now_ns) > settings.retreat_timeout:
+        if (
+            gone >= LEAVE_WITHIN * settings.retreat_distance
+            or self._in_phase(now_ns) > settings.retreat_timeout
+        ):
             return self._fail(f"still in contact after backing off by {gone * 1e3:.1f} mm")
         return along_z(-settings.retreat_speed)
 

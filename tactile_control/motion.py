@@ -38,7 +38,10 @@ class TravelSettings(Settings):
     angle_tolerance: float = setting(
         0.005, lower=1e-5, upper=0.5, unit="rad", doc="the goal's orientation is reached within this"
     )
-    timeout: float = setting(30.0, lower=0.1, upper=600.0, unit="s", doc="longest way to the goal")
+    timeout: float = setting(30.0, lower=0.1, upper=600.0, unit="s", doc="longest time to the goal")
+    distance: float = setting(
+        1.0, lower=1e-3, upper=20.0, unit="m", doc="a goal further away than this is taken for a mistake"
+    )
 
 
 @dataclass(frozen=True)

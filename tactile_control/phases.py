@@ -3,16 +3,17 @@
 A step takes in what has come, lets the watchdog look at the age of what the phase needs, and asks the phase
 for the twist that it wants; what goes out has passed the watchdog's ramp and the limiter. An input that is
 too old takes the twist to zero. The task goes on when it is back; after the watchdog's patience it fails
-where it is, since an arm that cannot feel or does not know where it is does not move. Every other failure
-leaves the surface first.
+where it is, since an arm that cannot feel or does not know where it is does not move; so it does when nobody
+has made a step for as long. Every other failure leaves the surface first, an exception in the task, too.
 """
 
 from __future__ import annotations
 
+import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Protocol, TypeGuard, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeGuard, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings, TwistLimiter
 from tactile_control.motion import TravelSettings, Waypoint, twist_towards, way_to_start
 from tactile_control.watchdog import Watchdog, WatchdogSettings
+from tactile_filter import se3
 from tactile_filter.se3 import PoseError
 
 Array = NDArray[np.float64]
@@ -34,6 +36,7 @@ DONE = "done"
 FAILED = "failed"
 
 AT_REST = 1e-6  # m/s and rad/s
+PAUSE = 0.2  # s without a step, after which the arm has stopped by itself: the twist begins at zero again
 _NOT_KNOWN, _NOTHING = np.full(6, np.nan), np.zeros(6)  # shared by commands: nobody writes to them
 for _shared in (_NOT_KNOWN, _NOTHING):
     _shared.setflags(write=False)
@@ -179,6 +182,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         Whether it wants to know of a contact where the arm has a sensor, though it needs none.
     endless : bool
         Whether it goes on until it is asked to `finish`.
+    traceback : str
+        Where an exception in the task came from; '' for none.
     """
 
     settings_class: ClassVar[type[SettingGroups]]
@@ -198,7 +203,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         watchdog: WatchdogSettings,
     ) -> None:
         self.phase = phase
-        self.reason = ""
+        self.reason = self.traceback = ""
         self.limiter = TwistLimiter(limiter)
         self.watchdog = Watchdog(watchdog)
         self._handlers = handlers
@@ -232,18 +237,46 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._fail_here(reason)
 
     def step(self, now_ns: int, inputs: Inputs) -> Result:
-        """Advance to `now_ns` with the latest inputs. Bad inputs do not raise: they fail the task."""
+        """Advance to `now_ns` with the latest inputs. Nothing raises: what is wrong fails the task."""
         if self._now_ns is None:
             self._phase_since_ns = now_ns
-        elif now_ns < self._now_ns:
-            self._fail_here(f"the clock went back by {(self._now_ns - now_ns) * NANOSECOND:.3f} s")
+        else:
+            self._mind_pause((now_ns - self._now_ns) * NANOSECOND)
         self._now_ns = now_ns
         self._refused = ""
         try:
             self._take(inputs)
         except PoseError as error:
             self._refused = f" (the last one was refused: {error})"
-        return self._answer(*self._next_twist(now_ns))
+        try:
+            return self._answer(*self._next_twist(now_ns))
+        except Exception as error:
+            return self._after_exception(error)
+
+    def _mind_pause(self, seconds: float) -> None:
+        """What a time without a step means: the arm has stopped meanwhile, and what it touches may be gone."""
+        limit = max(self.watchdog.settings.patience, PAUSE)
+        if seconds < 0.0:
+            self._fail_here(f"the clock went back by {-seconds:.3f} s")
+        elif seconds > limit:
+            self._fail_here(f"the controller stood still for {seconds:.3f} s (limit {limit:g} s)")
+        if seconds > PAUSE:
+            self.limiter.reset()
+
+    def _after_exception(self, error: Exception) -> Result:
+        """Leave the surface if the task can still do that, else come to rest where it is."""
+        text = f"{type(error).__name__} in phase {self.phase}: {error}"
+        again, self.traceback = bool(self.traceback), self.traceback or traceback.format_exc()
+        if again or self.phase in (STOPPING, RETREAT):
+            self._fail_here(text)
+        else:
+            self._fail(text)
+        self._wanted = np.zeros(6)
+        try:
+            return self._answer(self._wanted, "")
+        except Exception as last:  # nothing of the task works any more
+            self._fail_here(f"{type(last).__name__}: {last}")
+            return cast(Result, self._command(self._wanted, ""))
 
     # ---- what a task fills in ----
 
@@ -294,9 +327,12 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
     def _go_to(
         self, T_base_goal: Array, travel: TravelSettings, now_ns: int, name: str = "start"
     ) -> Array | None:
-        """The twist on the way to a pose through the air, None once there; fails if that takes long."""
+        """The twist on the way to a pose through the air, None once there; fails if that is far or takes long."""
         pose = self._sensor_pose()
         if self._waypoints is None:
+            if (way := se3.norm(T_base_goal[:3, 3] - pose[:3, 3])) > travel.distance:
+                self._fail_here(f"the {name} is {way:.3g} m away (limit {travel.distance:g} m)")
+                return np.zeros(6)
             self._waypoints = way_to_start(pose, T_base_goal, travel)
         if self._in_phase(now_ns) > travel.timeout:
             return self._fail(f"the {name} was not reached within {travel.timeout:g} s")

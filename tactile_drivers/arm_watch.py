@@ -21,7 +21,10 @@ from tactile_filter import se3
 Array = NDArray[np.float64]
 
 _OFF, _TURNED = 0.02, 0.05  # m, rad, by which an arm may differ from its kinematics
-_AVERAGED, _COUNTED = 0.3, 0.02  # s, over which the lateness of states is averaged, and counted at most of each
+_AVERAGED, _COUNTED = (
+    0.3,
+    0.02,
+)  # s, over which the lateness of states is averaged, and counted at most of each
 
 
 class ArmWatch:

@@ -13,7 +13,6 @@ from tactile_drivers import _native
 from tactile_drivers.arm import ArmLimits, ArmState, SafetySettings
 from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.joint_limits import Kinematics, allowed_part, joint_rates
-from tactile_filter import se3
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene

@@ -16,7 +16,7 @@ states, and what leads from one to another.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -30,7 +30,7 @@ from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.arm_watch import ArmWatch
 from tactile_drivers.joint_limits import Kinematics
 from tactile_drivers.motion_bounds import MotionBounds
-from tactile_drivers.ownership import Ownership
+from tactile_drivers.ownership import Commander, Ownership
 from tactile_drivers.sender import CallTimer, Sender
 from tactile_drivers.twist_profile import TwistProfile
 from tactile_filter import se3
@@ -83,7 +83,7 @@ class SafeArm:
         self._bounds = MotionBounds(arm, feels)
         self._watch = ArmWatch(arm.limits, arm.safety, arm.tracking, clock)
         self._ownership = Ownership(arm.safety.owner_timeout)
-        self._estop = ""
+        self._estop, self._estops = "", 0
         self._in_force_ns: int | None = None  # stamp of the command in force
         self._sent_ns: int | None = None
         self._held_back = ""
@@ -133,17 +133,21 @@ class SafeArm:
         """Who commands the arm; '' for nobody."""
         return self._ownership.owner
 
-    def command(self, stamp_ns: int, twist: ArrayLike, owner: str = "", identity: Hashable = None) -> str:
+    def command(
+        self, stamp_ns: int, twist: ArrayLike, owner: str = "", session: int = 0, sequence: int = 0
+    ) -> str:
         """Ask for a twist (6,) of the controlled frame, in that frame, emitted at `stamp_ns` by `owner`.
 
-        `identity` is what nobody else can say of himself (`Ownership`). Returns why it is refused; '' where
-        it is followed, as far as the bounds allow.
+        `session` and `sequence` tell commanders of one name apart (`Ownership`). Returns why it is refused;
+        '' where it is followed, as far as the bounds allow.
         """
-        wanted = np.asarray(twist, dtype=np.float64)
+        wanted, who = np.asarray(twist, dtype=np.float64), Commander(owner, session)
         with self._lock:
-            refusal = self._refusal(self._clock(), int(stamp_ns), wanted, owner, identity)
+            refusal = self._refusal(self._clock(), int(stamp_ns), wanted, who, sequence)
             self._refused = refusal, owner if refusal else ""
             if refusal:
+                if self._ownership.waits_for_rest and self._in_force_ns is not None:
+                    self.stop(refusal)
                 return refusal
             if self._in_force_ns is None and not self._stopping and self.state is not None:
                 self._profile.start(self.state.twist)
@@ -172,6 +176,7 @@ class SafeArm:
     def estop(self, reason: str) -> None:
         """Stop the arm at once, and keep it at rest until `reset`."""
         self._estop = self._estop or reason or "no reason given"
+        self._estops += 1
         why = f"emergency stop: {self._estop}"
         driver = self.driver
         if driver is not None:  # first of all, and past every lock
@@ -191,13 +196,15 @@ class SafeArm:
         RuntimeError
             If the arm cannot leave its fault, or does not rest, with the reason.
         """
-        driver, fault = self.driver, self._fault
+        driver, fault, estops = self.driver, self._fault, self._estops
         with self._lock:
             if self._watch.alarm and self._watch.moves:
                 raise RuntimeError("the arm was told to rest, and moves")
         if driver is not None and fault:
             driver.recover()  # which may take its time, and states of its own
         with self._lock:
+            if self._estops != estops:
+                raise RuntimeError("an emergency stop was asked for meanwhile")
             self._estop = ""
             self._ownership.waits_for_rest = True
             if self._watch.alarm:
@@ -209,7 +216,7 @@ class SafeArm:
         if driver is not None:
             driver.close()
 
-    def _refusal(self, now_ns: int, stamp_ns: int, twist: Array, owner: str, identity: Hashable) -> str:
+    def _refusal(self, now_ns: int, stamp_ns: int, twist: Array, who: Commander, sequence: int) -> str:
         """Why the command is not followed; '' if it is."""
         if twist.shape != (6,):
             return f"a twist has 6 elements, this one has shape {twist.shape}"
@@ -217,9 +224,9 @@ class SafeArm:
             return f"the twist is not finite: {twist.tolist()}"
         if self.driver is None or (self.state is None and not self.alarm):
             return "nobody drives the arm yet" if self.driver is None else "the arm has no state yet"
-        if reason := self._ownership.objection(now_ns, owner, identity):
+        if reason := self._ownership.objection(now_ns, who, sequence):
             return reason
-        if reason := self._out_of_time(now_ns, stamp_ns, owner, identity):
+        if reason := self._out_of_time(now_ns, stamp_ns, who):
             return reason
         if self._estop:
             return f"emergency stop: {self._estop}; arm/reset leaves it"
@@ -227,18 +234,18 @@ class SafeArm:
             return f"the arm was stopped: {self.alarm}; arm/reset leaves it"
         if self._fault:
             return f"the arm is in fault: {self._fault}; arm/reset leaves it"
-        return self._ownership.hear(now_ns, owner, identity, _native.moves(twist))
+        return self._ownership.hear(now_ns, who, sequence, _native.moves(twist))
 
-    def _out_of_time(self, now_ns: int, stamp_ns: int, owner: str, identity: Hashable) -> str:
+    def _out_of_time(self, now_ns: int, stamp_ns: int, who: Commander) -> str:
         age = (now_ns - stamp_ns) / SECOND_NS
         if age > self.limits.command_timeout:
             return f"the command is {age:.3f} s old (limit {self.limits.command_timeout:g} s)"
         if age < -self.settings.future_tolerance:
             limit = self.settings.future_tolerance
             return f"the command is stamped {-age:.3f} s ahead of the clock (limit {limit:g} s)"
-        own = self._in_force_ns is not None and self._ownership.is_owner(owner, identity)
-        if own and self._in_force_ns is not None and stamp_ns < self._in_force_ns:
-            behind = (self._in_force_ns - stamp_ns) / SECOND_NS
+        in_force_ns = self._in_force_ns
+        if in_force_ns is not None and self._ownership.is_owner(who) and stamp_ns < in_force_ns:
+            behind = (in_force_ns - stamp_ns) / SECOND_NS
             return f"the command is {behind:.3f} s older than the one in force"
         return ""
 

@@ -197,13 +197,23 @@ def _headed_layout(message_type: Any, frame_id: str, **texts: str) -> Layout:
     return Layout(example)
 
 
-def command_from_bytes(data: bytes) -> tuple[int, str, str, Array]:
-    """Stamp (ns), frame, source and twist (6,) of a serialized ArmCommand; `MessageError` for cut bytes.
+@dataclass(frozen=True)
+class ReceivedCommand:
+    """An ArmCommand; its twist (6,) may be NaN: that is for the safe command stage to refuse."""
 
-    The twist may be NaN: that is for the safe command stage to refuse.
-    """
-    layout, (sec, nanosec, *twist) = _read_command(data)
-    return sec * SECOND_NS + nanosec, layout.texts[FRAME], layout.texts["source"], np.array(twist)
+    stamp_ns: int
+    frame_id: str
+    source: str
+    session: int
+    sequence: int
+    twist: Array
+
+
+def command_from_bytes(data: bytes) -> ReceivedCommand:
+    """A serialized ArmCommand; `MessageError` for cut bytes."""
+    layout, (sec, nanosec, session, sequence, *twist) = _read_command(data)
+    stamp_ns, texts = sec * SECOND_NS + nanosec, layout.texts
+    return ReceivedCommand(stamp_ns, texts[FRAME], texts["source"], session, sequence, np.array(twist))
 
 
 def twist_bytes(stamp_ns: int, frame_id: str, twist: ArrayLike) -> bytes:

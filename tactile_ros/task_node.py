@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 import platform
+import secrets
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -28,6 +29,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
+from tactile_ros.arm_attention import ArmAttention
 from tactile_ros.cdr import headed_bytes
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import CONTROLLED_FRAMES, ManagedNode
@@ -36,7 +38,6 @@ from tactile_ros.qos import COMMAND, STATE, writer_profile
 from tactile_ros.transforms import TransformListener
 
 ZERO = np.zeros(6)
-TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
 LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist, and its last result, have arrived
 LATELY = 2.0  # s; a result that was given before is no concern of a node that ends
 
@@ -94,7 +95,8 @@ class TaskNode(ManagedNode, ABC):
             raise SettingError(f"parameter controlled_frame: {unknown_name(frame, CONTROLLED_FRAMES)}")
         self.controlled_frame = self.frame_of(frame)
         self.source = f"{self.get_fully_qualified_name()}, process {os.getpid()} on {platform.node()}"
-        self.arm_trouble = ""
+        self._session, self._sent = secrets.randbits(63) + 1, 0
+        self.attention = ArmAttention(self.source)
         self.limits = fixed_settings(self, MotionLimits(), "transforms")
 
     # What a node fills in.
@@ -152,6 +154,8 @@ class TaskNode(ManagedNode, ABC):
         """Ask for [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns."""
         now_ns = self.now_ns()
         numbers = np.asarray(twist, dtype=np.float64).tolist()
+        self._sent += 1
+        numbers = self._session, self._sent, *numbers
         command = headed_bytes(ArmCommand, now_ns, self.controlled_frame, *numbers, source=self.source)
         self.twist_out.publish(command)
         return now_ns
@@ -185,13 +189,14 @@ class TaskNode(ManagedNode, ABC):
         self.send_twist(ZERO)
         self.twist_out.wait_for_all_acked(Duration(seconds=LAST_WORD))
 
+    @property
+    def arm_trouble(self) -> str:
+        """Why the arm does not follow; '' if it does, as far as is known."""
+        return self.attention.trouble
+
     def _on_arm(self, status: ArmStatus) -> None:
         """Fail what runs as soon as the arm does not follow it any more; a new goal has to be asked for."""
-        self.arm_trouble = ""
-        if status.mode in TROUBLE:
-            self.arm_trouble = f"the arm is in {TROUBLE[status.mode]}: {status.reason}"
-        elif status.owner not in ("", self.source):
-            self.arm_trouble = f"the arm is commanded by {status.owner}"
+        self.attention.see(status, commands=self.run is not None)
         if self.run is not None and self.arm_trouble:
             self.run.task.abort(self.arm_trouble)
             self.step()

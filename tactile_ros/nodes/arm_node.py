@@ -18,12 +18,14 @@ deactivated.
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
+from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -73,6 +75,11 @@ class ArmNodeSettings(Settings):
     state_timeout: float = setting(
         0.1, lower=0.01, upper=10.0, unit="s", doc="silence of the driver at which the arm is stopped"
     )
+    feels: bool = setting(
+        True,
+        doc="whether a filter tells what the arm's sensor feels, without which the arm crawls; false where "
+        "there is none yet, as in data collection: then the workspace alone bounds how deep it goes",
+    )
 
 
 def arm_of_scene(node: ManagedNode, scene: str, rehearse: bool = False) -> tuple[ArmScene, Scene]:
@@ -89,7 +96,7 @@ class ArmNode(ManagedNode):
     def __init__(self, hosted: ArmScene | None = None, **kwargs: Any) -> None:
         super().__init__("arm", **kwargs)
         self.settings = SettingsParameters(
-            self, ArmNodeSettings(), read_only=("scene", "status_rate", "rehearse")
+            self, ArmNodeSettings(), read_only=("scene", "status_rate", "rehearse", "feels")
         )
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.hosted = hosted
@@ -101,7 +108,7 @@ class ArmNode(ManagedNode):
         """Open topics and, unless another node does, the driver."""
         scene, cell = (self.hosted, None) if self.hosted is not None else self._scene()
         self.scene = scene
-        self.safe = SafeArm(scene, self.now_ns)
+        self.safe = SafeArm(scene, self.now_ns, self.settings.value.feels)
         self.safe.neighbours = self._neighbours(cell) if cell is not None else ()
         self.frame = self.frame_of(scene.controlled_frame)
         self.limits = scene.limits
@@ -192,7 +199,7 @@ class ArmNode(ManagedNode):
         self._state: ArmState | None = None
         self._status_due_ns = 0
         self._commanded_at: float | None = None  # on the steady clock
-        self._refused = ""
+        self._refused = self._owner = self._alarm = ""
         if self.estop:
             self.safe.estop(self.estop)
 
@@ -210,24 +217,33 @@ class ArmNode(ManagedNode):
     def checked(self, state: ArmState) -> ArmState | None:
         """The state as the safe command stage completes it; None, told and counted, if it cannot be true."""
         complete = self.safe.take_state(state)
+        self._tell_alarm()
         if self.safe.neighbours and state.joints is None:
             others = ", ".join(neighbour.name for neighbour in self.safe.neighbours)
             self.warn("joints", f"the driver tells no joints: no distance is kept from {others}", period=60.0)
         if complete is None:
             self.count("states refused")
             self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}")
-            if self._state is None:
+            if self._state is None or self.safe.alarm:
                 self._tell_unbelieved()
         return complete
 
+    def _tell_alarm(self) -> None:
+        """That the stage has stopped an arm which does what it was not told to: as an error until a reset."""
+        alarm = self.safe.alarm
+        self.report.fault = f"{self.arm}: {alarm}" if alarm else ""
+        if alarm != self._alarm and alarm:
+            self.get_logger().fatal(f"{self.arm}: {alarm}; arm/reset leaves it")
+        self._alarm = alarm
+
     def _tell_unbelieved(self) -> None:
-        """To those who wait for a first state, that those which came cannot be true."""
+        """To those who wait for a state, that those which came cannot be true."""
         now_ns = self.now_ns()
         if not self.active or now_ns < self._status_due_ns:
             return
         self._status_due_ns = now_ns + int(SECOND_NS / self.settings.value.status_rate)
         status = ArmStatus(header=header(now_ns, self.base_frame), mode=ArmStatus.FAULT, command_age=-1.0)
-        status.reason = f"what it says of itself is not believed: {self.safe.bad_state}"
+        status.reason = self.safe.alarm or f"what it says of itself is not believed: {self.safe.bad_state}"
         self.status_out.publish(status)
 
     def moving_transform(self) -> TransformStamped:
@@ -251,29 +267,40 @@ class ArmNode(ManagedNode):
         self._status_due_ns = due_ns if due_ns > state.stamp_ns and not first else state.stamp_ns + period_ns
         if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
             self.report.complain("fault", f"{self.arm}: {state.mode.name.lower()}: {state.reason}")
+        if state.remark:
+            self.warn("remark", f"{self.arm}: {state.remark}", period=5.0)
         numbers = numbers_from_pose(state.T_base_controlled).tolist()
         self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
         if self.joints is not None:
             self.joints.publish(state)
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
-        texts = {"reason": state.reason, "owner": state.owner, "held_back": state.held_back}
+        texts = {
+            name: getattr(state, name)
+            for name in ("reason", "owner", "held_back", "refused", "refused_source", "remark")
+        }
         self.status_out.publish(headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, **texts))
 
     # ---- commands ----
 
     def _receive(self, data: bytes) -> None:
         """Hand a command to the safe command stage; refused ones are counted and told."""
-        stamp_ns, frame_id, source, twist = command_from_bytes(data)
-        refusal = self._silence()
-        if frame_id != self.frame:  # in another frame it would move the arm wrongly
-            refusal = f"frame is '{frame_id}', must be '{self.frame}'"
-        self._refused = refusal or self.safe.command(stamp_ns, twist, source)
+        command = command_from_bytes(data)
+        source, refusal = command.source, self._silence()
+        if command.frame_id != self.frame:  # in another frame it would move the arm wrongly
+            refusal = f"frame is '{command.frame_id}', must be '{self.frame}'"
+        self._refused = refusal or self.safe.command(
+            command.stamp_ns, command.twist, source, command.session, command.sequence
+        )
         if self._refused:
             self.count("commands refused")
             self.warn("command", f"{self.arm}: command of {source or 'nobody'} refused: {self._refused}")
-        else:
-            self._commanded_at = time.monotonic()
+            return
+        self._commanded_at = time.monotonic()
+        if self.safe.owner != self._owner:
+            before = f", before by {self._owner}" if self._owner else ""
+            self.get_logger().info(f"{self.arm}: commanded by {self.safe.owner or 'nobody by name'}{before}")
+            self._owner = self.safe.owner
 
     def _take_contact(self, data: bytes) -> None:
         """What the sensor feels bounds the motion."""
@@ -303,15 +330,25 @@ class ArmNode(ManagedNode):
         response.success, response.message = True, "the arm comes to rest, and stays there until arm/reset"
         return response
 
-    def _serve_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            self.safe.reset()
-        except RuntimeError as error:
+    async def _serve_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Leave what stopped the arm; a driver that takes its time for it keeps no stop from being heard."""
+        done: Future = Future()
+        threading.Thread(target=self._reset, args=(done,), daemon=True).start()
+        error = await done
+        if error:
             response.success, response.message = False, f"the arm cannot leave its fault: {error}"
             return response
         self.estop = ""
         response.success, response.message = True, "the arm moves again once a command of zero has come"
         return response
+
+    def _reset(self, done: Future) -> None:
+        try:
+            self.safe.reset()
+        except RuntimeError as error:
+            done.set_result(str(error) or "it does not say why")
+        else:
+            done.set_result("")
 
     def _silence(self) -> str:
         """Why what the driver says cannot be relied on; empty if it can."""

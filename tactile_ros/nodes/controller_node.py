@@ -154,8 +154,11 @@ class ControllerNode(TaskNode):
         else:
             pose = self.sensor_pose()
             inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None)
+            broken = self.run.task.traceback
             command = self.run.task.step(now_ns, inputs)
             now_ns = self.send_twist(command.twist)
+            if self.run.task.traceback != broken:
+                self.get_logger().error(f"{self.goal_name}: {command.reason}\n{self.run.task.traceback}")
             self._publish_status(now_ns, command, command.twist)
             self._after(now_ns, command)
         self.last_step_ns = now_ns

@@ -67,6 +67,7 @@ class SimSettings(Settings):
     rehearse: bool = setting(
         False, doc="whether arms with real drivers have doubles here, and their sensors simulated cameras"
     )
+    feels: bool = setting(True, doc="whether filters tell what the sensors feel; see the parameter of arm")
     longest_lag: float = setting(
         0.05, lower=0.001, upper=10.0, unit="s", doc="further behind real time, exposures are left out"
     )
@@ -119,7 +120,9 @@ class SimNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("sim")
         self.settings = SettingsParameters(
-            self, SimSettings(), read_only=("scene", "seed", "camera_rate", "status_rate", "rehearse")
+            self,
+            SimSettings(),
+            read_only=("scene", "seed", "camera_rate", "status_rate", "rehearse", "feels"),
         )
         try:
             scene = load_scene(self.settings.value.scene)
@@ -146,7 +149,7 @@ class SimNode(ManagedNode):
             for name in ("use_sim_time", "autostart", "diagnostics_period")
         }
         if kind is ArmNode:
-            passed["status_rate"] = self.settings.value.status_rate
+            passed |= {name: getattr(self.settings.value, name) for name in ("status_rate", "feels")}
         overrides = [Parameter(name, value=value) for name, value in passed.items()]
         return kind(hosted, namespace=f"/{arm}", use_global_arguments=False, parameter_overrides=overrides)
 

@@ -40,7 +40,17 @@ class Follower(SimArm):
 class Cell:
     """An arm behind the stage, on one clock."""
 
-    def __init__(self, start=None, driver=SimArm, keep_out=(), sensor=True, limits=None, feels=False, owned=True, **safety):
+    def __init__(
+        self,
+        start=None,
+        driver=SimArm,
+        keep_out=(),
+        sensor=True,
+        limits=None,
+        feels=False,
+        owned=True,
+        **safety,
+    ):
         tip = SimpleNamespace(settings=SimpleNamespace(protective_depth=0.010, tip_radius=0.020))
         limits = limits or ArmLimits()
         self.arm = driver(limits, np.eye(4) if start is None else start, 10**9)

@@ -62,10 +62,11 @@ class BenchArm:
         self._thread.join()
 
     def _run(self):
+        last = time.monotonic()
         while self._open:
             time.sleep(PERIOD)
-            twist = self._twist
-            self._pose = self._pose @ se3.exp(twist * PERIOD)
+            twist, now = self._twist, time.monotonic()
+            self._pose, last = self._pose @ se3.exp(twist * (now - last)), now
             if self.kinematics is not None:
                 self._joints = self.kinematics.follow(self._joints, self._pose)
             mode = ArmMode.MOVING if twist.any() else ArmMode.RESTING

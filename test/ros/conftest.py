@@ -17,6 +17,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: m
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from messages import arm_command  # noqa: E402
 from rcl_interfaces.srv import GetParameters, SetParameters  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
@@ -26,6 +27,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from tactile_bringup.launching import shared_memory  # noqa: E402
 from tactile_bringup.launching.environment import ros_environment  # noqa: E402
 from tactile_bringup.launching.processes import ProcessGroup, tail  # noqa: E402
+from tactile_msgs.msg import ArmCommand, ArmStatus  # noqa: E402
 from tactile_ros import qos  # noqa: E402
 from tactile_ros.conversions import transform_stamped  # noqa: E402
 from tactile_ros.managed_node import use_dds_profile  # noqa: E402
@@ -35,6 +37,26 @@ BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"
 SECOND = 1_000_000_000
 PATIENCE = 60.0  # s; a wait ends as soon as it can: only a test that fails waits as long, on any machine
 DEPTH = 2000  # messages that wait for us while the test itself is held up
+
+
+class Commands:
+    """Asks an arm for twists in a frame: for rest as long as the arm waits for that, then for what is wanted."""
+
+    def __init__(self, graph: "Graph", frame: str, source: str, arm: str) -> None:
+        self._graph, self._frame, self._source = graph, frame, source
+        self._statuses = graph.collect(ArmStatus, f"/{arm}/arm/status")
+        self._out = graph.publisher(ArmCommand, f"/{arm}/command/request", qos.COMMAND)
+
+    def __call__(self, twist) -> None:
+        wanted = twist if self._heard() else np.zeros(6)
+        self._out.publish(arm_command(self._graph.now_ns(), self._frame, wanted, self._source))
+
+    def _heard(self) -> bool:
+        if not self._statuses:
+            return False
+        status = self._statuses[-1]
+        waits = status.refused_source == self._source and "twist of zero" in status.refused
+        return status.owner == self._source and not waits
 
 
 class Graph:
@@ -235,6 +257,10 @@ class Graph:
         assert self.wait(lambda: publisher.get_subscription_count() > 0), f"nobody listens to {topic}"
         self.settle()
         return publisher
+
+    def commands(self, frame: str, source: str = "/test", arm: str = ARM) -> "Commands":
+        """A commander of an arm, as a controller is one."""
+        return Commands(self, frame, source, arm)
 
     def action(self, action_type: type, name: str) -> ActionClient:
         """A client of an action whose server is there."""

@@ -119,8 +119,11 @@ def test_a_twist_survives_the_way_through_a_message():
 
 def test_a_command_is_read_with_who_sent_it():
     twist = RNG.normal(size=6)
-    stamp_ns, frame, source, found = command_from_bytes(serialize_message(arm_command(7, "s", twist, "/me")))
-    assert (stamp_ns, frame, source) == (7, "s", "/me") and found.tolist() == twist.tolist()
+    message = arm_command(7, "s", twist, "/me")
+    message.session, message.sequence = 2**64 - 1, 5
+    found = command_from_bytes(serialize_message(message))
+    assert (found.stamp_ns, found.frame_id, found.source) == (7, "s", "/me")
+    assert (found.session, found.sequence, found.twist.tolist()) == (2**64 - 1, 5, twist.tolist())
 
 
 def test_the_identity_quaternion_is_the_default_of_messages():

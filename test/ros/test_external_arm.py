@@ -74,18 +74,18 @@ def servo(graph, tmp_path):
     scene.write_text(re.search(r"```yaml\n# my_moveit_cell.yaml\n(.*?)```", PAGE.read_text(), re.S)[1])
     remap = "import sys; sys.argv += ['-r', 'command/twist:=/servo_node/delta_twist_cmds']; "
     code = f"{remap}from {ARM_NODE} import main; sys.exit(main())"
-    graph.start_code(ARM_NODE, code, {"scene": str(scene), **FRAMES})
+    graph.start_code(ARM_NODE, code, {"scene": str(scene), "feels": False, **FRAMES})
     return Servo(graph)
 
 
 def test_moveit_servo_turns_the_tool_about_the_tip_and_rests_when_commands_end(graph, servo):
     static = graph.collect(TFMessage, "/tf_static", qos.TF_STATIC)
-    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+    ask = graph.commands("tactip")
 
     def command(twist, until):
         for _ in graph.ticks(0.01):
             servo.step()
-            twists.publish(arm_command(graph.now_ns(), "tactip", twist))
+            ask(twist)
             if until():
                 return
         raise AssertionError("it never held")
@@ -114,7 +114,7 @@ def test_moveit_servo_turns_the_tool_about_the_tip_and_rests_when_commands_end(g
     before = len(servo.commands)
     for _ in range(30):
         servo.step()
-        twists.publish(arm_command(graph.now_ns(), "tactip", np.zeros(6)))
+        ask(np.zeros(6))
         graph.spin(0.01)
     assert len(servo.commands) == before
     # and again, until the node is killed: servo's own timeout is what is left

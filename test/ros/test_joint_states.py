@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from messages import arm_command
 from other_package import installed
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -14,7 +13,7 @@ from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.scene import load_scene
 from tactile_filter import se3
 from tactile_filter.transform_buffer import TransformBuffer
-from tactile_msgs.msg import ArmCommand, ArmStatus
+from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import matrix_from_transform, ns_from_time
 
@@ -85,11 +84,11 @@ def cell(graph, tmp_path):
 
 
 def test_the_links_of_a_urdf_follow_the_joints_and_end_where_the_tool_is(graph, cell, tmp_path):
-    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+    ask = graph.commands("arm/tool")
     turning = [name for name, (kind, *_) in JOINTS.items() if kind == "revolute"]
     start = None
     for _ in graph.ticks(0.02):
-        twists.publish(arm_command(graph.now_ns(), "arm/tool", [0.0, 0.05, 0.02, 0.2, 0.0, 0.1]))
+        ask([0.0, 0.05, 0.02, 0.2, 0.0, 0.1])
         if cell["joints"]:
             now = np.array(cell["joints"][-1].position)
             start = now if start is None else start
@@ -151,7 +150,7 @@ def test_two_arms_in_nodes_of_their_own_keep_apart_and_one_that_falls_silent_sto
         graph.wait_until_active(name)
     joints = {name: graph.collect(JointState, f"/{name}/joint_states") for name in ("left", "right")}
     statuses = {name: graph.collect(ArmStatus, f"/{name}/arm/status") for name in joints}
-    twists = {name: graph.publisher(ArmCommand, f"/{name}/command/request", qos.COMMAND) for name in joints}
+    asks = [graph.commands(f"{name}/tool", arm=name) for name in joints]
     (tmp_path / "here.yaml").write_text(TWO.replace("bench_arm", "sim"))  # which this process knows
     arms = load_scene(tmp_path / "here.yaml").arms
     pair = Neighbour(arms["left"], arms["right"], lambda: None)
@@ -160,8 +159,8 @@ def test_two_arms_in_nodes_of_their_own_keep_apart_and_one_that_falls_silent_sto
     def drive(velocity, until) -> None:
         """Both along x of their tools, towards each other."""
         for _ in graph.ticks(0.02):
-            for name, out in twists.items():
-                out.publish(arm_command(graph.now_ns(), f"{name}/tool", [velocity, 0, 0, 0, 0, 0]))
+            for ask in asks:
+                ask([velocity, 0, 0, 0, 0, 0])
             if all(joints.values()):
                 q = [np.array(joints[name][-1].position) for name in ("left", "right")]
                 distances.append(pair.distance(*q))

@@ -90,8 +90,8 @@ def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the
     poses = graph.collect(PoseStamped, "arm/pose")
     statuses = graph.collect(ArmStatus, "arm/status")
     limited = graph.collect(TwistStamped, "command/twist_limited")
-    graph.start(SIM, {"scene": ideal_scene}, namespace="")
-    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+    graph.start(SIM, {"scene": ideal_scene, "feels": False}, namespace="")
+    ask = graph.commands(SENSOR)
     assert graph.wait(lambda: bool(poses) and bool(statuses))
     start = matrix_from_pose(poses[-1].pose)
 
@@ -99,7 +99,7 @@ def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the
         return se3.inverse(start) @ matrix_from_pose(poses[-1].pose)
 
     for _ in graph.ticks(0.02):
-        twists.publish(arm_command(graph.now_ns(), SENSOR, FORWARD))
+        ask(FORWARD)
         if moved()[1, 3] > 0.003:
             break
     assert moved()[1, 3] > 0.003 and abs(moved()[0, 3]) < 1e-9
@@ -160,9 +160,9 @@ def test_an_arm_with_known_kinematics_stops_before_it_is_too_near_to_another(gra
     )
     statuses = graph.collect(ArmStatus, "arm/status")
     graph.start(SIM, {"scene": str(tmp_path / "near.yaml")}, namespace="")
-    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
+    ask = graph.commands("arm/tool")
     for _ in graph.ticks(0.02):
-        twists.publish(arm_command(graph.now_ns(), "arm/tool", np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])))
+        ask([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
         if statuses and statuses[-1].held_back:
             break
     assert statuses[-1].held_back == "0.06 m from other"

@@ -1,0 +1,49 @@
+"""ArmAttention: does the arm follow who asks it to, and if not, why?"""
+
+from __future__ import annotations
+
+import time
+
+from tactile_msgs.msg import ArmStatus
+
+TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
+REFUSED = 0.3  # s, for which an arm refuses all that it is told until that is trouble
+UNHEARD = 0.5  # s, for which none of what it is told has come to it
+
+
+class ArmAttention:
+    """Takes `arm/status` for one commander, whose name is the source of its commands.
+
+    Attributes
+    ----------
+    trouble : str
+        Why the arm does not follow it; '' if it does, as far as is known.
+    """
+
+    def __init__(self, source: str) -> None:
+        self.source, self.trouble = source, ""
+        self._since: dict[str, float] = {}
+
+    def see(self, status: ArmStatus, commands: bool) -> None:
+        """Take a status; `commands`: whether twists are sent all the time now."""
+        self.trouble = self._trouble(status, commands)
+
+    def _trouble(self, status: ArmStatus, commands: bool) -> str:
+        if status.mode in TROUBLE:
+            return f"the arm is in {TROUBLE[status.mode]}: {status.reason}"
+        if status.owner not in ("", self.source):
+            return f"the arm is commanded by {status.owner}"
+        if self._lasts("refused", status.refused_source == self.source, REFUSED):
+            return f"the arm refuses its commands: {status.refused}"
+        limit = UNHEARD
+        unheard = commands and not status.refused and not 0.0 <= status.command_age <= limit
+        if self._lasts("unheard", unheard, limit):
+            return f"the arm has heard no command for {limit:g} s: they do not arrive"
+        return ""
+
+    def _lasts(self, what: str, holds: bool, limit: float) -> bool:
+        """Whether something has held for that long (s)."""
+        if not holds:
+            self._since.pop(what, None)
+            return False
+        return time.monotonic() - self._since.setdefault(what, time.monotonic()) > limit
