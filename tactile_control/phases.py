@@ -254,7 +254,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
             return self._after_exception(error)
 
     def _mind_pause(self, seconds: float) -> None:
-        """What a time without a step means: the arm has stopped meanwhile, and what it touches may be gone."""
+        """After a time without a step the arm has stopped, and what it touched may be gone."""
         limit = max(self.watchdog.settings.patience, PAUSE)
         if seconds < 0.0:
             self._fail_here(f"the clock went back by {-seconds:.3f} s")
@@ -327,7 +327,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
     def _go_to(
         self, T_base_goal: Array, travel: TravelSettings, now_ns: int, name: str = "start"
     ) -> Array | None:
-        """The twist on the way to a pose through the air, None once there; fails if that is far or takes long."""
+        """The twist on the way to a pose in the air, None once there; fails if it is far or takes long."""
         pose = self._sensor_pose()
         if self._waypoints is None:
             if (way := se3.norm(T_base_goal[:3, 3] - pose[:3, 3])) > travel.distance:

@@ -104,8 +104,8 @@ class SafetySettings(Settings):
     )
     contact_memory: float = setting(
         0.3, lower=0.0, upper=10.0, unit="s",
-        doc="a belief bounds the motion for this long, carried along with the arm's own motion; without a "
-        "newer word on the contact an arm with a sensor backs off, or crawls",
+        doc="a belief bounds the motion for this long, carried along with the arm's own motion; without "
+        "news of the contact an arm with a sensor backs off, or crawls",
     )  # fmt: skip
     crawl_speed: float = setting(
         0.002, lower=1e-4, upper=0.05, unit="m/s",
@@ -155,7 +155,7 @@ class Box:
 
 @dataclass(frozen=True)
 class ArmState:
-    """State of the arm at a stamp; down to `speed_scaling` it is the driver's, the rest the safe command stage's.
+    """State of the arm at a stamp; down to `speed_scaling` it is the driver's, the rest the safe stage's.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class ArmState:
     joints : ndarray (n,) or None
         Angles of the joints, rad, of an arm whose driver has `kinematics`.
     speed_scaling : float
-        The part (0 to 1) of what it is told that the arm is set to do, by a slider at its pendant for instance.
+        The part (0 to 1) of what it is told that the arm is set to do, by a slider at its pendant say.
     owner : str
         Who commands the arm; empty for nobody.
     command_age : float

@@ -1,4 +1,4 @@
-"""Ownership: who may command an arm. One at a time, and whoever is new, or was silent, asks for rest first."""
+"""Ownership: who may command an arm. One at a time, and whoever is new or was silent asks for rest first."""
 
 from __future__ import annotations
 

@@ -40,7 +40,8 @@ EXTERNAL = "external"  # somebody else's driver or camera, which runs already
 _NAME = re.compile(r"[a-z][a-z0-9_]*")  # a ROS namespace and frame prefix
 _POSE_KEYS = ("position", "rotation_deg")
 _ARM_KEYS = (
-    "driver", "driver_settings", "base", "start", "limits", "safety", "tracking", "keep_out", "sensor", "kinematics",
+    "driver", "driver_settings", "base", "start", "limits", "safety", "tracking", "keep_out", "sensor",
+    "kinematics",
 )  # fmt: skip
 
 
@@ -104,14 +105,14 @@ class ArmScene:
         The arm's base, and where its controlled frame starts, in the world.
     limits : ArmLimits
     safety : SafetySettings
-    tracking : TrackingSettings
-        How well the arm does what it is told.
     keep_out : tuple of Box
         Where the tip must not go, in the arm's base.
     sensor : SensorScene or None
         None for an arm that feels nothing.
     kinematics : Chain or None
         From the base to the controlled frame; None where they are not known.
+    tracking : TrackingSettings
+        How well the arm does what it is told.
     """
 
     name: str
@@ -121,10 +122,10 @@ class ArmScene:
     T_world_start: Array
     limits: ArmLimits
     safety: SafetySettings
-    tracking: TrackingSettings
     keep_out: tuple[Box, ...]
     sensor: SensorScene | None
     kinematics: Chain | None = field(default=None, compare=False)
+    tracking: TrackingSettings = TrackingSettings()
 
     @property
     def controlled_frame(self) -> str:

@@ -60,7 +60,7 @@ class Sender:
         return self._timer.remark
 
     def command(self, stamp_ns: int, twist: ArrayLike) -> None:
-        """Have the driver follow a twist as soon as it has taken the last one; raises what that one raised."""
+        """Have the driver follow a twist once it has taken the last one; raises what that one raised."""
         if self._failed is not None:
             raise self._failed
         with self._news:

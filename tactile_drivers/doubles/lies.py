@@ -48,7 +48,7 @@ class Witness:
     way : float
         Length of its path, m.
     rests_since : float
-        Seconds after the beginning of the lie from which on the arm was at rest to the end; inf: it never was.
+        From then on the arm was at rest to the end, s after the lie began; inf: it never was.
     """
 
     deepest: float = -math.inf
@@ -58,7 +58,7 @@ class Witness:
     _last: Array | None = field(default=None, repr=False)
 
     def see(self, since: float, T_base_controlled: Array, speed: float, depth: float) -> None:
-        """Take one step of the cell: seconds since the lie began, true pose (4, 4), speed (m/s), depth (m)."""
+        """Take one step: seconds since the lie began, true pose (4, 4), speed (m/s), depth (m)."""
         position = T_base_controlled[:3, 3]
         self.way += se3.norm(position - self._last) if self._last is not None else 0.0
         self._last = position.copy()

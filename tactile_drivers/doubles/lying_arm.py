@@ -51,7 +51,8 @@ class LyingDriver:
     def __init__(self, arm: SimArm, begun: Callable[[int], bool], seed: int = 0) -> None:
         self.arm, self.begun = arm, begun
         self.random = np.random.default_rng(seed)
-        self.told, self._told_ns = _REST, None
+        self.told = _REST
+        self._told_ns: int | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.arm, name)

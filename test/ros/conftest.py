@@ -40,7 +40,7 @@ DEPTH = 2000  # messages that wait for us while the test itself is held up
 
 
 class Commands:
-    """Asks an arm for twists in a frame: for rest as long as the arm waits for that, then for what is wanted."""
+    """Asks an arm for twists in a frame: for rest as long as it waits for that, then for what is wanted."""
 
     def __init__(self, graph: "Graph", frame: str, source: str, arm: str) -> None:
         self._graph, self._frame, self._source = graph, frame, source
