@@ -151,9 +151,16 @@ class _OfflineLoop:
                 self.arms[arm].end(self.sequence.failure)
             while not self._tick():
                 pass
+        self._see_aftermath()
         wall_s = time.perf_counter() - started
         failure = self.sequence.failure
         return {name: arm.log.finish(not failure, failure, wall_s) for name, arm in self.arms.items()}
+
+    def _see_aftermath(self) -> None:
+        """What comes of a lie after the run, when nobody commands any more."""
+        lies = self.options.lies
+        for _ in range(round(lies.aftermath * self.cell.scene.simulation.rate) if lies is not None else 0):
+            self._tick()
 
     def _tick(self) -> bool:
         """One step of the cell: what the arms report, then what has become due, then new exposures.

@@ -52,6 +52,8 @@ class ArmWatch:
     ) -> None:
         self._limits, self._safety, self._clock = limits, safety, clock
         self._monitor = TrackingMonitor(limits, tracking)
+        braking = limits.linear_velocity / limits.linear_acceleration
+        self._brakes_ns = round((tracking.lag + tracking.window + braking) * SECOND_NS)
         self.restart()
 
     def restart(self) -> None:
@@ -61,7 +63,7 @@ class ArmWatch:
         self._last: ArmState | None = None
         self._fastest = 0.0  # m/s, that the arm was told since its last state
         self._lateness, self._heard_ns = 0.0, 0
-        self._stop = ""  # why it was told to stop, until it rests
+        self._stop, self._stop_ns = "", 0  # why it was told to stop, and when, until it rests
 
     @property
     def moves(self) -> bool:
@@ -78,7 +80,8 @@ class ArmWatch:
 
     def told_to_stop(self, reason: str) -> None:
         """It is told to stop."""
-        self._stop = reason
+        if not self._stop:
+            self._stop, self._stop_ns = reason, self._clock()
         self.told(np.zeros(6))
 
     # ---- what it says ----
@@ -139,7 +142,7 @@ class ArmWatch:
             new = late and not self.alarm
             self.alarm = self.alarm or (self._late_by() if late else "")
             return new
-        if deviation.by_itself and self._stop:
+        if deviation.by_itself and self._stop and self._clock() - self._stop_ns > self._brakes_ns:
             self.runaway = self.runaway or (
                 f"THE ARM DOES NOT STOP, press the emergency stop that is wired to it: {deviation.text}, "
                 f"after a stop ({self._stop})"

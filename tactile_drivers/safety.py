@@ -198,7 +198,7 @@ class SafeArm:
         """
         driver, fault, estops = self.driver, self._fault, self._estops
         with self._lock:
-            if self._watch.alarm and self._watch.moves:
+            if self._watch.alarm and self._watch.moves and not self.bad_state:
                 raise RuntimeError("the arm was told to rest, and moves")
         if driver is not None and fault:
             driver.recover()  # which may take its time, and states of its own

@@ -125,7 +125,7 @@ class ArmScene:
     keep_out: tuple[Box, ...]
     sensor: SensorScene | None
     kinematics: Chain | None = field(default=None, compare=False)
-    tracking: TrackingSettings = TrackingSettings()
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
 
     @property
     def controlled_frame(self) -> str:

@@ -108,7 +108,7 @@ class Cell:
 
     def __init__(self, scene: Path):
         self.arm = load_scene(scene).arms["arm"]
-        self.safe = SafeArm(self.arm, time.time_ns)
+        self.safe = SafeArm(self.arm, time.time_ns, feels=False)
         self.states, self.refused = [], []
         self.driver = open_arm(self.arm, self._take)
         self.safe.drive(self.driver)
@@ -135,7 +135,8 @@ class Cell:
             time.sleep(COMMANDS)
 
     def move(self):
-        """Bring the arm to 50 mm/s."""
+        """Bring the arm to 50 mm/s, from rest, as whoever commands it anew has to."""
+        self.until(lambda: not self.command(ZERO), "arm that listens")
         self.until(
             lambda: not self.command(ALONG) and np.abs(self.state.twist - ALONG).max() < 1e-4, "50 mm/s"
         )

@@ -82,9 +82,13 @@ class Lies:
 
     Attributes
     ----------
+    aftermath : float
+        How long it is seen what comes of it after the run, s.
     witness : mapping of str to Witness
         By arm, of those with a sensor that the cell simulates; the depth where there is something to touch.
     """
+
+    aftermath = 2.0
 
     def __init__(self, begins: float = 0.0, arm: str = "") -> None:
         self.begins_ns, self.about = round(begins * SECOND_NS), arm

@@ -68,7 +68,8 @@ class LyingDriver:
     def command(self, stamp_ns: int, twist: ArrayLike) -> None:
         """See `Arm`."""
         self.told, self._told_ns = np.array(twist, dtype=np.float64), stamp_ns
-        self.arm.command(stamp_ns, self.told)
+        does = self.does(self.told) if self.begun(self.arm.stamp_ns) else None
+        self.arm.command(stamp_ns, self.told if does is None else does)
 
     def stop(self, reason: str) -> None:
         """See `Arm`."""
@@ -93,8 +94,12 @@ class IgnoresStop(LyingDriver):
 
     _last = _REST
 
+    def command(self, stamp_ns: int, twist: ArrayLike) -> None:
+        """See `Arm`."""
+        self._last = np.array(twist, dtype=np.float64)
+        super().command(stamp_ns, twist)
+
     def does(self, told: Array) -> Array | None:
-        self._last = told if np.any(told) else self._last
         return self._last
 
 

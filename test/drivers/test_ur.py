@@ -268,6 +268,7 @@ def test_an_arm_with_kinematics_tells_its_joints_and_minds_their_ranges(tmp_path
     (tmp_path / "short.yaml").write_text(text)
     cell = Cell(scene_file(tmp_path, double.host, kinematics="{description: short.yaml}"))
     try:
+        cell.move()
         cell.until(lambda: not cell.command(ALONG) and "joint 3" in cell.state.held_back, "end of the elbow")
         cell.command(ALONG, 1.0)
         joints = np.array([state.joints for state in cell.states])
