@@ -403,7 +403,7 @@ def test_a_task_that_begins_in_a_contact_that_it_cannot_leave_fails_and_says_so(
     surface = Plane()
     plant = Plant(surface, above(surface, -0.1))
     commands = run(SurfaceFollowing(settings, FollowingGoal(), above(surface, 0.1)), plant)
-    assert "still in contact after backing off by 50." in commands[-1][1].reason
+    assert "still in contact after backing off by 45." in commands[-1][1].reason
 
 
 def test_the_approach_goes_on_for_the_press_distance(settings):

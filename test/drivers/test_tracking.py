@@ -13,10 +13,11 @@ from tactile_filter import se3
 SECOND = 1_000_000_000
 ALONG = np.array([0.0, 0.03, 0.0, 0.0, 0.0, 0.0])
 REST = np.zeros(6)
+SIDEWAYS, TURN = 0.05 * np.eye(6)[0], 0.3 * np.eye(6)[5]
 
 
 class Arm:
-    """An arm that goes after what it was told a while ago, as a profile within limits or a first-order lag."""
+    """An arm that goes after what it was told a while ago, within limits or with a first-order lag."""
 
     def __init__(self, delay=0.0, constant=0.0, limits=None, rate=125.0, noise=0.0, seed=0):
         self.limits = limits or ArmLimits()
@@ -96,12 +97,12 @@ class Double(Arm):
 
 class Sideways(Arm):
     def does(self, told):
-        return super().does(told + [0.05, 0, 0, 0, 0, 0])
+        return super().does(told + SIDEWAYS)
 
 
 class Turning(Arm):
     def does(self, told):
-        return super().does(told + [0, 0, 0, 0, 0, 0.3])
+        return super().does(told + TURN)
 
 
 @pytest.mark.parametrize("kind", [Flipped, Double, Sideways, Turning])

@@ -24,6 +24,9 @@ class BenchArmSettings(Settings):
     states: int = setting(10**9, lower=0, doc="states that are reported before the arm falls silent")
     jump_after: int = setting(10**9, lower=0, doc="states after which it says that it is somewhere else")
     nowhere: bool = setting(False, doc="it says that it is at no pose at all")
+    flips: bool = setting(False, doc="along y it goes the other way")
+    deaf: bool = setting(False, doc="it does not stop")
+    slow: float = setting(0.0, lower=0.0, unit="s", doc="time that a command takes that moves it")
 
 
 class BenchArm:
@@ -41,17 +44,22 @@ class BenchArm:
         self._pose, self._twist, self._why = arm.T_base_start, np.zeros(6), ""
         if settings.nowhere:
             self._pose = np.full((4, 4), np.nan)
+        self._settings = settings
         self._report, self._left, self._jump = report, settings.states, settings.jump_after
         self._open = True
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
     def command(self, stamp_ns, twist):
-        self._twist, self._why = np.array(twist), ""
+        if np.any(twist):
+            time.sleep(self._settings.slow)
+        turn = [1.0, -1.0 if self._settings.flips else 1.0, 1.0, 1.0, 1.0, 1.0]
+        self._twist, self._why = np.array(twist) * turn, ""
 
     def stop(self, reason):
-        print(f"stop: {reason}", flush=True)
-        self._twist, self._why = np.zeros(6), reason
+        print(f"stop: {reason}\nstopped at {time.time_ns()}", flush=True)
+        if not self._settings.deaf:
+            self._twist, self._why = np.zeros(6), reason
 
     def recover(self):
         print("recover", flush=True)

@@ -44,11 +44,13 @@ class Commands:
 
     def __init__(self, graph: "Graph", frame: str, source: str, arm: str) -> None:
         self._graph, self._frame, self._source = graph, frame, source
+        self.moved = False  # whether the last one was what is wanted
         self._statuses = graph.collect(ArmStatus, f"/{arm}/arm/status")
         self._out = graph.publisher(ArmCommand, f"/{arm}/command/request", qos.COMMAND)
 
     def __call__(self, twist) -> None:
-        wanted = twist if self._heard() else np.zeros(6)
+        self.moved = self._heard()
+        wanted = twist if self.moved else np.zeros(6)
         self._out.publish(arm_command(self._graph.now_ns(), self._frame, wanted, self._source))
 
     def _heard(self) -> bool:

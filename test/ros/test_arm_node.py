@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from messages import arm_command, vector_from_twist
 from other_package import installed
@@ -17,6 +18,7 @@ from tactile_ros.conversions import array_from_image, matrix_from_pose, matrix_f
 
 ARM_NODE, CAMERA_NODE = "tactile_ros.nodes.arm_node", "tactile_ros.nodes.camera_node"
 TOOL, SENSOR = "arm/tool", "arm/tactile_sensor"
+ERROR = int.from_bytes(DiagnosticStatus.ERROR, "little")
 ALONG = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
 SENSOR_TEXT = "sensor: {in_tool: {position: [0, 0, 0.065]}, camera: bench_camera, camera_rate: 30}"
 
@@ -203,13 +205,93 @@ def test_what_the_sensor_feels_bounds_how_deep_any_command_takes_it(graph, bench
     assert statuses[-1].held_back == "depth 0.01 m"
 
 
-def test_a_state_that_cannot_be_is_refused_and_the_arm_stopped_if_they_go_on(graph, bench):
+def test_an_arm_that_says_it_is_somewhere_else_is_stopped_until_a_reset(graph, bench):
     bench(settings="{jump_after: 300}")  # it has to be commanded before
-    poses = graph.collect(PoseStamped, "arm/pose")
-    keep_commanding(graph, SENSOR, lambda: "stop: no state from the driver for" in told(graph))
-    assert "last refused: the arm cannot have moved by" in told(graph)
+    poses, statuses = graph.collect(PoseStamped, "arm/pose"), graph.collect(ArmStatus, "arm/status")
+    keep_commanding(graph, SENSOR, lambda: "stop: the arm cannot have moved by 300" in told(graph))
     assert "cannot have moved" in graph.wait_for_count("arm", "states refused").message
+    assert graph.wait(lambda: statuses[-1].mode == ArmStatus.FAULT)
+    assert "where it is is not known" in statuses[-1].reason
+    graph.spin(2.0)  # no waiting makes it believable
     assert np.abs(position(poses) - [0.1, 0.2, 0.3]).max() < 0.1
+    assert statuses[-1].mode == ArmStatus.FAULT
+    assert graph.call(Trigger, "arm/reset", Trigger.Request()).success
+    assert graph.wait(lambda: np.abs(position(poses) - [0.1, 0.2, 0.3]).max() > 0.1)
+    assert graph.wait(lambda: statuses[-1].mode == ArmStatus.RESTING)
+
+
+def test_an_arm_that_does_otherwise_is_stopped_and_the_reason_is_an_error_until_a_reset(graph, bench):
+    bench(settings="{flips: true}")
+    statuses = graph.collect(ArmStatus, "arm/status")
+    keep_commanding(graph, SENSOR, lambda: bool(statuses) and statuses[-1].mode == ArmStatus.FAULT)
+    assert "the arm does not do what it is told: in " in statuses[-1].reason
+    graph.wait_for_report("arm", lambda report: report.level == ERROR)
+    assert "the arm does not do what it is told" in graph.reports("arm")[-1].message
+    assert "arm/reset leaves it" in told(graph)
+    assert graph.wait(lambda: not any(statuses[-1].twist))
+    assert graph.call(Trigger, "arm/reset", Trigger.Request()).success
+    assert graph.wait(lambda: statuses[-1].mode == ArmStatus.RESTING)
+    graph.wait_for_report("arm", lambda report: report.level != ERROR)
+
+
+def test_an_arm_that_ignores_an_emergency_stop_is_told_louder_than_anything_else(graph, bench):
+    bench(settings="{deaf: true}")
+    statuses = graph.collect(ArmStatus, "arm/status")
+    keep_commanding(graph, SENSOR, lambda: bool(statuses) and statuses[-1].twist[1] > 0.019)
+    assert graph.call(Trigger, "arm/estop", Trigger.Request()).success
+    assert graph.wait(lambda: statuses[-1].reason.startswith("THE ARM DOES NOT STOP"))
+    assert statuses[-1].mode == ArmStatus.ESTOP and "asked for by the service" in statuses[-1].reason
+    graph.wait_for_report("arm", lambda report: "THE ARM DOES NOT STOP" in report.message)
+    answer = graph.call(Trigger, "arm/reset", Trigger.Request())
+    assert not answer.success and "told to rest, and moves" in answer.message
+
+
+def test_an_emergency_stop_does_not_wait_for_a_command_that_hangs_in_the_driver(graph, bench):
+    bench(settings="{slow: 2.0}")
+    ask, stop = graph.commands(SENSOR), graph.publisher(Bool, "/estop")
+    log = graph.log(ARM_NODE)
+    for _ in graph.ticks(0.02):
+        ask(ALONG)
+        if ask.moved:
+            break
+    for _ in range(5):
+        graph.spin(0.02)
+        ask(ALONG)
+    asked_ns = graph.now_ns()
+    stop.publish(Bool(data=True))
+    stopped = "stop: emergency stop: asked for on /estop\nstopped at "
+    assert graph.wait(lambda: stopped in log.read_text())
+    assert (int(log.read_text().partition(stopped)[2].split()[0]) - asked_ns) * 1e-9 < 1.0
+    graph.wait_for_report("arm", lambda report: "the driver's command took 2." in report.message)
+
+
+def test_a_second_process_that_calls_itself_as_the_owner_is_refused(graph, bench):
+    bench(safety="{owner_timeout: 10.0}")
+    statuses, poses = graph.collect(ArmStatus, "arm/status"), graph.collect(PoseStamped, "arm/pose")
+    owner, other = (graph.publisher(ArmCommand, "command/request", qos.COMMAND) for _ in range(2))
+    message = arm_command(graph.now_ns(), SENSOR, np.zeros(6), "/arm/controller")
+    message.session, message.sequence = 4711, 1
+    owner.publish(message)
+    assert graph.wait(lambda: bool(statuses) and statuses[-1].owner == "/arm/controller")
+    assert "commanded by /arm/controller" in told(graph)
+    where = position(poses)
+    for _ in range(20):
+        for twist in (np.zeros(6), ALONG):
+            other.publish(arm_command(graph.now_ns(), SENSOR, twist, statuses[-1].owner))
+        graph.spin(0.02)
+    refusal = "somebody else commands the arm as /arm/controller, too"
+    graph.wait_for_report("arm", lambda report: refusal in report.message)
+    assert statuses[-1].refused_source == "/arm/controller" and refusal in statuses[-1].refused
+    np.testing.assert_array_equal(position(poses), where)
+
+
+def test_an_arm_with_a_sensor_of_which_nothing_is_heard_crawls(graph, bench):
+    bench(feels=True)
+    statuses = graph.collect(ArmStatus, "arm/status")
+    keep_commanding(graph, SENSOR, lambda: bool(statuses) and bool(statuses[-1].held_back))
+    assert statuses[-1].held_back == "no word of the contact: 0.002 m/s"
+    graph.spin(0.3)
+    assert max(abs(status.twist[1]) for status in statuses) < 0.0021
 
 
 def test_those_who_wait_for_a_first_state_are_told_why_none_is_believed(graph, bench):

@@ -19,7 +19,7 @@ SAYS = {
     "late_states": "states of the arm come",
     "pose_jumps": "the arm cannot have moved by 5",
 }
-#: s from the beginning of the lie to rest, and m of way: what can be known at once is, the rest takes its window
+#: s from the beginning of the lie to rest, and m of way, of what takes a window to be known
 WITHIN = {"loses_commands": (0.4, 0.005), "frozen_pose": (0.3, 0.004), "frozen_pose_alone": (0.3, 0.004)}
 GOES_ON = ("moves_by_itself",)  # nothing here can stop it
 
