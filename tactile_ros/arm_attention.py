@@ -8,6 +8,7 @@ from tactile_msgs.msg import ArmStatus
 
 TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
 REFUSED = 0.3  # s, for which an arm refuses all that it is told until that is trouble
+NONE = -1.0  # what an arm that has no command in force says of its age
 UNHEARD = 0.5  # s, for which none of what it is told has come to it
 
 
@@ -36,7 +37,8 @@ class ArmAttention:
         if self._lasts("refused", status.refused_source == self.source, REFUSED):
             return f"the arm refuses its commands: {status.refused}"
         limit = UNHEARD
-        unheard = commands and not status.refused and not 0.0 <= status.command_age <= limit
+        none = status.command_age == NONE
+        unheard = commands and not status.refused and (none or status.command_age > limit)
         if self._lasts("unheard", unheard, limit):
             return f"the arm has heard no command for {limit:g} s: they do not arrive"
         return ""
