@@ -95,7 +95,7 @@ def _domain() -> str:
 
     environment = ros_environment(Path())
     chosen = "would be chosen" if environment.domain_chosen else "as set"
-    return f"{environment.domain_id} ({chosen}), discovery {environment.discovery_range}"
+    return f"{environment.domain_id} ({chosen}), discovery {environment.discovery}"
 
 
 CHECKS: dict[str, Callable[[], str]] = {

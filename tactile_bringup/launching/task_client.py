@@ -18,7 +18,8 @@ from tactile_base import topics
 from tactile_control.task_file import NamedGoal
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
-from tactile_ros.managed_node import make_executor, use_dds_profile
+from tactile_ros.discovery import use_dds_profile
+from tactile_ros.managed_node import make_executor
 from tactile_ros.qos import LATENCY, STATE
 from tactile_ros.task_messages import goal_message
 
