@@ -60,6 +60,7 @@ COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 DIAGNOSTIC_PERIOD = 1.0  # s
 CONTROLLED_FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 LARGEST_PRIORITY = 99  # of SCHED_FIFO
+TOO_FAST = "messages came too fast"
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
@@ -206,6 +207,7 @@ class ManagedNode(LifecycleNode):
         raw: bool = False,
         stamped: bool = False,
         frame: str = "",
+        why_lost: Callable[[], str] = lambda: TOO_FAST,
     ) -> InputWatch | None:
         """Call `callback` with each message while the node is active (or whenever configured, with `always`).
 
@@ -214,7 +216,7 @@ class ManagedNode(LifecycleNode):
         are no such message, that message is refused. With `stamped`, so is one from the future, and with
         `frame` one of another frame as well (both of `raw` messages that start with a header). What is
         refused is counted as `refused_counter(topic)` and told. Messages that the middleware could not keep
-        for this node, because it was held up, are counted as `lost_counter(topic)`.
+        for this node, because it was held up, are counted as `lost_counter(topic)`, and told with `why_lost`.
         """
         watch = None if age_limit is None else self.report.watch(topic, age_limit)
 
@@ -239,7 +241,7 @@ class ManagedNode(LifecycleNode):
         def lose(info: Any) -> None:
             if self.active:
                 self.count(lost_counter(topic), info.total_count_change)
-                self.warn(f"{topic} lost", f"{topic}: {info.total_count_change} messages came too fast")
+                self.warn(f"{topic} lost", f"{topic}: {info.total_count_change} {why_lost()}")
 
         events = SubscriptionEventCallbacks(message_lost=lose)
         subscription = self.create_subscription(
