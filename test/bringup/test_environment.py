@@ -1,5 +1,6 @@
 """Nodes run in a ROS domain of their own, on this host only, unless the user says otherwise."""
 
+import os
 import socket
 from pathlib import Path
 from xml.etree import ElementTree
@@ -8,6 +9,7 @@ import pytest
 
 from tactile_base.config_paths import config_path
 from tactile_bringup.launching.environment import DOMAINS, free_domain_id, ros_environment
+from tactile_ros.discovery import PROFILE_VARIABLES, use_dds_profile
 
 DDS = "{http://www.eprosima.com}"
 
@@ -74,6 +76,16 @@ def test_what_lets_other_hosts_in_is_said(given):
 def test_the_profile_of_a_process_that_started_ours_is_no_wish_of_the_user():
     inherited = {"FASTDDS_DEFAULT_PROFILES_FILE": str(config_path("dds/all_hosts.xml"))}
     assert ros_environment(Path("logs"), inherited).discovery == "LOCALHOST"
+
+
+def test_a_configuration_folder_without_profiles_confines_nodes_as_well(monkeypatch, tmp_path):
+    monkeypatch.setenv("TACTILE_CONFIG_DIR", str(tmp_path))
+    for name in (*PROFILE_VARIABLES, "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"):
+        monkeypatch.setenv(name, "")
+    use_dds_profile()
+    profile = Path(os.environ[PROFILE_VARIABLES[0]])
+    assert profile.name == "this_host.xml" and profile.is_file()
+    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
 
 
 def test_the_two_profiles_differ_in_nothing_but_whom_they_let_in():
