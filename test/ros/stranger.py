@@ -1,7 +1,7 @@
 """A ROS process with no profile of ours that tries to be heard by the arm `arm`: python stranger.py SECONDS
 
-It ends as soon as the arm has stopped. Printed, as JSON: which nodes it sees, who listens to what it says,
-whether it could send a goal, and the last mode that the arm told it.
+It ends as soon as all of it was heard and the arm has stopped. Printed, as JSON: which nodes it sees, who
+listens to what it says, whether it could send a goal, and the last mode that the arm told it.
 """
 
 import json
@@ -25,7 +25,7 @@ def main() -> None:
     command = node.create_publisher(ArmCommand, "/arm/command/request", 10)
     goals = ActionClient(node, RunTask, "/arm/run_task")
     end, listeners, goal = time.monotonic() + float(sys.argv[1]), [0, 0], False
-    while time.monotonic() < end and not (modes and modes[-1] == ArmStatus.ESTOP and goal):
+    while time.monotonic() < end and not (goal and min(listeners) and modes[-1:] == [ArmStatus.ESTOP]):
         asked = ArmCommand(source="/stranger")
         asked.header.stamp = node.get_clock().now().to_msg()
         asked.header.frame_id = "arm/tactile_sensor"
