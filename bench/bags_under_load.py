@@ -36,7 +36,7 @@ from tactile_records.runs.from_bag import read_arms
 from tactile_records.runs.metrics import report
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
-from tactile_ros.managed_node import use_dds_profile
+from tactile_ros.discovery import use_dds_profile
 
 ARM = "arm"
 TOPIC = f"/{ARM}/{BELIEF.name}"

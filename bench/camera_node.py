@@ -25,7 +25,7 @@ from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessGroup
 from tactile_ros import qos
 from tactile_ros.cdr import header_of
-from tactile_ros.managed_node import use_dds_profile
+from tactile_ros.discovery import use_dds_profile
 
 ARM = "arm"
 SCENE = """\

@@ -29,7 +29,7 @@ from tactile_records.bags.contents import UNKNOWN
 from tactile_records.bags.reader import read_bag
 from tactile_ros import qos
 from tactile_ros.conversions import transform_stamped
-from tactile_ros.managed_node import use_dds_profile
+from tactile_ros.discovery import use_dds_profile
 
 ARM = "arm"
 TICK = 1.0 / 540.0  # s

@@ -27,7 +27,8 @@ from tactile_msgs.action import RunTask
 from tactile_msgs.msg import StageLatency
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
-from tactile_ros.managed_node import make_executor, use_dds_profile
+from tactile_ros.discovery import use_dds_profile
+from tactile_ros.managed_node import make_executor
 
 ARM = "arm"
 STAGES = ("camera", "estimator", "filter", "controller")

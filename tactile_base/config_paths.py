@@ -47,6 +47,21 @@ def config_path(name: str) -> Path:
     return path
 
 
+def packaged_path(name: str) -> Path:
+    """As `config_path`; what a folder of the user's own does not have is taken from the package.
+
+    Raises
+    ------
+    FileNotFoundError
+        With the folders tried, if none has it.
+    """
+    folders = [*_candidates(), *_packaged()]
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    raise FileNotFoundError(f"no file {name}; tried: {', '.join(dict.fromkeys(map(str, folders)))}")
+
+
 def named_file(kind: str, name_or_path: str | Path) -> Path:
     """A packaged file by its name, or any by its path (with .yaml): `named_file("scene", "ramp")`.
 
@@ -75,8 +90,10 @@ def config_names(folder: str, suffix: str = ".yaml") -> list[str]:
 
 def _candidates() -> list[Path]:
     override = os.environ.get("TACTILE_CONFIG_DIR")
-    if override:
-        return [Path(override)]
+    return [Path(override)] if override else _packaged()
+
+
+def _packaged() -> list[Path]:
     root = Path(__file__).resolve().parent.parent
     # A `config` beside installed packages is not ours: only a source tree has package.xml there too.
     folders = [root / "config"] if (root / "package.xml").is_file() else []

@@ -29,6 +29,7 @@ COMMANDS = (
     "tactile_bringup.commands.camera",
     "tactile_bringup.commands.cell",
     "tactile_bringup.commands.data",
+    "tactile_bringup.commands.security",
     "tactile_bringup.commands.doctor",
 )
 

@@ -89,7 +89,8 @@ class NodeProcess:
         renamed = [word for name, to in names for word in ("-r", f"{name}:={to}")]
         files = [parameter_file, *([self.params_file] if self.params_file is not None else [])]
         given = [word for file in files for word in ("--params-file", str(file))]
-        return [python, "-m", self.module, "--ros-args", *renamed, *given]
+        enclave = ["--enclave", self.full_name]  # whose keys it has, where DDS security is on
+        return [python, "-m", self.module, "--ros-args", *enclave, *renamed, *given]
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from sensor_msgs.msg import CompressedImage, Image
 
@@ -14,12 +14,12 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers.camera import COMPRESSED, ExternalCameraSettings
 from tactile_ros.cdr import ReceivedCompressed, ReceivedImage, compressed_from_bytes, image_from_bytes
 from tactile_ros.conversions import MessageError
+from tactile_ros.discovery import PROFILE_VARIABLES
+from tactile_ros.managed_node import TOO_FAST, ManagedNode, lost_counter
 from tactile_ros.qos import IMAGE
 
-if TYPE_CHECKING:
-    from tactile_ros.managed_node import ManagedNode
-
 Received = ReceivedImage | ReceivedCompressed
+SEGMENT = 512 * 1024  # bytes of shared memory that a process has to publish in, without a profile of Fast DDS
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,35 @@ def subscribe_images(
     shift_ns = round(settings.time_offset * SECOND_NS)
     topic = topics.compressed(topics.IMAGE) if packed else topics.IMAGE
     read: Callable[[bytes], Received] = compressed_from_bytes if packed else image_from_bytes
+    size = 0
+
+    def why_lost() -> str:
+        arrived = watch.count if watch is not None else 0
+        large = size == 0 or size > SEGMENT
+        return too_large(size) if large and node.counters[lost_counter(topic.name)] > arrived else TOO_FAST
 
     def take(data: bytes) -> None:
+        nonlocal size
+        size = len(data)
         received = read(data)
         if received.stamp_ns <= 0:
             raise MessageError("has no stamp, must have the time of its exposure, on the clock of /tf")
         callback(replace(received, stamp_ns=received.stamp_ns + shift_ns) if shift_ns else received)
 
     kind = CompressedImage if packed else Image
-    node.subscribe(kind, topic.name, take, IMAGE, age_limit, raw=True, stamped=stamped)
+    watch = node.subscribe(
+        kind, topic.name, take, IMAGE, age_limit, raw=True, stamped=stamped, why_lost=why_lost
+    )
+
+
+def too_large(size: int) -> str:
+    """What to do about images of which all but a few are lost, as those are that do not fit into a segment.
+
+    `size` in bytes; 0: none has arrived.
+    """
+    which = f"images of {size / 1e6:.2f} MB do" if size else "and none has arrived whole: large ones do"
+    profile = os.environ.get(PROFILE_VARIABLES[0], "config/dds/this_host.xml")
+    return (
+        f"messages lost, {which} not fit the {SEGMENT / 1e6:.2f} MB of shared memory of a node without a "
+        f"profile; start the camera's node with {PROFILE_VARIABLES[0]}={profile}, or have it publish mono8"
+    )

@@ -14,10 +14,8 @@ process.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import math
-import os
 import signal
 import sys
 import time
@@ -38,7 +36,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from tactile_base import topics
-from tactile_base.config_paths import config_path
 from tactile_base.end_signals import signals_into
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import NANOSECOND
@@ -46,6 +43,7 @@ from tactile_filter.events import FUTURE_NS
 from tactile_filter.pose_numbers import MessageError
 from tactile_ros.cdr import header_of
 from tactile_ros.diagnostics import Diagnostics, InputWatch
+from tactile_ros.discovery import use_dds_profile
 from tactile_ros.ending import Commander, Ending
 from tactile_ros.parameters import (
     SettingsParameters,
@@ -59,11 +57,10 @@ from tactile_ros.scheduling import set_priority, settle_garbage
 Result = TransitionCallbackReturn
 
 COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
-# what names a profile to Fast DDS, and what did in the past
-DDS_VARIABLES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 DIAGNOSTIC_PERIOD = 1.0  # s
 CONTROLLED_FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 LARGEST_PRIORITY = 99  # of SCHED_FIFO
+TOO_FAST = "messages came too fast"
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
@@ -210,6 +207,7 @@ class ManagedNode(LifecycleNode):
         raw: bool = False,
         stamped: bool = False,
         frame: str = "",
+        why_lost: Callable[[], str] = lambda: TOO_FAST,
     ) -> InputWatch | None:
         """Call `callback` with each message while the node is active (or whenever configured, with `always`).
 
@@ -218,7 +216,7 @@ class ManagedNode(LifecycleNode):
         are no such message, that message is refused. With `stamped`, so is one from the future, and with
         `frame` one of another frame as well (both of `raw` messages that start with a header). What is
         refused is counted as `refused_counter(topic)` and told. Messages that the middleware could not keep
-        for this node, because it was held up, are counted as `lost_counter(topic)`.
+        for this node, because it was held up, are counted as `lost_counter(topic)`, and told with `why_lost`.
         """
         watch = None if age_limit is None else self.report.watch(topic, age_limit)
 
@@ -243,7 +241,7 @@ class ManagedNode(LifecycleNode):
         def lose(info: Any) -> None:
             if self.active:
                 self.count(lost_counter(topic), info.total_count_change)
-                self.warn(f"{topic} lost", f"{topic}: {info.total_count_change} messages came too fast")
+                self.warn(f"{topic} lost", f"{topic}: {info.total_count_change} {why_lost()}")
 
         events = SubscriptionEventCallbacks(message_lost=lose)
         subscription = self.create_subscription(
@@ -437,24 +435,16 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def use_dds_profile() -> None:
-    """Name our profile to Fast DDS, unless the user has named one; call it before `rclpy.init`.
-
-    The profile (config/dds/fastdds.xml) makes discovery quick, and shared memory large enough for images.
-    Other middlewares do not look at the variable. Without the file (a package that was only partly installed)
-    discovery works as well, only more slowly.
-    """
-    if not any(name in os.environ for name in DDS_VARIABLES):
-        with contextlib.suppress(FileNotFoundError):
-            os.environ[DDS_VARIABLES[0]] = str(config_path("dds/fastdds.xml"))
-
-
 def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str] | None = None) -> int:
     """Run one node, or several in one process, until a signal or an error; returns the process's exit code.
 
     Several start in their order and end in the opposite one; the first that stops ends them all.
     """
-    use_dds_profile()
+    try:
+        use_dds_profile()
+    except FileNotFoundError as error:
+        print(f"cannot start: {error}", file=sys.stderr, flush=True)
+        return 1
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     signals: list[int] = []
     signals_into(signals)

@@ -95,7 +95,26 @@ def _domain() -> str:
 
     environment = ros_environment(Path())
     chosen = "would be chosen" if environment.domain_chosen else "as set"
-    return f"{environment.domain_id} ({chosen}), discovery {environment.discovery_range}"
+    return f"{environment.domain_id} ({chosen}), discovery {environment.discovery}"
+
+
+def _security() -> str:
+    """What becomes of a node that is to use keys and finds none; only the middleware itself can tell."""
+    from tactile_bringup.launching.environment import start_without_keys
+
+    wanted = os.environ.get("ROS_SECURITY_ENABLE") == "true"
+    if wanted and os.environ.get("ROS_SECURITY_STRATEGY") != "Enforce":
+        raise Missing("ROS_SECURITY_STRATEGY is not Enforce: a node without keys would run open to all")
+    said = start_without_keys()
+    if not said:
+        raise Missing("ROS_SECURITY_ENABLE=true is passed over: a node without keys was let in (SECURITY.md)")
+    if "security files" in said:
+        return "there; a node without its keys does not start"
+    why = "this middleware is built without it" if "security libraries" in said else said.splitlines()[-1]
+    closed = f"{why}; nodes with ROS_SECURITY_ENABLE=true do not start"
+    if wanted:
+        raise Missing(f"{closed}; SECURITY.md says what has it")
+    return f"none: {closed} (SECURITY.md)"
 
 
 CHECKS: dict[str, Callable[[], str]] = {
@@ -109,6 +128,7 @@ CHECKS: dict[str, Callable[[], str]] = {
     "model": _model,
     "shared memory": _shared_memory,
     "ROS domain": _domain,
+    "DDS security": _security,
 }
 #: What to do where a check fails, besides what the failure itself says.
 HINTS = {

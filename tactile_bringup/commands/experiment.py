@@ -56,7 +56,10 @@ def register(subparsers: Any) -> None:
         "--jobs", type=positive_int, default=cores, metavar="N", help=f"processes (as many as cores: {cores})"
     )
     add(
-        "--scheduler", default="", metavar="ADDRESS", help="run on the workers of this Dask scheduler instead"
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="run on the workers of this Dask scheduler instead (without TLS it runs anybody's code)",
     )
     add("--out", type=Path, metavar="FOLDER", help="(default: out/pushing/TABLE-CONTROLLER-FIDELITY)")
     parser.set_defaults(run=run)

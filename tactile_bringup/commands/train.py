@@ -49,7 +49,11 @@ def register(subparsers: Any) -> None:
         "--repeat", type=positive_int, metavar="N", help="N networks of different seeds, in OUT/seed_0 and on"
     )
     add("--processes", type=positive_int, default=1, metavar="P", help="with --repeat: runs at a time")
-    add("--scheduler", metavar="ADDRESS", help="with --repeat: run on the workers of this Dask scheduler")
+    add(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="with --repeat: run on the workers of this Dask scheduler (SECURITY.md)",
+    )
     parser.set_defaults(run=run_train)
     _register_ensemble(subparsers)
 

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from tactile_ros.discovery import HERE, RANGE, asked_for_others
 
 DOMAINS = range(1, 101)  # above 101 the ports collide with the ephemeral ones of Linux
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST, _PORTS_PER_PARTICIPANT = 7400, 250, 10, 2
@@ -33,14 +38,15 @@ class RosEnvironment:
     domain_chosen: bool
 
     @property
-    def discovery_range(self) -> str:
-        """ROS_AUTOMATIC_DISCOVERY_RANGE of the nodes."""
-        return self.variables["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+    def discovery(self) -> str:
+        """With whom the nodes speak: their range, and which variables let other hosts in."""
+        asked = asked_for_others(self.variables)
+        return self.variables[RANGE] + (f", open to other hosts by {asked}" if asked else "")
 
     @property
     def shared(self) -> bool:
         """Whether others may be in the domain now."""
-        here = self.discovery_range in ("LOCALHOST", "OFF")
+        here = not asked_for_others(self.variables)
         return not (self.domain_chosen or (here and _is_free(self.domain_id)))
 
 
@@ -58,7 +64,7 @@ def ros_environment(log_folder: Path, base: Mapping[str, str] | None = None) -> 
     given = variables.get("ROS_DOMAIN_ID", "")
     domain_id = _checked_domain(given) if given else free_domain_id()
     variables["ROS_DOMAIN_ID"] = str(domain_id)
-    variables.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    variables[RANGE] = variables.get(RANGE) or HERE
     variables["ROS_LOG_DIR"] = str(log_folder)
     variables["RCUTILS_COLORIZED_OUTPUT"] = "0"
     variables["PYTHONUNBUFFERED"] = "1"
@@ -99,6 +105,24 @@ def _checked_domain(text: str) -> int:
     if not text.isdigit() or int(text) > 232:
         raise ValueError(f"ROS_DOMAIN_ID = {text!r}: must be a number from 0 to 232 (101 on most Linux)")
     return int(text)
+
+
+_KEYLESS = """\
+import rclpy
+rclpy.init(args=["--ros-args", "--enclave", "/doctor"])
+rclpy.create_node("doctor")
+"""
+
+
+def start_without_keys() -> str:
+    """What a node that is to use keys of SROS 2 says where it finds none; empty if it starts all the same."""
+    with tempfile.TemporaryDirectory(prefix="tactile_keystore_") as keystore:
+        (Path(keystore) / "enclaves/doctor").mkdir(parents=True)
+        told = {"ENABLE": "true", "STRATEGY": "Enforce", "KEYSTORE": keystore, "ENCLAVE_OVERRIDE": ""}
+        security = {f"ROS_SECURITY_{name}": value for name, value in told.items()}
+        command = [sys.executable, "-c", _KEYLESS]
+        done = subprocess.run(command, env={**os.environ, **security}, capture_output=True, text=True)
+    return done.stderr if done.returncode else ""
 
 
 def middleware() -> str:

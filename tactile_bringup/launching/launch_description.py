@@ -191,6 +191,7 @@ def _node(node: NodeProcess, folder: Path, on_exit: OnExit | None = None) -> Lif
         namespace=node.namespace,
         parameters=[str(file), *([str(node.params_file)] if node.params_file is not None else [])],
         remappings=list(node.remappings),
+        ros_arguments=["--enclave", node.full_name],
         output="both",
         on_exit=on_exit,
         **_ending(),

@@ -109,7 +109,7 @@ class Launcher:
         chosen = "chosen" if environment.domain_chosen else "as set"
         self.display.say(
             f"{self.graph.task} on scene {self.graph.scene}: {len(self.graph.nodes)} nodes, "
-            f"ROS domain {environment.domain_id} ({chosen}), discovery {environment.discovery_range}, "
+            f"ROS domain {environment.domain_id} ({chosen}), discovery {environment.discovery}, "
             f"logs in {self.logs}"
         )
         if environment.shared:

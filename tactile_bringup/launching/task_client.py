@@ -15,10 +15,12 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_base import topics
+from tactile_base.node_topics import CLIENT
 from tactile_control.task_file import NamedGoal
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
-from tactile_ros.managed_node import make_executor, use_dds_profile
+from tactile_ros.discovery import use_dds_profile
+from tactile_ros.managed_node import make_executor
 from tactile_ros.qos import LATENCY, STATE
 from tactile_ros.task_messages import goal_message
 
@@ -107,8 +109,9 @@ class TaskClient:
 
     def __init__(self, domain_id: int) -> None:
         use_dds_profile()
-        rclpy.init(domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("tactile_launch", enable_rosout=False)
+        enclave = ["--ros-args", "--enclave", CLIENT]
+        rclpy.init(args=enclave, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(CLIENT.strip("/"), enable_rosout=False)
         self._executor = make_executor()
         self._executor.add_node(self._node)
         self._states: dict[str, _NodeState] = {}

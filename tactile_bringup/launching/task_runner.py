@@ -17,7 +17,7 @@ from tactile_bringup.run_sequence import ArmPlan, RunSequence
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import ArmTask, GoalResult, TaskClient
 
-HEARD = 4.0  # s in which every node is heard of: one announces itself every 3 s (config/dds/fastdds.xml)
+HEARD = 4.0  # s in which every node is heard of: one announces itself every 3 s (config/dds/)
 READY_TIMEOUT = 45.0  # s until all nodes are active
 REST_TIMEOUT = 12.0  # s for a cancelled task to bring the arm to rest; `contact.retreat_timeout` is 10
 REGULAR = 0.5  # s of regular reports before the first goal starts

@@ -30,7 +30,7 @@ from tactile_bringup.launching.processes import ProcessGroup, tail  # noqa: E402
 from tactile_msgs.msg import ArmCommand, ArmStatus  # noqa: E402
 from tactile_ros import qos  # noqa: E402
 from tactile_ros.conversions import transform_stamped  # noqa: E402
-from tactile_ros.managed_node import use_dds_profile  # noqa: E402
+from tactile_ros.discovery import use_dds_profile  # noqa: E402
 
 ARM = "arm"
 BASE, TOOL, SENSOR = "arm/base", "arm/tool", "arm/tactile_sensor"

@@ -1,0 +1,49 @@
+"""What nodes really say and hear lies within the permissions that `tactile security` writes for them."""
+
+import pytest
+
+from tactile_bringup.graph import GraphOptions, load_graph
+from tactile_bringup.permissions import enclaves
+from tactile_drivers.scene import load_scene
+
+
+def dds_names(graph, namespace: str, node: str) -> tuple[set[str], set[str]]:
+    """What a node writes and reads, by the names that DDS has for topics and services (design.ros2.org)."""
+    ask = graph.node
+
+    def names(query) -> list[str]:
+        return [name for name, _ in query(node, namespace)]
+
+    served = names(ask.get_service_names_and_types_by_node)
+    asked = names(ask.get_client_names_and_types_by_node)
+    written = {f"rt{name}" for name in names(ask.get_publisher_names_and_types_by_node)}
+    read = {f"rt{name}" for name in names(ask.get_subscriber_names_and_types_by_node)}
+    written |= {f"rr{name}Reply" for name in served} | {f"rq{name}Request" for name in asked}
+    read |= {f"rq{name}Request" for name in served} | {f"rr{name}Reply" for name in asked}
+    return written, read
+
+
+@pytest.mark.parametrize("task", ["surface_following", "object_tracking"])
+def test_no_node_says_or_hears_what_its_permissions_do_not_allow(graph, task, tmp_path):
+    options = GraphOptions(record=tmp_path / "bag", record_images=True, marker_view=True, object_belief=True)
+    described = load_graph(task, None, options)
+    allowed = enclaves(described, load_scene(str(described.scene_file)))
+    for process in described.nodes:
+        file = tmp_path / f"{process.file_stem}.yaml"
+        file.write_text(process.parameter_text())
+        log = graph.log(process.file_stem)
+        graph.processes.start(process.file_stem, process.command(file), graph.variables, log)
+    for process in described.nodes:
+        graph.wait_until_active(process.file_stem)
+    compared = 0
+    for process in described.nodes:
+        for profile in allowed[process.full_name]:
+            full = profile.namespace, profile.node
+            assert graph.wait(lambda full=full: len(dds_names(graph, *full)[1]) > 10), f"{full} is not seen"
+            graph.spin(0.2)  # the rest of what it has, which comes one by one
+            written, read = dds_names(graph, *full)
+            assert written <= profile.published(), (full, written - profile.published())
+            assert read <= profile.heard(), (full, read - profile.heard())
+            assert "rt/rosout" in written
+            compared += 1
+    assert compared == len(graph.nodes())
