@@ -309,6 +309,8 @@ def _transport(arm: ArmScene, prefix: str = "") -> dict[str, Any]:
 def _controller(plan: ArmPlan, arm: ArmScene) -> NodeProcess:
     groups: dict[str, dict[str, Any]] = dataclasses.asdict(plan.role.settings)
     parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": arm.controlled_frame}
+    for corner in ("workspace_lower", "workspace_upper"):
+        parameters[f"space.{corner}"] = list(getattr(arm.safety, corner))
     for group, values in groups.items():
         parameters |= {f"{group}.{name}": value for name, value in values.items()}
     return _node("controller", f"/{plan.arm}", parameters)

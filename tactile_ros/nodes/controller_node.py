@@ -54,6 +54,18 @@ class ControllerTimingSettings(Settings):
     )
 
 
+@dataclass(frozen=True)
+class SpaceSettings(Settings):
+    """Where a goal may begin, as the arm's node keeps to it on the way (`tactile_drivers.arm.SafetySettings`)."""
+
+    workspace_lower: tuple[float, ...] = setting(
+        (-20.0,) * 3, length=3, lower=-20.0, upper=20.0, unit="m", doc="corner x y z of a box in the arm's base"
+    )
+    workspace_upper: tuple[float, ...] = setting(
+        (20.0,) * 3, length=3, lower=-20.0, upper=20.0, unit="m", doc="the opposite corner"
+    )
+
+
 @dataclass(kw_only=True)
 class GoalRun(Run):
     """One accepted goal, and the message that asked for it."""
@@ -78,6 +90,7 @@ class ControllerNode(TaskNode):
         )
         self.settings = GroupParameters(self, self.task_type.settings_class(), self._configure_task)
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
+        self.space = fixed_settings(self, SpaceSettings(), "space")
         self.last: Command | None = None
         self.goals = 0
         self.goal_name = ""
@@ -205,11 +218,19 @@ class ControllerNode(TaskNode):
         if goal.task != self.task:
             return f"task: {unknown_name(goal.task, [self.task])}; this controller was started for it"
         try:
-            named_goal(goal, self.task_type)
+            named = named_goal(goal, self.task_type)
             with_settings(goal, self.settings.value)
         except (SettingError, ValueError) as error:
             return str(error)
-        return ""
+        return self._out_of_space(named.start)
+
+    def _out_of_space(self, start: NDArray[np.float64] | None) -> str:
+        """Why a goal may not begin there; '' if it may."""
+        lower, upper = self.space.workspace_lower, self.space.workspace_upper
+        if start is None or ((lower <= start[:3, 3]) & (start[:3, 3] <= upper)).all():
+            return ""
+        where = f"({', '.join(f'{value:g}' for value in start[:3, 3])}) m"
+        return f"start: {where} is outside the workspace, {list(lower)} to {list(upper)} m"
 
     def accept(self, handle: Any) -> GoalRun:
         """See `TaskNode`."""
