@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import signal
 import sys
 from collections.abc import Sequence
 
+from tactile_base.process_limits import COMMAND, LimitError, require
 from tactile_base.requirements import RequirementMissing, require_packages
 from tactile_bringup.commands.changes import in_words
 
@@ -40,10 +42,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RequirementMissing as error:
         print(f"tactile: {error}", file=sys.stderr)
         return 1
+    try:
+        require(COMMAND, "a command")
+    except LimitError as error:
+        print(f"tactile: {error}", file=sys.stderr)
+        return 2
     parsed = _parser().parse_args(arguments)
     try:
         return int(parsed.run(parsed))
     except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it has been heard
         print("\ninterrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output (a pager, head) has gone

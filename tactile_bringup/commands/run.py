@@ -34,12 +34,12 @@ def register(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from rich.console import Console
-
+    from tactile_base.console import lasting_console
     from tactile_base.end_signals import end_with_launcher
     from tactile_base.settings import SettingError
     from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.progress import Display
+    from tactile_bringup.launching.start_check import CannotStart, check_process
     from tactile_bringup.servoing import Place, load_servoing_graph
 
     end_with_launcher()
@@ -52,7 +52,12 @@ def run(arguments: argparse.Namespace) -> int:
     except (SettingError, ValueError, OSError) as error:
         print(f"tactile run: {error}", file=sys.stderr)
         return 2
-    console = Console()
+    try:
+        check_process()
+    except CannotStart as error:
+        print(f"tactile run: {error}", file=sys.stderr)
+        return 2
+    console = lasting_console()
     with Display(console, console.is_terminal and not arguments.headless) as display:
         return _run(graph, display)
 
@@ -66,6 +71,7 @@ def _options(arguments: argparse.Namespace) -> GraphOptions:
 def _run(graph: Graph, display: Display) -> int:
     from tactile_bringup.launching.task_client import TaskClient
     from tactile_bringup.launching.task_runner import (
+        RESTS,
         Interrupted,
         NotReady,
         TaskRunner,
@@ -88,6 +94,7 @@ def _run(graph: Graph, display: Display) -> int:
                 display.say(f"tactile run: {end}{hint if isinstance(end, NotReady) else ''}", "red")
             return end.exit_code
         finally:
-            runner.bring_to_rest()
+            at_rest = runner.bring_to_rest()
             client.close()
+            display.say(f"ended: {RESTS[at_rest]}")
     return 0

@@ -28,6 +28,8 @@ HELD_UP = 0.5  # s without an answer after which a node counts as held up
 HOLD_TIMEOUT = 30.0  # s that one is waited for: what nodes keep of what they have published (`qos.RECORDED`)
 CATCH_UP = 5.0  # s for one that was held up to take from its publishers what it has missed, and to know it
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
+#: What `TaskRunner.bring_to_rest` returns, in words.
+RESTS = {True: "the arm rests", False: "the arm did not report rest in time", None: "the arm never reported"}
 
 
 class Unfinished(RuntimeError):
@@ -43,7 +45,7 @@ class NotReady(Unfinished):
 
 
 class Interrupted(Unfinished):
-    """SIGINT or SIGTERM was sent to this process."""
+    """SIGINT, SIGTERM or, by a terminal that was closed, SIGHUP was sent to this process."""
 
     def __init__(self, number: int) -> None:
         self.exit_code = 128 + number
