@@ -40,6 +40,11 @@ COMMAND = Needs(files=20, address_space=720 * MIB)  # measured: 6 files, 718 MB 
 GRAPH = Needs(files=64, address_space=2000 * MIB)  # measured: 27 files, 1.93 GB with two cores
 
 
+def address_space(needs: Needs) -> int:
+    """What they come to on this machine, in bytes."""
+    return needs.address_space + CORE * (os.cpu_count() or 1)
+
+
 def require(needs: Needs, what: str) -> None:
     """Raise `LimitError` where this process, and so those that it starts, may not have what `what` needs."""
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
@@ -49,7 +54,7 @@ def require(needs: Needs, what: str) -> None:
             "type `ulimit -n 1024` before"
         )
     space = resource.getrlimit(resource.RLIMIT_AS)[0]
-    needed = needs.address_space + CORE * (os.cpu_count() or 1)
+    needed = address_space(needs)
     if space != resource.RLIM_INFINITY and space < needed:
         raise LimitError(
             f"no process may have more than {space // KIB} KiB of address space, {what} needs "

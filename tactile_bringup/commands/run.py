@@ -39,22 +39,18 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_base.settings import SettingError
     from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.progress import Display
-    from tactile_bringup.launching.start_check import CannotStart, check_process
+    from tactile_bringup.launching.start_check import check_process
     from tactile_bringup.servoing import Place, load_servoing_graph
 
     end_with_launcher()
     task, scene, options = arguments.task, arguments.scene, _options(arguments)
     try:
+        check_process()
         if arguments.namespace or arguments.arm:
             graph = load_servoing_graph(task, scene, arguments.arm, Place(arguments.namespace), options)
         else:
             graph = load_graph(task, scene, options)
     except (SettingError, ValueError, OSError) as error:
-        print(f"tactile run: {error}", file=sys.stderr)
-        return 2
-    try:
-        check_process()
-    except CannotStart as error:
         print(f"tactile run: {error}", file=sys.stderr)
         return 2
     console = lasting_console()
@@ -77,9 +73,10 @@ def _run(graph: Graph, display: Display) -> int:
         TaskRunner,
         Unfinished,
         collecting_signals,
+        in_disorder,
     )
 
-    signals = list[int]()
+    signals, code = list[int](), 0
     with collecting_signals(signals):
         client = TaskClient(int(os.environ.get("ROS_DOMAIN_ID") or 0))
         runner = TaskRunner(client, [n.full_name for n in graph.nodes], graph.plans, display, signals)
@@ -87,14 +84,14 @@ def _run(graph: Graph, display: Display) -> int:
             runner.wait_until_active()
             runner.run()
         except Unfinished as end:
+            code = end.exit_code
             if isinstance(end, Interrupted):
                 display.say(f"{end}: bringing the arm to rest (again to hurry)", "yellow")
             else:
                 hint = "; nodes started elsewhere need the same ROS_DOMAIN_ID"
                 display.say(f"tactile run: {end}{hint if isinstance(end, NotReady) else ''}", "red")
-            return end.exit_code
         finally:
             at_rest = runner.bring_to_rest()
             client.close()
-            display.say(f"ended: {RESTS[at_rest]}")
-    return 0
+        display.say(f"ended: {RESTS[at_rest]}")
+    return in_disorder(code) if at_rest is False and len(signals) < 2 else code

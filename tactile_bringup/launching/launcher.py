@@ -29,12 +29,13 @@ from tactile_bringup.launching.task_runner import (
     TaskRunner,
     Unfinished,
     collecting_signals,
+    in_disorder,
 )
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import GoalResult
 
-EXIT_REFUSED, EXIT_NODE_DIED, EXIT_DISORDER = 2, 3, 5
+EXIT_REFUSED, EXIT_NODE_DIED = 2, 3
 NAMESAKE_TIMEOUT = 20.0  # s for another launch to end: what its arms and its nodes may take
 
 
@@ -209,8 +210,7 @@ class Launcher:
             return
         if outcome.exit_code == 0:
             outcome.reason = "the task was done, but not all has ended in order"
-        if outcome.exit_code == 0 or outcome.exit_code > 128:
-            outcome.exit_code = EXIT_DISORDER
+        outcome.exit_code = in_disorder(outcome.exit_code)
         outcome.reason = "\n".join([outcome.reason, *disorder])
 
     def _tell(self, outcome: Outcome) -> None:

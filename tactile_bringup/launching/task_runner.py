@@ -58,6 +58,14 @@ class GoalFailed(Unfinished):
     exit_code = 1
 
 
+EXIT_DISORDER = 5
+
+
+def in_disorder(exit_code: int) -> int:
+    """The exit code of what was done, or ended by a signal, but not in order; that of a failure stays."""
+    return EXIT_DISORDER if exit_code == 0 or exit_code > 128 else exit_code
+
+
 @dataclass
 class TaskRunner:
     """Drives the arms of one graph through `client`.

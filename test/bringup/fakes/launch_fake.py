@@ -20,6 +20,8 @@ plan = ArmPlan("arm", Role("follower", "surface_following", SurfaceFollowingSett
 graph = Graph("surface_following", "fake", Path("fake.yaml"), ("arm",), (node,), (), (plan,))
 if fault == "never_active":
     task_runner.READY_TIMEOUT = 3.0
+if fault == "estop_and_on":
+    task_runner.REST_TIMEOUT = 1.5
 if fault == "impatient":
     launcher.NAMESAKE_TIMEOUT = 1.0
 with Display(Console(), live=False) as display:
