@@ -3,8 +3,7 @@
 import sys
 from pathlib import Path
 
-from rich.console import Console
-
+from tactile_base.console import lasting_console, say
 from tactile_bringup.graph import Graph, NodeProcess
 from tactile_bringup.launching import launcher, task_runner
 from tactile_bringup.launching.progress import Display
@@ -24,7 +23,8 @@ if fault == "estop_and_on":
     task_runner.REST_TIMEOUT = 1.5
 if fault == "impatient":
     launcher.NAMESAKE_TIMEOUT = 1.0
-with Display(Console(), live=False) as display:
+console = lasting_console()
+with Display(console, live=False) as display:
     outcome = launcher.Launcher(graph, folder, display).run()
-print("OUTCOME", outcome.exit_code, outcome.at_rest, outcome.escalated, outcome.reason)
+say(console, f"OUTCOME {outcome.exit_code} {outcome.at_rest} {outcome.escalated} {outcome.reason}")
 sys.exit(outcome.exit_code)
