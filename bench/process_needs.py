@@ -2,8 +2,8 @@
 
     python bench/process_needs.py [TASK]
 
-The task runs with all that can be asked for (recording with images, view of the markers, belief over the object),
-and each process of it is looked at twenty times a second until it ends.
+The task runs with all that can be asked for (recording with images, view of the markers, belief over the
+object), and each process of it is looked at twenty times a second until it ends.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ def say(console: Console, text: str, style: str | None = None) -> None:
 
 
 def lasting_console() -> Console:
-    """One on standard output that falls silent where its terminal is closed: who moves an arm has to go on."""
+    """On standard output; falls silent where its terminal is closed: who moves an arm has to go on."""
     return Console(file=_Lasting(sys.stdout))  # type: ignore[arg-type]
 
 

@@ -46,8 +46,8 @@ class Outcome:
     Attributes
     ----------
     exit_code : int
-        0 done, 1 task failed, 2 not started, 3 a node died, 4 not ready in time, 5 done or ended by a signal, but
-        not in order, 128 + n ended by signal n.
+        0 done, 1 task failed, 2 not started, 3 a node died, 4 not ready in time, 5 done or ended by a signal,
+        but not in order, 128 + n ended by signal n.
     reason : str
         In words; empty when all went well.
     goals : list of GoalResult
@@ -92,7 +92,10 @@ class Launcher:
         self._worked = False  # whether all nodes have been active
 
     def run(self) -> Outcome:
-        """Check, start, run the goals, stop, say how it ended. Never raises for what happens to nodes or task."""
+        """Check, start, run the goals, stop, say how it ended.
+
+        Never raises for what happens to nodes or task.
+        """
         outcome = Outcome(0, "", self.logs)
         with collecting_signals(self._signals):
             try:

@@ -192,7 +192,7 @@ def describe_exit(code: int) -> str:
 
 
 def memory_kills(counters: Path = Path("/proc/vmstat")) -> int | None:
-    """How many processes the kernel has killed since memory ran out (of the machine or a container), if told."""
+    """How many processes the kernel has killed as memory ran out, of machine or container; None: not told."""
     try:
         lines = counters.read_text().splitlines()
     except OSError:

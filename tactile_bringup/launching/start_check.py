@@ -1,7 +1,8 @@
-"""What is checked before the first process of a graph starts; all of it would end a node seconds later, or worse.
+"""What is checked before the first process of a graph starts: it would end a node seconds later, or worse.
 
 Limits of this process, which its children inherit; the middleware that the environment names; and the models
-of all estimators, as these check them (`Estimator`). A third of a second, and as much more where a middleware is named.
+of all estimators, as these check them (`Estimator`). It takes a third of a second, and as much more where a
+middleware is named.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from tactile_bringup.graph import Graph
 
 MIDDLEWARE = "RMW_IMPLEMENTATION"
-_LOAD = "from rclpy.utilities import get_rmw_implementation_identifier as name; name()"  # ends a process with 102
+_LOAD = (
+    "from rclpy.utilities import get_rmw_implementation_identifier as name; name()"  # ends a process with 102
+)
 _INDIRECTION = "rmw_implementation"  # the package that loads one of the others
 
 
@@ -57,7 +60,7 @@ def check_models(graph: Graph) -> None:
 
 
 def _check_middleware(name: str) -> None:
-    """In a process of its own: one that ROS cannot load ends the process that asks for it."""
+    """In a process of its own: what ROS cannot load ends the process that asks for it, with 102."""
     if not name:
         return
     done = subprocess.run([sys.executable, "-c", _LOAD], capture_output=True, text=True)

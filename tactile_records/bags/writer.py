@@ -151,7 +151,7 @@ class BagWriter:
             self._write_metadata()
 
     def _look_for_file(self) -> None:
-        """Raise OSError for one that was deleted, or moved: the system goes on taking what is written to it."""
+        """Raise OSError for one that was deleted or moved: the system would go on taking what is written."""
         if not (self.file.exists() and os.fstat(self._stream.fileno()).st_nlink):
             raise FileNotFoundError(errno.ENOENT, "it was deleted or moved while it was being written")
 

@@ -82,7 +82,9 @@ def test_a_damaged_model_is_refused_before_a_node_is_started(capsys, tmp_path, d
     assert "nothing was started" in shown and not list(tmp_path.glob("**/logs"))
 
 
-def test_a_damaged_model_of_a_scenes_own_sensor_is_refused_before_a_node_is_started(capsys, tmp_path, damaged):
+def test_a_damaged_model_of_a_scenes_own_sensor_is_refused_before_a_node_is_started(
+    capsys, tmp_path, damaged
+):
     pytest.importorskip("rclpy", reason="needs ROS 2")
     text = config_path("scenes/plane.yaml").read_text()
     own = text.replace("      camera_rate: 60", f"      model: {damaged.name}\n      camera_rate: 60", 1)
@@ -97,7 +99,9 @@ def test_too_little_address_space_is_a_sentence_in_place_of_a_crash(command):
     limited = f'ulimit -v 500000 && exec "{sys.executable}" -m tactile_bringup.cli {command}'
     done = subprocess.run(["sh", "-c", limited], capture_output=True, text=True)
     assert done.returncode == 2 and not done.stdout
-    assert done.stderr.startswith("tactile: no process may have more than 500000 KiB of address space, a command")
+    assert done.stderr.startswith(
+        "tactile: no process may have more than 500000 KiB of address space, a command"
+    )
 
 
 def test_a_bag_that_exists_is_not_overwritten(tmp_path, capsys):

@@ -243,9 +243,9 @@ def test_a_launch_runs_within_the_limits_that_it_asks_for(start):
 @pytest.mark.parametrize(
     ("before", "complaint"),
     [
-        ("ulimit -n 24", "no process may have more than 24 files open, a node needs 64: type `ulimit -n 1024`"),
+        ("ulimit -n 24", "no process may have more than 24 files open, a node needs 64: type `ulimit -n "),
         ("ulimit -v 1500000", "no process may have more than 1500000 KiB of address space, a node needs "),
-        ("export RMW_IMPLEMENTATION=rmw_none", "RMW_IMPLEMENTATION=rmw_none: ROS 2 cannot load it here; installed"),
+        ("export RMW_IMPLEMENTATION=none", "RMW_IMPLEMENTATION=none: ROS 2 cannot load it here; installed: "),
         ("export ROS_DOMAIN_ID=ten", "ROS_DOMAIN_ID = 'ten': must be a number"),
     ],
 )  # fmt: skip

@@ -229,7 +229,9 @@ def test_a_full_disk_ends_the_recording_with_a_sentence_and_what_was_written_is_
     assert "ends early" in bag.problem and bag.counts["/tf"] > 10
 
 
-def test_a_disk_that_fills_at_the_close_of_a_recording_ends_the_recorder_with_1_and_a_sentence(graph, tmp_path):
+def test_a_disk_that_fills_at_the_close_of_a_recording_ends_the_recorder_with_1_and_a_sentence(
+    graph, tmp_path
+):
     process = graph.start_code("full", FULL_AT_THE_END, {"bag": str(tmp_path / "bag"), "topics": TOPICS})
     process.send_signal(signal.SIGINT)
     assert graph.wait(lambda: process.poll() is not None)

@@ -1,7 +1,7 @@
 """A node that stands in for a whole cell: an arm that moves while a goal runs, and faults that tests want.
 
-The parameter `fault` is one of: "", "configure", "die", "fail", "deaf", "never_active", "ends_badly", "estop",
-"estop_and_on" (it moves on all the same).
+The parameter `fault` is one of: "", "configure", "die", "fail", "deaf", "never_active", "ends_badly",
+"estop", "estop_and_on" (it moves on all the same).
 """
 
 import os
