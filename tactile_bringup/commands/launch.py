@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 TASK_HELP = "task: the name of one of config/tasks, or a task file of your own"
 FOUND = ""  # no file of the object: where it is touched is found by touch
 EXIT_CODES = """exit codes: 0 the task was done; 1 it failed; 2 nothing was started: an option, scene, task
-file, model, limit of the process or the middleware is wrong; 3 a node ended by itself; 4 nodes were not ready in
-time; 5 the task was done, or ended by a signal, but an arm was not seen at rest or a node ended badly (a
+file, model, limit of the process or the middleware is wrong; 3 a node ended by itself; 4 nodes were not ready
+in time; 5 the task was done, or ended by a signal, but an arm was not seen at rest or a node ended badly (a
 recording may be lost); 129 the terminal was closed; 130 Ctrl-C; 143 SIGTERM"""
 
 

@@ -4,6 +4,7 @@ import fcntl
 import os
 import pty
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -184,6 +185,37 @@ def test_a_node_that_ends_badly_while_everything_is_stopped_is_told_and_counts(s
     assert f"tactile launch: {how}" in launch.output
     assert "while everything was stopped: node /arm/cell ended with exit code 9; log: " in launch.output
     assert "stopped: the arm rests; logs: " in launch.output
+
+
+@pytest.mark.parametrize(
+    ("at_the_close", "complaint"),
+    [
+        ("disk full", "bag_0.mcap: cannot be written: File too large"),
+        ("bag deleted", "bag_0.mcap: cannot be written: it was deleted or moved while it was being written"),
+    ],
+)
+def test_a_recording_that_is_lost_at_its_close_is_told_and_counts(start, at_the_close, complaint):
+    launch = start(fault="record", AT_THE_CLOSE=at_the_close)
+    assert launch.end() == 5, launch.output
+    assert "goal_0: done" in launch.output and "the task was done, but not all has ended" in launch.output
+    assert "while everything was stopped: node /recorder ended with exit code 1; log: " in launch.output
+    assert complaint in launch.output and "stopped: the arm rests; logs: " in launch.output
+
+
+def test_a_bag_that_is_deleted_in_mid_run_ends_the_run_with_its_name(start):
+    launch = start(fault="record", seconds=60)
+    launch.wait_for("arm: follow")
+    shutil.rmtree(launch.folder / "bag")
+    assert launch.end() == 3, launch.output
+    assert "node /recorder ended with exit code 1; log: " in launch.output
+    assert "it was deleted or moved while it was being written" in launch.output
+    assert "while everything was stopped" not in launch.output and "OUTCOME 3 True" in launch.output
+
+
+def test_a_recording_that_is_whole_ends_with_0(start):
+    launch = start(fault="record")
+    assert launch.end() == 0, launch.output
+    assert (launch.folder / "bag" / "metadata.yaml").is_file()
 
 
 def test_an_arm_that_has_come_to_rest_in_an_emergency_stop_rests(start):

@@ -1,4 +1,7 @@
-"""Launches the fake cell as `tactile launch` launches a graph: launch_fake.py FOLDER FAULT SECONDS GOALS."""
+"""Launches the fake cell as `tactile launch` launches a graph: launch_fake.py FOLDER FAULT SECONDS GOALS.
+
+With the fault "record" a recorder runs beside it.
+"""
 
 import sys
 from pathlib import Path
@@ -16,7 +19,11 @@ parameters = {"fault": fault, "seconds": seconds}
 node = NodeProcess("cell", "/arm", "fake_cell", "fake_cell", parameters)
 goals = tuple(NamedGoal(f"goal_{index}", FollowingGoal()) for index in range(count))
 plan = ArmPlan("arm", Role("follower", "surface_following", SurfaceFollowingSettings(), goals), goals)
-graph = Graph("surface_following", "fake", Path("fake.yaml"), ("arm",), (node,), (), (plan,))
+nodes = [node]
+if fault == "record":
+    recorded = {"bag": str(folder / "bag"), "topics": ["/arm/arm/status tactile_msgs/msg/ArmStatus reliable"]}
+    nodes.insert(0, NodeProcess("recorder", "/", "fake_recorder", "fake_recorder", recorded))
+graph = Graph("surface_following", "fake", Path("fake.yaml"), ("arm",), tuple(nodes), (), (plan,))
 if fault == "never_active":
     task_runner.READY_TIMEOUT = 3.0
 if fault == "estop_and_on":
