@@ -44,7 +44,7 @@ def check_process() -> None:
         require(GRAPH, "a node")
     except LimitError as error:
         raise CannotStart(str(error)) from error
-    _check_middleware(os.environ.get(MIDDLEWARE, ""))
+    check_middleware()
 
 
 def check_models(graph: Graph) -> None:
@@ -59,8 +59,12 @@ def check_models(graph: Graph) -> None:
             raise CannotStart(f"model of {node.full_name}: {error}") from error
 
 
-def _check_middleware(name: str) -> None:
-    """In a process of its own: what ROS cannot load ends the process that asks for it, with 102."""
+def check_middleware() -> None:
+    """Raise `CannotStart` for a middleware that is named and cannot be loaded.
+
+    A process of its own asks for it, since ROS ends one that does so in vain, with exit code 102.
+    """
+    name = os.environ.get(MIDDLEWARE, "")
     if not name:
         return
     done = subprocess.run([sys.executable, "-c", _LOAD], capture_output=True, text=True)

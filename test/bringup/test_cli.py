@@ -82,9 +82,7 @@ def test_a_damaged_model_is_refused_before_a_node_is_started(capsys, tmp_path, d
     assert "nothing was started" in shown and not list(tmp_path.glob("**/logs"))
 
 
-def test_a_damaged_model_of_a_scenes_own_sensor_is_refused_before_a_node_is_started(
-    capsys, tmp_path, damaged
-):
+def test_a_damaged_model_of_a_scene_is_refused_before_a_node_is_started(capsys, tmp_path, damaged):
     pytest.importorskip("rclpy", reason="needs ROS 2")
     text = config_path("scenes/plane.yaml").read_text()
     own = text.replace("      camera_rate: 60", f"      model: {damaged.name}\n      camera_rate: 60", 1)
