@@ -21,7 +21,7 @@ from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, Stopped
 from tactile_bringup.launching.progress import Display
-from tactile_bringup.launching.start_check import CannotStart, check_start
+from tactile_bringup.launching.start_check import check_start
 from tactile_bringup.launching.task_runner import (
     RESTS,
     Interrupted,
@@ -101,7 +101,7 @@ class Launcher:
             try:
                 check_start(self.graph)
                 self._environment = ros_environment(self.logs / "ros")
-            except (CannotStart, ValueError, RuntimeError) as fault:
+            except (ValueError, RuntimeError) as fault:  # what cannot be started, or no ROS domain
                 outcome.exit_code, outcome.reason = EXIT_REFUSED, str(fault)
             else:
                 self._run_processes(outcome)
