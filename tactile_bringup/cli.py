@@ -7,6 +7,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from tactile_base.process_limits import COMMAND, LimitError, require
 from tactile_base.requirements import RequirementMissing, require_packages
 from tactile_bringup.commands.changes import in_words
 
@@ -41,6 +42,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RequirementMissing as error:
         print(f"tactile: {error}", file=sys.stderr)
         return 1
+    try:
+        require(COMMAND, "a command")
+    except LimitError as error:
+        print(f"tactile: {error}", file=sys.stderr)
+        return 2
     parsed = _parser().parse_args(arguments)
     try:
         return int(parsed.run(parsed))

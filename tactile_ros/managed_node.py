@@ -387,13 +387,14 @@ class ManagedNode(LifecycleNode):
 
     def rest(self) -> None:
         """Deactivate if active, so that nothing keeps moving."""
-        if self.active:
-            self.trigger_deactivate()
+        if self.active and self.trigger_deactivate() != Result.SUCCESS:
+            self.exit_code = self.exit_code or 1
 
     def finish(self) -> None:
         """Shut down from whatever state this is."""
-        if self._state_machine.current_state[1] in ("unconfigured", "inactive", "active"):
-            self.trigger_shutdown()
+        living = self._state_machine.current_state[1] in ("unconfigured", "inactive", "active")
+        if living and self.trigger_shutdown() != Result.SUCCESS:
+            self.exit_code = self.exit_code or 1
 
     def _attempt(self, what: str, action: Callable[[], None]) -> Result:
         try:
@@ -461,7 +462,7 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
     for node in nodes:
         executor.add_node(node)
     try:
-        return _spin(nodes, executor, signals)
+        exit_code = _spin(nodes, executor, signals)
     finally:
         for node in reversed(nodes):
             node.rest()
@@ -475,6 +476,7 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
             node.destroy_node()
         rclpy.try_shutdown()
         gc.unfreeze()
+    return exit_code or next((node.exit_code for node in nodes if node.exit_code), 0)
 
 
 def _spin_for(executor: Any, seconds: float) -> None:

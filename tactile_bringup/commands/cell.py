@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from tactile_base.console import say
+from tactile_base.console import lasting_console, say
 from tactile_bringup.commands.changes import add_set_option, changed_settings, natural_int, refusing
 from tactile_bringup.commands.launch import add_rehearse_option
 
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     scene = rehearsed(scene) if arguments.rehearse else scene
     arm = chosen_arm(scene, arguments.arm)
     assert arm.sensor is not None
-    console = Console()
+    console = lasting_console()
     record = run_of(arguments, scene, arm.name, console)
     if record is None:
         return FAILED

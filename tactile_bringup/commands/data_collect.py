@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from tactile_base.console import say
+from tactile_base.console import lasting_console, say
 from tactile_base.settings import SettingError, Settings, unknown_name
 from tactile_base.yaml_file import name_and_value
 from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int, refusing
@@ -67,15 +67,13 @@ class Plan:
 @refusing("data collect", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """`tactile data collect`: returns the exit status."""
-    console, status = Console(), 0
+    console, status = lasting_console(), 0
     plan = make_plan(arguments)
     say(console, f"{plan.missing} of {plan.samples} samples are missing")
     if plan.missing:
-        outcome = _launch(plan, arguments, console)
-        status = outcome.exit_code
+        status = _launch(plan, arguments, console).exit_code
         if status:
-            say(console, f"tactile data collect: {outcome.reason}", "red")
-            say(console, f"logs: {outcome.logs}; the same command goes on from here")
+            say(console, "the same command goes on from here")
     say(console, "\n".join(_contents(arguments.out)))
     return status
 
@@ -87,7 +85,7 @@ def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outc
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
     with CollectionDisplay(console, live, plan.samples) as display:
-        return Launcher(plan.graph, folder.absolute(), display).run()
+        return Launcher(plan.graph, folder.absolute(), display, "data collect").run()
 
 
 def _contents(folder: Path) -> list[str]:

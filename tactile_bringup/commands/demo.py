@@ -34,11 +34,10 @@ def register(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from rich.console import Console
-
+    from tactile_base.console import lasting_console
     from tactile_bringup.commands.launch import graph_options, launch
 
-    console, folder = Console(), arguments.out.absolute()
+    console, folder = lasting_console(), arguments.out.absolute()
     bag = folder / BAG
     if not _make_room(bag):
         return 2

@@ -48,7 +48,9 @@ def _python() -> str:
 
 def _ros() -> str:
     from tactile_bringup.launching.environment import middleware
+    from tactile_bringup.launching.start_check import check_middleware
 
+    check_middleware()
     return f"{os.environ.get('ROS_DISTRO', 'unknown distribution')}, {middleware()}"
 
 
@@ -117,6 +119,13 @@ def _security() -> str:
     return f"none: {closed} (SECURITY.md)"
 
 
+def _limits() -> str:
+    from tactile_base.process_limits import GRAPH, MIB, address_space, require
+
+    require(GRAPH, "a node")
+    return f"{GRAPH.files} open files, {address_space(GRAPH) // MIB} MiB of address space may be had"
+
+
 CHECKS: dict[str, Callable[[], str]] = {
     "Python": _python,
     "Python packages": lambda: ", ".join(REQUIREMENTS.values()),  # `tactile` itself has looked for them
@@ -129,6 +138,7 @@ CHECKS: dict[str, Callable[[], str]] = {
     "shared memory": _shared_memory,
     "ROS domain": _domain,
     "DDS security": _security,
+    "limits": _limits,
 }
 #: What to do where a check fails, besides what the failure itself says.
 HINTS = {

@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 TASK_HELP = "task: the name of one of config/tasks, or a task file of your own"
 FOUND = ""  # no file of the object: where it is touched is found by touch
-EXIT_CODES = """exit codes: 0 the task was done; 1 it failed; 2 an option, scene or task file is wrong;
-3 a node ended by itself; 4 nodes were not ready in time; 130 ended by Ctrl-C; 143 ended by SIGTERM"""
+EXIT_CODES = """exit codes: 0 the task was done; 1 it failed; 2 nothing was started: an option, scene, task
+file, model, limit of the process or the middleware is wrong; 3 a node ended by itself; 4 nodes were not ready
+in time; 5 the task was done, or ended by a signal, but an arm was not seen at rest or a node ended badly (a
+recording may be lost); 129 the terminal was closed; 130 Ctrl-C; 143 SIGTERM"""
 
 
 def register(subparsers: Any) -> None:
@@ -89,14 +91,14 @@ def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from rich.console import Console
+    from tactile_base.console import lasting_console
 
     if arguments.record_images and arguments.record is None:
         return _refuse("--record-images needs --record BAG")
     place = arguments.object_belief
     options = graph_options(arguments, object_belief=place is not None, object_file=place or FOUND)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
-    console = Console()
+    console = lasting_console()
     outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
         return 2
@@ -127,8 +129,6 @@ def launch_graph(
     graph: Graph, folder: Path, console: Console, headless: bool, command: str = "launch"
 ) -> Outcome:
     """Launch a graph that was loaded before, for a command of that name."""
-    from rich.markup import escape
-
     from tactile_bringup.launching.launcher import Launcher
     from tactile_bringup.launching.progress import Display
     from tactile_bringup.launching.view import write_view
@@ -136,13 +136,7 @@ def launch_graph(
     write_view(graph, folder)
     live = console.is_terminal and not headless
     with Display(console, live) as display:
-        outcome = Launcher(graph, folder.absolute(), display).run()
-    if outcome.exit_code:
-        console.print(f"[red]tactile {command}: {escape(outcome.reason)}[/]", highlight=False, soft_wrap=True)
-    rests = {True: "rests", False: "did not report rest in time", None: "never reported"}
-    ended = f"stopped: the arm {rests[outcome.at_rest]}; logs: {outcome.logs}"
-    console.print(ended, highlight=False, soft_wrap=True)
-    return outcome
+        return Launcher(graph, folder.absolute(), display, command).run()
 
 
 def _refuse(message: str) -> int:

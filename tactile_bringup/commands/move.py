@@ -46,15 +46,14 @@ def register(subparsers: Any) -> None:
 @refusing(TASK, status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from rich.console import Console
-
+    from tactile_base.console import lasting_console
     from tactile_base.whole_file import check_folder
     from tactile_bringup.commands.launch import launch_graph
 
     graph = make_graph(arguments)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{TASK}"
     check_folder(folder)
-    return launch_graph(graph, folder, Console(), arguments.headless, TASK).exit_code
+    return launch_graph(graph, folder, lasting_console(), arguments.headless, TASK).exit_code
 
 
 def make_graph(arguments: argparse.Namespace) -> Graph:

@@ -34,17 +34,18 @@ def register(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from rich.console import Console
-
+    from tactile_base.console import lasting_console
     from tactile_base.end_signals import end_with_launcher
     from tactile_base.settings import SettingError
     from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.progress import Display
+    from tactile_bringup.launching.start_check import check_process
     from tactile_bringup.servoing import Place, load_servoing_graph
 
     end_with_launcher()
     task, scene, options = arguments.task, arguments.scene, _options(arguments)
     try:
+        check_process()
         if arguments.namespace or arguments.arm:
             graph = load_servoing_graph(task, scene, arguments.arm, Place(arguments.namespace), options)
         else:
@@ -52,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     except (SettingError, ValueError, OSError) as error:
         print(f"tactile run: {error}", file=sys.stderr)
         return 2
-    console = Console()
+    console = lasting_console()
     with Display(console, console.is_terminal and not arguments.headless) as display:
         return _run(graph, display)
 
@@ -66,14 +67,16 @@ def _options(arguments: argparse.Namespace) -> GraphOptions:
 def _run(graph: Graph, display: Display) -> int:
     from tactile_bringup.launching.task_client import TaskClient
     from tactile_bringup.launching.task_runner import (
+        RESTS,
         Interrupted,
         NotReady,
         TaskRunner,
         Unfinished,
         collecting_signals,
+        in_disorder,
     )
 
-    signals = list[int]()
+    signals, code = list[int](), 0
     with collecting_signals(signals):
         client = TaskClient(int(os.environ.get("ROS_DOMAIN_ID") or 0))
         runner = TaskRunner(client, [n.full_name for n in graph.nodes], graph.plans, display, signals)
@@ -81,13 +84,14 @@ def _run(graph: Graph, display: Display) -> int:
             runner.wait_until_active()
             runner.run()
         except Unfinished as end:
+            code = end.exit_code
             if isinstance(end, Interrupted):
                 display.say(f"{end}: bringing the arm to rest (again to hurry)", "yellow")
             else:
                 hint = "; nodes started elsewhere need the same ROS_DOMAIN_ID"
                 display.say(f"tactile run: {end}{hint if isinstance(end, NotReady) else ''}", "red")
-            return end.exit_code
         finally:
-            runner.bring_to_rest()
+            at_rest = runner.bring_to_rest()
             client.close()
-    return 0
+        display.say(f"ended: {RESTS[at_rest]}")
+    return in_disorder(code) if at_rest is False and len(signals) < 2 else code

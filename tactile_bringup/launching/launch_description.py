@@ -105,6 +105,7 @@ def _given(arguments: dict[str, tuple[str, str]], context: LaunchContext) -> dic
 
 def _servoing_actions(context: LaunchContext) -> list[Any]:
     from tactile_bringup.graph import check_options
+    from tactile_bringup.launching.start_check import check_start
     from tactile_bringup.servoing import Place, load_servoing_graph
 
     given = _given(SERVOING_ARGUMENTS, context)
@@ -119,11 +120,13 @@ def _servoing_actions(context: LaunchContext) -> list[Any]:
         params_file=Path(given["params_file"]) if given["params_file"] else None,
     )
     graph = load_servoing_graph(given["task"], given["scene"] or None, given["arm"], place, options)
+    check_start(graph)
     return [_node(node, Path(launch_config.log_dir)) for node in graph.nodes]
 
 
 def _actions(task: str, context: LaunchContext) -> list[Any]:
     from tactile_bringup.graph import check_options, load_graph
+    from tactile_bringup.launching.start_check import check_start
 
     given = _given(ARGUMENTS, context)
     if pushed := context.launch_configurations.get(PUSHED, "").strip("/"):
@@ -135,6 +138,7 @@ def _actions(task: str, context: LaunchContext) -> list[Any]:
     options = _options(given)
     check_options(options, "{}:={}")
     graph = load_graph(task, given["scene"] or None, options)
+    check_start(graph)
     folder = Path(launch_config.log_dir)
     actions = [_node(node, folder, _shut_down(f"node {node.full_name}")) for node in graph.nodes]
     if not _flag(given, "headless"):

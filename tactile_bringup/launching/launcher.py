@@ -3,12 +3,14 @@
 Order of an end by Ctrl-C, SIGTERM or failure: the task is cancelled, so the arm stops and leaves the surface;
 when the arm rests, or after `REST_TIMEOUT`, the nodes get SIGINT, then SIGTERM, then SIGKILL; the recorder
 last, so that the bag holds the end as well; then shared memory that a killed node left is removed. A second
-signal does not wait for the arm (its driver stops it when commands end), a third kills.
+signal does not wait for the arm (its driver stops it when commands end), a third kills. Signals are collected
+until the last word has been said, which tells of the arm.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,20 +19,23 @@ from typing import TYPE_CHECKING
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
 from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import ros_environment
-from tactile_bringup.launching.processes import ProcessDied, ProcessGroup
+from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, Stopped
 from tactile_bringup.launching.progress import Display
+from tactile_bringup.launching.start_check import check_start
 from tactile_bringup.launching.task_runner import (
+    RESTS,
     Interrupted,
     NotReady,
     TaskRunner,
     Unfinished,
     collecting_signals,
+    in_disorder,
 )
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import GoalResult
 
-EXIT_NODE_DIED = 3
+EXIT_REFUSED, EXIT_NODE_DIED = 2, 3
 NAMESAKE_TIMEOUT = 20.0  # s for another launch to end: what its arms and its nodes may take
 
 
@@ -41,7 +46,8 @@ class Outcome:
     Attributes
     ----------
     exit_code : int
-        0 done, 1 task failed, 3 a node died, 4 not ready in time, 128 + n ended by signal n.
+        0 done, 1 task failed, 2 not started, 3 a node died, 4 not ready in time, 5 done or ended by a signal,
+        but not in order, 128 + n ended by signal n.
     reason : str
         In words; empty when all went well.
     goals : list of GoalResult
@@ -72,35 +78,52 @@ class Launcher:
     folder : Path
         For logs and parameter files.
     display : Display
-        Shows progress.
+        Shows progress, and how it ended.
+    command : str
+        What the user has called, for messages.
     """
 
-    def __init__(self, graph: Graph, folder: Path, display: Display) -> None:
-        self.graph, self.display = graph, display
+    def __init__(self, graph: Graph, folder: Path, display: Display, command: str = "launch") -> None:
+        self.graph, self.display, self.command = graph, display, command
         self.logs = folder / "logs"
         self._parameters = folder / "parameters"
-        self._environment = ros_environment(self.logs / "ros")
         self._signals: list[int] = []
         self._runner: TaskRunner | None = None
+        self._worked = False  # whether all nodes have been active
 
     def run(self) -> Outcome:
-        """Start, run the goals, stop. Never raises for what happens to nodes or task."""
+        """Check, start, run the goals, stop, say how it ended.
+
+        Never raises for what happens to nodes or task.
+        """
         outcome = Outcome(0, "", self.logs)
+        with collecting_signals(self._signals):
+            try:
+                check_start(self.graph)
+                self._environment = ros_environment(self.logs / "ros")
+            except (ValueError, RuntimeError) as fault:  # what cannot be started, or no ROS domain
+                outcome.exit_code, outcome.reason = EXIT_REFUSED, str(fault)
+            else:
+                self._run_processes(outcome)
+            self._tell(outcome)
+        return outcome
+
+    def _run_processes(self, outcome: Outcome) -> None:
         shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
-        started_ns = time.time_ns()
-        with collecting_signals(self._signals), ProcessGroup() as group:
+        started_ns, dead = time.time_ns(), ""
+        with ProcessGroup() as group:
             try:
                 self._run_task(group)
             except ProcessDied as death:
-                outcome.exit_code, outcome.reason = EXIT_NODE_DIED, f"node {death}"
+                outcome.exit_code, outcome.reason, dead = EXIT_NODE_DIED, f"node {death}", death.name
             except Unfinished as end:
                 outcome.exit_code, outcome.reason = end.exit_code, str(end)
                 if isinstance(end, Interrupted):
                     self.display.say(f"{end}: bringing the arm to rest (again to hurry)", "yellow")
             finally:
-                self._stop(group, outcome)
+                reports = self._stop(group, outcome)
+            self._judge([report for report in reports if report.name != dead], outcome)
         shared_memory.remove_orphans(started_ns)
-        return outcome
 
     def _run_task(self, group: ProcessGroup) -> None:
         environment = self._environment
@@ -118,6 +141,7 @@ class Launcher:
             self._start_node(group, node)
         self._runner = self._connect(group)
         self._runner.wait_until_active()
+        self._worked = True
         self._runner.run()
 
     def _wait_for_namesakes(self, group: ProcessGroup) -> None:
@@ -160,7 +184,7 @@ class Launcher:
         log = self.logs / f"{node.file_stem}.log"
         group.start(node.full_name, node.command(file), self._environment.variables, log)
 
-    def _stop(self, group: ProcessGroup, outcome: Outcome) -> None:
+    def _stop(self, group: ProcessGroup, outcome: Outcome) -> list[Stopped]:
         """Task, arm, nodes, recorder: in this order."""
         recorder = f"/{RECORDER}"
         if self._runner is not None:
@@ -176,3 +200,25 @@ class Launcher:
         outcome.escalated = [f"{r.name} took {r.escalated_to}" for r in reports if r.escalated_to]
         for line in outcome.escalated:
             self.display.say(f"{line} to end", "yellow")
+        return reports
+
+    def _judge(self, reports: list[Stopped], outcome: Outcome) -> None:
+        """What did not end in order counts, unless somebody was in a hurry and wanted it so."""
+        hurried = len(self._signals) > 1
+        bad = [r for r in reports if r.exit_code and not (hurried and r.exit_code == -signal.SIGKILL)]
+        disorder = [f"while everything was stopped: node {report}" for report in bad if self._worked]
+        if outcome.at_rest is False and not hurried:
+            disorder.append("not every arm was seen at rest")
+        if not disorder:
+            return
+        if outcome.exit_code == 0:
+            outcome.reason = "the task was done, but not all has ended in order"
+        outcome.exit_code = in_disorder(outcome.exit_code)
+        outcome.reason = "\n".join([outcome.reason, *disorder])
+
+    def _tell(self, outcome: Outcome) -> None:
+        if outcome.reason:
+            self.display.say(f"tactile {self.command}: {outcome.reason}", "red")
+        refused = outcome.exit_code == EXIT_REFUSED
+        ended = f"stopped: {RESTS[outcome.at_rest]}; logs: {outcome.logs}"
+        self.display.say("nothing was started" if refused else ended)

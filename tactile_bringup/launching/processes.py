@@ -42,9 +42,7 @@ class ProcessDied(RuntimeError):
 
     def __init__(self, name: str, exit_code: int, log: Path) -> None:
         self.name, self.exit_code, self.log = name, exit_code, log
-        super().__init__(
-            f"{name} {describe_exit(exit_code)}; log: {log}\n{textwrap.indent(tail(log), '    ')}"
-        )
+        super().__init__(f"{name} {describe_exit(exit_code)}{_last_words(log)}")
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,13 @@ class Stopped:
 
     name: str
     exit_code: int
+    log: Path
     escalated_to: str = ""
+
+    def __str__(self) -> str:
+        killed = self.escalated_to == signal.SIGKILL.name
+        how = "did not end when it was asked to" if killed else describe_exit(self.exit_code)
+        return f"{self.name} {how}{_last_words(self.log)}"
 
 
 @dataclass
@@ -129,7 +133,7 @@ class ProcessGroup:
                 escalated[child.name] = "" if number == signal.SIGINT else signal.Signals(number).name
                 signal_group(child.process.pid, number)
             _wait(running, wait_s)
-        reports = [Stopped(c.name, c.process.wait(), escalated.get(c.name, "")) for c in children]
+        reports = [Stopped(c.name, c.process.wait(), c.log, escalated.get(c.name, "")) for c in children]
         for child in children:
             self._forget(child)
         self.stopped += reports
@@ -182,9 +186,31 @@ def describe_exit(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
     try:
-        return f"was killed by {signal.Signals(-code).name}"
+        return f"was killed by {signal.Signals(-code).name}{_killer() if -code == signal.SIGKILL else ''}"
     except ValueError:
         return f"was killed by signal {-code}"
+
+
+def memory_kills(counters: Path = Path("/proc/vmstat")) -> int | None:
+    """How many processes the kernel has killed as memory ran out, of machine or container; None: not told."""
+    try:
+        lines = counters.read_text().splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) for line in lines if line.startswith("oom_kill ")), None)
+
+
+_MEMORY_KILLS = memory_kills()  # before any child was started
+
+
+def _killer() -> str:
+    """Who probably has sent a SIGKILL that is not ours."""
+    now = memory_kills()
+    if now is None or _MEMORY_KILLS is None:
+        return ""
+    if now > _MEMORY_KILLS:
+        return ", probably by the kernel because memory ran out (`dmesg` names whom it killed; `free -h`)"
+    return ", by a person or a program: not by the kernel for want of memory"
 
 
 def tail(log: Path, lines: int = TAIL_LINES) -> str:
@@ -194,6 +220,10 @@ def tail(log: Path, lines: int = TAIL_LINES) -> str:
     except FileNotFoundError:
         return "(no log)"
     return "\n".join(text.splitlines()[-lines:]) if text else "(it wrote nothing)"
+
+
+def _last_words(log: Path) -> str:
+    return f"; log: {log}\n{textwrap.indent(tail(log), '    ')}"
 
 
 def _end_with(parent: int) -> None:

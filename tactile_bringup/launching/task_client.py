@@ -37,6 +37,7 @@ ANSWER_TIME = 1.0  # s; an answer can be lost while two nodes are still finding 
 BACKLOG = 10  # events handled at once after the first
 GAP = 0.1  # s between two words of an arm that runs regularly
 SILENCE = 0.5  # s after which the last word of an arm says nothing about now
+AT_REST = (1e-3,) * 3 + (5e-3,) * 3  # m/s, rad/s: what speeds that are measured say of an arm at rest
 
 
 @dataclass
@@ -198,10 +199,11 @@ class ArmTask:
         return self._goal is not None
 
     def rests_for(self) -> float:
-        """Seconds for which the arm has said, and still says, that it rests; 0 otherwise."""
-        if self.progress.arm_mode != ArmStatus.RESTING or self.silent:
-            return 0.0
-        return self._heard_s - self._moved_s
+        """Seconds for which the arm has said, and still says, that it rests; 0 otherwise.
+
+        An arm that was stopped by safety rests where its twist is zero.
+        """
+        return 0.0 if self.silent else self._heard_s - self._moved_s
 
     def last_word(self) -> str:
         """What the arm said last, for a person."""
@@ -265,7 +267,7 @@ class ArmTask:
         if now - self._heard_s > GAP:
             self._regular_s = now
         self._heard_s = now
-        if status.mode != ArmStatus.RESTING:
+        if not _rests(status):
             self._moved_s = self._heard_s
         self.progress.arm_mode, self.progress.arm_reason = status.mode, status.reason
 
@@ -273,3 +275,10 @@ class ArmTask:
         if message.stage == CONTROLLER_STAGE:
             exposure, emitted = message.exposed[-1], message.emitted[-1]
             self.progress.latency = emitted.sec - exposure.sec + 1e-9 * (emitted.nanosec - exposure.nanosec)
+
+
+def _rests(status: ArmStatus) -> bool:
+    """Whether an arm says that it is at rest: by its mode, or in one that says nothing of it by its twist."""
+    if status.mode in (ArmStatus.FAULT, ArmStatus.ESTOP):
+        return all(abs(speed) < limit for speed, limit in zip(status.twist, AT_REST, strict=True))
+    return bool(status.mode == ArmStatus.RESTING)

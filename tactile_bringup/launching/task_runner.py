@@ -28,6 +28,8 @@ HELD_UP = 0.5  # s without an answer after which a node counts as held up
 HOLD_TIMEOUT = 30.0  # s that one is waited for: what nodes keep of what they have published (`qos.RECORDED`)
 CATCH_UP = 5.0  # s for one that was held up to take from its publishers what it has missed, and to know it
 SPIN = 0.05  # s between looks at signals and processes while nothing arrives
+#: What `TaskRunner.bring_to_rest` returns, in words.
+RESTS = {True: "the arm rests", False: "the arm did not report rest in time", None: "the arm never reported"}
 
 
 class Unfinished(RuntimeError):
@@ -43,7 +45,7 @@ class NotReady(Unfinished):
 
 
 class Interrupted(Unfinished):
-    """SIGINT or SIGTERM was sent to this process."""
+    """SIGINT, SIGTERM or, by a terminal that was closed, SIGHUP was sent to this process."""
 
     def __init__(self, number: int) -> None:
         self.exit_code = 128 + number
@@ -54,6 +56,14 @@ class GoalFailed(Unfinished):
     """A goal that was not reached."""
 
     exit_code = 1
+
+
+EXIT_DISORDER = 5
+
+
+def in_disorder(exit_code: int) -> int:
+    """The exit code of what was done, or ended by a signal, but not in order; that of a failure stays."""
+    return EXIT_DISORDER if exit_code == 0 or exit_code > 128 else exit_code
 
 
 @dataclass

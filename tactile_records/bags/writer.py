@@ -8,6 +8,7 @@ metadata.yaml, which only describe the file, may then be up to `METADATA_PERIOD`
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -134,6 +135,7 @@ class BagWriter:
         """Hand everything so far to the operating system: it survives the death of this process."""
         with self._refusing():
             self._writer.flush()
+            self._look_for_file()
             if time.monotonic() - self._metadata_s > METADATA_PERIOD:
                 self._write_metadata()
 
@@ -143,8 +145,15 @@ class BagWriter:
             return
         with self._refusing():
             self._writer.finish()
+            self._stream.flush()
+            self._look_for_file()
             self._stream.close()
             self._write_metadata()
+
+    def _look_for_file(self) -> None:
+        """Raise OSError for one that was deleted or moved: the system would go on taking what is written."""
+        if not (self.file.exists() and os.fstat(self._stream.fileno()).st_nlink):
+            raise FileNotFoundError(errno.ENOENT, "it was deleted or moved while it was being written")
 
     @contextlib.contextmanager
     def _refusing(self) -> Iterator[None]:

@@ -243,6 +243,7 @@ class ArmNode(ManagedNode):
             return
         self._status_due_ns = now_ns + int(SECOND_NS / self.settings.value.status_rate)
         status = ArmStatus(header=header(now_ns, self.base_frame), mode=ArmStatus.FAULT, command_age=-1.0)
+        status.twist = np.full(6, np.nan)  # nobody knows whether it rests
         status.reason = self.safe.alarm or f"what it says of itself is not believed: {self.safe.bad_state}"
         self.status_out.publish(status)
 

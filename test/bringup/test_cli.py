@@ -7,8 +7,10 @@ import sys
 
 import pytest
 
+from tactile_base.config_paths import config_path
 from tactile_base.version import version
 from tactile_bringup import cli
+from tactile_perception.estimator import shipped_model
 
 WITHOUT_MCAP_AND_RUCKIG = """
 import importlib.util
@@ -60,6 +62,44 @@ def test_an_unknown_command_ends_with_2_and_lists_the_commands(capsys):
 def test_a_wrong_option_of_launch_ends_with_2_and_a_message(capsys, options, message):
     assert cli.main(["launch", "surface_following", *options]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.fixture
+def damaged(tmp_path):
+    """A model of which one bit was turned."""
+    data = bytearray(shipped_model().read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "own.onnx").write_bytes(data)
+    return tmp_path / "own.onnx"
+
+
+@pytest.mark.parametrize("command", ["launch surface_following", "demo", "launch dual_pushing"])
+def test_a_damaged_model_is_refused_before_a_node_is_started(capsys, tmp_path, damaged, command):
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    assert cli.main([*command.split(), "--out", str(tmp_path), "--model", str(damaged), "--headless"]) == 2
+    shown = capsys.readouterr().out
+    assert "tactile launch: model of /" in shown and f"/estimator: {damaged}: " in shown
+    assert "nothing was started" in shown and not list(tmp_path.glob("**/logs"))
+
+
+def test_a_damaged_model_of_a_scene_is_refused_before_a_node_is_started(capsys, tmp_path, damaged):
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    text = config_path("scenes/plane.yaml").read_text()
+    own = text.replace("      camera_rate: 60", f"      model: {damaged.name}\n      camera_rate: 60", 1)
+    (tmp_path / "cell.yaml").write_text(own)
+    scene = ["--scene", str(tmp_path / "cell.yaml")]
+    assert cli.main(["launch", "surface_following", *scene, "--out", str(tmp_path), "--headless"]) == 2
+    assert f"model of /arm/estimator: {damaged}: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["version", "launch surface_following"])
+def test_too_little_address_space_is_a_sentence_in_place_of_a_crash(command):
+    limited = f'ulimit -v 500000 && exec "{sys.executable}" -m tactile_bringup.cli {command}'
+    done = subprocess.run(["sh", "-c", limited], capture_output=True, text=True)
+    assert done.returncode == 2 and not done.stdout
+    assert done.stderr.startswith(
+        "tactile: no process may have more than 500000 KiB of address space, a command"
+    )
 
 
 def test_a_bag_that_exists_is_not_overwritten(tmp_path, capsys):

@@ -13,6 +13,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.topics import ROBOT_DESCRIPTION
 from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.view import write_view
+from tactile_perception.estimator import shipped_model
 
 needs_launch = pytest.mark.skipif(
     importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed (it has no wheels)"
@@ -153,6 +154,13 @@ def test_a_namespace_pushed_around_the_launch_of_a_whole_cell_is_refused_with_wh
 def test_a_wrong_argument_of_a_launch_file_is_refused_in_a_sentence(performed, argument, value, complaint):
     with pytest.raises(ValueError, match=re.escape(complaint)):
         performed("surface_following", **{argument: value})
+
+
+@needs_launch
+def test_a_damaged_model_is_refused_before_a_node_is_started(performed, tmp_path):
+    (tmp_path / "cut.onnx").write_bytes(shipped_model().read_bytes()[:60_000])
+    with pytest.raises(ValueError, match=r"model of /arm/estimator: .*cut\.onnx: "):
+        performed("surface_following", model=str(tmp_path / "cut.onnx"))
 
 
 @needs_launch

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_bringup.launching import keeper, shared_memory
-from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, describe_exit, tail
+from tactile_bringup.launching import keeper, processes, shared_memory
+from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, describe_exit, memory_kills, tail
 
 pytestmark = pytest.mark.live
 
@@ -167,6 +167,29 @@ def test_a_keeper_that_comes_to_run_late_removes_what_was_made_since_it_was_star
 def test_exit_codes_in_words():
     assert describe_exit(1) == "ended with exit code 1"
     assert describe_exit(-11) == "was killed by SIGSEGV"
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "cause"),
+    [
+        (3, 4, ", probably by the kernel because memory ran out (`dmesg` names whom it killed; `free -h`)"),
+        (3, 3, ", by a person or a program: not by the kernel for want of memory"),
+        (None, None, ""),
+    ],
+)
+def test_of_a_process_that_was_killed_it_is_said_whether_memory_ran_out(monkeypatch, before, now, cause):
+    monkeypatch.setattr(processes, "_MEMORY_KILLS", before)
+    monkeypatch.setattr(processes, "memory_kills", lambda: now)
+    assert describe_exit(-9) == f"was killed by SIGKILL{cause}"
+    assert describe_exit(-11) == "was killed by SIGSEGV"
+
+
+def test_the_kernels_count_of_processes_killed_for_want_of_memory_is_read(tmp_path):
+    counters = tmp_path / "vmstat"  # as of Linux 6: one `name number` a line
+    counters.write_text("nr_free_pages 5\noom_kill_disable 1\noom_kill 7\nnuma_pte_updates 0\n")
+    assert memory_kills(counters) == 7
+    counters.write_text("nr_free_pages 5\n")  # before Linux 4.13
+    assert memory_kills(counters) is None and memory_kills(tmp_path / "none") is None
 
 
 def test_the_tail_of_a_log_is_its_last_lines(tmp_path):

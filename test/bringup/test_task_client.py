@@ -1,11 +1,14 @@
-"""The launcher's client asks on until it knows that the nodes are active."""
+"""The launcher's client asks on until it knows that the nodes are active, and hears whether an arm rests."""
+
+import math
 
 import pytest
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.task import Future
 
-from tactile_bringup.launching.task_client import ANSWER_TIME, TaskClient
+from tactile_bringup.launching.task_client import ANSWER_TIME, ArmTask, Progress, TaskClient
+from tactile_msgs.msg import ArmStatus
 
 
 class Service:
@@ -85,3 +88,27 @@ def test_a_node_that_was_active_is_asked_anew_on_demand_and_another_is_not(clien
     service.answers = True
     client.inactive(["/arm/filter"], 2.0 + 2 * ANSWER_TIME)
     assert client.inactive(["/arm/filter"], 2.0 + 3 * ANSWER_TIME) == {}
+
+
+@pytest.mark.parametrize(
+    ("mode", "speed", "rests"),
+    [
+        (ArmStatus.RESTING, 0.0, True),
+        (ArmStatus.MOVING, 0.0, False),  # it may go on at once
+        (ArmStatus.STOPPING, 0.0, False),
+        (ArmStatus.ESTOP, 0.0, True),
+        (ArmStatus.ESTOP, 4e-4, True),  # speeds that are measured are not zero
+        (ArmStatus.ESTOP, 0.002, False),
+        (ArmStatus.FAULT, 0.0, True),
+        (ArmStatus.FAULT, -0.01, False),
+        (ArmStatus.FAULT, math.nan, False),  # nobody knows
+    ],
+)
+def test_an_arm_that_was_stopped_by_safety_rests_where_its_twist_is_zero(mode, speed, rests):
+    task = ArmTask.__new__(ArmTask)  # without a participant of DDS
+    task.progress, task._regular_s = Progress(), math.inf
+    task._heard_s = task._moved_s = -math.inf
+    task._on_arm(ArmStatus(mode=ArmStatus.MOVING, twist=[0.01] + [0.0] * 5))
+    for _ in range(2):
+        task._on_arm(ArmStatus(mode=mode, twist=[0.0, speed] + [0.0] * 4))
+    assert (task.rests_for() > 0.0) == rests

@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -319,6 +320,20 @@ def test_an_existing_bag_is_not_overwritten(tmp_path, definitions):
     write(tmp_path / "run", definitions).close()
     with pytest.raises(BagError, match="run exists already; remove it or record elsewhere"):
         BagWriter(tmp_path / "run", [TWIST], definitions)
+
+
+@pytest.mark.parametrize("act", ["flush", "close"])
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_bag_that_is_deleted_or_moved_while_it_is_written_is_an_error(tmp_path, definitions, act, moved):
+    bag = write(tmp_path / "run", definitions)
+    if moved:
+        (tmp_path / "run").rename(tmp_path / "elsewhere")
+    else:
+        shutil.rmtree(tmp_path / "run")
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / bag.file.name).touch()  # somebody else's, of the same name
+    with pytest.raises(BagError, match=r"run_0\.mcap: cannot be written: it was deleted or moved"):
+        getattr(bag, act)()
 
 
 def test_what_is_no_bag_is_an_error_that_names_it(tmp_path):

@@ -48,6 +48,7 @@ TOY = textwrap.dedent("""
             print("deactivated", flush=True)
 
         def cleanup(self):
+            self.fail("clean up")
             print("cleaned up", flush=True)
 
         def double(self, message):
@@ -121,6 +122,14 @@ def test_an_error_in_a_callback_ends_the_node_after_deactivating_with_exit_code_
     assert process.returncode == 1
     log = graph.log("toy").read_text()
     assert "ZeroDivisionError: in double" in log and "deactivated" in log and "cleaned up" in log
+
+
+def test_a_node_that_cannot_clean_up_ends_with_exit_code_1_and_says_why(graph):
+    process = graph.start_code("toy", TOY, {"fail_in": "clean up"})
+    process.send_signal(signal.SIGTERM)
+    assert graph.wait(lambda: process.poll() is not None) and process.returncode == 1
+    log = graph.log("toy").read_text()
+    assert "cannot clean up: as told" in log and "deactivated" in log and "Traceback" not in log
 
 
 def test_a_lifecycle_manager_takes_a_node_through_its_states_and_an_inactive_one_ignores_messages(graph):

@@ -1,6 +1,7 @@
 """The recorder: what is published is in the bag, or told as lost, with number and time."""
 
 import os
+import shutil
 import signal
 
 import numpy as np
@@ -30,6 +31,19 @@ class OnAFullDisk(RecorderNode):
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))  # the system refuses what goes beyond
 
 raise SystemExit(run(OnAFullDisk))
+"""
+
+FULL_AT_THE_END = """
+import resource
+from tactile_ros.managed_node import run
+from tactile_ros.nodes.recorder_node import RecorderNode
+
+class OnADiskThatFillsAtItsClose(RecorderNode):
+    def cleanup(self):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))  # enough for the log of this process
+        super().cleanup()
+
+raise SystemExit(run(OnADiskThatFillsAtItsClose))
 """
 
 SLOW_DISK = """
@@ -213,6 +227,26 @@ def test_a_full_disk_ends_the_recording_with_a_sentence_and_what_was_written_is_
     assert "the recording ends after" in log and "bag_0.mcap: cannot be written: File too large" in log
     bag = read_bag(tmp_path / "bag")
     assert "ends early" in bag.problem and bag.counts["/tf"] > 10
+
+
+def test_a_disk_that_fills_at_the_close_of_a_recording_ends_the_recorder_with_1_and_a_sentence(
+    graph, tmp_path
+):
+    process = graph.start_code("full", FULL_AT_THE_END, {"bag": str(tmp_path / "bag"), "topics": TOPICS})
+    process.send_signal(signal.SIGINT)
+    assert graph.wait(lambda: process.poll() is not None)
+    log = graph.log("full").read_text()
+    assert process.returncode == 1 and "Traceback" not in log
+    assert "the recording ends after 0 messages: " in log and "cannot be written: File too large" in log
+
+
+def test_a_bag_that_is_deleted_while_it_is_written_ends_the_recording_with_a_sentence(graph, tmp_path):
+    process = graph.start(RECORDER, {"bag": str(tmp_path / "bag"), "topics": TOPICS})
+    shutil.rmtree(tmp_path / "bag")
+    assert graph.wait(lambda: process.poll() is not None) and process.returncode == 1
+    log = graph.log(RECORDER).read_text()
+    assert "bag_0.mcap: cannot be written: it was deleted or moved while it was being written" in log
+    assert "Traceback" not in log
 
 
 def test_a_bag_that_cannot_be_created_is_an_error_that_names_it(graph, tmp_path):

@@ -1,6 +1,7 @@
 """A node that stands in for a whole cell: an arm that moves while a goal runs, and faults that tests want.
 
-The parameter `fault` is one of: "", "configure", "die", "fail", "deaf", "never_active".
+The parameter `fault` is one of: "", "configure", "die", "fail", "deaf", "never_active", "ends_badly",
+"estop", "estop_and_on" (it moves on all the same).
 """
 
 import os
@@ -25,6 +26,7 @@ class FakeCell(ManagedNode):
         self.fault = declare_read_only(self, "fault", "", "how to misbehave")
         self.seconds = declare_read_only(self, "seconds", 0.5, "duration of a goal")
         self.goal = None
+        self.stopped_at = None
 
     def configure(self):
         if self.fault == "configure":
@@ -51,10 +53,14 @@ class FakeCell(ManagedNode):
         return CancelResponse.ACCEPT
 
     def tick(self):
-        self.status_out.publish(ArmStatus(mode=ArmStatus.MOVING if self.goal else ArmStatus.RESTING))
+        self.status_out.publish(self.status())
         if self.goal is None:
             return
         elapsed = time.monotonic() - self.started
+        if self.fault.startswith("estop") and elapsed > 0.2:
+            self.stopped_at = time.monotonic()
+            self.end("emergency stop")
+            return
         if self.fault == "die" and elapsed > 0.2:
             print("FATAL: the gel is torn", flush=True)
             os._exit(7)
@@ -63,15 +69,22 @@ class FakeCell(ManagedNode):
         if elapsed >= self.seconds:
             self.end()
 
-    def end(self):
+    def status(self):
+        if self.stopped_at is None:
+            return ArmStatus(mode=ArmStatus.MOVING if self.goal else ArmStatus.RESTING)
+        brakes = time.monotonic() - self.stopped_at < 0.1 or self.fault == "estop_and_on"
+        twist = [0.01 * brakes] + [0.0] * 5
+        return ArmStatus(mode=ArmStatus.ESTOP, reason="emergency stop: button", twist=twist)
+
+    def end(self, failure=""):
         handle, self.goal = self.goal, None
         cancelled = handle.is_cancel_requested
-        success = not cancelled and self.fault != "fail"
+        success = not (cancelled or failure or self.fault == "fail")
         if cancelled:
             handle.canceled()
         else:
             (handle.succeed if success else handle.abort)()
-        reason = "" if success else "cancelled" if cancelled else "lost the contact at 12 mm"
+        reason = "" if success else "cancelled" if cancelled else failure or "lost the contact at 12 mm"
         self.done.set_result(RunTask.Result(success=success, reason=reason, path_length=0.05))
 
 
@@ -81,7 +94,7 @@ def main():
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     if "fault: never_active" in given:
         time.sleep(60)
-    return run(FakeCell)
+    return run(FakeCell) or 9 * ("fault: ends_badly" in given)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
-"""Launches the fake cell as `tactile launch` launches a graph: launch_fake.py FOLDER FAULT SECONDS GOALS."""
+"""Launches the fake cell as `tactile launch` launches a graph: launch_fake.py FOLDER FAULT SECONDS GOALS.
+
+With the fault "record" a recorder runs beside it.
+"""
 
 import sys
 from pathlib import Path
 
-from rich.console import Console
-
+from tactile_base.console import lasting_console, say
 from tactile_bringup.graph import Graph, NodeProcess
 from tactile_bringup.launching import launcher, task_runner
 from tactile_bringup.launching.progress import Display
@@ -17,12 +19,19 @@ parameters = {"fault": fault, "seconds": seconds}
 node = NodeProcess("cell", "/arm", "fake_cell", "fake_cell", parameters)
 goals = tuple(NamedGoal(f"goal_{index}", FollowingGoal()) for index in range(count))
 plan = ArmPlan("arm", Role("follower", "surface_following", SurfaceFollowingSettings(), goals), goals)
-graph = Graph("surface_following", "fake", Path("fake.yaml"), ("arm",), (node,), (), (plan,))
+nodes = [node]
+if fault == "record":
+    recorded = {"bag": str(folder / "bag"), "topics": ["/arm/arm/status tactile_msgs/msg/ArmStatus reliable"]}
+    nodes.insert(0, NodeProcess("recorder", "/", "fake_recorder", "fake_recorder", recorded))
+graph = Graph("surface_following", "fake", Path("fake.yaml"), ("arm",), tuple(nodes), (), (plan,))
 if fault == "never_active":
     task_runner.READY_TIMEOUT = 3.0
+if fault == "estop_and_on":
+    task_runner.REST_TIMEOUT = 1.5
 if fault == "impatient":
     launcher.NAMESAKE_TIMEOUT = 1.0
-with Display(Console(), live=False) as display:
+console = lasting_console()
+with Display(console, live=False) as display:
     outcome = launcher.Launcher(graph, folder, display).run()
-print("OUTCOME", outcome.exit_code, outcome.at_rest, outcome.escalated, outcome.reason)
+say(console, f"OUTCOME {outcome.exit_code} {outcome.at_rest} {outcome.escalated} {outcome.reason}")
 sys.exit(outcome.exit_code)
