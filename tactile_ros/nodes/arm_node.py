@@ -231,10 +231,11 @@ class ArmNode(ManagedNode):
     def _tell_alarm(self) -> None:
         """That the stage has stopped an arm which does what it was not told to: as an error until a reset."""
         alarm = self.safe.alarm
-        self.report.fault = f"{self.arm}: {alarm}" if alarm else ""
-        if alarm != self._alarm and alarm:
+        if alarm == self._alarm:
+            return
+        self._alarm, self.report.fault = alarm, f"{self.arm}: {alarm}" if alarm else ""
+        if alarm:
             self.get_logger().fatal(f"{self.arm}: {alarm}; arm/reset leaves it")
-        self._alarm = alarm
 
     def _tell_unbelieved(self) -> None:
         """To those who wait for a state, that those which came cannot be true."""

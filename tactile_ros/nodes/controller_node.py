@@ -56,10 +56,10 @@ class ControllerTimingSettings(Settings):
 
 @dataclass(frozen=True)
 class SpaceSettings(Settings):
-    """Where a goal may begin, as the arm's node keeps to it on the way (`tactile_drivers.arm.SafetySettings`)."""
+    """Where a goal may begin: where the arm's node lets it go (`tactile_drivers.arm.SafetySettings`)."""
 
     workspace_lower: tuple[float, ...] = setting(
-        (-20.0,) * 3, length=3, lower=-20.0, upper=20.0, unit="m", doc="corner x y z of a box in the arm's base"
+        (-20.0,) * 3, length=3, lower=-20.0, upper=20.0, unit="m", doc="corner of a box in the arm's base"
     )
     workspace_upper: tuple[float, ...] = setting(
         (20.0,) * 3, length=3, lower=-20.0, upper=20.0, unit="m", doc="the opposite corner"
