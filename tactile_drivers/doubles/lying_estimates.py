@@ -235,7 +235,8 @@ def _kinds() -> dict[str, Callable[[float, str], LyingEstimates]]:
         "10 degrees of noise": lambda begins, arm: Noisy([0.0] * 3 + [0.17] * 3, begins, arm),
         "twice as large": lambda begins, arm: Scaled(2.0, "", begins, arm),
         "half as large": lambda begins, arm: Scaled(0.5, "", begins, arm),
-        "frozen": lambda begins, arm: Frozen(quiet, begins, arm),
+        "frozen": lambda begins, arm: Frozen(np.zeros(6), begins, arm),
+        "frozen with noise": lambda begins, arm: Frozen(quiet, begins, arm),
         "2 mm too deep": lambda begins, arm: Offset(_alone("z", 2e-3), begins, arm),
         "2 mm too shallow": lambda begins, arm: Offset(_alone("z", -2e-3), begins, arm),
     }
