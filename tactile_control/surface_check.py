@@ -9,8 +9,7 @@ normal n and the sensor's centre p, of a surface of any shape that stands still
 
 whatever the arm does meanwhile. On the way its normal turns by no more than curvature times the way slid, and
 a contact that slides, slides along with its shear, never against it: friction takes work. A surface that may
-move (`speed`, `turn_rate`) or give way (`yields`) leaves more room. And a contact that moves is never quite
-the same twice::
+move (`speed`, `turn_rate`) or give way (`yields`) leaves more room::
 
     check = SurfaceCheck(SurfaceSettings())
     check.begin()                                    # a new contact
@@ -35,14 +34,12 @@ Array = NDArray[np.float64]
 
 LATELY = 0.1  # weight of an image in the share of those that gave nothing to believe
 BIN, LEAST_NUMBER = 0.1, 3  # s; beliefs of so long, and so many, are averaged: what differs between images is noise
-TIP = 0.020  # m; at this distance from the centre, that of a tip's skin, turns are compared with ways
 JUMP = 1.5  # depth errors between one belief and the next, which have more noise than means
 SLOWEST = 0.25  # part of the twist that is left where a limit is all but reached
 LEAST_SHEAR, LEAST_TURN = 0.001, 0.03  # m, rad; smaller ones hardly have a direction
 
 # columns of what is kept of a bin
-_TIME, _OFFSET, _INTO, _SLID, _WAY, _SHEARED, _TWISTED, _NORMAL, _CONTACT = 0, 1, 2, 3, 4, 5, 6, 7, 10
-_COLUMNS = 16
+_TIME, _OFFSET, _INTO, _SLID, _SHEARED, _TWISTED, _NORMAL, _COLUMNS = 0, 1, 2, 3, 4, 5, slice(6, 9), 9
 
 
 @dataclass(frozen=True)
@@ -83,14 +80,10 @@ class SurfaceSettings(Settings):
     twist_error: float = setting(
         0.2, lower=1e-2, upper=2.0, unit="rad", doc="and turns so far against its own twist"
     )
-    least_change: float = setting(
-        2e-6, lower=0.0, upper=0.01, unit="m",
-        doc="the contact of an arm that moves varies at least so much, if only by noise (turns: at 20 mm)",
+    largest_depth: float = setting(
+        0.015, lower=0.001, upper=0.1, unit="m",
+        doc="a contact that is believed deeper has something in its way: the task fails",
     )  # fmt: skip
-    change_time: float = setting(1.5, lower=0.3, upper=30.0, unit="s", doc="within this time")
-    change_way: float = setting(
-        0.003, lower=1e-4, upper=0.1, unit="m", doc="in which the arm has moved by more than this"
-    )
     refused_share: float = setting(
         0.5, lower=0.05, upper=1.0,
         doc="of the latest ten images, about: more of them than this, in contact, gave nothing to believe",
@@ -135,10 +128,10 @@ class SurfaceCheck:
         self._bins: Array = getattr(self, "_bins", np.zeros((0, _COLUMNS)))
         self._count = self._next = 0
         self._last: tuple[list[float], list[float]] | None = None  # centre and normal
-        self._into = self._slid = self._way = self._offset = self._refused = 0.0
+        self._into = self._slid = self._offset = self._refused = 0.0
         self._stamp_ns = 0
         self._begin_ns = 0
-        self._gathered: list[float] = [0.0] * 5
+        self._gathered: list[float] = [0.0] * 4
         self._sums: list[Array] = []
         self._number = 0
         self._before: _Middle | None = None
@@ -174,13 +167,13 @@ class SurfaceCheck:
             self._close()
         if not self._number:
             self._begin_ns = stamp_ns
-            self._sums = [T_base_feature.copy(), T_base_sensor.copy(), X_sf.copy()]
-            self._gathered = [0.0] * 5
+            self._sums = [T_base_feature.copy(), T_base_sensor.copy()]
+            self._gathered = [0.0] * 4
         else:
-            for total, one in zip(self._sums, (T_base_feature, T_base_sensor, X_sf), strict=True):
-                total += one
+            self._sums[0] += T_base_feature
+            self._sums[1] += T_base_sensor
         self._number += 1
-        for index, value in enumerate((stamp_ns * NANOSECOND, offset, self._into, self._slid, self._way)):
+        for index, value in enumerate((stamp_ns * NANOSECOND, offset, self._into, self._slid)):
             self._gathered[index] += value
         if self._stamp_ns:
             self._jumped((stamp_ns - self._stamp_ns) * NANOSECOND, offset - self._offset)
@@ -198,7 +191,6 @@ class SurfaceCheck:
             along, way = (mx * dx + my * dy + mz * dz) / size, dx * dx + dy * dy + dz * dz
             self._into += along
             self._slid += math.sqrt(max(0.0, way - along * along))
-            self._way += math.sqrt(way)
         self._last = p, n
         depth = n[0] * (p[0] - f[0]) + n[1] * (p[1] - f[1]) + n[2] * (p[2] - f[2])
         return depth - self._into
@@ -215,10 +207,14 @@ class SurfaceCheck:
             self._twisted += twisted
         self._before = middle
         row = [part * value for value in self._gathered]
-        row += [self._sheared, self._twisted, *middle.normal, *middle.contact]
+        row += [self._sheared, self._twisted, *middle.normal]
         now = np.array(row)
         self._number = 0
         self._compare(now)
+        depth = now[_OFFSET] + now[_INTO]
+        if depth > self.settings.largest_depth and not self.contradiction:
+            limit = self.settings.largest_depth * 1e3
+            self.contradiction = f"the contact is {depth * 1e3:.1f} mm deep, which is over {limit:g} mm"
         self._bins[self._next] = now
         self._next = (self._next + 1) % len(self._bins)
         self._count = min(self._count + 1, len(self._bins))
@@ -236,7 +232,7 @@ class SurfaceCheck:
         room = settings.depth_error + settings.normal_error * slid + moved
         pressed = np.clip(now[_INTO] - kept[:, _INTO], 0.0, settings.yields)
         self._judge(np.abs(apart) / np.where(apart < 0.0, room + pressed, room), self._depth_text, now)
-        angle = np.arccos(np.clip(kept[:, _NORMAL : _NORMAL + 3] @ now[_NORMAL : _NORMAL + 3], -1.0, 1.0))
+        angle = np.arccos(np.clip(kept[:, _NORMAL] @ now[_NORMAL], -1.0, 1.0))
         self._judge(
             angle / (settings.angle_error + settings.curvature * slid + turned), self._normal_text, now
         )
@@ -244,7 +240,6 @@ class SurfaceCheck:
         self._judge(back, self._shear_text, now)
         back = (kept[:, _TWISTED] - now[_TWISTED]) / (settings.twist_error + turned)
         self._judge(back, self._twist_text, now)
-        self._look_for_change(kept, now, since)
 
     def _own_motion(self, since: Array | float) -> tuple[Array | float, Array | float]:
         """How far (m) and by how much (rad) the surface may have moved by itself in this time, s."""
@@ -268,25 +263,6 @@ class SurfaceCheck:
             way = "deeper" if apart > 0.0 else "less deep"
             self._doubt(2.0, lambda: f"within {since:.2f} s the contact went {abs(apart) * 1e3:.1f} mm {way} by itself")
 
-    def _look_for_change(self, kept: Array, now: Array, since: Array) -> None:
-        """An arm that moves while the contact stays the same, even in its noise, feels nothing."""
-        lately = kept[since <= self.settings.change_time]
-        if since.max() < self.settings.change_time - BIN or not len(lately):
-            return
-        way = now[_WAY] - lately[:, _WAY].min()
-        if way <= self.settings.change_way:
-            return
-        contacts = np.vstack([lately[:, _CONTACT:], now[_CONTACT:]])
-        change = float(np.ptp(contacts, axis=0).max())
-        if change < self.settings.least_change:
-            self._doubt(
-                2.0,
-                lambda: (
-                    f"the arm moved {way * 1e3:.1f} mm in {self.settings.change_time:g} s and the contact never "
-                    f"changed, by {change * 1e6:.0f} um at most"
-                ),
-            )
-
     # ---- in words ----
 
     def _depth_text(self, then: Array, now: Array) -> str:
@@ -298,7 +274,7 @@ class SurfaceCheck:
         return f"within {since:.1f} s the contact went {contact} while the arm went {arm}"
 
     def _normal_text(self, then: Array, now: Array) -> str:
-        cosine = float(then[_NORMAL : _NORMAL + 3] @ now[_NORMAL : _NORMAL + 3])
+        cosine = float(then[_NORMAL] @ now[_NORMAL])
         angle, slid = math.degrees(math.acos(min(1.0, cosine))), (now[_SLID] - then[_SLID]) * 1e3
         since = now[_TIME] - then[_TIME]
         return f"within {since:.1f} s the surface's normal turned by {angle:.1f} degrees over {slid:.1f} mm"
@@ -313,9 +289,9 @@ class SurfaceCheck:
 
 
 class _Middle:
-    """The mean of some beliefs: T_base_feature, T_base_sensor and X_sf, all (4, 4) and nearly rigid."""
+    """The mean of some beliefs: T_base_feature and T_base_sensor, (4, 4) and nearly rigid."""
 
-    def __init__(self, T_base_feature: Array, T_base_sensor: Array, X_sf: Array) -> None:
+    def __init__(self, T_base_feature: Array, T_base_sensor: Array) -> None:
         self.feature: list[float] = T_base_feature[:3, 3].tolist()
         self.x: list[float] = T_base_feature[:3, 0].tolist()
         self.y: list[float] = T_base_feature[:3, 1].tolist()
@@ -327,7 +303,6 @@ class _Middle:
         depth = _dot(lead, self.normal)
         self.shear = [a - depth * b for a, b in zip(lead, self.normal, strict=True)]
         self.twist = math.atan2(_dot(sensor_x, self.y), _dot(sensor_x, self.x))
-        self.contact = [*X_sf[:3, 3].tolist(), *(TIP * X_sf[:3, 2]).tolist()]
 
     def slid_along(self, before: _Middle) -> tuple[float, float]:
         """How far the feature slid (m) and turned (rad) since then along with shear and twist: < 0 against."""
