@@ -78,7 +78,7 @@ class SurfaceSettings(Settings):
         0.003, lower=1e-4, upper=0.05, unit="m", doc="a contact slides at most so far against its own shear"
     )
     twist_error: float = setting(
-        0.2, lower=1e-2, upper=2.0, unit="rad", doc="and turns so far against its own twist"
+        0.3, lower=1e-2, upper=2.0, unit="rad", doc="and turns so far against its own twist"
     )
     largest_depth: float = setting(
         0.015, lower=0.001, upper=0.1, unit="m",
@@ -116,10 +116,11 @@ class SurfaceCheck:
         """Replace what is known of the surface; what the beliefs said so far stays."""
         rows = max(2, math.ceil(settings.memory / BIN))
         if len(self._bins) != rows:
-            kept = self._bins[: self._count][-rows:]
+            kept = self._bins[: self._count]
+            kept = kept[kept[:, _TIME].argsort()][-rows:]
             self._bins = np.zeros((rows, _COLUMNS))
             self._bins[: len(kept)] = kept
-            self._count = self._next = len(kept)
+            self._count, self._next = len(kept), len(kept) % rows
         self.settings = settings
 
     def begin(self) -> None:
@@ -154,8 +155,7 @@ class SurfaceCheck:
         """Take notice of an image that shows contact, and whether it gave something to believe."""
         self._refused += LATELY * ((not believed) - self._refused)
         if self.settings.checked and self._refused > self.settings.refused_share and not self.contradiction:
-            share = f"{self._refused:.0%} of the latest images that show contact"
-            self.contradiction = f"{share} gave no estimate that could be believed"
+            self.contradiction = f"no belief came of {self._refused:.0%} of the latest images that show contact"
 
     def add(self, stamp_ns: int, X_sf: Array, T_base_sensor: Array) -> None:
         """Take a belief's mean (4, 4) and the sensor's pose (4, 4), both of a stamp later than the last."""

@@ -271,7 +271,7 @@ class ContactFilter:
             check_gaussian(measurement.mean, measurement.cov, "measurement")
         except FusionError as error:
             return self._refuse_moved("not usable", str(error), stamp_ns, sensor)
-        implausible = self._implausible(measurement) or self._repeated(measurement, sensor)
+        implausible = self._implausible(measurement, sensor)
         if implausible:
             refused = self._refused_in_a_row  # what cannot be refutes no belief
             belief = self._refuse_moved("not plausible", implausible, stamp_ns, sensor)
@@ -290,11 +290,12 @@ class ContactFilter:
             return self._refuse_outlier(measurement, predicted, surprise)
         return self._correct(measurement, predicted, surprise)
 
-    def _implausible(self, measurement: PoseGaussian) -> str:
+    def _implausible(self, measurement: PoseGaussian, sensor: Array) -> str:
         """Why this sensor cannot have felt what was measured; empty if it can."""
         if self.bounds is None:
             return ""
-        return self.bounds.objection(measurement.mean) or self.bounds.sigma_objection(measurement.cov)
+        objection = self.bounds.objection(measurement.mean) or self.bounds.sigma_objection(measurement.cov)
+        return objection or self._repeated(measurement, sensor)
 
     def _repeated(self, measurement: PoseGaussian, sensor: Array) -> str:
         """Why this is the last measurement once more; empty where it is a new one, or may be the same."""
