@@ -56,7 +56,9 @@ def honest(case: Case, fidelity: str | None, seed: int) -> dict[str, RunRecord]:
     return run_arms_offline(case.scene, case.task, options)
 
 
-def lying(case: Case, fidelity: str | None, seed: int, lie: str, begins: float) -> dict[str, float | str | bool]:
+def lying(
+    case: Case, fidelity: str | None, seed: int, lie: str, begins: float
+) -> dict[str, float | str | bool]:
     """The row of one lie."""
     lies = LYING_ESTIMATES[lie](begins, case.arm)
     options = OfflineOptions(fidelity=fidelity, seed=seed, goals=case.goals, lies=lies)
@@ -126,7 +128,9 @@ def rows(name: str, arguments: argparse.Namespace) -> Iterator[dict[str, float |
 
 def main() -> None:
     """See the module's text."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--fidelity", default="fitted")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tasks", nargs="*", default=list(CASES), choices=list(CASES))
@@ -140,7 +144,9 @@ def main() -> None:
         load_scene(CASES[name].scene)
         for seed in range(arguments.honest):
             for record in honest(CASES[name], arguments.fidelity, seed).values():
-                print(f"{name:22} {record.arm:9} {seed:4} {record.result['succeeded']} {record.result['reason']}")
+                print(
+                    f"{name:22} {record.arm:9} {seed:4} {record.result['succeeded']} {record.result['reason']}"
+                )
         if arguments.honest:
             continue
         for row in rows(name, arguments):

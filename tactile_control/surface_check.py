@@ -33,7 +33,10 @@ from tactile_filter import se3
 Array = NDArray[np.float64]
 
 LATELY = 0.1  # weight of an image in the share of those that gave nothing to believe
-BIN, LEAST_NUMBER = 0.1, 3  # s; beliefs of so long, and so many, are averaged: what differs between images is noise
+BIN, LEAST_NUMBER = (
+    0.1,
+    3,
+)  # s; beliefs of so long, and so many, are averaged: what differs between images is noise
 JUMP = 1.5  # depth errors between one belief and the next, which have more noise than means
 SLOWEST = 0.25  # part of the twist that is left where a limit is all but reached
 LEAST_SHEAR, LEAST_TURN = 0.001, 0.03  # m, rad; smaller ones hardly have a direction
@@ -55,7 +58,8 @@ class SurfaceSettings(Settings):
         0.0, lower=0.0, upper=10.0, unit="rad/s", doc="and turns at most so fast during it"
     )
     rests_at_first: bool = setting(
-        True, doc="until the task's own phase begins the surface stands still; false: it may move by then, too"
+        True,
+        doc="until the task's own phase begins the surface stands still; false: it may move by then, too",
     )
     yields: float = setting(
         0.0, lower=0.0, upper=0.1, unit="m",
@@ -65,14 +69,22 @@ class SurfaceSettings(Settings):
         25.0, lower=0.0, upper=1000.0, unit="1/m", doc="largest curvature of the surface: 1 / its radius"
     )
     depth_error: float = setting(
-        0.001, lower=1e-5, upper=0.05, unit="m", doc="two believed depths are wrong by at most so much together"
+        0.001,
+        lower=1e-5,
+        upper=0.05,
+        unit="m",
+        doc="two believed depths are wrong by at most so much together",
     )
     normal_error: float = setting(
         0.03, lower=0.0, upper=0.5, unit="rad",
         doc="a believed normal may be off by so much all the time: on a way slid that adds up to a depth",
     )  # fmt: skip
     angle_error: float = setting(
-        0.07, lower=1e-3, upper=1.0, unit="rad", doc="two believed normals are wrong by at most so much together"
+        0.07,
+        lower=1e-3,
+        upper=1.0,
+        unit="rad",
+        doc="two believed normals are wrong by at most so much together",
     )
     shear_error: float = setting(
         0.003, lower=1e-4, upper=0.05, unit="m", doc="a contact slides at most so far against its own shear"
@@ -155,7 +167,9 @@ class SurfaceCheck:
         """Take notice of an image that shows contact, and whether it gave something to believe."""
         self._refused += LATELY * ((not believed) - self._refused)
         if self.settings.checked and self._refused > self.settings.refused_share and not self.contradiction:
-            self.contradiction = f"no belief came of {self._refused:.0%} of the latest images that show contact"
+            self.contradiction = (
+                f"no belief came of {self._refused:.0%} of the latest images that show contact"
+            )
 
     def add(self, stamp_ns: int, X_sf: Array, T_base_sensor: Array) -> None:
         """Take a belief's mean (4, 4) and the sensor's pose (4, 4), both of a stamp later than the last."""
@@ -261,7 +275,10 @@ class SurfaceCheck:
         moved, _ = self._own_motion(since)
         if abs(apart) > JUMP * self.settings.depth_error + moved:
             way = "deeper" if apart > 0.0 else "less deep"
-            self._doubt(2.0, lambda: f"within {since:.2f} s the contact went {abs(apart) * 1e3:.1f} mm {way} by itself")
+            self._doubt(
+                2.0,
+                lambda: f"within {since:.2f} s the contact went {abs(apart) * 1e3:.1f} mm {way} by itself",
+            )
 
     # ---- in words ----
 

@@ -115,7 +115,9 @@ def test_a_normal_that_turns_by_more_than_a_surface_can_is_a_contradiction(check
     when = fed(check, 3.0, tilted, lambda t: at())
     assert 0.7 <= when <= 1.0 and "the surface's normal turned by" in check.contradiction
     check.begin()
-    assert fed(check, 1.5, tilted, lambda t: at(y=0.010 * t)) is None, "on its way over a curved surface it may"
+    assert fed(check, 1.5, tilted, lambda t: at(y=0.010 * t)) is None, (
+        "on its way over a curved surface it may"
+    )
 
 
 def test_a_contact_that_slides_against_its_shear_is_a_contradiction(check):
@@ -158,7 +160,9 @@ def test_a_new_contact_and_another_memory_do_not_stand_in_the_way(check):
     assert check.contradiction == "" and check.pace() == 1.0
     assert fed(check, 3.0, lambda t: euler_pose(), lambda t: at()) is None
     check.configure(SurfaceSettings(memory=1.0))
-    assert fed(check, 3.0, lambda t: euler_pose(), lambda t: at(down=0.5e-3 * t), begins=3.0) is None, "forgotten"
+    assert fed(check, 3.0, lambda t: euler_pose(), lambda t: at(down=0.5e-3 * t), begins=3.0) is None, (
+        "forgotten"
+    )
 
 
 def test_it_can_be_left_out():
@@ -182,7 +186,9 @@ def test_a_task_that_is_lied_to_stops_leaves_the_surface_and_says_what_contradic
         lied = StampedPose(inputs.belief.stamp_ns, euler_pose(*euler))
         return TaskInputs(lied, inputs.presence, inputs.sensor_pose)
 
-    commands = run(SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.2)), plant, change=drifting)
+    commands = run(
+        SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.2)), plant, change=drifting
+    )
     last = commands[-1][1]
     assert last.phase == "failed" and last.reason.endswith("the estimates contradict the arm's motion")
     slower = [c.reason for _, c, _, _ in commands if "slower" in c.reason]
@@ -202,7 +208,9 @@ def test_images_that_give_no_belief_any_more_bring_the_arm_to_rest_and_off_the_s
             return inputs
         return TaskInputs(None, inputs.presence, inputs.sensor_pose)
 
-    commands = run(SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.2)), plant, change=silent)
+    commands = run(
+        SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.2)), plant, change=silent
+    )
     assert commands[-1][1].phase == "failed" and "no belief came of 52%" in commands[-1][1].reason
     rest = next(now for now, c, _, _ in commands if now >= silent_ns and np.abs(c.twist).max() < 1e-6)
     assert rest - silent_ns <= 200 * MS

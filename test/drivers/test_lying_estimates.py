@@ -66,7 +66,10 @@ def test_images_that_are_turned_turn_shear_and_tilt_and_leave_depth_and_twist():
 
 
 def test_noise_is_that_of_its_seed_and_arm():
-    given = [told(Noisy([1e-3] * 6, seed=seed), 1.0, arm=arm) for seed, arm in ((1, "a"), (1, "a"), (2, "a"), (1, "b"))]
+    given = [
+        told(Noisy([1e-3] * 6, seed=seed), 1.0, arm=arm)
+        for seed, arm in ((1, "a"), (1, "a"), (2, "a"), (1, "b"))
+    ]
     assert np.array_equal(given[0], given[1])
     assert not np.array_equal(given[0], given[2]) and not np.array_equal(given[0], given[3])
     lie = Noisy([1e-3, 0, 0, 0, 0, 0])

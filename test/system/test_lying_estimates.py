@@ -65,8 +65,8 @@ def check(records, begin_ns, known_s, said):
 @pytest.mark.parametrize(
     "lie, known_s, said",
     [
-        ("z drifts up", 2.0, "out of it: the estimates contradict the arm's motion"),
-        ("z drifts down", 2.0, "into it: the estimates contradict the arm's motion"),
+        ("z drifts up", 2.0, "the estimates contradict the arm's motion"),
+        ("z drifts down", 2.0, "the estimates contradict the arm's motion"),
         ("z flipped", 0.2, "by itself: the estimates contradict the arm's motion"),
         ("tilts flipped", 1.3, "the surface's normal turned by"),
         ("images mirrored", 1.5, "the estimates contradict the arm's motion"),
@@ -118,7 +118,13 @@ def test_a_push_stops_for_them(lie, known_s):
 @pytest.mark.parametrize("arm", ["follower", "leader"])
 @pytest.mark.parametrize(
     "lie, known_s",
-    [("z flipped", 0.3), ("5 mm of noise", 0.4), ("tilts flipped", 2.0), ("frozen", 0.3), ("covariance zero", 0.15)],
+    [
+        ("z flipped", 0.3),
+        ("5 mm of noise", 0.4),
+        ("tilts flipped", 2.0),
+        ("frozen", 0.3),
+        ("covariance zero", 0.15),
+    ],
 )
 def test_of_two_arms_that_hold_an_object_both_rest_and_do_not_crush_it(arm, lie, known_s):
     records, begin_ns = lied_to("dual_pushing", lie, arm=arm)
