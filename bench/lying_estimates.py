@@ -1,6 +1,6 @@
 """What estimates that lie lead to: for each task and each lie of `LYING_ESTIMATES`, held against the truth.
 
-    python bench/lying_estimates.py [--fidelity fitted] [--tasks plane dual_pushing ...] [--lies "z flipped" ...]
+    python bench/lying_estimates.py [--fidelity fitted] [--tasks plane ...] [--lies "z flipped" ...]
         [--from-the-start] [--honest 100] [--out FILE.json]
 
 Without `--from-the-start` a lie begins 3 s after the task's own work has. For each it says after how long the
@@ -145,7 +145,7 @@ def main() -> None:
         for seed in range(arguments.honest):
             for record in honest(CASES[name], arguments.fidelity, seed).values():
                 print(
-                    f"{name:22} {record.arm:9} {seed:4} {record.result['succeeded']} {record.result['reason']}"
+                    f"{name:22} {record.arm:9} {seed:4} {record.result['succeeded']}", record.result["reason"]
                 )
         if arguments.honest:
             continue

@@ -283,7 +283,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         return self._believed(twist, waiting) if self.phase in (SETTLE, self.work) else (twist, waiting)
 
     def _believed(self, twist: Array, waiting: str) -> tuple[Array, str]:
-        """Slower where the arm's own motion speaks against the beliefs; leave the surface where it refutes them."""
+        """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
         self._pace = self.check.pace()
         if self._pace == 0.0:
             self._wanted = self._fail(self.check.contradiction)

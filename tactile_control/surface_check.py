@@ -47,7 +47,7 @@ _TIME, _OFFSET, _INTO, _SLID, _SHEARED, _TWISTED, _NORMAL, _COLUMNS = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class SurfaceSettings(Settings):
-    """What the touched surface is and does at most: beliefs that would need more contradict the arm's motion."""
+    """What the touched surface is and does at most: beliefs that need more contradict the arm's motion."""
 
     checked: bool = setting(True, doc="hold the beliefs against the arm's own motion")
     speed: float = setting(
@@ -121,6 +121,7 @@ class SurfaceCheck:
     """
 
     def __init__(self, settings: SurfaceSettings) -> None:
+        self._bins: Array = np.zeros((0, _COLUMNS))
         self.begin()
         self.configure(settings)
 
@@ -138,7 +139,6 @@ class SurfaceCheck:
     def begin(self) -> None:
         """A new contact: nothing is known of it."""
         self.doubt, self.contradiction, self.moves = 0.0, "", False
-        self._bins: Array = getattr(self, "_bins", np.zeros((0, _COLUMNS)))
         self._count = self._next = 0
         self._last: tuple[list[float], list[float]] | None = None  # centre and normal
         self._into = self._slid = self._offset = self._refused = 0.0
@@ -322,7 +322,7 @@ class _Middle:
         self.twist = math.atan2(_dot(sensor_x, self.y), _dot(sensor_x, self.x))
 
     def slid_along(self, before: _Middle) -> tuple[float, float]:
-        """How far the feature slid (m) and turned (rad) since then along with shear and twist: < 0 against."""
+        """How far the feature slid (m) and turned (rad) since then along with shear and twist."""
         shear = [0.5 * (a + b) for a, b in zip(self.shear, before.shear, strict=True)]
         size = max(math.sqrt(_dot(shear, shear)), LEAST_SHEAR)
         moved = [a - b for a, b in zip(self.feature, before.feature, strict=True)]

@@ -40,7 +40,7 @@ class ObjectTrackingSettings(ContactTaskSettings):
     """All settings of object tracking. The surface moves, and an object that is held gives way."""
 
     surface: SurfaceSettings = field(
-        default_factory=lambda: SurfaceSettings(speed=0.05, turn_rate=0.5, yields=0.004)
+        default_factory=lambda: SurfaceSettings(speed=0.05, turn_rate=0.5, yields=0.005)
     )
     task: TrackingSettings = field(default_factory=TrackingSettings)
 

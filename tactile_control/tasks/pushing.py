@@ -63,7 +63,7 @@ class PushingSettings(ContactTaskSettings):
         default_factory=lambda: ContactSettings(lost_contact="fail", leave_first=False)
     )
     surface: SurfaceSettings = field(
-        default_factory=lambda: SurfaceSettings(speed=0.03, turn_rate=0.5, yields=0.004, largest_depth=0.007)
+        default_factory=lambda: SurfaceSettings(speed=0.03, turn_rate=0.5, yields=0.005, largest_depth=0.007)
     )
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     steering: SteeringSettings = field(default_factory=SteeringSettings)

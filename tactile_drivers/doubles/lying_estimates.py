@@ -216,19 +216,32 @@ def _alone(component: str, value: float) -> Sequence[float]:
     return [value if name == component else 0.0 for name in COMPONENTS]
 
 
-def _kinds() -> dict[str, Callable[[float, str], LyingEstimates]]:
-    kinds: dict[str, Callable[[float, str], LyingEstimates]] = {}
+Make = Callable[[float, str], LyingEstimates]
+
+
+def _drifting(component: str, rate: float) -> Make:
+    return lambda begins, arm: Drifting(_alone(component, rate), begins, arm)
+
+
+def _flipped(component: str) -> Make:
+    return lambda begins, arm: Flipped(component, begins, arm)
+
+
+def _covariance(change: Callable[[Array], Array]) -> Make:
+    return lambda begins, arm: LyingCovariance(change, begins, arm)
+
+
+def _kinds() -> dict[str, Make]:
+    kinds: dict[str, Make] = {}
     for name in COMPONENTS:
         rate = 1e-3 if name in "xyz" else np.radians(3.0)
-        for sign, way in ((1.0, "up"), (-1.0, "down")):
-            kinds[f"{name} drifts {way}"] = lambda begins, arm, change=_alone(name, sign * rate): Drifting(
-                change, begins, arm
-            )
-        kinds[f"{name} flipped"] = lambda begins, arm, name=name: Flipped(name, begins, arm)
+        kinds[f"{name} drifts up"] = _drifting(name, rate)
+        kinds[f"{name} drifts down"] = _drifting(name, -rate)
+        kinds[f"{name} flipped"] = _flipped(name)
     quiet = [2e-5] * 3 + [1e-3] * 3
     kinds |= {
-        "tilts flipped": lambda begins, arm: Flipped("alpha beta", begins, arm),
-        "images mirrored": lambda begins, arm: Flipped("x beta gamma", begins, arm),
+        "tilts flipped": _flipped("alpha beta"),
+        "images mirrored": _flipped("x beta gamma"),
         "images turned by 90 degrees": lambda begins, arm: Turned(np.pi / 2, begins, arm),
         "images turned by 180 degrees": lambda begins, arm: Turned(np.pi, begins, arm),
         "5 mm of noise": lambda begins, arm: Noisy([5e-3] * 3 + [0.0] * 3, begins, arm),
@@ -240,10 +253,8 @@ def _kinds() -> dict[str, Callable[[float, str], LyingEstimates]]:
         "2 mm too deep": lambda begins, arm: Offset(_alone("z", 2e-3), begins, arm),
         "2 mm too shallow": lambda begins, arm: Offset(_alone("z", -2e-3), begins, arm),
     }
-    for name, change in REFUSED_COVARIANCES.items():
-        kinds[f"covariance {name}"] = lambda begins, arm, change=change: LyingCovariance(change, begins, arm)
-    return kinds
+    return kinds | {f"covariance {name}": _covariance(change) for name, change in REFUSED_COVARIANCES.items()}
 
 
 #: One of each kind, made of when it begins (s) and of whom (an arm; empty: all).
-LYING_ESTIMATES: Mapping[str, Callable[[float, str], LyingEstimates]] = _kinds()
+LYING_ESTIMATES: Mapping[str, Make] = _kinds()

@@ -1,4 +1,4 @@
-"""Beliefs against the arm's own motion: what a surface can do is believed, what it cannot is a contradiction."""
+"""Beliefs against the arm's own motion: what a surface can do is believed, what it cannot is refuted."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def check():
 def test_whatever_an_arm_does_on_a_still_surface_fits(check, surface, seed):
     """Wandering, tilting, and going in and out, with the noise that estimates have."""
     rng = np.random.default_rng(seed)
-    T = pointing_down(surface.top() + [0.0, 0.0, 0.017])
+    T = pointing_down(np.add(surface.top(), [0.0, 0.0, 0.017]))
     speeds = np.array([0.015, 0.015, 0.003, 0.1, 0.1, 0.1])
     phases, rates = rng.uniform(0, 6.28, 6), rng.uniform(1.0, 4.0, 6)
     for k in range(600):

@@ -45,13 +45,13 @@ def test_a_lie_is_about_one_arm_from_its_beginning_on_and_no_contact_stays_none(
 
 def test_a_drift_grows_with_time():
     lie = Drifting([0, 0, 1e-3, 0, 0.01, 0], begins=2.0)
-    assert told(lie, 4.0) == pytest.approx(EULER + [0, 0, 2e-3, 0, 0.02, 0])
+    assert told(lie, 4.0) == pytest.approx(np.add(EULER, [0, 0, 2e-3, 0, 0.02, 0]))
 
 
 def test_signs_scales_and_offsets_are_of_the_components_that_are_named():
     assert told(Flipped("z beta"), 1.0) == pytest.approx(EULER * [1, 1, -1, 1, -1, 1])
     assert told(Scaled(2.0), 1.0) == pytest.approx(2.0 * EULER)
-    assert told(Offset([0, 0, 2e-3, 0, 0, 0]), 1.0) == pytest.approx(EULER + [0, 0, 2e-3, 0, 0, 0])
+    assert told(Offset([0, 0, 2e-3, 0, 0, 0]), 1.0) == pytest.approx(np.add(EULER, [0, 0, 2e-3, 0, 0, 0]))
     with pytest.raises(ValueError, match="depth unknown, must be of x y z alpha beta gamma"):
         Flipped("depth")
     with pytest.raises(ValueError, match=r"offset: must be 6 numbers .* has shape \(3,\)"):
