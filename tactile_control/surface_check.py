@@ -122,6 +122,7 @@ class SurfaceCheck:
 
     def __init__(self, settings: SurfaceSettings) -> None:
         self._bins: Array = np.zeros((0, _COLUMNS))
+        self._count = self._next = 0  # bins that are filled, and which is the next
         self.begin()
         self.configure(settings)
 
