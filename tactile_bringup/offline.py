@@ -334,7 +334,7 @@ class _OfflineArm:
         belief = self.filter.observe(frame.stamp_ns, estimate, frame.T_base_sensor)
         if belief.valid:
             self.log.belief(belief)
-        pose = StampedPose(frame.stamp_ns, belief.mean) if belief.valid else None
+        pose = StampedPose(frame.stamp_ns, belief.mean) if belief.measured else None
         self._send(frame.stamp_ns, percept.in_contact, pose)
 
     def _percept(self, frame: Frame) -> Percept:

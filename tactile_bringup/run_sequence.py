@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import SettingError
+from tactile_control.phases import STOPPING
 from tactile_control.task_file import NamedGoal, Role, Task
 from tactile_drivers.scene import ArmScene, Scene
 
@@ -133,6 +134,7 @@ class _ArmState:
     next: int = 0
     running: bool = False
     asked: bool = False
+    failing: bool = False
     phases: set[str] = field(default_factory=set)
 
     @property
@@ -158,7 +160,9 @@ class RunSequence:
     @property
     def over(self) -> bool:
         """Whether no further goal starts."""
-        return bool(self.failure) or all(state.through for state in self._ending)
+        if self.failure or any(state.failing for state in self._arms.values()):
+            return True
+        return all(state.through for state in self._ending)
 
     @property
     def finished(self) -> bool:
@@ -182,16 +186,23 @@ class RunSequence:
         """Arms that are to finish what they do since the run is over; each is named once."""
         if not self.over:
             return []
-        late = [state for state in self._arms.values() if state.running and not state.asked]
+        late = [
+            state for state in self._arms.values() if state.running and not (state.asked or state.failing)
+        ]
         for state in late:
             state.asked = True
         return [state.plan.arm for state in late]
 
     def phase(self, arm: str, phase: str) -> bool:
-        """Take in the phase that an arm is in; returns whether it is there for the first time."""
-        phases = self._arms[arm].phases
-        new = phase not in phases
-        phases.add(phase)
+        """Take in the phase that an arm is in; returns whether it is there for the first time.
+
+        One that stops unasked is about to fail. The others need not wait until it has left the surface: what
+        they hold together with it they hold alone by then.
+        """
+        state = self._arms[arm]
+        new = phase not in state.phases
+        state.phases.add(phase)
+        state.failing = state.failing or (phase == STOPPING and not state.asked)
         return new
 
     def result(self, arm: str, success: bool, reason: str) -> bool:

@@ -43,6 +43,7 @@ from tactile_control.phases import (
 )
 from tactile_control.pid import PidSettings
 from tactile_control.servoing import ServoingController, ServoingOutput, ServoingSettings
+from tactile_control.surface_check import SurfaceCheck, SurfaceSettings
 from tactile_control.watchdog import WatchdogSettings
 from tactile_filter import se3
 from tactile_filter.prediction import ContactPredictor, PredictionSettings
@@ -128,6 +129,7 @@ class ContactTaskSettings(SettingGroups):
     limiter: LimiterSettings = field(default_factory=LimiterSettings)
     watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
     prediction: PredictionSettings = field(default_factory=PredictionSettings)
+    surface: SurfaceSettings = field(default_factory=SurfaceSettings)
 
 
 class ContactTask(PhaseMachine[TaskInputs, Command]):
@@ -163,6 +165,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self.start = None if start is None else se3.checked_pose("start", start)
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
+        self.check = SurfaceCheck(settings.surface)
         self._needs = {
             LEAVE: ("pose", "presence"),
             GO_TO_START: ("pose", "presence"),
@@ -185,6 +188,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self._begins = True
         self._progress = 0.0
         self._limited = False
+        self._pace = 1.0
 
     # ---- what the owner calls ----
 
@@ -195,6 +199,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self.limiter.configure(settings.limiter)
         self.watchdog.configure(settings.watchdog)
         self.predictor.configure(settings.prediction)
+        self.check.configure(settings.surface)
         self._odometer.step = settings.contact.pose_step
 
     # ---- what a task fills in ----
@@ -226,29 +231,29 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if newer(pose, self._pose):
             se3.checked_pose("sensor pose", pose.T)
             self._pose = pose
-            self._follow_sensor()
+            self._track.set_transform("base", "sensor", pose.stamp_ns, pose.T)
         if newer(inputs.presence, self._presence):
             self._presence = inputs.presence
+            if self.phase in (SETTLE, self.work) and inputs.presence.in_contact:
+                self.check.see(newer(belief, self._belief))
         if newer(belief, self._belief):
             se3.checked_pose("belief", belief.T)
             self._belief = belief
             self._follow_contact()
 
-    def _follow_sensor(self) -> None:
-        assert self._pose is not None
-        if self.follows_motion():
-            self._track.set_transform("base", "sensor", self._pose.stamp_ns, self._pose.T)
-
     def _follow_contact(self) -> None:
-        """Let the predictor know the belief, with the sensor's pose at its exposure."""
+        """Let those know the belief who compare it with the sensor's pose at its exposure."""
         assert self._belief is not None
-        if not self.follows_motion():
-            return
-        stamp_ns = self._belief.stamp_ns
+        stamp_ns, X_sf = self._belief.stamp_ns, self._belief.T
         try:
-            self.predictor.update(stamp_ns, self._belief.T, self._track.lookup("base", "sensor", stamp_ns))
+            T_base_sensor = self._track.lookup("base", "sensor", stamp_ns)
         except TransformUnavailable:
             self.predictor.reset()  # without the pose then, nothing can be carried on
+            return
+        if self.follows_motion():
+            self.predictor.update(stamp_ns, X_sf, T_base_sensor)
+        if self.phase in (SETTLE, self.work) and stamp_ns >= self._touch_ns:
+            self.check.add(stamp_ns, X_sf, T_base_sensor)
 
     def _stamps(self) -> dict[str, int | None]:
         latest = {"pose": self._pose, "presence": self._presence, "belief": self._belief}
@@ -275,7 +280,18 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
             self._begins = False
             if self._presence.in_contact:
                 self._begin_in_contact(self._presence.stamp_ns)
-        return super()._next_twist(now_ns)
+        twist, waiting = super()._next_twist(now_ns)
+        return self._believed(twist, waiting) if self.phase in (SETTLE, self.work) else (twist, waiting)
+
+    def _believed(self, twist: Array, waiting: str) -> tuple[Array, str]:
+        """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
+        self._pace = self.check.pace()
+        if self._pace == 0.0:
+            self._wanted = self._fail(self.check.contradiction)
+            return self._wanted, ""
+        if self._pace < 1.0 and not waiting:
+            waiting = f"slower: what is believed of the contact nears a limit ({self.check.doubt:.0%} of it)"
+        return self._pace * twist, waiting
 
     def _begin_in_contact(self, stamp_ns: int) -> None:
         """Leave the contact, which was not made by the task, or go on with it."""
@@ -436,6 +452,10 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self._phase_pose = None
         self._touch_position = None
         self._settled_ns = None
+        if phase == SETTLE:
+            self.check.begin()
+        elif phase == self.work:
+            self.check.work()
 
     def _gone_from_phase_start(self) -> float:
         """Distance from where the sensor was at the first step of this phase, m."""
@@ -459,7 +479,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         command = self._command(
             wanted, waiting, progress=self._advance_progress(), travelled=self._odometer.length, **shown
         )
-        self._limited = "speed" in command.limited
+        self._limited = "speed" in command.limited or self._pace < 1.0
         return command
 
     def _advance_progress(self) -> float:

@@ -38,6 +38,7 @@ _STARTED = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.REINITIALIZED
 _NOT_CONVERGED = BeliefFlag.MEASUREMENT_FUSED | BeliefFlag.NOT_CONVERGED
 _PREDICTED = BeliefFlag.PREDICTED_ONLY
 _GATED = BeliefFlag.PREDICTED_ONLY | BeliefFlag.GATED
+_REPEATED = 5e-4  # m; an arm that has moved by more than this sees no estimate that equals another to the bit
 _OVERFLOW = "the prediction is beyond double precision"
 
 
@@ -51,10 +52,18 @@ class _State(NamedTuple):
     corrected_ns: int
 
 
+class _Told(NamedTuple):
+    """The mean of the last measurement as bytes, and where the sensor was when it was first told."""
+
+    mean: bytes
+    T_base_sensor: Array
+
+
 class _Memory(NamedTuple):
     """Everything that a step changes."""
 
     state: _State | None
+    told: _Told | None
     refused_in_a_row: int
     rejections: Counter[str]
     rejections_before_reset: Counter[str]
@@ -79,6 +88,7 @@ class ContactFilter:
         self.bounds = bounds
         self.late: Counter[str] = Counter()
         self._state: _State | None = None
+        self._told: _Told | None = None
         self._refused_in_a_row = 0
         self._rejections: Counter[str] = Counter()  # counters are replaced, never changed: see _memory
         self._rejections_before_reset: Counter[str] = Counter()
@@ -214,10 +224,10 @@ class ContactFilter:
 
     def _memory(self) -> _Memory:
         counts = self._rejections, self._rejections_before_reset, self._resets
-        return _Memory(self._state, self._refused_in_a_row, *counts)
+        return _Memory(self._state, self._told, self._refused_in_a_row, *counts)
 
     def _recall(self, memory: _Memory) -> None:
-        self._state, self._refused_in_a_row = memory.state, memory.refused_in_a_row
+        self._state, self._told, self._refused_in_a_row = memory.state, memory.told, memory.refused_in_a_row
         self._rejections, self._rejections_before_reset = memory.rejections, memory.rejections_before_reset
         self._resets = memory.resets
 
@@ -261,7 +271,7 @@ class ContactFilter:
             check_gaussian(measurement.mean, measurement.cov, "measurement")
         except FusionError as error:
             return self._refuse_moved("not usable", str(error), stamp_ns, sensor)
-        implausible = self._implausible(measurement)
+        implausible = self._implausible(measurement, sensor)
         if implausible:
             refused = self._refused_in_a_row  # what cannot be refutes no belief
             belief = self._refuse_moved("not plausible", implausible, stamp_ns, sensor)
@@ -280,11 +290,23 @@ class ContactFilter:
             return self._refuse_outlier(measurement, predicted, surprise)
         return self._correct(measurement, predicted, surprise)
 
-    def _implausible(self, measurement: PoseGaussian) -> str:
+    def _implausible(self, measurement: PoseGaussian, sensor: Array) -> str:
         """Why this sensor cannot have felt what was measured; empty if it can."""
         if self.bounds is None:
             return ""
-        return self.bounds.objection(measurement.mean) or self.bounds.sigma_objection(measurement.cov)
+        objection = self.bounds.objection(measurement.mean) or self.bounds.sigma_objection(measurement.cov)
+        return objection or self._repeated(measurement, sensor)
+
+    def _repeated(self, measurement: PoseGaussian, sensor: Array) -> str:
+        """Why this is the last measurement once more; empty where it is a new one, or may be the same."""
+        told = measurement.mean.tobytes()
+        if self._told is None or told != self._told.mean:
+            self._told = _Told(told, sensor)
+            return ""
+        way = se3.norm(sensor[:3, 3] - self._told.T_base_sensor[:3, 3])
+        if way <= _REPEATED:
+            return ""
+        return f"the same contact to the bit although the sensor has moved by {way * 1e3:.1f} mm"
 
     def _correct(self, measurement: PoseGaussian, predicted: _State, surprise: Innovation) -> Belief:
         tuning = self._tuning
@@ -383,7 +405,7 @@ class ContactFilter:
         self._resets = self._resets + Counter((reason,))
 
     def _forget(self, reason: str) -> None:
-        self._state = None
+        self._state = self._told = None
         self._refused_in_a_row = 0
         self._rejections_before_reset = self.all_rejections
         self._rejections = Counter()

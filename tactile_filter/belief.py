@@ -26,6 +26,7 @@ class BeliefFlag(IntFlag):
     NOT_CONVERGED = 64
 
 
+_UNMEASURED = int(BeliefFlag.INVALID | BeliefFlag.PREDICTED_ONLY)
 _INVALID = int(BeliefFlag.INVALID)  # operators of flags take longer than all of a prediction
 
 
@@ -62,6 +63,11 @@ class Belief:
     def valid(self) -> bool:
         """Whether mean and cov may be used."""
         return not int(self.flags) & _INVALID
+
+    @property
+    def measured(self) -> bool:
+        """Whether it may be used and holds a measurement of its stamp: what moves an arm acts on no other."""
+        return not int(self.flags) & _UNMEASURED
 
     def vectors(self) -> tuple[Array, Array]:
         """xi_sf (6,) and the Euler surface contact pose (6,) of X_fs; NaN where the belief is not valid."""

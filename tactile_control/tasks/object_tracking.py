@@ -11,6 +11,7 @@ from tactile_base.settings import Settings, setting
 from tactile_control.contact_task import APPROACH, LEAVE, SETTLE, ContactTask, ContactTaskSettings
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
+from tactile_control.surface_check import SurfaceSettings
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
@@ -36,8 +37,11 @@ class TrackingSettings(Settings):
 
 @dataclass(frozen=True)
 class ObjectTrackingSettings(ContactTaskSettings):
-    """All settings of object tracking."""
+    """All settings of object tracking. The surface moves, and an object that is held gives way."""
 
+    surface: SurfaceSettings = field(
+        default_factory=lambda: SurfaceSettings(speed=0.05, turn_rate=0.5, yields=0.005)
+    )
     task: TrackingSettings = field(default_factory=TrackingSettings)
 
 

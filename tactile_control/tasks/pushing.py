@@ -21,6 +21,7 @@ from tactile_control.contact_task import (
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal, StampedPose
 from tactile_control.steering import SteeringController, SteeringSettings
+from tactile_control.surface_check import SurfaceSettings
 from tactile_filter import se3
 
 Array = NDArray[np.float64]
@@ -56,10 +57,13 @@ class PushSettings(Settings):
 
 @dataclass(frozen=True)
 class PushingSettings(ContactTaskSettings):
-    """All settings of pushing. What has lost its contact stays where it was lost."""
+    """All settings of pushing. What has lost its contact stays where it was lost; what is pushed moves."""
 
     contact: ContactSettings = field(
         default_factory=lambda: ContactSettings(lost_contact="fail", leave_first=False)
+    )
+    surface: SurfaceSettings = field(
+        default_factory=lambda: SurfaceSettings(speed=0.03, turn_rate=0.5, yields=0.005, largest_depth=0.007)
     )
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     steering: SteeringSettings = field(default_factory=SteeringSettings)

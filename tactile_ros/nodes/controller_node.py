@@ -138,7 +138,7 @@ class ControllerNode(TaskNode):
         xi, flags = numbers[STATE_XI], int(numbers[STATE_FLAGS])
         if self.presence is None or stamp_ns > self.presence.stamp_ns:
             self.presence = StampedPresence(stamp_ns, not flags & ContactState.NO_CONTACT)
-        if not flags & ContactState.INVALID:
+        if not flags & (ContactState.INVALID | ContactState.PREDICTED_ONLY):  # as `Belief.measured`
             self._take_belief(stamp_ns, np.array(xi))
         self.step()
         lost = self.counters[lost_counter(STATE_TOPIC.name)]

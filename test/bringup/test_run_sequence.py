@@ -163,6 +163,19 @@ def test_a_failure_ends_the_run_for_all_and_is_told_with_arm_and_goal(tracking):
     assert tracking.finished and tracking.failure == "left: hold: contact was lost in phase track"
 
 
+def test_the_others_finish_as_soon_as_an_arm_stops_unasked_and_need_not_wait_for_its_end(tracking):
+    started(tracking)
+    tracking.phase("left", "track")
+    assert tracking.finish() == []
+    tracking.phase("left", "stopping")
+    assert tracking.finish() == ["right"] and tracking.finish() == [] and started(tracking) == []
+    tracking.phase("right", "stopping")
+    assert tracking.result("right", True, "")
+    assert not tracking.finished
+    assert not tracking.result("left", False, "contact was lost in phase track"), "nobody asked it to stop"
+    assert tracking.finished and tracking.failure == "left: hold: contact was lost in phase track"
+
+
 def test_without_a_role_that_ends_the_run_tasks_that_end_by_themselves_do(planned):
     on_scene = {
         "leader": {"arms": ["mover"], "goals": [MOVE]},

@@ -170,7 +170,7 @@ def test_a_surface_that_goes_away_faster_than_the_arm_may_is_lost_and_said_so(se
 
 @pytest.mark.parametrize(
     "names, expected",
-    [(("belief",), "belief is"), (("presence",), "presence is"), (("sensor_pose",), "pose is")],
+    [(("presence",), "presence is"), (("sensor_pose",), "pose is")],
 )
 def test_a_silent_input_stops_the_arm_within_200_ms_and_is_named(settings, names, expected):
     at_ns = WHEN + 3_000_000_000

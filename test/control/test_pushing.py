@@ -135,7 +135,7 @@ def test_a_lost_contact_ends_the_push_and_says_so(settings):
 
 @pytest.mark.parametrize(
     "names, expected",
-    [(("belief",), "belief is"), (("presence",), "presence is"), (("sensor_pose",), "pose is")],
+    [(("presence",), "presence is"), (("sensor_pose",), "pose is")],
 )
 @pytest.mark.parametrize("controller", ["pushing.yaml", "pushing_tuned.yaml"])
 def test_a_silent_input_brings_the_push_to_rest_within_200_ms_and_is_named(

@@ -173,7 +173,6 @@ def test_the_same_run_gives_the_same_bits(settings):
 @pytest.mark.parametrize(
     "names, expected",
     [
-        (("belief",), "belief is"),
         (("presence",), "presence is"),
         (("sensor_pose",), "pose is"),
         (("belief", "presence"), "presence is"),

@@ -18,6 +18,7 @@ from tactile_filter.bayes_filter import (
     FilterSettings,
     gate_threshold,
 )
+from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.fusion import MODES, fuse
 from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import innovation
@@ -423,3 +424,16 @@ def test_whatever_is_measured_a_valid_belief_is_finite_and_the_filter_goes_on(ro
         good = PoseGaussian(CONTACT, np.diag(SIGMA**2))
         assert contact_filter.step(10**12, good, np.eye(4)).valid
     assert refused > 100
+
+
+def test_an_estimate_that_is_the_last_one_to_the_bit_is_refused_once_the_sensor_has_moved():
+    contact_filter = ContactFilter(bounds=TACTIP)
+    same = PoseGaussian(CONTACT, np.diag(SIGMA**2))
+    sensor = np.eye(4)
+    for k in range(12):
+        sensor[0, 3] = k * 1e-4
+        belief = contact_filter.step(k * PERIOD, same, sensor)
+        assert belief.measured == (k <= 5), f"after {k * 0.1:.1f} mm"
+    assert "the same contact to the bit although the sensor has moved by 1.1 mm" in belief.reason
+    new = PoseGaussian(se3.compose(se3.exp([1e-9, 0, 0, 0, 0, 0]), CONTACT), same.cov)
+    assert contact_filter.step(12 * PERIOD, new, sensor).measured
