@@ -179,6 +179,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         Whether it wants to know of a contact where the arm has a sensor, though it needs none.
     endless : bool
         Whether it goes on until it is asked to `finish`.
+    remark : str
+        What whoever calls knows of inputs that do not come; it is told where one is missing or too old.
     """
 
     settings_class: ClassVar[type[SettingGroups]]
@@ -207,6 +209,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._pose: StampedPose | None = None
         self._wanted = np.zeros(6)
         self._refused = ""
+        self.remark = ""
         self._waypoints: list[Waypoint] | None = None
 
     # ---- what the owner calls ----
@@ -272,10 +275,10 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
             return self._wanted, ""
         state = self.watchdog.step(now_ns, self._stamps())
         if state.failed:
-            self._fail_here(state.reason + self._refused)
+            self._fail_here(self._explained(state.reason))
             return np.zeros(6), ""
         if not state.ok:
-            return state.scale * self._wanted, state.reason + self._refused
+            return state.scale * self._wanted, self._explained(state.reason)
         self._wanted = self._handlers[self.phase](now_ns)
         return self._wanted, ""
 
@@ -283,8 +286,12 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         """True while an input has yet to arrive for the first time; fails after a while."""
         missing, limit = self._missing(), self.watchdog.settings.start_timeout
         if missing and self._in_phase(now_ns) > limit:
-            self._fail_here(f"no {' and no '.join(missing)} has arrived within {limit:g} s{self._refused}")
+            self._fail_here(self._explained(f"no {' and no '.join(missing)} has arrived within {limit:g} s"))
         return bool(missing)
+
+    def _explained(self, reason: str) -> str:
+        """Why an input is missing, as far as it is known."""
+        return f"{reason}{self._refused}: {self.remark}" if self.remark else reason + self._refused
 
     def _enter(self, phase: str) -> None:
         self.phase = phase

@@ -28,6 +28,7 @@ from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
@@ -77,6 +78,9 @@ class EstimatorNode(ManagedNode):
             self, PresenceSettings(), prefix="presence", on_change=self.presence.configure
         )
         self.presence.configure(presence.value)
+        self.check = ImageCheck()
+        checked = SettingsParameters(self, ImageCheckSettings(), prefix="check", on_change=self._configure_check)
+        self._configure_check(checked.value)
         self.last_stamp_ns = 0
 
     def configure(self) -> None:
@@ -87,7 +91,7 @@ class EstimatorNode(ManagedNode):
         except ModelError as error:
             raise ConfigurationError(str(error)) from error
         self.report.values["model"] = str(estimator.path)
-        self.perceive = Perceiver(estimator, self.presence)
+        self.perceive = Perceiver(estimator, self.presence, self.check)
         self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
@@ -109,10 +113,13 @@ class EstimatorNode(ManagedNode):
         try:
             self._process(image.array(), image.stamp_ns, received_ns)
         except (MessageError, ImageError) as error:
+            if isinstance(error, ImageRefused):
+                self.count(f"images refused, {error.kind}")
             self._refuse("images refused", f"tactile/image refused: {error}")
+            self._tell_at_once()
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
-        percept = self.perceive(image)
+        percept = self.perceive(image, stamp_ns=stamp_ns)
         if percept.in_contact is None:
             self._tell_reference(percept.fault)
             return
