@@ -143,6 +143,9 @@ class _OfflineLoop:
             for number, plan in enumerate(plans)
         }
 
+        for arm in self.arms.values():
+            arm.partners = [self.arms[name] for name in self.sequence.partners(arm.plan.arm)]
+
     def run(self) -> dict[str, RunRecord]:
         started = time.perf_counter()
         while not self.sequence.finished:
@@ -241,6 +244,8 @@ class _OfflineArm:
         self.stepped_ns = START_NS
         self.refused = Counter[str]()
         self.remark = ""
+        self.partners: list[_OfflineArm] = []
+        self.trouble = ""
         self.task: PhaseMachine[TaskInputs, Command] | None = None
         self.goal = 0
         self.begun_ns = START_NS
@@ -302,7 +307,9 @@ class _OfflineArm:
         if self.task is None:
             return None
         self.task.remark = self.remark
+        self.task.partner = "; ".join(f"{p.plan.arm}: {p.trouble}" for p in self.partners if p.trouble)
         command = self.task.step(now_ns, self.inputs)
+        self.trouble = command.reason
         self.safe.command(now_ns, command.twist)
         self.log.command(now_ns, self.goal, command)
         return command

@@ -50,6 +50,12 @@ class ArmPlan:
         return np.array(given, dtype=float)
 
 
+def partners_of(plan: ArmPlan, plans: Sequence[ArmPlan]) -> list[str]:
+    """The arms whose role one has to wait for (`Role.after`): it rests when one of them does not go on, too."""
+    role = plan.role.after[0] if plan.role.after else ""
+    return [other.arm for other in plans if other.role.name == role]
+
+
 def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
     """What each arm of the scene does.
 
@@ -209,10 +215,10 @@ class RunSequence:
             self.failure = f"{name}: {reason}"
         return well
 
+    def partners(self, arm: str) -> list[str]:
+        """The arms without which one neither begins nor goes on (see `partners_of`)."""
+        return partners_of(self._arms[arm].plan, [state.plan for state in self._arms.values()])
+
     def _may_begin(self, state: _ArmState) -> bool:
         after = state.plan.role.after
-        if after is None:
-            return True
-        role, phase = after
-        awaited = [other for other in self._arms.values() if other.plan.role.name == role]
-        return all(phase in other.phases for other in awaited)
+        return after is None or all(after[1] in self._arms[arm].phases for arm in self.partners(state.plan.arm))

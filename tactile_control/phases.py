@@ -181,6 +181,9 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         Whether it goes on until it is asked to `finish`.
     remark : str
         What whoever calls knows of inputs that do not come; it is told where one is missing or too old.
+    partner : str
+        Why another arm that is at work on the same object is not; as long as it says so this one rests too,
+        as when an input is missing. It does not keep the task from leaving the surface.
     """
 
     settings_class: ClassVar[type[SettingGroups]]
@@ -209,7 +212,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._pose: StampedPose | None = None
         self._wanted = np.zeros(6)
         self._refused = ""
-        self.remark = ""
+        self.remark = self.partner = ""
         self._waypoints: list[Waypoint] | None = None
 
     # ---- what the owner calls ----
@@ -273,7 +276,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         if self.phase in (DONE, FAILED) or self._waiting(now_ns):
             self._wanted = np.zeros(6)
             return self._wanted, ""
-        state = self.watchdog.step(now_ns, self._stamps())
+        partner = "" if self.phase in (STOPPING, RETREAT) else self.partner
+        state = self.watchdog.step(now_ns, self._stamps(), partner)
         if state.failed:
             self._fail_here(self._explained(state.reason))
             return np.zeros(6), ""

@@ -33,6 +33,7 @@ from tactile_perception.estimating.image import Image, ImageError
 SIDE = 128
 _KERNEL = np.ones((3, 3), np.uint8)
 _BRIGHT = 100  # gray level of a marker's middle, smoothed; between markers it is below
+_PERIOD = 1.0 / 60.0  # s, between images
 _FEWEST = 20  # markers of a reference that can be counted: other sensors have no separate ones
 
 MARKERS, CHANGE = "no image of the sensor", "another picture at once"
@@ -63,13 +64,14 @@ class ImageCheckSettings(Settings):
         1.3, lower=1.0, upper=100.0, doc="of the white without contact; more is blurred, or no markers"
     )
     least_likeness: float = setting(
-        0.4, lower=-1.0, upper=1.0,
-        doc="correlation with the image before it, or with that without contact, below which an image is "
-        "another picture; -1: none is",
+        0.45, lower=-1.0, upper=1.0,
+        doc="correlation with the image without contact that an image has where there was no contact in the "
+        "one before it; -1: any. A contact that is 2 mm deep at once has 0.6, one of 3 mm 0.3 (simulated)",
     )  # fmt: skip
-    longest_gap: float = setting(
-        0.1, lower=0.0, upper=10.0, unit="s",
-        doc="images in contact that are further apart may differ by anything: the arm was stopped meanwhile",
+    least_continuity: float = setting(
+        0.4, lower=-1.0, upper=1.0,
+        doc="correlation in contact with the image before it, or with that without contact, 1/60 s later; for "
+        "other times in inverse proportion. Skin that moves by 0.5 mm in that time has 0.47 at least (simulated)",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -134,13 +136,14 @@ class ImageCheck:
         if reference.markers >= _FEWEST:
             self._count(count_markers(view), reference.markers)
         direction = _direction(view)
-        if not (touched and gap > settings.longest_gap):
-            self._compare(direction, reference)
+        self._compare(direction, reference, gap if touched else None)
         self._before = direction
 
     def _gap(self, stamp_ns: int | None) -> float:
-        """Seconds since the last image that could be looked at; 0 where that is not known."""
-        return 0.0 if stamp_ns is None or self._stamp_ns is None else (stamp_ns - self._stamp_ns) * NANOSECOND
+        """Seconds since the last image that could be looked at; `_PERIOD` where that is not known, or less."""
+        if stamp_ns is None or self._stamp_ns is None:
+            return _PERIOD
+        return max(_PERIOD, (stamp_ns - self._stamp_ns) * NANOSECOND)
 
     def _count(self, found: int, expected: int) -> None:
         fewest = round(self.settings.fewest_markers * expected)
@@ -148,12 +151,16 @@ class ImageCheck:
         if not fewest <= found <= most:
             raise ImageRefused(f"{MARKERS}: {found} markers, must be {fewest} to {most}")
 
-    def _compare(self, direction: NDArray[np.float32], reference: _Reference) -> None:
-        likeness = max(float(direction @ known) for known in (self._before, reference.direction))
-        if likeness < self.settings.least_likeness:
+    def _compare(self, direction: NDArray[np.float32], reference: _Reference, gap: float | None) -> None:
+        """`gap` is the time since the image before, in contact; None: there was none."""
+        likeness, least = float(direction @ reference.direction), self.settings.least_likeness
+        if gap is not None:
+            likeness = max(likeness, float(direction @ self._before))
+            least = min(1.0, _PERIOD / gap) * self.settings.least_continuity
+        if likeness < least:
             raise ImageRefused(
-                f"{CHANGE}: its likeness to the last good image and to that without contact is {likeness:.2f} "
-                f"at most, must be {self.settings.least_likeness:g}: was the camera turned, moved, or changed?"
+                f"{CHANGE}: its likeness to the last good image, or to that without contact, is {likeness:.2f}, "
+                f"must be {least:.2f}: was the camera turned, moved, or changed?"
             )
 
     # ---- the reference ----

@@ -4,8 +4,8 @@ For each image it publishes `contact/presence` and, in contact, `contact/estimat
 answers, but without contact there is nothing to estimate. Both have the image's exposure stamp.
 The newest image wins: what it replaces is told by the stamps and counted. Colors and crops become what the
 model was trained on where its file says how (`estimating.encodings`, `Preprocessor`). Images that cannot be
-used (another encoding, another size) and answers of the network that are not a Gaussian are refused, counted
-and told in /diagnostics.
+used (another encoding, another size, no picture of the sensor: `estimating.image_check`) and answers of the
+network that are not a Gaussian are refused, counted and told in /diagnostics, at once when it begins.
 
 After activation the first images, taken without contact, become the reference of the contact presence; until
 then nothing is published. Images in which the network sees a contact, or that differ from the last reference
@@ -82,6 +82,7 @@ class EstimatorNode(ManagedNode):
         checked = SettingsParameters(self, ImageCheckSettings(), prefix="check", on_change=self._configure_check)
         self._configure_check(checked.value)
         self.last_stamp_ns = 0
+        self.refusing = False
 
     def configure(self) -> None:
         """Load the model, run it warm, and create publishers and subscription."""
@@ -116,10 +117,16 @@ class EstimatorNode(ManagedNode):
             if isinstance(error, ImageRefused):
                 self.count(f"images refused, {error.kind}")
             self._refuse("images refused", f"tactile/image refused: {error}")
-            self._tell_at_once()
+            if not self.refusing:  # a task that stops for it is to know why before it fails
+                self.refusing = True
+                self.publish_diagnostics()
+
+    def _configure_check(self, settings: ImageCheckSettings) -> None:
+        self.check.settings = settings
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
         percept = self.perceive(image, stamp_ns=stamp_ns)
+        self.refusing = False
         if percept.in_contact is None:
             self._tell_reference(percept.fault)
             return
@@ -164,8 +171,10 @@ class EstimatorNode(ManagedNode):
     def _tell_reference(self, refused: str) -> None:
         if refused:
             outlook = "the last one stays" if self.presence.ready else "nothing is published without one"
-            text = f"reference of the contact presence refused: {refused}; {outlook}. Lift the sensor off"
-            self._refuse("references refused", f"{text} and call {self.get_name()}/capture_reference")
+            text = f"reference of the contact presence refused: {refused}; {outlook}. Set that right, with the "
+            self._refuse(
+                "references refused", f"{text}sensor off the surface, and call {self.get_name()}/capture_reference"
+            )
         elif self.presence.ready:
             self.get_logger().info(
                 "reference of the contact presence taken: nothing may have touched the sensor"
