@@ -16,6 +16,7 @@ Pixels = NDArray[np.uint8]
 REPEATED = "repeated: it equals the one before it bit for bit: the camera is frozen"
 #: What is said of some cameras' frames, which pad their segments, though nothing is missing.
 _PADDING, _MOST_PADDING = re.compile(r"(\d+) extraneous bytes before marker"), 8
+_MOST_PIXELS = 2**26
 _JPEG_END = b"\xff\xd9"
 
 
@@ -75,9 +76,11 @@ def gray_of_jpeg(data: bytes | memoryview | Pixels) -> Pixels:
     data = np.ascontiguousarray(data)
     try:
         height, width, *_ = simplejpeg.decode_jpeg_header(data, strict=False)
-        image = np.empty((height, width, 1), np.uint8)
-    except ValueError as error:
+    except (ValueError, KeyError) as error:  # KeyError: of a kind of pixels that there is not
         raise DamagedJpeg(f"{data.size} bytes that are no JPEG: {error}") from error
+    if height * width > _MOST_PIXELS:
+        raise DamagedJpeg(f"{data.size} bytes that claim to be {width}x{height} pixels")
+    image = np.empty((height, width, 1), np.uint8)
     try:
         simplejpeg.decode_jpeg(data, "GRAY", buffer=image)
     except ValueError as error:

@@ -24,6 +24,7 @@ from typing import ClassVar
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from tactile_drivers.doubles.lies import Lies
@@ -195,7 +196,7 @@ class Torn(LyingCamera):
 
     def __call__(self, image: Image) -> Image:
         data = torn(jpeg(image), self.random)
-        return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE), np.uint8)
+        return simplejpeg.decode_jpeg(data, "GRAY", strict=False)[:, :, 0]
 
 
 class Replayed(LyingCamera):
