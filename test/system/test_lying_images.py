@@ -41,10 +41,10 @@ class Deepest(ImageLies):
                 self.deepest[name] = max(self.deepest.get(name, -1.0), cell.depth(name))
 
 
-def rests_after(record, begins: float) -> float:
-    """Seconds after a moment at which an arm begins to rest, for half a second at least."""
+def rests_after(record, begins: float, speed: float = 1e-4) -> float:
+    """Seconds after a moment from which on an arm is no faster (m/s), for half a second at least."""
     since = record.arm_twist.stamp_ns / SECOND_NS - begins
-    moving = np.linalg.norm(record.arm_twist.twist[:, :3], axis=1) > 1e-4
+    moving = np.linalg.norm(record.arm_twist.twist[:, :3], axis=1) > speed
     stops = np.flatnonzero(moving[:-1] & ~moving[1:]) + 1
     for stop in stops[since[stops] > 0.0]:
         if not moving[(since >= since[stop]) & (since < since[stop] + 0.5)].any():
@@ -81,7 +81,8 @@ def test_an_arm_whose_camera_is_mirrored_or_turned_from_the_start_does_not_begin
 def test_of_two_arms_that_hold_an_object_both_rest_when_one_camera_lies_and_nothing_is_crushed(liar):
     lies, records = run("dual_pushing", "dual_pushing", "frozen", begins=20.0, arm=liar)
     for name, record in records.items():
-        assert rests_after(record, 20.0) <= REST, name
+        # the follower's own images are good where the leader's are not: it holds the object that stands still
+        assert rests_after(record, 20.0, 1e-4 if name == liar or liar == "follower" else 2e-3) <= 0.25, name
         assert lies.deepest[name] < lies.before[name] + 0.0005, name
         assert not record.result["succeeded"]
     assert "repeated: it equals the one before it bit for bit" in records["leader"].result["reason"]
