@@ -71,7 +71,9 @@ def main() -> None:
     parser.add_argument("--false-alarms", action="store_true")
     args = parser.parse_args()
     rows = []
-    cases = [(scene, "") for scene in TASKS] if args.false_alarms else [(args.scene, lie) for lie in args.lies]
+    cases = (
+        [(scene, "") for scene in TASKS] if args.false_alarms else [(args.scene, lie) for lie in args.lies]
+    )
     for scene, lie in cases:
         row = run(scene, lie, args.at if lie else 0.0, args.arm, args.seed)
         rows.append(row)

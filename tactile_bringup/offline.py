@@ -157,7 +157,9 @@ class _OfflineLoop:
                 pass
         wall_s = time.perf_counter() - started
         failure = self.sequence.failure
-        return {name: arm.log.finish(not failure, failure, wall_s, arm.refused) for name, arm in self.arms.items()}
+        return {
+            name: arm.log.finish(not failure, failure, wall_s, arm.refused) for name, arm in self.arms.items()
+        }
 
     def _tick(self) -> bool:
         """One step of the cell: what the arms report, then what has become due, then new exposures.
@@ -328,7 +330,9 @@ class _OfflineArm:
         self.log.percept(frame.stamp_ns, percept)
         if percept.in_contact is None:
             if percept.fault:
-                self._refuse("references refused", f"reference of the contact presence refused: {percept.fault}")
+                self._refuse(
+                    "references refused", f"reference of the contact presence refused: {percept.fault}"
+                )
             return
         self.remark = ""
         estimate = percept.estimate if percept.in_contact else None

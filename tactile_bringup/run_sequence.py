@@ -221,4 +221,6 @@ class RunSequence:
 
     def _may_begin(self, state: _ArmState) -> bool:
         after = state.plan.role.after
-        return after is None or all(after[1] in self._arms[arm].phases for arm in self.partners(state.plan.arm))
+        return after is None or all(
+            after[1] in self._arms[arm].phases for arm in self.partners(state.plan.arm)
+        )

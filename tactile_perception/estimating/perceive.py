@@ -89,7 +89,9 @@ class Perceiver:
     def _no_reference(self, prepared: NDArray) -> str:
         """Why an image is not one without contact, as the camera of the training was mounted; else empty."""
         metadata = self.estimator.metadata
-        if metadata.layout is not None and (why := metadata.layout.objection(prepared, metadata.preprocessing)):
+        if metadata.layout is not None and (
+            why := metadata.layout.objection(prepared, metadata.preprocessing)
+        ):
             return why
         return self._touching(prepared)
 

@@ -82,7 +82,10 @@ class ControllerNode(TaskNode):
             self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period", "partner_age")
         )
         named = declare_read_only(
-            self, "partners", [""], "arms that work on the same object: the task rests when one of them does not go on"
+            self,
+            "partners",
+            [""],
+            "arms that work on the same object: the task rests when one of them does not go on",
         )
         self.partner_arms = [arm for arm in named if arm]
         self.settings = GroupParameters(self, self.task_type.settings_class(), self._configure_task)

@@ -79,7 +79,9 @@ class EstimatorNode(ManagedNode):
         )
         self.presence.configure(presence.value)
         self.check = ImageCheck()
-        checked = SettingsParameters(self, ImageCheckSettings(), prefix="check", on_change=self._configure_check)
+        checked = SettingsParameters(
+            self, ImageCheckSettings(), prefix="check", on_change=self._configure_check
+        )
         self._configure_check(checked.value)
         self.last_stamp_ns = 0
         self.refusing = False
@@ -171,9 +173,12 @@ class EstimatorNode(ManagedNode):
     def _tell_reference(self, refused: str) -> None:
         if refused:
             outlook = "the last one stays" if self.presence.ready else "nothing is published without one"
-            text = f"reference of the contact presence refused: {refused}; {outlook}. Set that right, with the "
+            text = (
+                f"reference of the contact presence refused: {refused}; {outlook}. Set that right, with the "
+            )
             self._refuse(
-                "references refused", f"{text}sensor off the surface, and call {self.get_name()}/capture_reference"
+                "references refused",
+                f"{text}sensor off the surface, and call {self.get_name()}/capture_reference",
             )
         elif self.presence.ready:
             self.get_logger().info(

@@ -18,7 +18,9 @@ def image():
 def test_a_whole_jpeg_has_the_pixels_of_another_decoder(image, quality):
     """OpenCV, of which the pixels in data sets and older recordings are."""
     data = jpeg(image, quality)
-    assert np.array_equal(gray_of_jpeg(data), cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE))
+    assert np.array_equal(
+        gray_of_jpeg(data), cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    )
     plain = cv2.imencode(".jpg", image)[1]
     assert np.array_equal(gray_of_jpeg(plain), cv2.imdecode(plain, cv2.IMREAD_GRAYSCALE))
 
@@ -44,7 +46,9 @@ def test_a_jpeg_that_claims_to_be_huge_is_refused_before_there_is_memory_for_it(
         gray_of_jpeg(data[:at] + 2 * (65000).to_bytes(2, "big") + data[at + 4 :])
 
 
-@pytest.mark.parametrize("data", [b"", b"abc", b"\xff\xd8\xff\xd9", b"\xff\xd8\xff\xe0" + bytes(40) + b"\xff\xd9"])
+@pytest.mark.parametrize(
+    "data", [b"", b"abc", b"\xff\xd8\xff\xd9", b"\xff\xd8\xff\xe0" + bytes(40) + b"\xff\xd9"]
+)
 def test_what_is_no_jpeg_is_refused(data):
     with pytest.raises(DamagedJpeg):
         gray_of_jpeg(data)

@@ -85,7 +85,9 @@ def test_a_camera_that_lies_in_a_contact_is_known_by_its_first_image_and_the_nex
     assert pressed.see().in_contact
 
 
-@pytest.mark.parametrize("kind", ["mirrored", "upside_down", "turned_180", "turned_90", "shifted", "noise", "patch"])
+@pytest.mark.parametrize(
+    "kind", ["mirrored", "upside_down", "turned_180", "turned_90", "shifted", "noise", "patch"]
+)
 def test_a_camera_that_lies_in_the_air_is_known_by_its_first_image(kind):
     sensor = Pressed()
     sensor.reference()

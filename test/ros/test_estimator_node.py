@@ -293,8 +293,9 @@ def test_images_of_cameras_that_lie_are_refused_by_kind_told_at_once_and_the_nex
     settings = {"presence.reference_frames": REFERENCE_FRAMES, "diagnostics_period": 30.0}
     graph.start(ESTIMATOR, settings)
     images = graph.publisher(Image, "tactile/image", qos.IMAGE)
-    presences, reports = graph.collect(ContactPresence, "contact/presence"), graph.collect(
-        DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS
+    presences, reports = (
+        graph.collect(ContactPresence, "contact/presence"),
+        graph.collect(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS),
     )
     sensor, stamp_ns = TacTip(seed=5), time.time_ns() - 2 * SECOND
 
