@@ -1,4 +1,4 @@
-"""What the look at each image costs: percepts of simulated images with it, and its own part; p50 of processor time.
+"""What the look at each image costs, and a whole percept of a simulated image: p50 of processor time.
 
 python bench/image_check.py [--images 300]
 """

@@ -1,10 +1,10 @@
-"""What images that lie lead to, against the cell's truth: when it is known, rest, way, depth, and what is read.
+"""What images that lie lead to, against the cell's truth: when it is known, rest, way, depth, what is read.
 
     python bench/lying_images.py [LIE ...] [--scene plane] [--arm NAME] [--at 6.0] [--seed 1] [--json FILE]
 
-Rendered images, the shipped network, no ROS. The lie begins at `--at` seconds of the cell's time (the cell's clock
-begins at 1 s): on the plane 6.0 is in the approach, in the air, and 12.0 along the surface; 0 is before the image without
-contact is taken. `--false-alarms` counts what is refused of honest images in all packaged tasks instead.
+Rendered images, the shipped network, no ROS. The lie begins at `--at` seconds of the cell's time (the cell's
+clock begins at 1 s): on the plane 12.0 is along the surface, and 0 before the image without contact is
+taken. `--false-alarms` counts what is refused of honest images in all packaged tasks instead.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What makes a frame no exposure, whoever looks at it: it repeats the one before, it shows nothing, or it is damaged.
+"""What makes a frame no exposure, whoever looks at it: it repeats the one before, shows nothing, is damaged.
 
-A camera's driver refuses such frames before they are published, and perception those that come from drivers and
-nodes of others: both by the same functions, in the same words.
+A camera's driver refuses such frames before they are published, and perception those that come from drivers
+and nodes of others: both by the same functions, in the same words.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class ArmPlan:
 
 
 def partners_of(plan: ArmPlan, plans: Sequence[ArmPlan]) -> list[str]:
-    """The arms whose role one has to wait for (`Role.after`): it rests when one of them does not go on, too."""
+    """The arms whose role one has to wait for (`Role.after`): it rests when one of them does not go on."""
     role = plan.role.after[0] if plan.role.after else ""
     return [other.arm for other in plans if other.role.name == role]
 

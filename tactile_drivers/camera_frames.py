@@ -2,8 +2,9 @@
 
 What is refused is not published, so that the arm stops as it does when a camera falls silent: a frame that is
 torn or damaged inside, of another size, without anything to see on it (a dark lamp, a covered lens), equal to
-the one before it bit for bit (a frozen camera: no two exposures are equal), or stamped with a time that cannot
-be. Perception looks for most of it again, since not every image comes from here (`tactile_base.exposures`).
+the one before it bit for bit (a frozen camera: no two exposures are equal), or stamped with a time that
+cannot be. Perception looks for most of it again, since not every image comes from here
+(`tactile_base.exposures`).
 """
 
 from __future__ import annotations

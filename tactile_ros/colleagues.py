@@ -1,7 +1,8 @@
-"""What a controller hears of others while it works: of its own estimator, and of the arms it works together with."""
+"""What a controller hears of others while it works: of its own estimator, and of the arms it works with."""
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -68,9 +69,7 @@ class Partners:
         for arm in arms:
             self._words[arm] = -float("inf"), ""
             topic = topics.CONTROLLER_STATUS.of(arm).name
-            node.subscribe(
-                ControllerStatus, topic, lambda data, arm=arm: self._take(arm, data), STATE, raw=True
-            )
+            node.subscribe(ControllerStatus, topic, functools.partial(self._take, arm), STATE, raw=True)
 
     def _take(self, arm: str, data: bytes) -> None:
         texts = self._read(data)[0].texts

@@ -1,7 +1,7 @@
 """Cameras that lie: images that do not show what the sensor feels now, for tests of what believes them.
 
-Each is a class with a name in `LYING_CAMERAS`, called with a true image, gray (rows, columns) uint8, for the one that
-it gives in its place. It may remember what it was shown before it began to lie (`see`)::
+Each is a class with a name in `LYING_CAMERAS`, called with a true image, gray (rows, columns) uint8, for the
+one that it gives in its place. It may remember what it was shown before it began to lie (`see`)::
 
     camera = LYING_CAMERAS["frozen"](seed=1)
     camera.see(image)                       # while it still tells the truth
@@ -13,8 +13,8 @@ A run without ROS, held against the cell's truth (`tactile_drivers.doubles.lies`
     run_arms_offline("plane", options=OfflineOptions(fidelity="image", lies=lies))
     lies.witness["arm"].deepest                          # m
 
-None of them needs ROS; between a camera's node and an estimator, a node that passes each image through one does.
-What they give is fixed by the seed and by what they were shown.
+None of them needs ROS; between a camera's node and an estimator, a node that passes each image through one
+does. What they give is fixed by the seed and by what they were shown.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Turned180(LyingCamera):
 
 
 class Turned90(LyingCamera):
-    """About the image's middle, as large as before: what comes to lie outside is lost, what is missing black."""
+    """About the image's middle, as large as before: what lies outside is lost, what is missing is black."""
 
     doc = "turned by 90 degrees"
 
@@ -190,7 +190,7 @@ class Shifted(LyingCamera):
 
 
 class Torn(LyingCamera):
-    """Each frame a JPEG of which a USB packet was lost, decoded by a decoder that fills the gap and says nothing."""
+    """Each frame a JPEG of which a USB packet was lost, from a decoder that says nothing of it."""
 
     doc = "a packet of each JPEG lost"
 
@@ -286,8 +286,8 @@ def jpeg(image: Image, quality: int = 90) -> bytes:
 def torn(data: bytes, random: np.random.Generator, lost: int = _PACKET) -> bytes:
     """A JPEG of whose scan a packet is lost somewhere; begin and end are there, so that it looks whole.
 
-    Where the scan begins: ITU-T T.81, B.1.1.3 and B.2.3: segments with their lengths, up to that of the marker
-    SOS, 0xFFDA.
+    Where the scan begins: ITU-T T.81, B.1.1.3 and B.2.3: segments with their lengths, up to that of the
+    marker SOS, 0xFFDA.
     """
     at = 2
     while data[at + 1] != 0xDA:

@@ -1,19 +1,19 @@
 """Does an image show the sensor? What is looked for in every image before anything is concluded from it.
 
 A network answers to any image, and so does a comparison with an earlier one. What cannot be an image of this
-sensor is refused, whoever sends it: as if it had not come, so that the arm rests as when a camera falls silent.
+sensor is refused, whoever sends it: as if it had not come, so that the arm rests as when a camera is silent.
 
 - Of the camera's image: it does not repeat the one before it bit for bit, and its gray levels vary.
-- Of the same after the threshold, against the sensor's own image without contact: as many markers, and as much
-  of it white.
-- Of images that follow one another: each is like the one before it, or like the image without contact. A picture
+- Of the same after the threshold, against the sensor's own image without contact: as many markers, and
+  as much of it white.
+- Of images that follow one another: each is like the one before it, or like the image without contact. One
   that is mirrored, turned, shifted or another one from one image to the next has as many markers, all of them
   elsewhere; those of a skin that is pressed, or springs back, move by a part of their distance.
 - Of the image without contact, against the mean of the images that the network was trained on: no mirrored or
   turned form of that fits better (`layout.Layout`).
 
-That an image shows a touch which is long over, or never was, it cannot tell: a scene that stands still before a
-camera that works, a recording. The arm's own motion has to contradict those.
+That an image shows a touch which is long over, or never was, it cannot tell: a scene that stands still
+before a camera that works, a recording. The arm's own motion has to contradict those.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_perception.estimating.image import Image, ImageError
 
-#: Side of the images in which markers are counted, whatever the network's: where its input is smaller they merge.
+#: Side of the images in which markers are counted, whatever the network's: in smaller ones they merge.
 SIDE = 128
 _KERNEL = np.ones((3, 3), np.uint8)
 _BRIGHT = 100  # gray level of a marker's middle, smoothed; between markers it is below
@@ -50,7 +50,7 @@ class ImageRefused(ImageError):
 
 @dataclass(frozen=True)
 class ImageCheckSettings(Settings):
-    """What is refused. Markers and white are relative to the image without contact that the sensor began with."""
+    """What is refused. Markers and white are relative to the image without contact of the reference."""
 
     repeats: bool = setting(False, doc="take an image that equals the one before it bit for bit")
     least_contrast: float = setting(
@@ -70,8 +70,8 @@ class ImageCheckSettings(Settings):
     )  # fmt: skip
     least_continuity: float = setting(
         0.4, lower=-1.0, upper=1.0,
-        doc="correlation in contact with the image before it, or with that without contact, 1/60 s later; for "
-        "other times in inverse proportion. Skin that moves by 0.5 mm in that time has 0.47 at least (simulated)",
+        doc="correlation in contact with the image before it, or with that without contact, 1/60 s later; "
+        "for longer times in inverse proportion. Skin that moves by 0.5 mm has 0.47 at least (simulated)",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -82,7 +82,7 @@ class ImageCheckSettings(Settings):
 
 @dataclass(frozen=True)
 class _Reference:
-    """What is known of the image without contact: markers, mean gray level, its pixels less that, length 1."""
+    """What is known of the image without contact: markers, mean gray level, its direction."""
 
     markers: int
     white: float
@@ -90,8 +90,9 @@ class _Reference:
 
 
 class ImageCheck:
-    """Refuses images; see the module's text. A further check, as of a network that learned what its images look
-    like, belongs into `look`.
+    """Refuses images; see the module's text.
+
+    A further check, as of a network that has learnt what its images look like, belongs into `look`.
 
     Used by `Perceiver` in the order: `exposure`, `look`, and `capture` or `take` of the reference.
 
@@ -140,7 +141,7 @@ class ImageCheck:
         self._before = direction
 
     def _gap(self, stamp_ns: int | None) -> float:
-        """Seconds since the last image that could be looked at; `_PERIOD` where that is not known, or less."""
+        """Seconds since the last image that could be looked at; at least `_PERIOD`."""
         if stamp_ns is None or self._stamp_ns is None:
             return _PERIOD
         return max(_PERIOD, (stamp_ns - self._stamp_ns) * NANOSECOND)
@@ -159,8 +160,8 @@ class ImageCheck:
             least = min(1.0, _PERIOD / gap) * self.settings.least_continuity
         if likeness < least:
             raise ImageRefused(
-                f"{CHANGE}: its likeness to the last good image, or to that without contact, is {likeness:.2f}, "
-                f"must be {least:.2f}: was the camera turned, moved, or changed?"
+                f"{CHANGE}: its likeness to the last good image, or to that without contact, is "
+                f"{likeness:.2f}, must be {least:.2f}: was the camera turned, moved, or changed?"
             )
 
     # ---- the reference ----
@@ -183,8 +184,8 @@ class ImageCheck:
 def count_markers(view: Image) -> int:
     """Markers of an image after the threshold, uint8 (SIDE, SIDE): its smoothed summits.
 
-    Markers that touch each other are counted one by one, as `markers.detection.detect` does, in a hundredth of
-    the time and to within 6 % of their number.
+    Markers that touch each other are counted one by one, as `markers.detection.detect` does, in a hundredth
+    of the time and to within 6 % of their number.
     """
     smooth = cv2.GaussianBlur(view, (3, 3), 0)
     summits = (smooth == cv2.dilate(smooth, _KERNEL)) & (smooth > _BRIGHT)

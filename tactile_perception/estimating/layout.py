@@ -2,8 +2,8 @@
 
 Markers are where they are because of how camera and tip are mounted. A camera that is mirrored or turned
 shows them elsewhere, and a network then takes left for right. In the mean of many contacts the markers are
-blurred, but stand where the sensor has them; the image without contact fits that mean better than any mirrored
-or turned form of it (on simulated and on real sensors; docs/perception.md).
+blurred, but stand where the sensor has them; the image without contact fits that mean better than any
+mirrored or turned form of it (on simulated and on real sensors; docs/perception.md).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Layout:
             if not mirrored and not quarters:
                 continue
             turn = np.rint(_turn(mirrored, quarters))
-            name = " and ".join(filter(None, ["mirrored"][: int(mirrored)] + [_turned(quarters)]))
+            name = " and ".join(filter(None, ("mirrored" if mirrored else "", _turned(quarters))))
             for center in (off, np.zeros(2)):
                 # about the image's middle, seen from that of the crop: p -> turn (p + off) - off
                 shift = scale * (turn @ center - center)

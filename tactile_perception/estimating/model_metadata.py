@@ -63,7 +63,8 @@ class ModelMetadata:
     validation : loss and mean absolute error per component (mm, rad) on the validation data
     training : every setting of network, training and augmentation; for an ensemble, its members
     calibration : of the stated uncertainty, fitted on held-back training data; applied by who uses the model
-    layout : mean of the training images, by which a camera is known that is mirrored or turned; None: not known
+    layout : mean of the training images, by which a camera is known that is mirrored or turned; None: not
+    known
     """
 
     preprocessing: PreprocessingSettings

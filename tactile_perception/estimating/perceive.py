@@ -43,8 +43,8 @@ class Percept:
 class Perceiver:
     """Image -> percept. A network always answers, but without contact there is nothing to estimate.
 
-    With a `ContactPresence` images are those of a sensor at work: they are checked, and an estimate is made in
-    contact only. Without one each stands for itself, and an estimate is made of it::
+    With a `ContactPresence` images are those of a sensor at work: they are checked, and an estimate is made
+    in contact only. Without one each stands for itself, and an estimate is made of it::
 
         perceive = Perceiver(Estimator(), ContactPresence())
         percept = perceive(image)
@@ -64,8 +64,8 @@ class Perceiver:
 
         `stamp_ns` is the time of its exposure; without it images follow one another without a gap.
 
-        Raises `ImageError` if the image has the wrong size or type, `ImageRefused` if it cannot show the sensor:
-        then nothing is known of this exposure.
+        Raises `ImageError` if the image has the wrong size or type, `ImageRefused` if it cannot show the
+        sensor: then nothing is known of this exposure.
         """
         if self.presence is None:
             make = self.estimator.estimate_processed if processed else self.estimator.estimate

@@ -1,4 +1,4 @@
-"""Images that cannot show the sensor: cameras that lie are refused, contacts at the edges of the training are not."""
+"""Images that cannot show the sensor: cameras that lie are refused, contacts at the edges are not."""
 
 import numpy as np
 import pytest

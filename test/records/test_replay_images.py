@@ -197,6 +197,6 @@ def test_images_that_cannot_show_the_sensor_are_refused_as_they_were_live(tmp_pa
     valid = {round((b.stamp_ns - START_NS) / STEP_NS) for b in found if b.valid}
     assert valid == set(range(FREE, 40)) - {30}
     assert remarks == [
-        "arm: 1 images cannot be used, the first: repeated: it equals the one before it bit for bit: the camera "
-        "is frozen"
+        "arm: 1 images cannot be used, the first: repeated: it equals the one before it bit for bit: "
+        "the camera is frozen"
     ]

@@ -71,9 +71,9 @@ WHITE = np.full((480, 640), 200, np.uint8)
 
 #: The pictures of these tests are none of a sensor, and sent again and again.
 ANY_IMAGE = {
-    "check.repeats": True, "check.least_contrast": 0.0, "check.fewest_markers": 0.0, "check.most_markers": 100.0,
-    "check.least_white": 0.0, "check.most_white": 100.0, "check.least_likeness": -1.0,
-    "check.least_continuity": -1.0,
+    "check.repeats": True, "check.least_contrast": 0.0, "check.fewest_markers": 0.0,
+    "check.most_markers": 100.0, "check.least_white": 0.0, "check.most_white": 100.0,
+    "check.least_likeness": -1.0, "check.least_continuity": -1.0,
 }  # fmt: skip
 
 
