@@ -78,13 +78,17 @@ def test_an_arm_whose_camera_is_mirrored_or_turned_from_the_start_does_not_begin
 
 
 @pytest.mark.parametrize("liar", ["leader", "follower"])
-def test_of_two_arms_that_hold_an_object_both_rest_when_one_camera_lies_and_nothing_is_crushed(liar):
+def test_of_two_arms_that_hold_an_object_the_leader_rests_when_one_camera_lies_and_nothing_is_crushed(liar):
     lies, records = run("dual_pushing", "dual_pushing", "frozen", begins=20.0, arm=liar)
     for name, record in records.items():
-        # the follower's own images are good where the leader's are not: it holds the object that stands still
-        assert rests_after(record, 20.0, 1e-4 if name == liar or liar == "follower" else 2e-3) <= 0.25, name
+        if (liar, name) != ("leader", "follower"):
+            assert rests_after(record, 20.0) <= 0.25, name
         assert lies.deepest[name] < lies.before[name] + 0.0005, name
         assert not record.result["succeeded"]
+    # the follower's own images are good when the leader's are not: it gives way ever slower, and holds the object
+    since = records["follower"].arm_twist.stamp_ns / SECOND_NS - 20.0
+    speed = np.linalg.norm(records["follower"].arm_twist.twist[:, :3], axis=1)
+    assert speed[(since > 0.7) & (since < 0.9)].max() < 0.003
     assert "repeated: it equals the one before it bit for bit" in records["leader"].result["reason"]
 
 
