@@ -85,7 +85,7 @@ def test_of_two_arms_that_hold_an_object_the_leader_rests_when_one_camera_lies_a
             assert rests_after(record, 20.0) <= 0.25, name
         assert lies.deepest[name] < lies.before[name] + 0.0005, name
         assert not record.result["succeeded"]
-    # the follower's own images are good when the leader's are not: it gives way ever slower, and holds the object
+    # the follower's own images are good when the leader's are not: it gives way ever slower
     since = records["follower"].arm_twist.stamp_ns / SECOND_NS - 20.0
     speed = np.linalg.norm(records["follower"].arm_twist.twist[:, :3], axis=1)
     assert speed[(since > 0.7) & (since < 0.9)].max() < 0.003
