@@ -16,6 +16,7 @@ REQUIREMENTS = {
     "scipy": "scipy",
     "onnxruntime": "onnxruntime",
     "cv2": "opencv-contrib-python-headless",
+    "simplejpeg": "simplejpeg",
     "ruckig": "ruckig",
     "rosbags": "rosbags",
     "mcap": "mcap",

@@ -11,7 +11,7 @@ seconds after it. The same scene, task, options and seed give the same bits::
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -35,6 +35,7 @@ from tactile_drivers.sim.simulation import INPUT
 from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
+from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_records.runs.log import RunLog
 from tactile_records.runs.record import RunRecord
@@ -142,6 +143,9 @@ class _OfflineLoop:
             for number, plan in enumerate(plans)
         }
 
+        for arm in self.arms.values():
+            arm.partners = [self.arms[name] for name in self.sequence.partners(arm.plan.arm)]
+
     def run(self) -> dict[str, RunRecord]:
         started = time.perf_counter()
         while not self.sequence.finished:
@@ -154,7 +158,9 @@ class _OfflineLoop:
         self._see_aftermath()
         wall_s = time.perf_counter() - started
         failure = self.sequence.failure
-        return {name: arm.log.finish(not failure, failure, wall_s) for name, arm in self.arms.items()}
+        return {
+            name: arm.log.finish(not failure, failure, wall_s, arm.refused) for name, arm in self.arms.items()
+        }
 
     def _see_aftermath(self) -> None:
         """What comes of a lie after the run, when nobody commands any more."""
@@ -245,6 +251,10 @@ class _OfflineArm:
         self.queue: deque[_Event] = deque()
         self.inputs = TaskInputs()
         self.stepped_ns = START_NS
+        self.refused = Counter[str]()
+        self.remark = ""
+        self.partners: list[_OfflineArm] = []
+        self.trouble = ""
         self.task: PhaseMachine[TaskInputs, Command] | None = None
         self.goal = 0
         self.begun_ns = START_NS
@@ -310,7 +320,10 @@ class _OfflineArm:
         self.stepped_ns = now_ns
         if self.task is None:
             return None
+        self.task.remark = self.remark
+        self.task.partner = "; ".join(f"{p.plan.arm}: {p.trouble}" for p in self.partners if p.trouble)
         command = self.task.step(now_ns, self.inputs)
+        self.trouble = command.reason
         self.safe.command(now_ns, command.twist, self.plan.role.name)
         self.log.command(now_ns, self.goal, command)
         return command
@@ -324,9 +337,16 @@ class _OfflineArm:
         self.log.truth(frame.stamp_ns, frame.truth)
         if self.loose:
             self.log.body(frame.stamp_ns, self.cell.T_world_body(self.loose))
+        if percept is None:  # as if there had been no exposure
+            return
         self.log.percept(frame.stamp_ns, percept)
         if percept.in_contact is None:
+            if percept.fault:
+                self._refuse(
+                    "references refused", f"reference of the contact presence refused: {percept.fault}"
+                )
             return
+        self.remark = ""
         estimate = percept.estimate if percept.in_contact else None
         if percept.in_contact and estimate is None:  # a network that failed: nothing is known of this contact
             self._send(frame.stamp_ns, True, None)
@@ -337,14 +357,23 @@ class _OfflineArm:
         pose = StampedPose(frame.stamp_ns, belief.mean) if belief.measured else None
         self._send(frame.stamp_ns, percept.in_contact, pose)
 
-    def _percept(self, frame: Frame) -> Percept:
-        """What perception makes of a frame, as far as nothing lies."""
+    def _percept(self, frame: Frame) -> Percept | None:
+        """What perception makes of a frame, as far as nothing lies; None of an image that it refuses."""
         assert self.perceive is not None
         name, stamp_ns = frame.arm, frame.stamp_ns
         if frame.image is not None:
             frame = replace(frame, image=self.lies.image(name, stamp_ns, frame.image))
-        percept = self.perceive(frame)
+        try:
+            percept = self.perceive(frame)
+        except ImageError as error:
+            self._refuse("images refused", f"tactile/image refused: {error}")
+            return None
         return replace(percept, estimate=self.lies.estimate(name, stamp_ns, percept.estimate))
+
+    def _refuse(self, counter: str, text: str) -> None:
+        """Count what the estimator node would count, and tell the task."""
+        self.refused[counter] += 1
+        self.remark = text
 
     def _due(self, now_ns: int) -> list[_Event]:
         due = []
@@ -400,7 +429,7 @@ def _perception(
 
     def perceive(frame: Frame) -> Percept:
         assert frame.image is not None
-        return perceiver(frame.image, processed=drawn)
+        return perceiver(frame.image, drawn, frame.stamp_ns)
 
     return perceive, network_view(estimator) if drawn else None
 

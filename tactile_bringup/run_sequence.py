@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import SettingError
-from tactile_control.phases import STOPPING
+from tactile_control.phases import FAILED, STOPPING
 from tactile_control.task_file import NamedGoal, Role, Task
 from tactile_drivers.scene import ArmScene, Scene
 
@@ -49,6 +49,12 @@ class ArmPlan:
     def _of_goals(self, name: str) -> NDArray[np.float64]:
         given = [getattr(goal.goal, name, ()) or (np.nan,) * 3 for goal in self.goals]
         return np.array(given, dtype=float)
+
+
+def partners_of(plan: ArmPlan, plans: Sequence[ArmPlan]) -> list[str]:
+    """The arms whose role one has to wait for (`Role.after`): it rests when one of them does not go on."""
+    role = plan.role.after[0] if plan.role.after else ""
+    return [other.arm for other in plans if other.role.name == role]
 
 
 def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
@@ -202,7 +208,7 @@ class RunSequence:
         state = self._arms[arm]
         new = phase not in state.phases
         state.phases.add(phase)
-        state.failing = state.failing or (phase == STOPPING and not state.asked)
+        state.failing = state.failing or (phase in (STOPPING, FAILED) and not state.asked)
         return new
 
     def result(self, arm: str, success: bool, reason: str) -> bool:
@@ -220,10 +226,12 @@ class RunSequence:
             self.failure = f"{name}: {reason}"
         return well
 
+    def partners(self, arm: str) -> list[str]:
+        """The arms without which one neither begins nor goes on (see `partners_of`)."""
+        return partners_of(self._arms[arm].plan, [state.plan for state in self._arms.values()])
+
     def _may_begin(self, state: _ArmState) -> bool:
         after = state.plan.role.after
-        if after is None:
-            return True
-        role, phase = after
-        awaited = [other for other in self._arms.values() if other.plan.role.name == role]
-        return all(phase in other.phases for other in awaited)
+        return after is None or all(
+            after[1] in self._arms[arm].phases for arm in self.partners(state.plan.arm)
+        )

@@ -184,6 +184,11 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         Whether it goes on until it is asked to `finish`.
     traceback : str
         Where an exception in the task came from; '' for none.
+    remark : str
+        What whoever calls knows of inputs that do not come; it is told where one is missing or too old.
+    partner : str
+        Why another arm that is at work on the same object is not; as long as it says so this one rests too,
+        as when an input is missing. It does not keep the task from leaving the surface.
     """
 
     settings_class: ClassVar[type[SettingGroups]]
@@ -212,6 +217,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._pose: StampedPose | None = None
         self._wanted = np.zeros(6)
         self._refused = ""
+        self.remark = self.partner = ""
         self._waypoints: list[Waypoint] | None = None
 
     # ---- what the owner calls ----
@@ -303,12 +309,13 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         if self.phase in (DONE, FAILED) or self._waiting(now_ns):
             self._wanted = np.zeros(6)
             return self._wanted, ""
-        state = self.watchdog.step(now_ns, self._stamps())
+        partner = "" if self.phase in (STOPPING, RETREAT) else self.partner
+        state = self.watchdog.step(now_ns, self._stamps(), partner)
         if state.failed:
-            self._fail_here(state.reason + self._refused)
+            self._fail_here(self._explained(state.reason))
             return np.zeros(6), ""
         if not state.ok:
-            return state.scale * self._wanted, state.reason + self._refused
+            return state.scale * self._wanted, self._explained(state.reason)
         self._wanted = self._handlers[self.phase](now_ns)
         return self._wanted, ""
 
@@ -316,8 +323,12 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         """True while an input has yet to arrive for the first time; fails after a while."""
         missing, limit = self._missing(), self.watchdog.settings.start_timeout
         if missing and self._in_phase(now_ns) > limit:
-            self._fail_here(f"no {' and no '.join(missing)} has arrived within {limit:g} s{self._refused}")
+            self._fail_here(self._explained(f"no {' and no '.join(missing)} has arrived within {limit:g} s"))
         return bool(missing)
+
+    def _explained(self, reason: str) -> str:
+        """Why an input is missing, as far as it is known."""
+        return f"{reason}{self._refused}: {self.remark}" if self.remark else reason + self._refused
 
     def _enter(self, phase: str) -> None:
         self.phase = phase

@@ -74,7 +74,8 @@ class Role:
     goals : tuple of NamedGoal
         Run one after the other.
     after : tuple (str, str) or None
-        Role and phase: the goals wait until every arm of that role has reached that phase.
+        Role and phase: the goals wait until every arm of that role has reached that phase, and later rest
+        as long as one of them waits for its inputs or fails.
     ends_run : bool
         The run is over when the arms of this role have done their goals; those of the others then end, too.
     """

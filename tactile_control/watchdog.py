@@ -88,11 +88,15 @@ class Watchdog:
         """Replace the limits between two steps."""
         self.settings = settings
 
-    def step(self, now_ns: int, stamps_ns: Mapping[str, int | None]) -> WatchdogState:
-        """State at `now_ns` for the stamps of the inputs needed now (None: none has come yet)."""
+    def step(self, now_ns: int, stamps_ns: Mapping[str, int | None], other: str = "") -> WatchdogState:
+        """State at `now_ns` for the stamps of the inputs needed now (None: none has come yet).
+
+        `other` is a reason to rest that has nothing to do with them; empty for none.
+        """
         reasons = [
             reason for name, stamp in stamps_ns.items() if (reason := self._complaint(now_ns, name, stamp))
         ]
+        reasons += [other] if other else []
         if not reasons:
             self._since_ns = None
             return _ALL_WELL

@@ -1,8 +1,10 @@
 """Frames of a video device as exposures: gray, with the time of exposure in ROS time, or refused and counted.
 
 What is refused is not published, so that the arm stops as it does when a camera falls silent: a frame that is
-torn, of another size, without anything to see on it (a dark lamp, a covered lens), equal to the one before it
-bit for bit (a frozen camera: no two exposures are equal), or stamped with a time that cannot be.
+torn or damaged inside, of another size, without anything to see on it (a dark lamp, a covered lens), equal to
+the one before it bit for bit (a frozen camera: no two exposures are equal), or stamped with a time that
+cannot be. Perception looks for most of it again, since not every image comes from here
+(`tactile_base.exposures`).
 """
 
 from __future__ import annotations
@@ -11,10 +13,10 @@ import time
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.exposures import REPEATED, DamagedJpeg, LastExposure, gray_of_jpeg, objection
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.camera import CameraFrame
 
@@ -23,7 +25,6 @@ MONOTONIC, REALTIME, ARRIVAL = "kernel, CLOCK_MONOTONIC", "kernel, CLOCK_REALTIM
 #: Formats of a device whose frames can be made gray without making colors first.
 FORMATS = ("MJPG", "YUYV", "UYVY", "GREY", "NV12")
 _LUMA_BYTE = {"YUYV": 0, "UYVY": 1}
-_JPEG_END = b"\xff\xd9"
 _OLDEST, _AHEAD = SECOND_NS, 5_000_000  # ns; ages of a frame's stamp that can be, when it has just arrived
 _STRANGE = 10  # frames stamped by no clock that is known, until it is the device's own
 _TOGETHER, _READINGS = 20_000, 5  # ns between two readings of a clock; attempts at less
@@ -116,7 +117,7 @@ class FrameIntake:
     clock: StampClock = field(default_factory=StampClock)
 
     def __post_init__(self) -> None:
-        self._raw: Pixels | None = None
+        self._last = LastExposure()
         self._stamps: deque[int] = deque(maxlen=_WINDOW)
 
     def take(self, raw: Pixels, position_ms: float, arrival: Arrival) -> CameraFrame | None:
@@ -154,17 +155,10 @@ class FrameIntake:
         return stamp_ns
 
     def _image(self, raw: Pixels) -> Pixels:
-        last, self._raw = self._raw, raw
+        repeated = not self.repeats and self._last.repeats(raw)
         image = gray_frame(raw, self.form, self.width, self.height)
-        contrast = float(image[::4, ::4].std())
-        if contrast < self.least_contrast:
-            gray = float(image.mean())
-            raise FrameRefused(
-                f"without contrast: gray levels of {gray:.0f} vary by {contrast:.1f}, must by "
-                f"{self.least_contrast:g}: is the lamp on, the lens free?"
-            )
-        if not self.repeats and last is not None and np.array_equal(last, raw):
-            raise FrameRefused("repeated: it equals the one before it bit for bit: the camera is frozen")
+        if why := objection(image, self.least_contrast) or (REPEATED if repeated else ""):
+            raise FrameRefused(why)
         return image
 
 
@@ -177,10 +171,13 @@ def gray_frame(raw: Pixels, form: str, width: int, height: int) -> Pixels:
     Raises
     ------
     FrameRefused
-        If it is torn, or of another size.
+        If it is torn, damaged inside, or of another size.
     """
     if form == "MJPG":
-        image = _decoded(raw)
+        try:
+            image = gray_of_jpeg(raw)
+        except DamagedJpeg as error:
+            raise FrameRefused(f"torn: {error}") from error
     else:
         rows = height * 3 // 2 if form == "NV12" else height
         channels = 2 if form in _LUMA_BYTE else 1
@@ -194,14 +191,3 @@ def gray_frame(raw: Pixels, form: str, width: int, height: int) -> Pixels:
             f"of another size: {image.shape[1]}x{image.shape[0]} pixels, must be {width}x{height}"
         )
     return image
-
-
-def _decoded(raw: Pixels) -> Pixels:
-    data = raw.ravel()
-    # padded with zeros by some devices; a decoder fills what is cut off with gray and says nothing
-    if _JPEG_END not in data[-4096:].tobytes().rstrip(b"\0")[-64:]:
-        raise FrameRefused(f"torn: a JPEG of {data.size} bytes without its end")
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise FrameRefused(f"torn: {data.size} bytes that are no JPEG")
-    return np.asarray(image, np.uint8)

@@ -10,12 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.exposures import DamagedJpeg, gray_of_jpeg
 from tactile_base.input_file import check_regular
 
 Image = NDArray[np.uint8]
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-#: What the file of a whole image ends with; a decoder fills what is cut off with gray and says nothing.
-_ENDS = {b"\x89PNG": b"IEND\xaeB\x60\x82", b"\xff\xd8\xff": b"\xff\xd9"}
+_JPEG, _PNG = b"\xff\xd8\xff", b"\x89PNG"
+#: What a whole PNG ends with; a decoder fills what is cut off with gray and says nothing.
+_PNG_END = b"IEND\xaeB\x60\x82"
 _PROBES = 9
 
 
@@ -52,10 +54,14 @@ def read_image(path: Path) -> Image:
 
 
 def decoded(data: bytes, what: str) -> Image:
-    """The image in the bytes of a file, gray; `ImageError` if it is cut short, or is no image."""
-    for start, end in _ENDS.items():
-        if data.startswith(start) and end not in data[-64:]:
-            raise ImageError(f"{what}: is not a readable image (truncated, {len(data)} bytes)")
+    """The image in the bytes of a file, gray; `ImageError` if it is cut short, damaged, or is no image."""
+    if data.startswith(_JPEG):
+        try:
+            return gray_of_jpeg(data)
+        except DamagedJpeg as error:
+            raise ImageError(f"{what}: is not a readable image: {error}") from error
+    if data.startswith(_PNG) and _PNG_END not in data[-64:]:
+        raise ImageError(f"{what}: is not a readable image (truncated, {len(data)} bytes)")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     except cv2.error as error:  # as of a size that no image has

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tactile_base.input_file import parse_json
 from tactile_base.settings import shown
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
+from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import Calibration
 
@@ -32,6 +33,7 @@ FRAMES = (
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
     "sensor just touches; inverse_sigma or covariance: of the components of xi around mu"
 )
+LAYOUT = "layout"
 #: Entry with the SHA-256 of the whole file as it is with `UNSUMMED` in the entry's place.
 CHECKSUM = "file_sha256"
 UNSUMMED = "-" * 64
@@ -61,6 +63,8 @@ class ModelMetadata:
     validation : loss and mean absolute error per component (mm, rad) on the validation data
     training : every setting of network, training and augmentation; for an ensemble, its members
     calibration : of the stated uncertainty, fitted on held-back training data; applied by who uses the model
+    layout : mean of the training images, by which a camera is known that is mirrored or turned; None: not
+    known
     """
 
     preprocessing: PreprocessingSettings
@@ -68,6 +72,7 @@ class ModelMetadata:
     validation: dict[str, Any]
     training: dict[str, Any] = field(default_factory=dict)
     calibration: Calibration = field(default_factory=Calibration)
+    layout: Layout | None = None
     components: tuple[str, ...] = COMPONENTS
     units: tuple[str, ...] = NETWORK_UNITS
     frames: str = FRAMES
@@ -87,8 +92,9 @@ class ModelMetadata:
         """As the strings that an ONNX file holds; everything but `format` is JSON."""
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
         values["preprocessing"] = dataclasses.asdict(self.preprocessing)
-        calibration = values.pop("calibration")
+        calibration, layout = values.pop("calibration"), values.pop("layout")
         texts = {name: json.dumps(value) for name, value in values.items()}
+        texts |= {} if layout is None else {LAYOUT: layout.to_text()}
         return {"format": FORMAT, **texts, "calibration": calibration.to_json(), CHECKSUM: UNSUMMED}
 
     @classmethod
@@ -106,6 +112,8 @@ class ModelMetadata:
             values["preprocessing"] = PreprocessingSettings.from_mapping(values["preprocessing"])
             if "calibration" in properties:
                 values["calibration"] = Calibration.from_json(properties["calibration"])
+            if LAYOUT in properties:
+                values[LAYOUT] = Layout.from_text(properties[LAYOUT], values["preprocessing"].size)
         except (ValueError, TypeError) as error:
             raise MetadataError(f"unreadable metadata: {error}") from error
         for name, expected in (("units", NETWORK_UNITS), ("components", COMPONENTS)):
@@ -116,7 +124,9 @@ class ModelMetadata:
         return cls(**values)
 
 
-_JSON_NAMES = tuple(item.name for item in dataclasses.fields(ModelMetadata) if item.name != "calibration")
+_JSON_NAMES = tuple(
+    item.name for item in dataclasses.fields(ModelMetadata) if item.name not in ("calibration", LAYOUT)
+)
 
 
 def _check_facts(values: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Presence, then estimate: what perception makes of one image, live, offline and in a replay alike."""
+"""Check, presence, estimate: what perception makes of one image, live, offline and in a replay alike."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_filter.gaussian import PoseGaussian
 from tactile_perception.estimating.image import Image
+from tactile_perception.estimating.image_check import SIDE, ImageCheck
 from tactile_perception.estimating.labels import EstimateError
 from tactile_perception.estimating.presence import ContactPresence
 
@@ -42,32 +43,57 @@ class Percept:
 class Perceiver:
     """Image -> percept. A network always answers, but without contact there is nothing to estimate.
 
-    With a `ContactPresence` an estimate is made in contact only; without one, of every image::
+    With a `ContactPresence` images are those of a sensor at work: they are checked, and an estimate is made
+    in contact only. Without one each stands for itself, and an estimate is made of it::
 
         perceive = Perceiver(Estimator(), ContactPresence())
         percept = perceive(image)
     """
 
-    def __init__(self, estimator: Estimator, presence: ContactPresence | None = None) -> None:
+    def __init__(
+        self, estimator: Estimator, presence: ContactPresence | None = None, check: ImageCheck | None = None
+    ) -> None:
         self.estimator = estimator
         self.presence = presence
+        self.check = check or ImageCheck()
         if presence is not None:
-            presence.objection = self._touching
+            presence.objection = self._no_reference
 
-    def __call__(self, image: Image, processed: bool = False) -> Percept:
+    def __call__(self, image: Image, processed: bool = False, stamp_ns: int | None = None) -> Percept:
         """The percept of one camera image, or of one that is already cropped and thresholded.
 
-        Raises `ImageError` if the image has the wrong size or type.
+        `stamp_ns` is the time of its exposure; without it images follow one another without a gap.
+
+        Raises `ImageError` if the image has the wrong size or type, `ImageRefused` if it cannot show the
+        sensor: then nothing is known of this exposure.
         """
         if self.presence is None:
             make = self.estimator.estimate_processed if processed else self.estimator.estimate
             return self._estimated(make, image, None, float("nan"))
         prepare = self.estimator.preprocessor
         prepared = prepare.from_processed(image) if processed else prepare(image)
+        if not processed:  # what is drawn at the network's input has no noise: it repeats itself
+            self.check.exposure(image)
+        view = prepare.view(SIDE)
+        if self.presence.ready:
+            self.check.look(view, self.presence.touched, stamp_ns)
+        else:
+            self.check.capture(view)
         presence = self.presence.update(prepared)
+        if presence.in_contact is None and (self.presence.ready or presence.refused):
+            self.check.take(not presence.refused)
         if not presence.in_contact:
             return Percept(presence.in_contact, presence.score, fault=presence.refused)
         return self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
+
+    def _no_reference(self, prepared: NDArray) -> str:
+        """Why an image is not one without contact, as the camera of the training was mounted; else empty."""
+        metadata = self.estimator.metadata
+        if metadata.layout is not None and (
+            why := metadata.layout.objection(prepared, metadata.preprocessing)
+        ):
+            return why
+        return self._touching(prepared)
 
     def _touching(self, prepared: NDArray) -> str:
         """Why an image is not one without contact, by the depth that the network sees; else empty."""

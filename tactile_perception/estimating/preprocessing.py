@@ -105,6 +105,7 @@ class Preprocessor:
         self._smooth = np.empty(shape, np.uint8)
         self._binary = np.empty(shape, np.uint8)
         self._resized = np.empty((self.settings.size, self.settings.size), np.uint8)
+        self._last: Image = self._binary
         self._mask = _circle_mask(shape, self.settings.circle_mask_radius)
 
     def __call__(self, image: Image) -> NDArray[np.float32]:
@@ -112,13 +113,24 @@ class Preprocessor:
 
         Raises `ImageError` if it is not uint8 of `raw_shape`, or of `crop_shape`, as which it is the crop.
         """
+        self._last = self._binary
         self._binarize(image, self._binary)
         self._resize(self._binary, self._resized)
         return as_input(self._resized)
 
     def from_processed(self, crop: Image) -> NDArray[np.float32]:
         """Already cropped and thresholded image, uint8 of any size -> network input."""
-        return as_input(self.resized(crop))
+        self._last = check_image(crop, None, "processed image")
+        self._resize(self._last, self._resized)
+        return as_input(self._resized)
+
+    def view(self, side: int) -> Image:
+        """What the last call, or `from_processed`, made an input of, at another size: uint8 (side, side)."""
+        if side == self.settings.size:
+            return self._resized
+        result = np.empty((side, side), np.uint8)
+        _shrink(self._last, result)
+        return result
 
     def binary(self, image: Image) -> Image:
         """Camera image -> cropped, thresholded and masked image, uint8 0 or 255 of `crop_shape`.
@@ -172,13 +184,19 @@ class Preprocessor:
         return image[y0:y1, x0:x1]
 
     def _resize(self, crop: Image, result: Image) -> None:
-        side, shape = self.settings.size, (crop.shape[0], crop.shape[1])
         if self.settings.redraw_radius:
+            shape = (crop.shape[0], crop.shape[1])
             crop = redrawn(detect(crop), shape, self.settings.redraw_radius)
-        if side <= min(shape) and shape[0] <= _C_MAX_RATIO * side:
-            _image.shrink(result, _adjacent_columns(crop))
-        else:
-            cv2.resize(crop, (side, side), dst=result, interpolation=cv2.INTER_AREA)
+        _shrink(crop, result)
+
+
+def _shrink(crop: Image, result: Image) -> None:
+    """The mean over areas, into `result` (side, side)."""
+    side = len(result)
+    if side <= min(crop.shape) and crop.shape[0] <= _C_MAX_RATIO * side:
+        _image.shrink(result, _adjacent_columns(crop))
+    else:
+        cv2.resize(crop, (side, side), dst=result, interpolation=cv2.INTER_AREA)
 
 
 def _adjacent_columns(image: Image) -> Image:

@@ -107,6 +107,11 @@ class ContactPresence:
         return not self._capturing
 
     @property
+    def touched(self) -> bool:
+        """Whether there was contact in the last image."""
+        return self._in_contact
+
+    @property
     def reference(self) -> Prepared | None:
         """Mean no-contact image (size, size), or None."""
         return self._reference

@@ -64,6 +64,7 @@ def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
         training_data=first.training_data,
         validation={},
         training={"members": facts},
+        layout=first.layout,
     )
 
 

@@ -25,9 +25,11 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 
 from tactile_base.settings import Settings, setting
 from tactile_base.whole_file import whole_file
+from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import (
     CHECKSUM,
     INPUT_NAME,
+    LAYOUT,
     UNSUMMED,
     MetadataError,
     ModelMetadata,
@@ -98,7 +100,7 @@ def quantize(
         )
         result = onnx.load_model(str(quantized))
     _correct_head(result, model, images)
-    _note(result, settings, len(images))
+    _note(result, settings, images)
     with whole_file(out_path) as temporary:
         temporary.write_bytes(summed(result.SerializeToString()))
     return Path(out_path)
@@ -214,13 +216,17 @@ def _head_outputs(model: onnx.ModelProto, images: NDArray[np.uint8]) -> NDArray[
     return np.concatenate(parts).astype(np.float64)
 
 
-def _note(model: onnx.ModelProto, settings: QuantizationSettings, images: int) -> None:
-    """Tell in the metadata, beside the settings of the training, that and how the network was quantized."""
+def _note(model: onnx.ModelProto, settings: QuantizationSettings, images: NDArray[np.uint8]) -> None:
+    """Tell in the metadata, beside the settings of the training, that and how the network was quantized.
+
+    A model that was trained before there was a layout gets that of these images.
+    """
     properties = {entry.key: entry.value for entry in model.metadata_props if entry.key not in _LEFT_BEHIND}
     training: dict[str, Any] = json.loads(properties.get("training", "{}"))
     types = {"activations": "uint8", "weights": "int8"}
-    training["quantization"] = {**asdict(settings), "images": images, **types}
+    training["quantization"] = {**asdict(settings), "images": len(images), **types}
     properties["training"] = json.dumps(training)
+    properties.setdefault(LAYOUT, Layout.of(images).to_text())
     properties[CHECKSUM] = UNSUMMED
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, properties)

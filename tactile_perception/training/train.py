@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tactile_perception.estimating.labels import COMPONENTS
+from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
@@ -253,6 +254,7 @@ class _Run:
             validation={"loss": self.loss_name, **validation, "epoch": best.number + 1},
             training=training,
             calibration=calibration,
+            layout=Layout.of(self.data.training.images),
         )
         sigma = self._constant_sigma()
         self.network.to("cpu")

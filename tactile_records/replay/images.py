@@ -20,6 +20,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import ESTIMATE, IMAGE, PRESENCE, Topic, compressed, sensor_frame
 from tactile_perception.estimating.encodings import decompressed, gray_of
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, ModelError
@@ -156,7 +157,10 @@ class _Estimates:
             n.removeprefix("presence."): v for n, v in parameters.items() if n.startswith("presence.")
         }
         self.presence = ContactPresence(PresenceSettings.from_mapping(presence))
-        self.perceive = Perceiver(estimator, self.presence)
+        check = {n.removeprefix("check."): v for n, v in parameters.items() if n.startswith("check.")}
+        self.perceive = Perceiver(
+            estimator, self.presence, ImageCheck(ImageCheckSettings.from_mapping(check))
+        )
         self.last_ns = -1
         self.faults: Counter[str] = Counter()
         self.first_fault: dict[str, str] = {}
@@ -169,7 +173,7 @@ class _Estimates:
             return self._refuse("images are not later than the one before them", f"stamp {image.stamp_ns} ns")
         self.last_ns = image.stamp_ns
         try:
-            percept = self.perceive(image.pixels)
+            percept = self.perceive(image.pixels, stamp_ns=image.stamp_ns)
         except ImageError as error:
             return self._refuse("images cannot be used", str(error))
         if percept.in_contact is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -67,8 +68,10 @@ class RunLog:
         """When the controller answered an exposure."""
         self._latency.append((exposure_ns, (now_ns - exposure_ns) / SECOND_NS))
 
-    def finish(self, succeeded: bool, reason: str, wall_s: float) -> RunRecord:
-        """The record with all rows."""
+    def finish(
+        self, succeeded: bool, reason: str, wall_s: float, refused: Mapping[str, int] | None = None
+    ) -> RunRecord:
+        """The record with all rows; `refused` counts what perception has refused."""
         record = self.record
         for stream, rows in self._rows.items():
             setattr(record, stream, _series(type(getattr(record, stream)), rows))
@@ -76,6 +79,7 @@ class RunLog:
             record.latency = {COMMAND_STAGE: _series(StageSeries, self._latency)}
             record.lost = {COMMAND_STAGE: 0}
         record.result = {"succeeded": succeeded, "reason": reason, "wall_s": wall_s}
+        record.result |= {"refused": dict(refused)} if refused else {}
         return record
 
 

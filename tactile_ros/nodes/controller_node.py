@@ -26,6 +26,7 @@ from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import STATE_FLAGS, STATE_XI, read_state
+from tactile_ros.colleagues import EstimatorWord, Partners
 from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
@@ -52,6 +53,10 @@ class ControllerTimingSettings(Settings):
     feedback_period: float = setting(
         0.1, lower=0.01, upper=10.0, unit="s", doc="the action's feedback is sent this often"
     )
+    partner_age: float = setting(
+        0.2, lower=0.03, upper=10.0, unit="s",
+        doc="the task rests when the controller of one of `partners` has said nothing for this long",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,14 +91,22 @@ class ControllerNode(TaskNode):
         if self.task_type.node != "controller":
             raise SettingError(f"parameter task = {self.task}: is run by the {self.task_type.node}")
         self.timing = SettingsParameters(
-            self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period",)
+            self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period", "partner_age")
         )
+        named = declare_read_only(
+            self,
+            "partners",
+            [""],
+            "arms that work on the same object: the task rests when one of them does not go on",
+        )
+        self.partner_arms = [arm for arm in named if arm]
         self.settings = GroupParameters(self, self.task_type.settings_class(), self._configure_task)
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.space = fixed_settings(self, SpaceSettings(), "space")
         self.last: Command | None = None
         self.goals = 0
         self.goal_name = ""
+        self.estimator: EstimatorWord | None = None
         self.forget()
 
     # ---- lifecycle ----
@@ -113,6 +126,8 @@ class ControllerNode(TaskNode):
                 raw=True,
                 frame=self.sensor_frame,
             )
+            self.estimator = EstimatorWord(self)
+        self.partners = Partners(self, self.partner_arms, self.timing.value.partner_age)
         self.open_task(self.timing.value.watchdog_period)
 
     def activate(self) -> None:
@@ -168,6 +183,8 @@ class ControllerNode(TaskNode):
             pose = self.sensor_pose()
             inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None)
             broken = self.run.task.traceback
+            self.run.task.partner = self.partners.trouble()
+            self.run.task.remark = self.estimator.text if self.estimator else ""
             command = self.run.task.step(now_ns, inputs)
             now_ns = self.send_twist(command.twist)
             if self.run.task.traceback != broken:

@@ -4,8 +4,8 @@ For each image it publishes `contact/presence` and, in contact, `contact/estimat
 answers, but without contact there is nothing to estimate. Both have the image's exposure stamp.
 The newest image wins: what it replaces is told by the stamps and counted. Colors and crops become what the
 model was trained on where its file says how (`estimating.encodings`, `Preprocessor`). Images that cannot be
-used (another encoding, another size) and answers of the network that are not a Gaussian are refused, counted
-and told in /diagnostics.
+used (another encoding, another size, no picture of the sensor: `estimating.image_check`) and answers of the
+network that are not a Gaussian are refused, counted and told in /diagnostics, at once when it begins.
 
 After activation the first images, taken without contact, become the reference of the contact presence; until
 then nothing is published. Images in which the network sees a contact, or that differ from the last reference
@@ -28,6 +28,7 @@ from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
 from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
@@ -77,7 +78,13 @@ class EstimatorNode(ManagedNode):
             self, PresenceSettings(), prefix="presence", on_change=self.presence.configure
         )
         self.presence.configure(presence.value)
+        self.check = ImageCheck()
+        checked = SettingsParameters(
+            self, ImageCheckSettings(), prefix="check", on_change=self._configure_check
+        )
+        self._configure_check(checked.value)
         self.last_stamp_ns = 0
+        self.refusing = False
 
     def configure(self) -> None:
         """Load the model, run it warm, and create publishers and subscription."""
@@ -87,7 +94,7 @@ class EstimatorNode(ManagedNode):
         except ModelError as error:
             raise ConfigurationError(str(error)) from error
         self.report.values["model"] = str(estimator.path)
-        self.perceive = Perceiver(estimator, self.presence)
+        self.perceive = Perceiver(estimator, self.presence, self.check)
         self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
@@ -109,10 +116,19 @@ class EstimatorNode(ManagedNode):
         try:
             self._process(image.array(), image.stamp_ns, received_ns)
         except (MessageError, ImageError) as error:
+            if isinstance(error, ImageRefused):
+                self.count(f"images refused, {error.kind}")
             self._refuse("images refused", f"tactile/image refused: {error}")
+            if not self.refusing:  # a task that stops for it is to know why before it fails
+                self.refusing = True
+                self.publish_diagnostics()
+
+    def _configure_check(self, settings: ImageCheckSettings) -> None:
+        self.check.settings = settings
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
-        percept = self.perceive(image)
+        percept = self.perceive(image, stamp_ns=stamp_ns)
+        self.refusing = False
         if percept.in_contact is None:
             self._tell_reference(percept.fault)
             return
@@ -157,8 +173,13 @@ class EstimatorNode(ManagedNode):
     def _tell_reference(self, refused: str) -> None:
         if refused:
             outlook = "the last one stays" if self.presence.ready else "nothing is published without one"
-            text = f"reference of the contact presence refused: {refused}; {outlook}. Lift the sensor off"
-            self._refuse("references refused", f"{text} and call {self.get_name()}/capture_reference")
+            text = (
+                f"reference of the contact presence refused: {refused}; {outlook}. Set that right, with the "
+            )
+            self._refuse(
+                "references refused",
+                f"{text}sensor off the surface, and call {self.get_name()}/capture_reference",
+            )
         elif self.presence.ready:
             self.get_logger().info(
                 "reference of the contact presence taken: nothing may have touched the sensor"

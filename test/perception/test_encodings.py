@@ -103,7 +103,7 @@ def test_a_jpeg_is_gray_to_within_its_losses(form):
         (packed(RGB, ".png"), "tiff", "format is 'tiff', must be 'jpeg' or 'png'"),
         (packed(RGB.astype(np.uint16), ".png"), "png", "PNG of 16 bits, must have 8"),
         (packed(RGB, ".png")[:-20], "png", "truncated"),
-        (packed(RGB, ".jpg")[:-20], "jpeg", "truncated"),
+        (packed(RGB, ".jpg")[:-20], "jpeg", "without its end"),
         (b"", "jpeg", "not a readable image"),
         (b"nothing", "mono8; png", "not a readable image"),
     ],

@@ -7,6 +7,7 @@ from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator
@@ -15,13 +16,24 @@ FREE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
 TOUCHED = np.full((480, 640), 90, np.uint8)
 
 
+#: These pictures are none of a sensor; what is refused of images is tested in test_image_check.py.
+ANY = ImageCheckSettings(
+    repeats=True, least_contrast=0.0, fewest_markers=0.0, most_markers=100.0, least_white=0.0,
+    most_white=100.0, least_likeness=-1.0, least_continuity=-1.0,
+)  # fmt: skip
+
+
+def any_image() -> ImageCheck:
+    return ImageCheck(ANY)
+
+
 def presence() -> ContactPresence:
     return ContactPresence(PresenceSettings(reference_frames=2))
 
 
 def test_an_estimate_is_made_in_contact_only(constant_model):
     estimator = Estimator(constant_model((0, 0, -1.0, 0, 0, 0)))
-    perceive = Perceiver(estimator, presence())
+    perceive = Perceiver(estimator, presence(), any_image())
     percepts = [perceive(image) for image in (FREE, FREE, FREE, TOUCHED, FREE)]
     assert [percept.in_contact for percept in percepts] == [None, None, False, True, False]
     assert [percept.estimate is not None for percept in percepts] == [False, False, False, True, False]
@@ -38,7 +50,7 @@ def test_without_a_presence_every_image_is_estimated(constant_model):
 
 
 def test_an_answer_that_is_no_gaussian_leaves_the_presence_and_says_why(constant_model):
-    perceive = Perceiver(Estimator(constant_model(mu=(np.nan,) * 6)), presence())
+    perceive = Perceiver(Estimator(constant_model(mu=(np.nan,) * 6)), presence(), any_image())
     *_, percept = [perceive(image) for image in (FREE, FREE, TOUCHED)]
     assert percept.in_contact and percept.estimate is None
     assert "NaN" in percept.fault
@@ -50,7 +62,7 @@ def test_an_image_of_the_wrong_size_is_an_error(constant_model):
 
 
 def test_images_in_which_the_network_sees_a_contact_are_no_reference(constant_model):
-    perceive = Perceiver(Estimator(constant_model((0, 0, -3.1, 0, 0, 0))), presence())
+    perceive = Perceiver(Estimator(constant_model((0, 0, -3.1, 0, 0, 0))), presence(), any_image())
     percepts = [perceive(FREE) for _ in range(4)]
     assert [percept.in_contact for percept in percepts] == [None] * 4
     assert [percept.fault for percept in percepts[::2]] == ["", ""]
@@ -74,5 +86,7 @@ def test_the_shipped_network_knows_a_contact_from_none(depth_mm, refused):
 
 
 def test_a_covered_camera_gives_no_reference():
-    perceive = Perceiver(Estimator(), presence())
+    perceive = Perceiver(Estimator(), presence(), any_image())
     assert [perceive(TOUCHED).fault for _ in range(2)][1].startswith("the network sees a contact")
+    with pytest.raises(ImageRefused, match="without contrast: gray levels of 90 vary by 0"):
+        Perceiver(Estimator(), presence())(TOUCHED)

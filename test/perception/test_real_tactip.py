@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from tactile_perception.datasets.dataset import open_folder, read_dataset
+from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.labels import labels_from_euler, network_from_pose
+from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.presence import ContactPresence
 
 DATA = Path(os.environ.get("TACTILE_REAL_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
@@ -55,6 +57,47 @@ def test_deep_contacts_stand_out_from_shallow_ones_for_contact_presence(sample):
     presence.set_reference(images[depth < 0.9])
     scores = np.array([presence.update(image).score for image in images])
     assert np.median(scores[depth > 4.0]) > 3.0 * np.median(scores[depth < 0.9])
+
+
+def shallow(images: np.ndarray, depth: np.ndarray, count: int = 20) -> np.ndarray:
+    """The data hold no image without contact; the shallowest contacts stand in."""
+    return images[np.argsort(depth)[:count]]
+
+
+def checked(images: np.ndarray, first: np.ndarray) -> int:
+    """How many of some images are refused for their markers, against a first one."""
+    check = ImageCheck(ImageCheckSettings(least_likeness=-1.0, least_continuity=-1.0))
+    check.capture(first)
+    check.take(True)
+    refused = 0
+    for image in images:
+        try:
+            check.look(image, True)
+        except ImageRefused:
+            refused += 1
+    return refused
+
+
+def test_none_of_them_is_refused_for_its_markers_or_its_white(sample):
+    first = shallow(sample.images, sample.euler_mm_deg[:, 2])[0]
+    assert checked(sample.images, first) == 0
+    half = sample.images[:50].copy()
+    half[:, 40:88, 40:88] = 255  # a seventh of it: what is even comes out white
+    assert checked(half, first) == 50
+
+
+@pytest.mark.parametrize("name", ["tactip_franka/train", "cr_tactip/train"])
+def test_their_layout_tells_how_the_camera_is_mounted(name, sample):
+    """From the mean of contacts; the shallowest ones are asked for in place of images without contact."""
+    folder = DATA / name
+    if not folder.is_dir():
+        pytest.skip(f"no real data at {folder}")
+    data = read_dataset(folder, limit=400)
+    layout, settings = Layout.of(data.images), data.preprocessing
+    images = shallow(data.images, data.euler_mm_deg[:, 2])
+    assert [layout.objection(image, settings) for image in images] == [""] * len(images)
+    for turned in (images[:, :, ::-1], images[:, ::-1], images[:, ::-1, ::-1], np.rot90(images, axes=(1, 2))):
+        assert all(layout.objection(image, settings).startswith("the picture is ") for image in turned)
 
 
 def test_a_short_training_on_them_gives_a_working_estimator(tmp_path):

@@ -1,6 +1,7 @@
 """Estimates made anew from recorded images, by an estimator that stands in for the network."""
 
 import json
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -26,6 +27,17 @@ COV = np.diag([1e-8] * 3 + [1e-5] * 3)
 FREE = 20  # images without contact, of which the reference is made
 
 
+class Reduced:
+    """A pre-processing that only makes images smaller."""
+
+    def __call__(self, image):
+        self.small = cv2.resize(image, (128, 128), interpolation=cv2.INTER_AREA)
+        return self.small.reshape(1, 1, 128, 128).astype(np.float32) / 255.0
+
+    def view(self, side: int):
+        return self.small
+
+
 class Brightness:
     """An estimator whose depth is the image's brightness; it refuses the brightest."""
 
@@ -34,9 +46,8 @@ class Brightness:
         if self.model == "broken.onnx":
             raise ModelError("broken.onnx: is not a usable ONNX model")
 
-    def preprocessor(self, image):
-        small = cv2.resize(image, (128, 128), interpolation=cv2.INTER_AREA)
-        return small.reshape(1, 1, 128, 128).astype(np.float32) / 255.0
+        self.preprocessor = Reduced()
+        self.metadata = SimpleNamespace(layout=None)
 
     def estimate_prepared(self, prepared) -> PoseGaussian:
         depth = 0.01 * float(prepared.mean())
@@ -56,7 +67,20 @@ def picture(k: int):
     return (np.random.default_rng(k).integers(-2, 3, (480, 640)) + level).astype(np.uint8)
 
 
+#: These pictures are none of a sensor.
+ANY_IMAGE = {
+    "check.least_contrast": 0.0, "check.least_white": 0.0, "check.most_white": 100.0,
+    "check.least_likeness": -1.0, "check.least_continuity": -1.0,
+}  # fmt: skip
+
+
 def with_images(kind: str, count: int = 40):
+    source = plain(kind, count)
+    source.note["parameters"] = json.dumps({"/arm/estimator": ANY_IMAGE})
+    return source
+
+
+def plain(kind: str, count: int):
     source = recording(count).without("/arm/contact/estimate").without("/arm/contact/presence")
     for k in range(count):
         stamp_ns = START_NS + k * STEP_NS
@@ -158,3 +182,21 @@ def test_a_bag_without_images_is_an_error_that_says_how_to_record_them(tmp_path)
     bag = read_bag(recording(3).write(tmp_path / "bag"), wanted_with_images)
     with pytest.raises(ReplayError, match=r"no images on <arm>/tactile/image.*--record-images records them"):
         estimated(bag, None)
+
+
+def test_images_that_cannot_show_the_sensor_are_refused_as_they_were_live(tmp_path):
+    source = with_images("raw")
+    topic = "/arm/tactile/image"
+    source.note["parameters"] = json.dumps({"/arm/estimator": {**ANY_IMAGE, "check.least_contrast": 0.5}})
+    head = header(START_NS + 30 * STEP_NS, "arm/tactile_sensor")
+    frozen = make(IMAGE, head, 480, 640, "mono8", 0, 640, picture(29).reshape(-1))
+    rows = [k for k, message in enumerate(source.messages) if message[0] == topic]
+    old = source.messages[rows[30]]
+    source.messages[rows[30]] = (*old[:2], bytes(STORE.serialize_cdr(frozen, IMAGE)), old[3])
+    found, remarks = beliefs(source, tmp_path / "bag")
+    valid = {round((b.stamp_ns - START_NS) / STEP_NS) for b in found if b.valid}
+    assert valid == set(range(FREE, 40)) - {30}
+    assert remarks == [
+        "arm: 1 images cannot be used, the first: repeated: it equals the one before it bit for bit: "
+        "the camera is frozen"
+    ]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Pose, Quaternion
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -214,6 +215,50 @@ def test_an_image_stream_that_stops_brings_the_twist_to_zero_within_200_ms_and_s
     assert moving[-1] - stopped_at < 0.2 * SECOND
     assert world.rests() and not result.success
     assert "belief" in result.reason and "limit 100 ms" in result.reason
+
+
+def test_what_the_estimator_says_of_its_images_is_in_the_reason_of_a_task_that_waits_for_them(world):
+    reports = world.graph.publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
+    handle = world.following()
+    world.patience(1.0)
+    text = "tactile/image refused: repeated: it equals the one before it bit for bit"
+    others = DiagnosticStatus(level=b"\2", name="/arm/filter", message="something else")
+    own = DiagnosticStatus(level=b"\1", name="/arm/estimator", message=text)
+    reports.publish(DiagnosticArray(status=[others, own]))
+    world.images = False
+    result = world.result(handle)
+    assert "belief" in result.reason and result.reason.endswith(text), result.reason
+
+
+def test_the_task_rests_when_the_arm_that_it_works_with_waits_or_falls_silent_and_names_it(graph):
+    graph.start(CONTROLLER, {**FAST, "partners": ["other"]})
+    world = World(graph)
+    partner = graph.publisher(ControllerStatus, "/other/controller/status")
+    well = ControllerStatus(phase="track")
+
+    def step_until(condition, status: ControllerStatus | None) -> bool:
+        def turn() -> bool:
+            if status is not None:
+                partner.publish(status)
+            return condition()
+
+        return world.run_until(turn)
+
+    assert graph.wait(lambda: bool(world.twists) and bool(world.statuses))
+    future = world.client.send_goal_async(
+        RunTask.Goal(task="surface_following", name="line", goal="{direction_deg: 90.0, length: 0.5}")
+    )
+    moving = lambda: world.phase() == "follow" and world.twist()[1] > 0.005  # noqa: E731
+    assert step_until(lambda: future.done() and moving(), well), world.statuses[-1]
+    waiting = ControllerStatus(phase="track", reason="presence is 120 ms old, limit 100 ms")
+    assert step_until(world.rests, waiting)
+    assert step_until(lambda: "other: presence is 120 ms old" in world.statuses[-1].reason, waiting)
+    assert step_until(moving, well), "and goes on with it"
+    assert step_until(world.rests, None)
+    assert "other: no controller/status of it is heard" in world.statuses[-1].reason
+    assert step_until(moving, well)
+    assert step_until(world.rests, ControllerStatus(phase="failed"))
+    assert "other: its task is over" in world.statuses[-1].reason
 
 
 def test_twists_decrease_smoothly_while_the_watchdog_stops(world):

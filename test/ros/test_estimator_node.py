@@ -5,15 +5,20 @@ import time
 import cv2
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from messages import gaussian_from_message, image_message
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
+from tactile_drivers.doubles.lying_camera import LYING_CAMERAS
+from tactile_drivers.shapes.plane import Plane
+from tactile_drivers.sim.tactip import TacTip
+from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, StageLatency
 from tactile_perception.estimating.model_metadata import INPUT_NAME, INVERSE_SIGMA, MEAN, ModelMetadata
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
-from tactile_perception.estimator import Estimator
+from tactile_perception.estimator import Estimator, shipped_model
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
 
@@ -64,11 +69,19 @@ def stamps(messages) -> set[int]:
 WHITE = np.full((480, 640), 200, np.uint8)
 
 
+#: The pictures of these tests are none of a sensor, and sent again and again.
+ANY_IMAGE = {
+    "check.repeats": True, "check.least_contrast": 0.0, "check.fewest_markers": 0.0,
+    "check.most_markers": 100.0, "check.least_white": 0.0, "check.most_white": 100.0,
+    "check.least_likeness": -1.0, "check.least_continuity": -1.0,
+}  # fmt: skip
+
+
 class Camera:
     """Publishes images of the test's choice and keeps what the estimator answers."""
 
     def __init__(self, graph, model: str) -> None:
-        parameters = {"model": model, "presence.reference_frames": REFERENCE_FRAMES}
+        parameters = {"model": model, "presence.reference_frames": REFERENCE_FRAMES, **ANY_IMAGE}
         graph.start(ESTIMATOR, {**parameters, "diagnostics_period": 0.02})
         self.graph = graph
         self.stamp_ns = 0
@@ -242,7 +255,7 @@ def test_an_image_without_a_stamp_is_refused_with_what_would_be_right(camera):
 
 def test_compressed_images_are_taken_by_the_name_of_image_transport(graph, model):
     settings = {"images.transport": "compressed", "presence.reference_frames": REFERENCE_FRAMES}
-    graph.start(ESTIMATOR, {"model": model, **settings, "diagnostics_period": 0.02})
+    graph.start(ESTIMATOR, {"model": model, **settings, **ANY_IMAGE, "diagnostics_period": 0.02})
     images = graph.publisher(CompressedImage, "tactile/image/compressed", qos.IMAGE)
     estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
     start_ns = time.time_ns() - SECOND
@@ -261,7 +274,7 @@ def test_compressed_images_are_taken_by_the_name_of_image_transport(graph, model
 
 def test_the_time_offset_of_a_camera_is_added_to_the_stamps(graph, model):
     settings = {"images.time_offset": -0.012, "presence.reference_frames": REFERENCE_FRAMES}
-    graph.start(ESTIMATOR, {"model": model, **settings})
+    graph.start(ESTIMATOR, {"model": model, **settings, **ANY_IMAGE})
     images = graph.publisher(Image, "tactile/image", qos.IMAGE)
     estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
     start_ns = time.time_ns() - SECOND
@@ -271,6 +284,51 @@ def test_the_time_offset_of_a_camera_is_added_to_the_stamps(graph, model):
     assert graph.wait(lambda: len(estimates) == 1)
     exposed_ns = start_ns + (REFERENCE_FRAMES + 1) * PERIOD_NS
     assert ns_from_time(estimates[0].header.stamp) == exposed_ns - 12_000_000
+
+
+@pytest.mark.skipif(
+    not shipped_model().is_file(), reason="the shipped model is not there: `make model` trains it"
+)
+def test_images_of_cameras_that_lie_are_refused_by_kind_told_at_once_and_the_next_true_one_is_taken(graph):
+    settings = {"presence.reference_frames": REFERENCE_FRAMES, "diagnostics_period": 30.0}
+    graph.start(ESTIMATOR, settings)
+    images = graph.publisher(Image, "tactile/image", qos.IMAGE)
+    presences, reports = (
+        graph.collect(ContactPresence, "contact/presence"),
+        graph.collect(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS),
+    )
+    sensor, stamp_ns = TacTip(seed=5), time.time_ns() - 2 * SECOND
+
+    def send(image, taken: bool):
+        nonlocal stamp_ns
+        stamp_ns += PERIOD_NS
+        images.publish(image_message(stamp_ns, SENSOR, image))
+        time.sleep(0.05)  # the newest image wins
+        if taken:
+            assert graph.wait(lambda: stamp_ns in stamps(presences))
+
+    for _ in range(REFERENCE_FRAMES):
+        send(sensor.image(), taken=False)
+    for depth in np.arange(0.0, 3.0, 0.25):
+        sensor.advance(Plane(), se3.pose_from_euler([0, 0, 0.020 - depth * 1e-3, np.pi, 0, 0]))
+        send(sensor.image(), taken=True)
+    assert presences[-1].in_contact
+    for kind in ("mirrored", "turned_180", "frozen", "noise", "grey"):
+        camera = LYING_CAMERAS[kind](seed=1)
+        truth = sensor.image()
+        camera.see(truth)
+        send(truth, taken=True)
+        told = len(reports)
+        for _ in range(3):
+            send(camera(sensor.image()), taken=False)
+        assert graph.wait(lambda told=told: any("refused" in r.status[0].message for r in reports[told:]))
+        assert stamp_ns not in stamps(presences), kind
+        send(sensor.image(), taken=True)
+    values = {item.key: item.value for item in reports[-1].status[0].values}
+    assert {name for name in values if name.startswith("images refused, ")} == {
+        "images refused, another picture at once", "images refused, repeated",
+        "images refused, no image of the sensor", "images refused, without contrast",
+    }  # fmt: skip
 
 
 def test_nan_from_the_network_is_refused_counted_and_told(camera):
