@@ -8,8 +8,9 @@ the control rate and sends the twist of the `Command` that comes back. In betwee
     while not (command := task.step(now_ns(), inputs())).done:
         send(command.twist)
 
-Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed. A task that begins in
-a contact, which was not made by it, leaves the surface before. What a task adds is one file of
+Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed; where that is set,
+touch and lift before the approach. A task that begins in a contact, which was not made by it, leaves the
+surface before. What a task adds is one file of
 tactile_control/tasks: its own phase's name, the reference velocity in it, and when it is done. How a task
 stops and fails is in `phases`.
 """
@@ -17,16 +18,14 @@ stops and fails is in `phases`.
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingGroups, Settings, setting
 from tactile_base.stamps import NANOSECOND, SECOND_NS
-from tactile_control.limiter import LimiterSettings
-from tactile_control.motion import Odometer, TravelSettings, along_z
+from tactile_control.contact_settings import ContactSettings, ContactTaskSettings
+from tactile_control.motion import Odometer, along_z
 from tactile_control.phases import (
     DONE,
     FAILED,
@@ -41,95 +40,37 @@ from tactile_control.phases import (
     TaskInputs,
     newer,
 )
-from tactile_control.pid import PidSettings
-from tactile_control.servoing import ServoingController, ServoingOutput, ServoingSettings
-from tactile_control.surface_check import SurfaceCheck, SurfaceSettings
-from tactile_control.watchdog import WatchdogSettings
+from tactile_control.servoing import ServoingController, ServoingOutput
+from tactile_control.surface_check import SurfaceCheck
 from tactile_filter import se3
-from tactile_filter.prediction import ContactPredictor, PredictionSettings
+from tactile_filter.prediction import ContactPredictor
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
 
 Array = NDArray[np.float64]
 
 LEAVE = "leave"
+TOUCH = "touch"
+LIFT = "lift"
 APPROACH = "approach"
 SETTLE = "settle"
-LOST_CONTACT = ("reapproach", "fail")
+INTO_CONTACT = (LEAVE, GO_TO_START, TOUCH, LIFT, APPROACH, SETTLE)  # what comes before a task's own phase
 LEAVE_WITHIN = 3.0  # retreat distances, within which a contact that was there before the task has to end
+LIFT_BY, LIFT_WITHIN = 0.003, 0.009  # m off a dry touch, and that its contact ends within
+FELT_AGAIN = 0.0015  # m beyond a dry touch, within which an approach has to feel it again
 TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; the work takes the large middle part
-PROGRESS = {LEAVE: 0.0, GO_TO_START: 0.0, APPROACH: 0.04, SETTLE: 0.07, RETREAT: 0.97, DONE: 1.0}
+PROGRESS = {
+    LEAVE: 0.0,
+    GO_TO_START: 0.0,
+    TOUCH: 0.02,
+    LIFT: 0.03,
+    APPROACH: 0.04,
+    SETTLE: 0.07,
+    RETREAT: 0.97,
+    DONE: 1.0,
+}
 WORK_PROGRESS = 0.1
-
-
-@dataclass(frozen=True)
-class ContactSettings(Settings):
-    """Speeds, tolerances and time limits of the phases that tasks in contact share."""
-
-    approach_speed: float = setting(
-        0.004, lower=1e-4, upper=0.02, unit="m/s", doc="speed along the sensor's z until contact"
-    )
-    press_distance: float = setting(
-        0.0007,
-        lower=0.0,
-        upper=0.005,
-        unit="m",
-        doc="the approach goes on for this much after the first touch, where images say little yet",
-    )
-    approach_distance: float = setting(
-        0.015, lower=1e-3, upper=0.5, unit="m", doc="without contact within this the task fails"
-    )
-    approach_timeout: float = setting(20.0, lower=0.1, upper=600.0, unit="s", doc="longest approach")
-    settle_depth_tolerance: float = setting(
-        0.00025, lower=1e-6, upper=0.005, unit="m", doc="settled when the error along z stays below this"
-    )
-    settle_angle_tolerance: float = setting(
-        0.03,
-        lower=1e-4,
-        upper=0.5,
-        unit="rad",
-        doc="and the tilt error (phi_x, phi_y) below this; errors that have no gain (pid.kp, pid.ki) are not "
-        "waited for",
-    )
-    settle_time: float = setting(0.3, lower=0.0, upper=60.0, unit="s", doc="for this long")
-    settle_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest settling")
-    leave_first: bool = setting(
-        True, doc="a task that begins in contact leaves the surface and approaches; else it settles at once"
-    )
-    lost_contact_time: float = setting(
-        0.1, lower=0.0, upper=10.0, unit="s", doc="contact counts as lost when it was absent for this long"
-    )
-    lost_contact: str = setting(
-        "reapproach", choices=LOST_CONTACT, doc="on lost contact: approach again where the sensor is, or fail"
-    )
-    reapproaches: int = setting(3, lower=0, upper=100, doc="fail when contact is lost more often than this")
-    retreat_distance: float = setting(
-        0.015, lower=0.0, upper=0.3, unit="m", doc="way back along the sensor's -z"
-    )
-    retreat_speed: float = setting(0.03, lower=1e-3, upper=0.5, unit="m/s", doc="speed of the retreat")
-    retreat_timeout: float = setting(10.0, lower=0.1, upper=600.0, unit="s", doc="longest retreat")
-    pose_step: float = setting(
-        0.0002,
-        lower=0.0,
-        upper=0.01,
-        unit="m",
-        doc="sensor positions nearer to each other than this do not add to the path length (poses are noisy)",
-    )
-
-
-@dataclass(frozen=True)
-class ContactTaskSettings(SettingGroups):
-    """All settings of the control chain; a task adds its own as the group `task`."""
-
-    travel: TravelSettings = field(default_factory=TravelSettings)
-    contact: ContactSettings = field(default_factory=ContactSettings)
-    servoing: ServoingSettings = field(default_factory=ServoingSettings)
-    pid: PidSettings = field(default_factory=PidSettings)
-    limiter: LimiterSettings = field(default_factory=LimiterSettings)
-    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
-    prediction: PredictionSettings = field(default_factory=PredictionSettings)
-    surface: SurfaceSettings = field(default_factory=SurfaceSettings)
 
 
 class ContactTask(PhaseMachine[TaskInputs, Command]):
@@ -152,13 +93,15 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         handlers = {
             LEAVE: self._leave,
             GO_TO_START: self._go_to_start,
+            TOUCH: self._touch,
+            LIFT: self._lift,
             APPROACH: self._approach,
             SETTLE: self._settle,
             self.work: self._work,
             STOPPING: self._stopping,
             RETREAT: self._retreat,
         }
-        self._after_leaving = APPROACH if start is None else GO_TO_START
+        self._after_leaving = self._into_contact(settings.contact) if start is None else GO_TO_START
         super().__init__(self._after_leaving, handlers, settings.limiter, settings.watchdog)
         self.settings = settings
         self.goal = goal
@@ -169,6 +112,8 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self._needs = {
             LEAVE: ("pose", "presence"),
             GO_TO_START: ("pose", "presence"),
+            TOUCH: ("pose", "presence"),
+            LIFT: ("pose", "presence"),
             APPROACH: ("pose", "presence"),
             SETTLE: ("pose", "presence", "belief"),
             self.work: ("pose", "presence", "belief"),
@@ -183,6 +128,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self._contact_ns: int | None = None
         self._touch_ns = 0
         self._touch_position: Array | None = None
+        self._dry: Array | None = None  # where the sensor was when it touched first, to be felt there again
         self._settled_ns: int | None = None
         self._reapproaches = 0
         self._begins = True
@@ -321,18 +267,54 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
             return self._fail("touched something on the way to the start")
         twist = self._go_to(self.start, self.settings.travel, now_ns)
         if twist is None:
-            self._enter(APPROACH)
+            self._enter(self._into_contact(self.settings.contact))
             return np.zeros(6)
         return twist
+
+    @staticmethod
+    def _into_contact(settings: ContactSettings) -> str:
+        """The phase that makes the first contact."""
+        return TOUCH if settings.dry_touch else APPROACH
+
+    def _touch(self, now_ns: int) -> Array:
+        """Into the surface until contact is felt at all."""
+        if self._touching():
+            assert self._presence is not None
+            self._contact_ns = self._presence.stamp_ns
+            self._dry = self._sensor_pose()[:3, 3].copy()
+            self._enter(LIFT)
+            return np.zeros(6)
+        return self._no_contact_yet(now_ns)
+
+    def _lift(self, now_ns: int) -> Array:
+        """Off it again: what was felt has to end."""
+        gone = self._gone_from_phase_start()
+        if gone >= LIFT_BY and not self._touching():
+            self._enter(APPROACH)
+            return np.zeros(6)
+        if gone >= LIFT_WITHIN:
+            return self._fail(f"the contact that was felt does not end {gone * 1e3:.1f} mm off: is it one?")
+        return along_z(-self.settings.contact.approach_speed)
 
     def _approach(self, now_ns: int) -> Array:
         settings = self.settings.contact
         if self._pressed() >= settings.press_distance:
+            self._dry = None
             self.servoing.reset()
             self.predictor.reset()  # a new contact is another feature: the way to it is no motion
             self._servo = None
             self._enter(SETTLE)
             return np.zeros(6)
+        if self._dry is not None and self._touch_position is None:
+            pose = self._sensor_pose()
+            beyond = float(pose[:3, 2] @ (pose[:3, 3] - self._dry))
+            if beyond > FELT_AGAIN:
+                return self._fail(f"a contact was felt {beyond * 1e3:.1f} mm before, and is not felt again")
+        return self._no_contact_yet(now_ns)
+
+    def _no_contact_yet(self, now_ns: int) -> Array:
+        """On into the surface, as long as that is sensible."""
+        settings = self.settings.contact
         if self._gone_from_phase_start() > settings.approach_distance:
             return self._fail(f"no contact within {settings.approach_distance * 1e3:.1f} mm of approach")
         if self._in_phase(now_ns) > settings.approach_timeout:

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
-from tactile_control.contact_task import APPROACH, LEAVE, SETTLE, ContactTask, ContactTaskSettings
+from tactile_control.contact_settings import ContactTaskSettings
+from tactile_control.contact_task import INTO_CONTACT, ContactTask
 from tactile_control.motion import smooth_ramp
-from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
+from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal
 from tactile_control.surface_check import SurfaceSettings
 from tactile_filter import se3
 
@@ -65,7 +66,7 @@ class ObjectTracking(ContactTask):
     settings_class = ObjectTrackingSettings
     goal_class = TrackingGoal
     work = TRACK
-    phases = (LEAVE, GO_TO_START, APPROACH, SETTLE, TRACK, STOPPING, RETREAT, DONE, FAILED)
+    phases = (*INTO_CONTACT, TRACK, STOPPING, RETREAT, DONE, FAILED)
     endless = True
 
     settings: ObjectTrackingSettings

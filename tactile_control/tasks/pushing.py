@@ -10,16 +10,10 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_control.alignment import AlignmentController, AlignmentSettings, Bearing, target_bearing
-from tactile_control.contact_task import (
-    APPROACH,
-    LEAVE,
-    SETTLE,
-    ContactSettings,
-    ContactTask,
-    ContactTaskSettings,
-)
+from tactile_control.contact_settings import ContactSettings, ContactTaskSettings
+from tactile_control.contact_task import INTO_CONTACT, ContactTask
 from tactile_control.motion import smooth_ramp
-from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal, StampedPose
+from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal, StampedPose
 from tactile_control.steering import SteeringController, SteeringSettings
 from tactile_control.surface_check import SurfaceSettings
 from tactile_filter import se3
@@ -115,7 +109,7 @@ class Pushing(ContactTask):
     settings_class = PushingSettings
     goal_class = PushingGoal
     work = PUSH
-    phases = (LEAVE, GO_TO_START, APPROACH, SETTLE, PUSH, STOPPING, RETREAT, DONE, FAILED)
+    phases = (*INTO_CONTACT, PUSH, STOPPING, RETREAT, DONE, FAILED)
 
     settings: PushingSettings
     goal: PushingGoal

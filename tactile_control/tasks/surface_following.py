@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_control.contact_task import APPROACH, LEAVE, SETTLE, ContactTask, ContactTaskSettings
+from tactile_control.contact_settings import ContactTaskSettings
+from tactile_control.contact_task import INTO_CONTACT, ContactTask
 from tactile_control.motion import smooth_ramp
-from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
+from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,7 @@ class SurfaceFollowing(ContactTask):
     settings_class = SurfaceFollowingSettings
     goal_class = FollowingGoal
     work = FOLLOW
-    phases = (LEAVE, GO_TO_START, APPROACH, SETTLE, FOLLOW, STOPPING, RETREAT, DONE, FAILED)
+    phases = (*INTO_CONTACT, FOLLOW, STOPPING, RETREAT, DONE, FAILED)
 
     settings: SurfaceFollowingSettings
     goal: FollowingGoal

@@ -32,6 +32,8 @@ TRUTH, ESTIMATE, BELIEF, REFERENCE, SURFACE = "#1a1a1a", "#f0a050", "#1f6fb4", "
 AXES = ("#c8443c", "#3f9c4a", "#3a6fc0")  # x, y, z, as RViz draws them
 PHASES = {
     "go_to_start": "#e6e6f2",
+    "touch": "#fdf7e3",
+    "lift": "#fdf7e3",
     "approach": "#fdf0c9",
     "settle": "#dff0e0",
     "follow": "#ffffff",

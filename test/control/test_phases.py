@@ -18,8 +18,13 @@ STEP = 10 * MS
 class Plant:
     """A task in contact with a plane that is where the tip needs it to be, 3 mm deep."""
 
-    def __init__(self, kind=SurfaceFollowing, goal=None, start=None):
-        self.task = kind(SurfaceFollowingSettings(), goal or FollowingGoal(length=0.1), start)
+    feels = staticmethod(lambda depth, phase: depth > 0.0)
+
+    def __init__(self, kind=SurfaceFollowing, goal=None, start=None, **contact):
+        settings = SurfaceFollowingSettings()
+        settings = settings.replaced(**{f"contact__{name}": value for name, value in contact.items()})
+        self.task = kind(settings, goal or FollowingGoal(length=0.1), start)
+        self.deepest = 0.0
         self.now_ns, self.T = 10**9, se3.pose_from_euler([0, 0, 0.023, 0, np.pi, 0])
         self.commands = []
 
@@ -29,9 +34,9 @@ class Plant:
             belief = StampedPose(
                 self.now_ns, se3.inverse(se3.pose_from_euler([0, 0, max(depth, 0), 0, 0, 0]))
             )
-            inputs = TaskInputs(
-                belief, StampedPresence(self.now_ns, depth > 0.0), StampedPose(self.now_ns, self.T)
-            )
+            self.deepest = max(self.deepest, depth)
+            felt = self.feels(depth, self.task.phase)
+            inputs = TaskInputs(belief, StampedPresence(self.now_ns, felt), StampedPose(self.now_ns, self.T))
             command = self.task.step(self.now_ns, inputs)
             self.commands.append(command)
             self.T = self.T @ se3.exp(command.twist * STEP * 1e-9)
@@ -108,3 +113,43 @@ def test_a_start_that_is_far_away_is_refused_before_anything_moves(way):
     command = plant.run(2000)
     assert command.done and not command.succeeded and "m away (limit 1 m)" in command.reason
     assert all(not command.twist.any() for command in plant.commands)
+
+
+# ---- the first contact ----
+
+
+def phases_of(plant):
+    return list(dict.fromkeys(command.phase for command in plant.commands))
+
+
+def test_a_dry_touch_comes_before_the_approach_and_by_presence_alone():
+    plant = Plant(dry_touch=True).into("follow")
+    assert phases_of(plant)[:5] == ["touch", "lift", "approach", "settle", "follow"]
+    dry = [command for command in plant.commands if command.phase in ("touch", "lift")]
+    assert all(np.isnan(command.error).all() for command in dry)  # nothing is servoed to
+    assert plant.deepest < 0.0035
+
+
+def test_a_contact_that_does_not_end_when_the_tip_lifts_off_is_none():
+    plant = Plant(dry_touch=True)
+    plant.feels = lambda depth, phase: phase != "touch" or depth > 0.0
+    command = plant.run(3000)
+    assert command.done and "does not end 9.0 mm off: is it one?" in command.reason
+    assert plant.deepest < 0.0005
+
+
+def test_a_surface_that_is_not_felt_again_where_it_was_ends_the_approach():
+    plant = Plant(dry_touch=True)
+    plant.feels = lambda depth, phase: phase == "touch" and depth > 0.0
+    command = plant.run(3000)
+    assert command.done and "a contact was felt 1.5 mm before, and is not felt again" in command.reason
+    assert plant.deepest < 0.0025
+
+
+def test_a_surface_that_is_never_felt_ends_the_approach_after_15_mm():
+    plant = Plant()
+    plant.T[2, 3] = 0.032  # 12 mm above it, as in the example scenes
+    plant.feels = lambda depth, phase: False
+    command = plant.run(3000)
+    assert command.done and "no contact within 15.0 mm of approach" in command.reason
+    assert plant.deepest < 0.0035

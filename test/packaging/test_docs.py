@@ -216,6 +216,7 @@ def test_the_arm_driver_of_the_docs_follows_twists_and_stops(examples: Path):
     try:
         while safe.state is None:
             pass
+        assert safe.command(time.time_ns(), np.zeros(6)) == ""
         assert safe.command(time.time_ns(), [0.0, 0.0, 0.01, 0.0, 0.0, 0.0]) == ""
         while not safe.state.twist.any():
             pass
