@@ -44,7 +44,8 @@ class Part:
 _FRAMES = (topics.TF, topics.TF_STATIC)
 _TASK = Part(
     publishes=(topics.COMMAND, topics.CONTROLLER_STATUS, topics.LATENCY),
-    hears=(topics.ARM_STATUS, topics.STATE, *_FRAMES),
+    hears=(topics.ARM_STATUS, topics.STATE, topics.DIAGNOSTICS, *_FRAMES),
+    hears_all=(topics.CONTROLLER_STATUS,),  # of the arms that it works together with
     does=(topics.RUN_TASK,),
 )
 

@@ -323,7 +323,7 @@ class _OfflineArm:
         self.task.remark = self.remark
         self.task.partner = "; ".join(f"{p.plan.arm}: {p.trouble}" for p in self.partners if p.trouble)
         command = self.task.step(now_ns, self.inputs)
-        self.trouble = command.reason
+        self.trouble = command.trouble
         self.safe.command(now_ns, command.twist, self.plan.role.name)
         self.log.command(now_ns, self.goal, command)
         return command

@@ -117,6 +117,8 @@ class Command:
         Way of the sensor's centre so far, m.
     exposure_ns : int
         Stamp of the belief that the twist is based on, 0 for none.
+    waiting : bool
+        It rests, or comes to rest, since something that it needs is missing or too old.
     """
 
     twist: Array
@@ -132,6 +134,19 @@ class Command:
     progress: float = 0.0
     travelled: float = 0.0
     exposure_ns: int = 0
+    waiting: bool = False
+
+    @property
+    def trouble(self) -> str:
+        """Why it does not go on with what it is for, to those who work together with it; '' where it does."""
+        return trouble_in(self.phase, self.reason, self.waiting)
+
+
+def trouble_in(phase: str, reason: str, waiting: bool) -> str:
+    """Why a task does not go on, by its phase, its reason, and whether it waits; '' where it does."""
+    if phase in (DONE, FAILED):
+        return reason or "its task is over"
+    return reason if waiting or phase in (STOPPING, RETREAT) else ""
 
 
 class Stamped(Protocol):
@@ -216,7 +231,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._phase_since_ns = 0
         self._pose: StampedPose | None = None
         self._wanted = np.zeros(6)
-        self._refused = ""
+        self._refused, self._waits = "", False
         self.remark = self.partner = ""
         self._waypoints: list[Waypoint] | None = None
 
@@ -249,7 +264,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         else:
             self._mind_pause((now_ns - self._now_ns) * NANOSECOND)
         self._now_ns = now_ns
-        self._refused = ""
+        self._refused, self._waits = "", False
         try:
             self._take(inputs)
         except PoseError as error:
@@ -311,6 +326,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
             return self._wanted, ""
         partner = "" if self.phase in (STOPPING, RETREAT) else self.partner
         state = self.watchdog.step(now_ns, self._stamps(), partner)
+        self._waits = not state.ok
         if state.failed:
             self._fail_here(self._explained(state.reason))
             return np.zeros(6), ""
@@ -394,5 +410,6 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
             succeeded=self.phase == DONE,
             reason="; ".join(filter(None, (self.reason, waiting))),
             limited=limited.reason,
+            waiting=self._waits,
             **more,
         )

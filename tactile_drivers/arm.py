@@ -140,7 +140,11 @@ class SafetySettings(Settings):
         doc="a state further from the last than what was commanded takes the arm, and this, is a fault",
     )  # fmt: skip
     state_age: float = setting(
-        0.1, lower=0.005, upper=10.0, unit="s", doc="states that are later than this, on average, are a fault"
+        0.2,
+        lower=0.005,
+        upper=10.0,
+        unit="s",
+        doc="states that are later than this, on average, are a fault; from half of it on that is told",
     )
 
 

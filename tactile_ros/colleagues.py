@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from tactile_base import topics
-from tactile_control.phases import DONE, FAILED
+from tactile_control.phases import DONE, trouble_in
 from tactile_msgs.msg import ControllerStatus
 from tactile_records.bags.cdr import MessageReader, layout_of
 from tactile_records.bags.message_definitions import type_fields
@@ -19,8 +19,6 @@ from tactile_ros.task_messages import IDLE
 
 if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode
-
-_OVER = (IDLE, DONE, FAILED)
 
 
 class EstimatorWord:
@@ -72,8 +70,10 @@ class Partners:
             node.subscribe(ControllerStatus, topic, functools.partial(self._take, arm), STATE, raw=True)
 
     def _take(self, arm: str, data: bytes) -> None:
-        texts = self._read(data)[0].texts
-        word = texts["reason"] or ("its task is over" if texts["phase"] in _OVER else "")
+        layout, numbers = self._read(data)
+        phase, reason = layout.texts["phase"], layout.texts["reason"]
+        waiting = bool(numbers[layout.place("waiting").start])
+        word = trouble_in(DONE if phase == IDLE else phase, reason, waiting)
         self._words[arm] = time.monotonic(), word
 
     def trouble(self) -> str:

@@ -85,6 +85,7 @@ def status_bytes(
         frame_id,
         *split_stamp(command.exposure_ns if command and running else 0),
         number,
+        bool(command and running and command.waiting),
         *(command.error if command else _UNKNOWN).tolist(),
         *(command.reference if command else _UNKNOWN).tolist(),
         *(command.feedforward if command else _ZERO).tolist(),

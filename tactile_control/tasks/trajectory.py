@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_base.stamps import NANOSECOND
+from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_control.free_task import MOVE, FreeTask, FreeTaskSettings
 from tactile_control.phases import DONE, Command, Goal
 from tactile_filter import se3
@@ -16,6 +16,7 @@ from tactile_filter import se3
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # s of path time; velocities are central differences of poses, exact to 1e-8 of them
+WAITED = 0.1  # s between two steps of the move, in which the arm has waited: it goes on from there
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class Trajectory(FreeTask):
         self._T_base_origin: Array | None = None
         self._path_s = 0.0
         self._moved_ns: int | None = None
-        self._ended_ns = 0
+        self._ended_ns = self._last_ns = 0
         self._rate = 0.0
         self._error = np.full(6, np.nan)
         self._feedforward = np.zeros(6)
@@ -130,6 +131,9 @@ class Trajectory(FreeTask):
         assert pose is not None
         if self._T_base_origin is None:
             self._T_base_origin, self._moved_ns = pose.T.copy(), pose.stamp_ns
+        if now_ns - self._last_ns > WAITED * SECOND_NS:  # the arm was led to rest meanwhile
+            self._moved_ns, self._rate = pose.stamp_ns, 0.0
+        self._last_ns = now_ns
         self._advance(pose.stamp_ns)
         wanted = self.pose(self._path_s)
         X_error = se3.inverse(pose.T) @ wanted

@@ -67,7 +67,8 @@ class Bench:
         monkeypatch.setattr(ur.importlib.util, "find_spec", lambda name: True)
         path.write_text(SCENE)
         self.scene = load_scene(path).arms["arm"]
-        self.safe, self.told = SafeArm(self.scene, self.now_ns), queue.Queue()
+        self.safe = SafeArm(self.scene, self.now_ns, feels=False)
+        self.told = queue.Queue()
         self.driver = open_arm(self.scene, lambda state: self.told.put(self.safe.take_state(state)))
         self.safe.drive(self.driver)
         self.link, self.speeds = self.driver._link, []
@@ -105,10 +106,12 @@ steps = st.lists(st.tuples(commands, st.integers(1, 20), st.integers(1, 3)), min
 
 def run(bench, sequence):
     """Command what is asked for, then zero until the arm rests."""
-    silent = 0.0
+    silent = np.inf
     for twist, count, periods in sequence:
         for _ in range(count):
             if twist is not None:
+                if silent > bench.scene.safety.owner_timeout:  # whoever was silent asks for rest first
+                    assert not bench.safe.command(bench.now_ns(), np.zeros(6), "test")
                 assert not bench.safe.command(bench.now_ns(), twist, "test")
                 silent = 0.0
             elif silent <= TIMEOUT < silent + periods * PERIOD:  # as the arm's node does

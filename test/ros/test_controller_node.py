@@ -250,7 +250,8 @@ def test_the_task_rests_when_the_arm_that_it_works_with_waits_or_falls_silent_an
     )
     moving = lambda: world.phase() == "follow" and world.twist()[1] > 0.005  # noqa: E731
     assert step_until(lambda: future.done() and moving(), well), world.statuses[-1]
-    waiting = ControllerStatus(phase="track", reason="presence is 120 ms old, limit 100 ms")
+    reason = "presence is 120 ms old, limit 100 ms"
+    waiting = ControllerStatus(phase="track", reason=reason, waiting=True)
     assert step_until(world.rests, waiting)
     assert step_until(lambda: "other: presence is 120 ms old" in world.statuses[-1].reason, waiting)
     assert step_until(moving, well), "and goes on with it"

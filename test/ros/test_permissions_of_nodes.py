@@ -39,6 +39,8 @@ def test_no_node_says_or_hears_what_its_permissions_do_not_allow(graph, task, tm
     for process in described.nodes:
         for profile in allowed[process.full_name]:
             full = profile.namespace, profile.node
+            node = profile.node, profile.namespace
+            assert graph.wait(lambda node=node: node in graph.node.get_node_names_and_namespaces()), node
             assert graph.wait(lambda full=full: len(dds_names(graph, *full)[1]) > 10), f"{full} is not seen"
             graph.spin(0.2)  # the rest of what it has, which comes one by one
             written, read = dds_names(graph, *full)
