@@ -10,6 +10,7 @@ a reason of the arm's own (a singularity, somebody's slider): that is told first
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -24,9 +25,10 @@ from tactile_filter import se3
 
 Array = NDArray[np.float64]
 
-_STEP_NS = 8_000_000  # states nearer to each other than this are looked at together
+_STEP_NS = 15_000_000  # states nearer to each other than this are looked at together
 _PAUSE_NS = SECOND_NS // 2  # without states for so long the window begins anew
 _STANDS, _PART = 0.1, 0.5  # of the least way that was told: less is none, and less is too little
+_EXTREMES = tuple(functools.partial(ufunc.reduce, axis=0) for ufunc in (np.minimum, np.maximum))
 _UNITS = (1e3, "mm"), (180.0 / np.pi, "deg")
 
 
@@ -80,7 +82,7 @@ class _Bounds:
         held = [velocity for stamp, velocity in said if stamp <= to_ns] or [said[0][1]]
         held = held if part >= 1.0 else [*held, part * held[0], part * held[-1]]
         dt = (to_ns - from_ns) / SECOND_NS
-        low, high = np.min(held, axis=0), np.max(held, axis=0)
+        low, high = (reduce(held) for reduce in _EXTREMES)
         if self._acceleration is not None:
             low = np.minimum(low, self.low + self._acceleration * dt)
             high = np.maximum(high, self.high - self._acceleration * dt)
@@ -167,7 +169,7 @@ class TrackingMonitor:
             return None
         way = _way(first.T, now.T)
         self.moves = _beyond(way, self._tolerance * self.settings.window)
-        fastest = np.max([sample.fastest for sample in samples], axis=0)
+        fastest = np.array([max(sample.fastest[part] for sample in samples) for part in (0, 1)])
         allowed = self._tolerance * self.settings.window + self.settings.part * fastest * seconds
         low, high = now.told[0] - first.told[0], now.told[1] - first.told[1]
         told = _nearest(way, low, high)
@@ -226,7 +228,7 @@ def _along(way: Array, told: Array) -> Array:
 
 
 def _beyond(difference: Array, allowed: Array) -> bool:
-    return bool((_sizes(difference) > allowed).any())
+    return bool(se3.norm(difference[:3]) > allowed[0] or se3.norm(difference[3:]) > allowed[1])
 
 
 def _otherwise(seconds: float, told: Array, way: Array) -> str:

@@ -63,7 +63,7 @@ class Cell:
 def test_an_arm_that_ignores_an_emergency_stop_is_told_louder_than_anything_else_until_a_reset():
     cell = Cell(ARM_LIES["ignores_stop"]).begin()
     cell.safe.estop("hand in the cell")
-    state = cell.step(0.3)
+    state = cell.step(0.4)
     assert state.mode is ArmMode.ESTOP
     assert state.reason.startswith("THE ARM DOES NOT STOP, press the emergency stop that is wired to it")
     assert "emergency stop: hand in the cell" in state.reason

@@ -110,7 +110,7 @@ def test_an_arm_that_does_something_else_is_known_within_120_ms_of_its_beginning
     arm = kind()
     found = arm.step(1.0, ALONG)
     assert not found.by_itself and "it was told to go" in found.text and "and went" in found.text
-    assert (arm.found[0][0] - SECOND) / SECOND < 0.12
+    assert (arm.found[0][0] - SECOND) / SECOND <= 0.12
 
 
 @pytest.mark.parametrize("twist", [0.02 * np.eye(6)[0], 0.02 * np.eye(6)[2], 0.2 * np.eye(6)[4]])
