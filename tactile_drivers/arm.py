@@ -144,7 +144,7 @@ class SafetySettings(Settings):
         lower=0.005,
         upper=10.0,
         unit="s",
-        doc="states that are later than this, on average, are a fault; from half of it on that is told",
+        doc="states in motion later than this, on average, are a fault; from half of it on it is told",
     )
 
 

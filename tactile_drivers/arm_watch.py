@@ -128,16 +128,19 @@ class ArmWatch:
         deviation = self._monitor.see(state)
         if not self._monitor.moves:
             self._stop = ""
-        return self._judged(deviation)
+        return self._judged(deviation, bool(twist.any()))
 
     def remarks(self) -> str:
         """What is not as it should be, and no reason for an alarm."""
         late = self._lateness > 0.5 * self._safety.state_age
         return "; ".join(filter(None, (self._monitor.shortfall, self._late_by() if late else "")))
 
-    def _judged(self, deviation: Deviation | None) -> bool:
-        """Whether the arm is to be stopped, for what it does otherwise or for what it says too late."""
-        late = self._lateness > self._safety.state_age
+    def _judged(self, deviation: Deviation | None, told_to_move: bool) -> bool:
+        """Whether the arm is to be stopped, for what it does otherwise or for what it says too late.
+
+        At rest nothing depends on when it says something: a busy machine is no fault of an arm that waits.
+        """
+        late = told_to_move and self._lateness > self._safety.state_age
         if deviation is None:
             new = late and not self.alarm
             self.alarm = self.alarm or (self._late_by() if late else "")

@@ -148,9 +148,16 @@ def test_states_that_come_late_are_told_before_they_are_a_fault():
     late_ns = 0
     cell.safe._watch._clock = lambda: cell.arm.stamp_ns + late_ns
     late_ns = 150_000_000
-    assert "states of the arm come 0.1" in cell.step(1.0).remark and not cell.safe.alarm
+    assert "states of the arm come 0.1" in cell.step(1.0, ALONG).remark and not cell.safe.alarm
     late_ns = 250_000_000
-    assert cell.step(2.0).mode is ArmMode.FAULT and "late (limit 0.2 s)" in cell.safe.alarm
+    assert cell.step(2.0, ALONG).mode is ArmMode.FAULT and "late (limit 0.2 s)" in cell.safe.alarm
+
+
+def test_an_arm_at_rest_may_say_so_late():
+    cell = Cell()
+    cell.safe._watch._clock = lambda: cell.arm.stamp_ns + SECOND
+    assert "states of the arm come 1.0" in cell.step(5.0).remark
+    assert not cell.safe.alarm and cell.safe.state.mode is ArmMode.RESTING
 
 
 def test_a_burst_of_states_after_a_pause_is_no_lateness():
