@@ -65,7 +65,7 @@ class Names:
 
 
 class Bench:
-    """Somebody else's arm, which follows twists, and camera, which shows a still picture."""
+    """Somebody else's arm, which follows twists, and camera, which shows the same again and again."""
 
     def __init__(self, graph, names: Names, now_ns, image) -> None:
         self.names, self.now_ns, self._image = names, now_ns, image
@@ -91,7 +91,7 @@ class Bench:
         self._tf.publish(TFMessage(transforms=frames))
         if now_ns - self._exposed_ns > 90_000_000:
             self._exposed_ns = now_ns
-            self._images.publish(image_message(now_ns, self.names.sensor, self._image))
+            self._images.publish(image_message(now_ns, self.names.sensor, self._image()))
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def ran(shared_graph, tmp_path_factory):
 
     for name in list(graph.processes.children):
         graph.wait_until_active(name)
-    image = TacTip(seed=1).image()
+    image = TacTip(seed=1).image  # with noise of its own each time: no two exposures are equal
     lab, frames = "/lab/arm", ("lab/arm/base", "lab/arm/tool", "lab/arm/tactile_sensor")
     left = Names(lab, *frames, "/cameras/left", f"{lab}/command/twist")
     right = Names("/right", "base_link", "tool0", "tip", "/right/camera/image_raw", "/servo/twist")
