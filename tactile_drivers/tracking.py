@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 _STEP_NS = 15_000_000  # states nearer to each other than this are looked at together
 _PAUSE_NS = SECOND_NS // 2  # without states for so long the window begins anew
 _STANDS, _PART = 0.1, 0.5  # of the least way that was told: less is none, and less is too little
+_LASTS = 0.1  # s, for which none, or poses that do not fit speeds, are no pause of whoever tells them
 _EXTREMES = tuple(functools.partial(ufunc.reduce, axis=0) for ufunc in (np.minimum, np.maximum))
 _UNITS = (1e3, "mm"), (180.0 / np.pi, "deg")
 
@@ -121,7 +122,8 @@ class TrackingMonitor:
         self._told = _Bounds(self.settings.lag, acceleration)
         self._reported = _Bounds(self.settings.lag, None)
         self._samples: deque[_Sample] = deque()
-        self._short_since: int | None = None
+        self._short = 0.0  # s, for which less was done than told
+        self._unfit_since: int | None = None
         self.shortfall, self.moves = "", False
 
     def due(self, stamp_ns: int) -> bool:
@@ -178,7 +180,11 @@ class TrackingMonitor:
             return Deviation(_otherwise(seconds, told, way), by_itself)
         low, high = now.reported[0] - first.reported[0], now.reported[1] - first.reported[1]
         reported = _nearest(way, low, high)
-        if _beyond(way - reported, allowed + self.settings.part * _sizes(reported)):
+        if not _beyond(way - reported, allowed + self.settings.part * _sizes(reported)):
+            self._unfit_since = None
+        elif self._unfit_since is None:
+            self._unfit_since = now.stamp_ns
+        elif now.stamp_ns - self._unfit_since >= _LASTS * SECOND_NS:
             return Deviation(_disagreeing(seconds, reported, way), by_itself=False)
         return self._short_of(now.stamp_ns, seconds, told, way, allowed)
 
@@ -186,16 +192,15 @@ class TrackingMonitor:
         self, stamp_ns: int, seconds: float, told: Array, way: Array, allowed: Array
     ) -> Deviation | None:
         """What is missing of the least way that the arm was told; told first, and a fault if it goes on."""
-        missing = _beyond(told - way, allowed)
-        if not missing:
-            self._short_since, self.shortfall = None, ""
+        step = (stamp_ns - self._samples[-2].stamp_ns) / SECOND_NS
+        if not _beyond(told - way, allowed):  # what it misses again and again adds up
+            self._short, self.shortfall = max(0.0, self._short - step), ""
             return None
+        self._short += step
         short = _sizes(told) > allowed
         done = float(np.min(_along(way, told)[short], initial=1.0))
-        self._short_since = stamp_ns if self._short_since is None else self._short_since
         self.shortfall = f"the arm does {max(done, 0.0):.0%} of what it is told"
-        lasted = (stamp_ns - self._short_since) / SECOND_NS
-        if done < _STANDS or (done < _PART and lasted >= self.settings.patience):
+        if self._short >= (_LASTS if done < _STANDS else self.settings.patience) and done < _PART:
             return Deviation(_otherwise(seconds, told, way), by_itself=False)
         return None
 

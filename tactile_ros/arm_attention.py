@@ -7,9 +7,9 @@ import time
 from tactile_msgs.msg import ArmStatus
 
 TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
-REFUSED = 0.3  # s, for which an arm refuses all that it is told until that is trouble
+REFUSED = 1.0  # s, for which an arm, at rest by then, refuses all that it is told until that is trouble
 NONE = -1.0  # what an arm that has no command in force says of its age
-UNHEARD = 0.5  # s, for which none of what it is told has come to it
+UNHEARD = 1.0  # s, for which none of what it is told has come to it
 
 
 class ArmAttention:

@@ -20,7 +20,8 @@ SAYS = {
     "pose_jumps": "the arm cannot have moved by 5",
 }
 #: s from the beginning of the lie to rest, and m of way, of what takes a window to be known
-WITHIN = {"loses_commands": (0.4, 0.005), "frozen_pose": (0.3, 0.004), "frozen_pose_alone": (0.3, 0.004)}
+WITHIN = dict.fromkeys(("frozen_pose", "frozen_pose_alone", "servo_off"), (0.45, 0.006))
+WITHIN["loses_commands"] = (2.0, 0.012)  # it stands and goes
 GOES_ON = ("moves_by_itself",)  # nothing here can stop it
 
 
@@ -52,4 +53,4 @@ def test_where_two_arms_hold_an_object_both_rest_and_it_is_not_crushed(name, lia
     records = run_arms_offline("dual_pushing", "dual_pushing", OfflineOptions(fidelity="ideal", lies=lies))
     assert not records[liar].result["succeeded"]
     assert all(truth.rests_since < 4.0 for truth in lies.witness.values())  # the other one retreats
-    assert all(truth.deepest < 0.0065 for truth in lies.witness.values())  # 5.5 mm in an honest push
+    assert all(truth.deepest < 0.007 for truth in lies.witness.values())  # 5.5 mm in an honest push
