@@ -33,10 +33,8 @@ from tactile_filter import se3
 Array = NDArray[np.float64]
 
 LATELY = 0.1  # weight of an image in the share of those that gave nothing to believe
-BIN, LEAST_NUMBER = (
-    0.1,
-    3,
-)  # s; beliefs of so long, and so many, are averaged: what differs between images is noise
+# s; beliefs of so long, and so many, are averaged: what differs between images is noise
+BIN, LEAST_NUMBER = 0.1, 3
 JUMP = 1.5  # depth errors between one belief and the next, which have more noise than means
 SLOWEST = 0.25  # part of the twist that is left where a limit is all but reached
 LEAST_SHEAR, LEAST_TURN = 0.001, 0.03  # m, rad; smaller ones hardly have a direction

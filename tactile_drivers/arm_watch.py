@@ -79,10 +79,9 @@ class ArmWatch:
             self._monitor.told(self._clock(), in_base(self._last.T_base_controlled, twist))
 
     def told_to_stop(self, reason: str) -> None:
-        """It is told to stop."""
+        """It is told to stop, after a twist of zero."""
         if not self._stop:
             self._stop, self._stop_ns = reason, self._clock()
-        self.told(np.zeros(6))
 
     # ---- what it says ----
 

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
+from tactile_drivers.arm import AT_REST, ArmLimits, ArmMode, ArmState
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, vector_of
 from tactile_drivers.scene import ArmScene
@@ -48,7 +48,6 @@ DOCUMENTED = {
 _PERIOD = 1e-3  # s, between commands
 #: Of a step in a command what passes libfranka's low-pass filter (100 Hz) in a period: T / (T + 1 / 2 pi f).
 _FILTERED = _PERIOD / (_PERIOD + 1.0 / (2.0 * np.pi * 100.0))
-_AT_REST = np.repeat([1e-3, 5e-3], 3)  # m/s, rad/s: what speeds say of an arm that does not move
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: end effectors that differ by less are the same
 _SAME_MASS = 0.05  # kg
 _PATIENT = 10.0  # times longer an arm at rest may be silent
@@ -394,7 +393,7 @@ class FrankaArm:
             return self._fault_mode
         if self._moving and self._twist.any():
             return ArmMode.MOVING
-        if (np.abs(twist) < _AT_REST).all():
+        if (np.abs(twist) < AT_REST).all():
             return ArmMode.RESTING
         return ArmMode.MOVING if self._moving else ArmMode.STOPPING
 

@@ -67,12 +67,6 @@ class SafeArm:
         The newest state, completed; None before the first.
     bad_state : str
         Why the last state of the driver cannot be true; '' if it can.
-    alarm : str
-        Why the stage has stopped the arm, which did what it was not told to, until a reset; '' if it has not.
-    owner : str
-        Who commands the arm; '' for nobody.
-    neighbours : sequence of Neighbour
-        The other arms that it minds; none until somebody says so (`mind_others`).
     """
 
     def __init__(self, arm: ArmScene, clock: Callable[[], int], feels: bool = True) -> None:

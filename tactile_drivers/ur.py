@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers import ur_link
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
+from tactile_drivers.arm import AT_REST, ArmLimits, ArmMode, ArmState
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, tool_speed
 from tactile_drivers.scene import ArmScene
@@ -40,7 +40,6 @@ Array = NDArray[np.float64]
 
 E_SERIES, CB3 = "e-series", "cb3"
 _RATES = {E_SERIES: 500.0, CB3: 125.0}
-AT_REST = np.repeat([1e-3, 5e-3], 3)  # m/s, rad/s: what speeds say of an arm that does not move
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: TCPs that differ by less are the same
 _SAME_PAYLOAD = 0.05  # kg
 _OF_WATCHDOG = 0.8  # of the watchdog's time, within which a stop has to end

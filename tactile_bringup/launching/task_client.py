@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import rclpy
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
@@ -17,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from tactile_base import topics
 from tactile_base.node_topics import CLIENT
 from tactile_control.task_file import NamedGoal
+from tactile_drivers.arm import AT_REST
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
 from tactile_ros.discovery import use_dds_profile
@@ -37,7 +39,6 @@ ANSWER_TIME = 1.0  # s; an answer can be lost while two nodes are still finding 
 BACKLOG = 10  # events handled at once after the first
 GAP = 0.1  # s between two words of an arm that runs regularly
 SILENCE = 0.5  # s after which the last word of an arm says nothing about now
-AT_REST = (1e-3,) * 3 + (5e-3,) * 3  # m/s, rad/s: what speeds that are measured say of an arm at rest
 
 
 @dataclass
@@ -280,5 +281,5 @@ class ArmTask:
 def _rests(status: ArmStatus) -> bool:
     """Whether an arm says that it is at rest: by its mode, or in one that says nothing of it by its twist."""
     if status.mode in (ArmStatus.FAULT, ArmStatus.ESTOP):
-        return all(abs(speed) < limit for speed, limit in zip(status.twist, AT_REST, strict=True))
+        return bool((np.abs(status.twist) < AT_REST).all())
     return bool(status.mode == ArmStatus.RESTING)
