@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Run pytest on what make installed: test.sh [ARGUMENT OF PYTEST...]. Without arguments the whole suite in a process per
-# core: what runs against the clock, and in as many, giving way to it, all the rest. With RETEST=1 tests against the clock
-# that fail beside others, in up to three files, run once more, alone: a machine that somebody else holds up for a second is no defect.
+# core: what runs against the clock, and in as many, giving way to it, all the rest. With RETEST=1 up to three tests against
+# the clock that fail beside others run once more, alone: a machine that somebody else holds up for a second is no defect.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/env.sh
@@ -13,8 +13,6 @@ fi
 export OMP_NUM_THREADS=1
 mkdir -p log
 . scripts/giving_way.sh
-# files_failed: of how many files tests against the clock failed; those of one file share a run, and fail with it.
-files_failed() { grep -o '"test[^:"]*' log/live/v/cache/lastfailed | sort -u | wc -l; }
 status=0 live=0
 suite=(pytest -q --durations=15 --numprocesses auto --maxprocesses 4 --dist loadfile)
 giving_way "${suite[@]}" -m "not live" >log/test.txt 2>&1 &
@@ -23,7 +21,7 @@ trap 'kill -- -$computing 2>/dev/null || true' EXIT
 "${suite[@]}" -m live --no-loadscope-reorder -o cache_dir=log/live || live=$?
 finish $computing || status=$?
 cat log/test.txt
-if [ "${RETEST:-0}" = 1 ] && [ $live = 1 ] && [ "$(files_failed)" -le 3 ]; then
+if [ "${RETEST:-0}" = 1 ] && [ $live = 1 ] && [ "$(grep -c '": true' log/live/v/cache/lastfailed)" -le 3 ]; then
     printf '\nFailed beside other tests, and run once more, alone:\n'
     live=0
     pytest -v -m live -o cache_dir=log/live --last-failed --last-failed-no-failures none || live=$?

@@ -1,4 +1,4 @@
-"""What makes a frame no exposure, whoever looks at it: it repeats the one before, shows nothing, is damaged.
+"""What makes a frame no exposure, whoever looks at it: it repeats an earlier one, shows nothing, is damaged.
 
 A camera's driver refuses such frames before they are published, and perception those that come from drivers
 and nodes of others: both by the same functions, in the same words.
@@ -7,13 +7,14 @@ and nodes of others: both by the same functions, in the same words.
 from __future__ import annotations
 
 import re
+from collections import deque
 
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
 Pixels = NDArray[np.uint8]
-REPEATED = "repeated: it equals the one before it bit for bit: the camera is frozen"
+REMEMBERED = 600  # frames, by which a recording is known that is played again and again
 #: What is said of some cameras' frames, which pad their segments, though nothing is missing.
 _PADDING, _MOST_PADDING = re.compile(r"(\d+) extraneous bytes before marker"), 8
 _MOST_PIXELS = 2**26
@@ -24,25 +25,38 @@ class DamagedJpeg(ValueError):
     """A JPEG of which a part is missing or makes no sense."""
 
 
-class LastExposure:
-    """Remembers a frame, to know it again: no two exposures of a camera are equal in every bit."""
+class Exposures:
+    """Remembers frames, to know them again: no two exposures of a camera are equal in every bit."""
 
     def __init__(self) -> None:
-        self._last: Pixels | None = None
-
-    def repeats(self, frame: Pixels) -> bool:
-        """Whether a frame equals the one before it, of which a copy is kept: buffers are used again."""
-        if self._last is None or self._last.shape != frame.shape:
-            self._last = frame.copy()
-            return False
-        if np.array_equal(self._last, frame):
-            return True
-        np.copyto(self._last, frame)
-        return False
+        self.forget()
 
     def forget(self) -> None:
         """The next frame is the first."""
-        self._last = None
+        self._last: Pixels | None = None
+        self._order: deque[int] = deque()
+        self._known: set[int] = set()
+
+    def repeats(self, frame: Pixels) -> str:
+        """Why a frame is no new exposure; empty if it is one.
+
+        Of the last one a copy is kept, since buffers are used again; of `REMEMBERED` before it a hash of
+        every fourth row.
+        """
+        if self._last is None or self._last.shape != frame.shape:  # JPEGs differ in size
+            self._last = frame.copy()
+        elif np.array_equal(self._last, frame):
+            return "repeated: it equals the one before it bit for bit: the camera is frozen"
+        else:
+            np.copyto(self._last, frame)
+        mark = hash((frame.shape, frame[::4].tobytes()))
+        if mark in self._known:
+            return f"repeated: it equals one of the last {len(self._order)} bit for bit: is it a recording?"
+        self._known.add(mark)
+        self._order.append(mark)
+        if len(self._order) > REMEMBERED:
+            self._known.remove(self._order.popleft())
+        return ""
 
 
 def objection(image: Pixels, least_contrast: float) -> str:

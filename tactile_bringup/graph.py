@@ -32,7 +32,7 @@ from tactile_base.topics import (
     Topic,
     compressed,
 )
-from tactile_bringup.run_sequence import ArmPlan, arm_plans, partners_of
+from tactile_bringup.run_sequence import ArmPlan, arm_plans, awaited_by, waiting_for
 from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
 from tactile_control.tasks import TASKS
 from tactile_drivers.camera import COMPRESSED, ExternalCameraSettings
@@ -192,7 +192,7 @@ def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: Grap
         arm = scene.arms[plan.arm]
         if arm.sensor is not None:
             nodes += _senses(scene, plan.arm, filter_values, options)
-        nodes.append(_controller(plan, arm, partners_of(plan, plans)))
+        nodes.append(_controller(plan, arm, plans))
     if options.priority:
         more = {"priority": options.priority}
         nodes = [dataclasses.replace(node, parameters={**node.parameters, **more}) for node in nodes]
@@ -306,15 +306,15 @@ def _transport(arm: ArmScene, prefix: str = "") -> dict[str, Any]:
     return {f"{prefix}{name}": value for name, value in values.items()}
 
 
-def _controller(plan: ArmPlan, arm: ArmScene, partners: Sequence[str]) -> NodeProcess:
+def _controller(plan: ArmPlan, arm: ArmScene, plans: Sequence[ArmPlan]) -> NodeProcess:
     groups: dict[str, dict[str, Any]] = dataclasses.asdict(plan.role.settings)
     parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": arm.controlled_frame}
     for corner in ("workspace_lower", "workspace_upper"):
         parameters[f"space.{corner}"] = list(getattr(arm.safety, corner))
     for group, values in groups.items():
         parameters |= {f"{group}.{name}": value for name, value in values.items()}
-    if partners:
-        parameters["partners"] = list(partners)
+    partners = {"awaited": awaited_by(plan, plans), "waiting": waiting_for(plan, plans)}
+    parameters |= {name: arms for name, arms in partners.items() if arms}
     return _node("controller", f"/{plan.arm}", parameters)
 
 

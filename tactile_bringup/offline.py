@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactile_base.settings import SettingError
-from tactile_base.stamps import SECOND_NS
+from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_bringup.run_sequence import ArmPlan, RunSequence, arm_plans
+from tactile_control.partners import Partners
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_drivers.arm import ArmMode
@@ -143,8 +144,8 @@ class _OfflineLoop:
             for number, plan in enumerate(plans)
         }
 
-        for arm in self.arms.values():
-            arm.partners = [self.arms[name] for name in self.sequence.partners(arm.plan.arm)]
+        for name, arm in self.arms.items():
+            arm.partners = self.sequence.partners(name)
 
     def run(self) -> dict[str, RunRecord]:
         started = time.perf_counter()
@@ -184,6 +185,8 @@ class _OfflineLoop:
             if command is None:
                 continue
             news |= self.sequence.phase(name, command.phase)
+            for other in self.arms.values():
+                other.partners.hear(name, now_ns * NANOSECOND, command)
             if self.progress is not None:
                 self.progress(name, arm.goal_name, command)
             late = arm.over_time(now_ns)
@@ -200,7 +203,6 @@ class _Event:
     """A finished exposure on its way to the controller, which sees it at `due_ns`."""
 
     due_ns: int
-    stamp_ns: int
     presence: StampedPresence
     belief: StampedPose | None
 
@@ -253,8 +255,7 @@ class _OfflineArm:
         self.stepped_ns = START_NS
         self.refused = Counter[str]()
         self.remark = ""
-        self.partners: list[_OfflineArm] = []
-        self.trouble = ""
+        self.partners = Partners()
         self.task: PhaseMachine[TaskInputs, Command] | None = None
         self.goal = 0
         self.begun_ns = START_NS
@@ -269,6 +270,7 @@ class _OfflineArm:
         make: Any = role.task_type
         self.task = make(role.settings, named.goal, named.start)
         self.goal, self.begun_ns = index, self.cell.stamp_ns
+        self.partners.begin()
 
     def end(self, failure: str) -> None:
         """Have the task end, since the run is over: well, unless that was a failure."""
@@ -306,12 +308,12 @@ class _OfflineArm:
         command, due = None, self._due(now_ns)
         for event in due:
             if event.belief is not None or not event.presence.in_contact:
-                self.safe.take_contact(event.stamp_ns, event.belief.T if event.belief else None)
+                self.safe.take_contact(event.presence.stamp_ns, event.belief.T if event.belief else None)
             belief = event.belief or self.inputs.belief
             self.inputs = TaskInputs(belief, event.presence, self.inputs.sensor_pose)
             command = self._step(event.due_ns)
             if command is not None:
-                self.log.latency(event.stamp_ns, event.due_ns)
+                self.log.latency(event.presence.stamp_ns, event.due_ns)
         if not due and now_ns - self.stepped_ns >= self.options.control_period * SECOND_NS:
             command = self._step(now_ns)
         return command
@@ -321,9 +323,8 @@ class _OfflineArm:
         if self.task is None:
             return None
         self.task.remark = self.remark
-        self.task.partner = "; ".join(f"{p.plan.arm}: {p.trouble}" for p in self.partners if p.trouble)
+        self.task.partner = self.partners.trouble(now_ns * NANOSECOND)
         command = self.task.step(now_ns, self.inputs)
-        self.trouble = command.trouble
         self.safe.command(now_ns, command.twist, self.plan.role.name)
         self.log.command(now_ns, self.goal, command)
         return command
@@ -349,13 +350,13 @@ class _OfflineArm:
         self.remark = ""
         estimate = percept.estimate if percept.in_contact else None
         if percept.in_contact and estimate is None:  # a network that failed: nothing is known of this contact
-            self._send(frame.stamp_ns, True, None)
+            self._send(StampedPresence(frame.stamp_ns, True, percept.still), None)
             return
         belief = self.filter.observe(frame.stamp_ns, estimate, frame.T_base_sensor)
         if belief.valid:
             self.log.belief(belief)
         pose = StampedPose(frame.stamp_ns, belief.mean) if belief.measured else None
-        self._send(frame.stamp_ns, percept.in_contact, pose)
+        self._send(StampedPresence(frame.stamp_ns, percept.in_contact, percept.still), pose)
 
     def _percept(self, frame: Frame) -> Percept | None:
         """What perception makes of a frame, as far as nothing lies; None of an image that it refuses."""
@@ -381,14 +382,14 @@ class _OfflineArm:
             due.append(self.queue.popleft())
         return due
 
-    def _send(self, stamp_ns: int, in_contact: bool, belief: StampedPose | None) -> None:
+    def _send(self, presence: StampedPresence, belief: StampedPose | None) -> None:
         latency = self.options.latency
         if self.options.jitter > 0.0:
             latency += self.options.jitter * float(self.random.random())
         due_ns = self.cell.stamp_ns + round(latency * SECOND_NS)
         if self.queue:
             due_ns = max(due_ns, self.queue[-1].due_ns)  # a chain of nodes keeps the order
-        self.queue.append(_Event(due_ns, stamp_ns, StampedPresence(stamp_ns, in_contact), belief))
+        self.queue.append(_Event(due_ns, presence, belief))
 
 
 def network_view(estimator: Estimator) -> ViewSettings:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import SettingError
+from tactile_control.partners import Partners
 from tactile_control.phases import FAILED, STOPPING
 from tactile_control.task_file import NamedGoal, Role, Task
 from tactile_drivers.scene import ArmScene, Scene
@@ -51,10 +52,15 @@ class ArmPlan:
         return np.array(given, dtype=float)
 
 
-def partners_of(plan: ArmPlan, plans: Sequence[ArmPlan]) -> list[str]:
-    """The arms whose role one has to wait for (`Role.after`): it rests when one of them does not go on."""
+def awaited_by(plan: ArmPlan, plans: Sequence[ArmPlan]) -> list[str]:
+    """The arms whose work one waits for before it begins (`Role.after`)."""
     role = plan.role.after[0] if plan.role.after else ""
     return [other.arm for other in plans if other.role.name == role]
+
+
+def waiting_for(plan: ArmPlan, plans: Sequence[ArmPlan]) -> list[str]:
+    """The arms that wait for the work of one."""
+    return [other.arm for other in plans if plan.arm in awaited_by(other, plans)]
 
 
 def arm_plans(task: Task, scene: Scene, only: str | None = None, goals: Sequence[str] = ()) -> list[ArmPlan]:
@@ -157,6 +163,7 @@ class RunSequence:
     """
 
     def __init__(self, plans: Sequence[ArmPlan]) -> None:
+        self._plans = tuple(plans)
         self._arms = {plan.arm: _ArmState(plan) for plan in plans}
         ending = [state for state in self._arms.values() if state.plan.role.ends_run]
         lasting = [state for state in self._arms.values() if not state.plan.role.task_type.endless]
@@ -226,12 +233,13 @@ class RunSequence:
             self.failure = f"{name}: {reason}"
         return well
 
-    def partners(self, arm: str) -> list[str]:
-        """The arms without which one neither begins nor goes on (see `partners_of`)."""
-        return partners_of(self._arms[arm].plan, [state.plan for state in self._arms.values()])
+    def partners(self, arm: str) -> Partners:
+        """Whom an arm minds: those without whom it does not begin, and those that do not without it."""
+        plan = self._arms[arm].plan
+        return Partners(awaited_by(plan, self._plans), waiting_for(plan, self._plans))
 
     def _may_begin(self, state: _ArmState) -> bool:
         after = state.plan.role.after
         return after is None or all(
-            after[1] in self._arms[arm].phases for arm in self.partners(state.plan.arm)
+            after[1] in self._arms[arm].phases for arm in awaited_by(state.plan, self._plans)
         )

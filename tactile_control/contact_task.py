@@ -1,4 +1,4 @@
-"""What tasks in contact share: go to the start, approach, settle, retreat; contact lost and found again.
+"""What tasks in contact share while they are in it: settle, servo on beliefs, contact lost and found again.
 
 A library without ROS and without a clock of its own: whoever owns the time calls `step(now_ns, inputs)` at
 the control rate and sends the twist of the `Command` that comes back. In between, settings can be replaced
@@ -8,11 +8,9 @@ the control rate and sends the twist of the `Command` that comes back. In betwee
     while not (command := task.step(now_ns(), inputs())).done:
         send(command.twist)
 
-Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed; where that is set,
-touch and lift before the approach. A task that begins in a contact, which was not made by it, leaves the
-surface before. What a task adds is one file of
-tactile_control/tasks: its own phase's name, the reference velocity in it, and when it is done. How a task
-stops and fails is in `phases`.
+Phases: go_to_start -> approach -> settle -> a task's own -> retreat -> done, or failed. How the contact is
+made and ended is in `contact_phases`, how a task stops and fails in `phases`. What a task adds is one file of
+tactile_control/tasks: its own phase's name, the reference velocity in it, and when it is done.
 """
 
 from __future__ import annotations
@@ -24,19 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND, SECOND_NS
-from tactile_control.contact_settings import ContactSettings, ContactTaskSettings
-from tactile_control.motion import Odometer, along_z
+from tactile_control.contact_phases import APPROACH, LEAVE, LIFT, SETTLE, TOUCH, ContactPhases
+from tactile_control.contact_settings import ContactTaskSettings
+from tactile_control.motion import Odometer
 from tactile_control.phases import (
     DONE,
-    FAILED,
     GO_TO_START,
     RETREAT,
-    STOPPING,
     Command,
     Goal,
-    PhaseMachine,
     StampedPose,
-    StampedPresence,
     TaskInputs,
     newer,
 )
@@ -48,15 +43,6 @@ from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailabl
 
 Array = NDArray[np.float64]
 
-LEAVE = "leave"
-TOUCH = "touch"
-LIFT = "lift"
-APPROACH = "approach"
-SETTLE = "settle"
-INTO_CONTACT = (LEAVE, GO_TO_START, TOUCH, LIFT, APPROACH, SETTLE)  # what comes before a task's own phase
-LEAVE_WITHIN = 3.0  # retreat distances, within which a contact that was there before the task has to end
-LIFT_BY, LIFT_WITHIN = 0.003, 0.009  # m off a dry touch, and that its contact ends within
-FELT_AGAIN = 0.0015  # m beyond a dry touch, within which an approach has to feel it again
 TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 
 # progress at which each phase begins; the work takes the large middle part
@@ -73,7 +59,7 @@ PROGRESS = {
 WORK_PROGRESS = 0.1
 
 
-class ContactTask(PhaseMachine[TaskInputs, Command]):
+class ContactTask(ContactPhases):
     """Base of tasks in contact; see the module's text. One object runs one goal.
 
     A task names its phase `work` and fills in `reference_velocity`, `finished`, and where it has them
@@ -90,22 +76,8 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
     """
 
     def __init__(self, settings: ContactTaskSettings, goal: Goal, start: Array | None = None) -> None:
-        handlers = {
-            LEAVE: self._leave,
-            GO_TO_START: self._go_to_start,
-            TOUCH: self._touch,
-            LIFT: self._lift,
-            APPROACH: self._approach,
-            SETTLE: self._settle,
-            self.work: self._work,
-            STOPPING: self._stopping,
-            RETREAT: self._retreat,
-        }
-        self._after_leaving = self._into_contact(settings.contact) if start is None else GO_TO_START
-        super().__init__(self._after_leaving, handlers, settings.limiter, settings.watchdog)
-        self.settings = settings
+        super().__init__(settings, start, {SETTLE: self._settle, self.work: self._work})
         self.goal = goal
-        self.start = None if start is None else se3.checked_pose("start", start)
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
         self.check = SurfaceCheck(settings.surface)
@@ -121,17 +93,10 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         }
         self._odometer = Odometer(settings.contact.pose_step)
         self._track = TransformBuffer(TRACK_NS)
-        self._phase_pose: Array | None = None
         self._belief: StampedPose | None = None
-        self._presence: StampedPresence | None = None
         self._servo: ServoingOutput | None = None
-        self._contact_ns: int | None = None
-        self._touch_ns = 0
-        self._touch_position: Array | None = None
-        self._dry: Array | None = None  # where the sensor was when it touched first, to be felt there again
         self._settled_ns: int | None = None
         self._reapproaches = 0
-        self._begins = True
         self._progress = 0.0
         self._limited = False
         self._pace = 1.0
@@ -181,7 +146,7 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if newer(inputs.presence, self._presence):
             self._presence = inputs.presence
             if self.phase in (SETTLE, self.work) and inputs.presence.in_contact:
-                self.check.see(newer(belief, self._belief))
+                self.check.see(newer(belief, self._belief), inputs.presence.still)
         if newer(belief, self._belief):
             se3.checked_pose("belief", belief.T)
             self._belief = belief
@@ -222,10 +187,6 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if self.phase in (SETTLE, self.work) and self._contact_lost():
             self._wanted = self._after_lost_contact()
             return self._wanted, ""
-        if self._begins and self._presence is not None and self._pose is not None:
-            self._begins = False
-            if self._presence.in_contact:
-                self._begin_in_contact(self._presence.stamp_ns)
         twist, waiting = super()._next_twist(now_ns)
         return self._believed(twist, waiting) if self.phase in (SETTLE, self.work) else (twist, waiting)
 
@@ -238,100 +199,6 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         if self._pace < 1.0 and not waiting:
             waiting = f"slower: what is believed of the contact nears a limit ({self.check.doubt:.0%} of it)"
         return self._pace * twist, waiting
-
-    def _begin_in_contact(self, stamp_ns: int) -> None:
-        """Leave the contact, which was not made by the task, or go on with it."""
-        if self.settings.contact.leave_first:
-            self._enter(LEAVE)
-        else:
-            self._touch_ns = self._contact_ns = stamp_ns
-            self._enter(SETTLE)
-
-    def _leave(self, now_ns: int) -> Array:
-        """Back out of a contact that was there before the task."""
-        settings = self.settings.contact
-        gone = self._gone_from_phase_start()
-        if gone >= settings.retreat_distance and not self._touching():
-            self._enter(self._after_leaving)
-            return np.zeros(6)
-        if (
-            gone >= LEAVE_WITHIN * settings.retreat_distance
-            or self._in_phase(now_ns) > settings.retreat_timeout
-        ):
-            return self._fail(f"still in contact after backing off by {gone * 1e3:.1f} mm")
-        return along_z(-settings.retreat_speed)
-
-    def _go_to_start(self, now_ns: int) -> Array:
-        assert self.start is not None
-        if self._touching() and self._in_phase(now_ns) > self.settings.contact.lost_contact_time:
-            return self._fail("touched something on the way to the start")
-        twist = self._go_to(self.start, self.settings.travel, now_ns)
-        if twist is None:
-            self._enter(self._into_contact(self.settings.contact))
-            return np.zeros(6)
-        return twist
-
-    @staticmethod
-    def _into_contact(settings: ContactSettings) -> str:
-        """The phase that makes the first contact."""
-        return TOUCH if settings.dry_touch else APPROACH
-
-    def _touch(self, now_ns: int) -> Array:
-        """Into the surface until contact is felt at all."""
-        if self._touching():
-            assert self._presence is not None
-            self._contact_ns = self._presence.stamp_ns
-            self._dry = self._sensor_pose()[:3, 3].copy()
-            self._enter(LIFT)
-            return np.zeros(6)
-        return self._no_contact_yet(now_ns)
-
-    def _lift(self, now_ns: int) -> Array:
-        """Off it again: what was felt has to end."""
-        gone = self._gone_from_phase_start()
-        if gone >= LIFT_BY and not self._touching():
-            self._enter(APPROACH)
-            return np.zeros(6)
-        if gone >= LIFT_WITHIN:
-            return self._fail(f"the contact that was felt does not end {gone * 1e3:.1f} mm off: is it one?")
-        return along_z(-self.settings.contact.approach_speed)
-
-    def _approach(self, now_ns: int) -> Array:
-        settings = self.settings.contact
-        if self._pressed() >= settings.press_distance:
-            self._dry = None
-            self.servoing.reset()
-            self.predictor.reset()  # a new contact is another feature: the way to it is no motion
-            self._servo = None
-            self._enter(SETTLE)
-            return np.zeros(6)
-        if self._dry is not None and self._touch_position is None:
-            pose = self._sensor_pose()
-            beyond = float(pose[:3, 2] @ (pose[:3, 3] - self._dry))
-            if beyond > FELT_AGAIN:
-                return self._fail(f"a contact was felt {beyond * 1e3:.1f} mm before, and is not felt again")
-        return self._no_contact_yet(now_ns)
-
-    def _no_contact_yet(self, now_ns: int) -> Array:
-        """On into the surface, as long as that is sensible."""
-        settings = self.settings.contact
-        if self._gone_from_phase_start() > settings.approach_distance:
-            return self._fail(f"no contact within {settings.approach_distance * 1e3:.1f} mm of approach")
-        if self._in_phase(now_ns) > settings.approach_timeout:
-            return self._fail(f"no contact within {settings.approach_timeout:g} s of approach")
-        return along_z(settings.approach_speed)
-
-    def _pressed(self) -> float:
-        """Way since the first touch of this approach, m; negative before it."""
-        if not self._touching():
-            self._touch_position = None
-            return -1.0
-        assert self._presence is not None
-        position = self._sensor_pose()[:3, 3]
-        if self._touch_position is None:
-            self._touch_position = position.copy()
-            self._touch_ns = self._contact_ns = self._presence.stamp_ns
-        return se3.norm(position - self._touch_position)
 
     def _settle(self, now_ns: int) -> Array:
         settings = self.settings.contact
@@ -364,24 +231,13 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
             return self._fail(reason)
         return self._serve(self.reference_velocity(self._in_phase(now_ns))).twist
 
-    def _stopping(self, now_ns: int) -> Array:
-        if self._at_rest():
-            if self._contact_ns is not None:
-                self._enter(RETREAT)
-            else:
-                self._enter(FAILED if self.reason else DONE)
-        return np.zeros(6)
-
-    def _retreat(self, now_ns: int) -> Array:
-        settings = self.settings.contact
-        if self._gone_from_phase_start() >= settings.retreat_distance:
-            self._enter(FAILED if self.reason else DONE)
-            return np.zeros(6)
-        if self._in_phase(now_ns) > settings.retreat_timeout:
-            return self._retreat_late(settings.retreat_timeout)
-        return along_z(-settings.retreat_speed)
-
     # ---- parts of phases ----
+
+    def _contact_made(self) -> None:
+        """See `ContactPhases`."""
+        self.servoing.reset()
+        self.predictor.reset()  # a new contact is another feature: the way to it is no motion
+        self._servo = None
 
     def _serve(self, velocity: Array, hold_integral: bool = False) -> ServoingOutput:
         """Servo on the belief if it is a new one or carried on; else the last output holds."""
@@ -402,11 +258,6 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         X_sf = self.predictor.ahead(self._now_ns, T_base_sensor)
         return belief if X_sf is None else StampedPose(self._now_ns, X_sf)
 
-    def _touching(self) -> bool:
-        """In contact, by an image exposed since this phase began."""
-        presence = self._presence
-        return presence is not None and presence.in_contact and presence.stamp_ns >= self._phase_since_ns
-
     def _contact_lost(self) -> bool:
         presence = self._presence
         assert presence is not None and self._contact_ns is not None
@@ -424,27 +275,13 @@ class ContactTask(PhaseMachine[TaskInputs, Command]):
         self._enter(APPROACH)
         return np.zeros(6)
 
-    def _fail(self, reason: str) -> Array:
-        """Fail with a retreat first."""
-        self._contact_ns = self._contact_ns or self._now_ns  # it may touch: retreat after the stop
-        return super()._fail(reason)
-
     def _enter(self, phase: str) -> None:
         super()._enter(phase)
-        self._phase_pose = None
-        self._touch_position = None
         self._settled_ns = None
         if phase == SETTLE:
             self.check.begin()
         elif phase == self.work:
             self.check.work()
-
-    def _gone_from_phase_start(self) -> float:
-        """Distance from where the sensor was at the first step of this phase, m."""
-        pose = self._sensor_pose()
-        if self._phase_pose is None:
-            self._phase_pose = pose.copy()
-        return se3.norm(pose[:3, 3] - self._phase_pose[:3, 3])
 
     # ---- output ----
 

@@ -52,10 +52,11 @@ class StampedPose:
 
 @dataclass(frozen=True)
 class StampedPresence:
-    """Whether the sensor touches, at the exposure's stamp."""
+    """Whether the sensor touches, at the exposure's stamp, and whether images show nothing but noise."""
 
     stamp_ns: int
     in_contact: bool
+    still: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class Goal(Settings):
 
 @dataclass(frozen=True)
 class Command:
-    """What one step of a task says; the last six say nothing in a task, or phase, that has no such thing.
+    """What one step of a task says; `error` to `exposure_ns` say nothing where there is no such thing.
 
     Attributes
     ----------
@@ -117,8 +118,11 @@ class Command:
         Way of the sensor's centre so far, m.
     exposure_ns : int
         Stamp of the belief that the twist is based on, 0 for none.
-    waiting : bool
-        It rests, or comes to rest, since something that it needs is missing or too old.
+    at_work : bool
+        Its own phase (`PhaseMachine.work`) has begun, and it is not over.
+    trouble : str
+        Why it does not go on with what it is for, to those who work together with it: something that it
+        needs is missing or too old, or it ends before it has done it. '' also where it rests because of them.
     """
 
     twist: Array
@@ -134,19 +138,13 @@ class Command:
     progress: float = 0.0
     travelled: float = 0.0
     exposure_ns: int = 0
-    waiting: bool = False
+    at_work: bool = False
+    trouble: str = ""
 
     @property
-    def trouble(self) -> str:
-        """Why it does not go on with what it is for, to those who work together with it; '' where it does."""
-        return trouble_in(self.phase, self.reason, self.waiting)
-
-
-def trouble_in(phase: str, reason: str, waiting: bool) -> str:
-    """Why a task does not go on, by its phase, its reason, and whether it waits; '' where it does."""
-    if phase in (DONE, FAILED):
-        return reason or "its task is over"
-    return reason if waiting or phase in (STOPPING, RETREAT) else ""
+    def over(self) -> bool:
+        """Whether it has come to its end, if not to rest."""
+        return self.phase in (DONE, FAILED)
 
 
 class Stamped(Protocol):
@@ -202,8 +200,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
     remark : str
         What whoever calls knows of inputs that do not come; it is told where one is missing or too old.
     partner : str
-        Why another arm that is at work on the same object is not; as long as it says so this one rests too,
-        as when an input is missing. It does not keep the task from leaving the surface.
+        Why another arm that works on the same object does not go on (`partners`); as long as it says so this
+        one rests too, as when an input is missing. It does not keep the task from leaving the surface.
     """
 
     settings_class: ClassVar[type[SettingGroups]]
@@ -231,7 +229,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._phase_since_ns = 0
         self._pose: StampedPose | None = None
         self._wanted = np.zeros(6)
-        self._refused, self._waits = "", False
+        self._refused = self._lacks = ""
+        self._begun = False
         self.remark = self.partner = ""
         self._waypoints: list[Waypoint] | None = None
 
@@ -264,7 +263,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         else:
             self._mind_pause((now_ns - self._now_ns) * NANOSECOND)
         self._now_ns = now_ns
-        self._refused, self._waits = "", False
+        self._refused = self._lacks = ""
         try:
             self._take(inputs)
         except PoseError as error:
@@ -326,12 +325,13 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
             return self._wanted, ""
         partner = "" if self.phase in (STOPPING, RETREAT) else self.partner
         state = self.watchdog.step(now_ns, self._stamps(), partner)
-        self._waits = not state.ok
+        self._lacks = self._explained(state.reason) if state.reason else ""
+        reason = "; ".join(filter(None, (self._lacks, state.other)))
         if state.failed:
-            self._fail_here(self._explained(state.reason))
+            self._fail_here(reason)
             return np.zeros(6), ""
         if not state.ok:
-            return state.scale * self._wanted, self._explained(state.reason)
+            return state.scale * self._wanted, reason
         self._wanted = self._handlers[self.phase](now_ns)
         return self._wanted, ""
 
@@ -402,14 +402,17 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         """What all tasks say, and what this one says more."""
         assert self._now_ns is not None
         limited = self.limiter.step(self._now_ns, wanted)
+        over = self.phase in (DONE, FAILED)
+        self._begun = self._begun or self.phase == self.work
         return Command(
             twist=limited.twist,
             unlimited=self._wanted.copy(),
             phase=self.phase,
-            done=self.phase in (DONE, FAILED) and self._at_rest(),
+            done=over and self._at_rest(),
             succeeded=self.phase == DONE,
             reason="; ".join(filter(None, (self.reason, waiting))),
             limited=limited.reason,
-            waiting=self._waits,
+            at_work=self._begun and not over,
+            trouble=self.reason or self._lacks,
             **more,
         )

@@ -36,6 +36,7 @@ LATELY = 0.1  # weight of an image in the share of those that gave nothing to be
 # s; beliefs of so long, and so many, are averaged: what differs between images is noise
 BIN, LEAST_NUMBER = 0.1, 3
 JUMP = 1.5  # depth errors between one belief and the next, which have more noise than means
+ACCELERATION = 1.0  # m/s^2, of a surface that may move, as far as its speed lets it
 SLOWEST = 0.25  # part of the twist that is left where a limit is all but reached
 LEAST_SHEAR, LEAST_TURN = 0.001, 0.03  # m, rad; smaller ones hardly have a direction
 
@@ -98,6 +99,11 @@ class SurfaceSettings(Settings):
         0.5, lower=0.05, upper=1.0,
         doc="of the latest ten images, about: more of them than this, in contact, gave nothing to believe",
     )  # fmt: skip
+    still_way: float = setting(
+        0.003, lower=0.0, upper=0.1, unit="m",
+        doc="the arm goes so far at most in contact while the images show nothing but noise; further with an "
+        "object that is carried along, whose contact may stand still for a while; 0: any way",
+    )  # fmt: skip
     memory: float = setting(
         10.0, lower=0.5, upper=60.0, unit="s", doc="beliefs are compared with those up to so long ago"
     )
@@ -148,6 +154,8 @@ class SurfaceCheck:
         self._number = 0
         self._before: _Middle | None = None
         self._sheared = self._twisted = 0.0
+        self._rate: float | None = None  # of the surface along its normal between two beliefs, m/s
+        self._still: list[float] | None = None  # where the sensor was when images began to show only noise
 
     def work(self) -> None:
         """The task's own phase begins: from now on the surface may move, if it may at all."""
@@ -162,13 +170,32 @@ class SurfaceCheck:
             return 1.0
         return 1.0 - (1.0 - SLOWEST) * (self.doubt - slow_from) / (1.0 - slow_from)
 
-    def see(self, believed: bool) -> None:
-        """Take notice of an image that shows contact, and whether it gave something to believe."""
+    def see(self, believed: bool, still: bool = False) -> None:
+        """Take notice of an image that shows contact: whether it gave something to believe.
+
+        `still` says whether the latest images have shown nothing but noise.
+        """
         self._refused += LATELY * ((not believed) - self._refused)
-        if self.settings.checked and self._refused > self.settings.refused_share and not self.contradiction:
+        if not self.settings.checked or self.contradiction:
+            return
+        if self._refused > self.settings.refused_share:
             self.contradiction = (
                 f"no belief came of {self._refused:.0%} of the latest images that show contact"
             )
+        elif (way := self._gone_still(still)) > self.settings.still_way > 0.0:
+            self.contradiction = (
+                f"the arm went {way * 1e3:.1f} mm in contact while the images showed nothing but noise: do "
+                "they show the sensor as it is now?"
+            )
+
+    def _gone_still(self, still: bool) -> float:
+        """How far the sensor is, m, from where it was when the images began to stand still."""
+        if not still or self._last is None:
+            self._still = None
+            return 0.0
+        here, _ = self._last
+        self._still = self._still or here
+        return math.dist(here, self._still)
 
     def add(self, stamp_ns: int, X_sf: Array, T_base_sensor: Array) -> None:
         """Take a belief's mean (4, 4) and the sensor's pose (4, 4), both of a stamp later than the last."""
@@ -270,9 +297,17 @@ class SurfaceCheck:
             self.contradiction = f"{text()}: the estimates contradict the arm's motion"
 
     def _jumped(self, since: float, apart: float) -> None:
-        """One belief that is far from the last one need not wait for the mean of some."""
-        moved, _ = self._own_motion(since)
-        if abs(apart) > JUMP * self.settings.depth_error + moved:
+        """One belief that is far from the last one need not wait for the mean of some.
+
+        A surface that moves goes on as it did between the two before, but for its acceleration.
+        """
+        moved = float(self._own_motion(since)[0])
+        expected, room = 0.0, moved
+        if self._rate is not None:
+            expected = min(max(self._rate * since, -moved), moved)
+            room = min(moved, ACCELERATION * since * since)
+        self._rate = apart / since
+        if abs(apart - expected) > JUMP * self.settings.depth_error + room:
             way = "deeper" if apart > 0.0 else "less deep"
             self._doubt(
                 2.0,

@@ -58,16 +58,17 @@ class WatchdogState:
     """What the watchdog says now.
 
     scale: 1 while all is well, then down to 0 over the ramp; reason: '' or which input, how old, limit;
-    failed: at rest, and out of patience.
+    other: another reason to rest, as it was given; failed: at rest, and out of patience.
     """
 
     scale: float
     reason: str
+    other: str = ""
     failed: bool = False
 
     @property
     def ok(self) -> bool:
-        return self.reason == ""
+        return not self.reason and not self.other
 
 
 _ALL_WELL = WatchdogState(1.0, "")
@@ -96,15 +97,15 @@ class Watchdog:
         reasons = [
             reason for name, stamp in stamps_ns.items() if (reason := self._complaint(now_ns, name, stamp))
         ]
-        reasons += [other] if other else []
-        if not reasons:
+        if not reasons and not other:
             self._since_ns = None
             return _ALL_WELL
         if self._since_ns is None:
             self._since_ns = now_ns
         elapsed = (now_ns - self._since_ns) * NANOSECOND
         scale = self._ramp(max(elapsed, self._overdue(now_ns, stamps_ns)))
-        return WatchdogState(scale, "; ".join(reasons), scale == 0.0 and elapsed >= self.settings.patience)
+        failed = scale == 0.0 and elapsed >= self.settings.patience
+        return WatchdogState(scale, "; ".join(reasons), other, failed)
 
     def _complaint(self, now_ns: int, name: str, stamp_ns: int | None) -> str:
         limit = self.settings.limits[name]

@@ -90,8 +90,8 @@ class ArmLimits(Settings):
 
 
 @dataclass(frozen=True)
-class SafetySettings(Settings):
-    """Where an arm may go, and what it believes of its commands and states."""
+class WorkspaceSettings(Settings):
+    """Where an arm may go."""
 
     workspace_lower: tuple[float, ...] = setting(
         (-2.0, -2.0, -2.0), length=3, lower=-20.0, upper=20.0, unit="m",
@@ -100,6 +100,20 @@ class SafetySettings(Settings):
     workspace_upper: tuple[float, ...] = setting(
         (2.0, 2.0, 2.0), length=3, lower=-20.0, upper=20.0, unit="m", doc="the opposite corner"
     )
+
+    def outside(self, position: ArrayLike, arm: str) -> str:
+        """Why an arm of that name may not be there, (3,) m in its base; '' where it may."""
+        p, lower, upper = np.asarray(position, dtype=np.float64), self.workspace_lower, self.workspace_upper
+        if ((np.array(lower) <= p) & (p <= np.array(upper))).all():
+            return ""
+        where = f"({', '.join(f'{value:g}' for value in p)}) m"
+        return f"{where} is outside the workspace of '{arm}', {list(lower)} to {list(upper)} m"
+
+
+@dataclass(frozen=True)
+class SafetySettings(WorkspaceSettings):
+    """Where an arm may go, and what it believes of its commands and states."""
+
     largest_shear: float = setting(
         0.012, lower=1e-4, upper=0.1, unit="m", doc="shear of the tip at which the arm shears it no further"
     )

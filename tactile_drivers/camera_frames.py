@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.exposures import REPEATED, DamagedJpeg, LastExposure, gray_of_jpeg, objection
+from tactile_base.exposures import DamagedJpeg, Exposures, gray_of_jpeg, objection
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.camera import CameraFrame
 
@@ -117,7 +117,7 @@ class FrameIntake:
     clock: StampClock = field(default_factory=StampClock)
 
     def __post_init__(self) -> None:
-        self._last = LastExposure()
+        self._exposures = Exposures()
         self._stamps: deque[int] = deque(maxlen=_WINDOW)
 
     def take(self, raw: Pixels, position_ms: float, arrival: Arrival) -> CameraFrame | None:
@@ -155,9 +155,9 @@ class FrameIntake:
         return stamp_ns
 
     def _image(self, raw: Pixels) -> Pixels:
-        repeated = not self.repeats and self._last.repeats(raw)
+        repeated = "" if self.repeats else self._exposures.repeats(raw)
         image = gray_frame(raw, self.form, self.width, self.height)
-        if why := objection(image, self.least_contrast) or (REPEATED if repeated else ""):
+        if why := objection(image, self.least_contrast) or repeated:
             raise FrameRefused(why)
         return image
 

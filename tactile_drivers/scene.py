@@ -145,13 +145,12 @@ class ArmScene:
     def out_of_bounds(self, position: ArrayLike) -> str:
         """Why the controlled frame's origin may not be there, (3,) m in the base; empty where it may."""
         p = np.asarray(position, dtype=np.float64)
-        lower, upper = np.array(self.safety.workspace_lower), np.array(self.safety.workspace_upper)
-        where = f"({', '.join(f'{value:g}' for value in p)}) m"
-        if (p < lower).any() or (p > upper).any():
-            return f"{where} is outside the workspace of '{self.name}', {lower.tolist()} to {upper.tolist()}"
+        if reason := self.safety.outside(p, self.name):
+            return reason
         radius = self.sensor.settings.tip_radius if self.sensor is not None else 0.0
         for box in self.keep_out:
             if se3.norm(np.clip(p, box.lower, box.upper) - p) < max(radius, 1e-9):
+                where = f"({', '.join(f'{value:g}' for value in p)}) m"
                 return f"{where} is in '{box.name}', which '{self.name}' is kept out of, or too near"
         return ""
 

@@ -15,18 +15,19 @@ from numpy.typing import ArrayLike
 
 from tactile_drivers.arm import LONGEST_CALL, Arm
 
+_TOLD_FOR = 10.0  # s, that a call which took too long is told
+
 
 class CallTimer:
-    """How long the calls of a driver take.
-
-    Attributes
-    ----------
-    remark : str
-        The last call that took longer than the contract allows; '' for none.
-    """
+    """How long the calls of a driver take."""
 
     def __init__(self) -> None:
-        self.remark = ""
+        self._text, self._until = "", 0.0
+
+    @property
+    def remark(self) -> str:
+        """The last call that took longer than the contract allows, for `_TOLD_FOR` s after it; else ''."""
+        return self._text if time.perf_counter() < self._until else ""
 
     def __call__(self, name: str, call: Callable[..., Any], *arguments: Any) -> None:
         """Make a call, and take its time."""
@@ -34,7 +35,8 @@ class CallTimer:
         call(*arguments)
         taken = time.perf_counter() - begun
         if taken > LONGEST_CALL:
-            self.remark = f"the driver's {name} took {taken:.3f} s (at most {LONGEST_CALL:g} s)"
+            self._text = f"the driver's {name} took {taken:.3f} s (at most {LONGEST_CALL:g} s)"
+            self._until = begun + taken + _TOLD_FOR
 
 
 class Sender:

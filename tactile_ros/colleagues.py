@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from tactile_base import topics
-from tactile_control.phases import DONE, trouble_in
+from tactile_control.partners import Partners
+from tactile_control.phases import DONE, FAILED
 from tactile_msgs.msg import ControllerStatus
 from tactile_records.bags.cdr import MessageReader, layout_of
 from tactile_records.bags.message_definitions import type_fields
@@ -49,38 +50,25 @@ class EstimatorWord:
                 self.text = "" if level == DiagnosticStatus.OK else layout.texts[f"status.{index}.message"]
 
 
-class Partners:
-    """Whether the arms that a task works together with are at work, by their controllers' status.
+@dataclass(frozen=True)
+class StatusWord:
+    """What a controller's status says to its partners (`tactile_control.partners.Word`)."""
 
-    Parameters
-    ----------
-    arms : sequence of str
-        Their names; their controllers publish below `/NAME`.
-    age_limit : float
-        Silence of a controller that counts as trouble, s.
-    """
+    over: bool
+    at_work: bool
+    trouble: str
 
-    def __init__(self, node: ManagedNode, arms: Sequence[str], age_limit: float) -> None:
-        self._limit = age_limit
-        self._words: dict[str, tuple[float, str]] = {}
-        self._read = MessageReader(topics.CONTROLLER_STATUS.type)
-        for arm in arms:
-            self._words[arm] = -float("inf"), ""
-            topic = topics.CONTROLLER_STATUS.of(arm).name
-            node.subscribe(ControllerStatus, topic, functools.partial(self._take, arm), STATE, raw=True)
 
-    def _take(self, arm: str, data: bytes) -> None:
-        layout, numbers = self._read(data)
-        phase, reason = layout.texts["phase"], layout.texts["reason"]
-        waiting = bool(numbers[layout.place("waiting").start])
-        word = trouble_in(DONE if phase == IDLE else phase, reason, waiting)
-        self._words[arm] = time.monotonic(), word
+def listen_to_partners(node: ManagedNode, partners: Partners) -> None:
+    """Have partners hear what the controller of each says in its status, by the steady clock."""
+    read = MessageReader(topics.CONTROLLER_STATUS.type)
 
-    def trouble(self) -> str:
-        """Who of them is not at work, and why; empty where all are."""
-        now = time.monotonic()
-        words = {
-            arm: word if now - heard <= self._limit else f"no {topics.CONTROLLER_STATUS.name} of it is heard"
-            for arm, (heard, word) in self._words.items()
-        }
-        return "; ".join(f"{arm}: {word}" for arm, word in words.items() if word)
+    def take(arm: str, data: bytes) -> None:
+        layout, numbers = read(data)
+        over = layout.texts["phase"] in (IDLE, DONE, FAILED)
+        at_work = bool(numbers[layout.place("at_work").start])
+        partners.hear(arm, time.monotonic(), StatusWord(over, at_work, layout.texts["trouble"]))
+
+    for arm in partners.arms:
+        topic = topics.CONTROLLER_STATUS.of(arm).name
+        node.subscribe(ControllerStatus, topic, functools.partial(take, arm), STATE, raw=True)

@@ -85,7 +85,7 @@ def status_bytes(
         frame_id,
         *split_stamp(command.exposure_ns if command and running else 0),
         number,
-        bool(command and running and command.waiting),
+        bool(command and running and command.at_work),
         *(command.error if command else _UNKNOWN).tolist(),
         *(command.reference if command else _UNKNOWN).tolist(),
         *(command.feedforward if command else _ZERO).tolist(),
@@ -99,6 +99,7 @@ def status_bytes(
         phase=phase,
         goal_name=name,
         reason=reason,
+        trouble=command.trouble if command else "",
     )
 
 

@@ -13,7 +13,7 @@ LIMITS = (
 
 
 class Double(ur_cell.Double):
-    """That of a Franka, which waits for commands as long as a machine that is no real-time one may need."""
+    """That of a Franka, whose time stands still while a busy machine holds its driver up."""
 
     mended: ClassVar = [
         "silence 0", "deaf 0", "slow 0", "garbled 0", "loss 0", "success_rate 1", "reflex_stays 0",
@@ -22,7 +22,7 @@ class Double(ur_cell.Double):
     module = "tactile_drivers.doubles.franka_controller"
 
     def __init__(self, host: str, **settings):
-        super().__init__(host, **{"tolerance": 5.0, **settings})
+        super().__init__(host, **{"tolerance": 5.0, "patience": 0.1, **settings})
 
 
 def scene_file(folder: Path, host: str, limits: str = LIMITS, **settings) -> Path:

@@ -13,6 +13,7 @@ from tactile_records.runs.record import RunRecord
 
 FIRST_DOMAIN_PORT = 7400  # of RTPS: the ports of domain 0
 PATIENCE = 120.0  # s; a wait ends as soon as it can: only a test that fails waits as long, on any machine
+NOTED = 0.3  # s between looks at the shared memory that is in use
 
 
 class Launched:
@@ -66,10 +67,14 @@ class Launched:
         return self.left() == []
 
     def _wait(self, condition: Callable[[], bool], complaint: str) -> None:
-        deadline = time.monotonic() + PATIENCE
+        due = time.monotonic()
+        deadline = due + PATIENCE
         while not condition():
-            assert time.monotonic() < deadline, f"{complaint}:\n{self.output}"
-            self._note_segments()
+            now = time.monotonic()
+            assert now < deadline, f"{complaint}:\n{self.output}"
+            if now >= due:  # which takes as long as a wait
+                self._note_segments()
+                due = now + NOTED
             time.sleep(0.05)
 
     def _note_segments(self) -> None:

@@ -24,6 +24,8 @@ STILL = 1e-5  # m/s, rad/s: a filter that fades away never ends
 WITHIN = 0.2  # s, from a fault to rest
 ATTEMPTS = 3  # a machine that does something else meanwhile may be late once
 COMMANDS = 0.01  # s, between commands
+PROMPT, PATIENT = 0.1, 1.0  # s without a state that a driver in motion calls silence: by default, and at most
+LONGEST = 0.01  # s between two rows of a trace; where it is more the double was held up, and nothing moved
 _addresses = iter(range(1, 255))
 
 
@@ -74,6 +76,11 @@ class Double:
         self._process.stdin.write(" ".join([name, *map(str, numbers)]) + "\n")
         self._process.stdin.flush()
         return json.loads(self._process.stdout.readline())
+
+    def mend(self) -> None:
+        """Have nothing go wrong any more."""
+        for line in self.mended:
+            self(*line.split())
 
     def trace(self) -> np.ndarray:
         """Rows of time, pose (6), speed (6), target speed (6) since the last time, (n, 19)."""
@@ -137,9 +144,13 @@ class Cell:
     def move(self):
         """Bring the arm to 50 mm/s, from rest, as whoever commands it anew has to."""
         self.until(lambda: not self.command(ZERO), "arm that listens")
-        self.until(
-            lambda: not self.command(ALONG) and np.abs(self.state.twist - ALONG).max() < 1e-4, "50 mm/s"
-        )
+
+        def at_speed() -> bool:
+            refusal = self.command(ALONG)
+            assert self.state.mode is not ArmMode.FAULT, refusal  # which no waiting ends
+            return not refusal and np.abs(self.state.twist - ALONG).max() < 1e-4
+
+        self.until(at_speed, "50 mm/s")
 
     def until(self, done, what: str, patience: float = 15.0):
         """Wait for something."""
@@ -155,10 +166,14 @@ class Cell:
         self.safe.close()
 
 
+def lasted(times: np.ndarray) -> float:
+    """Seconds from the first to the last row of a trace, of those in which the double moved its arm."""
+    return float(np.minimum(np.diff(times), LONGEST).sum())
+
+
 def mend(cell, double):
     """Leave the arm at rest and ready, whatever went wrong before."""
-    for line in double.mended:
-        double(*line.split())
+    double.mend()
 
     def ready():
         try:
@@ -186,7 +201,8 @@ def stopped_by(cell, double, inject) -> tuple[float, float, str]:
         return 0.0, 0.0, refusal
     last = moving[-1]
     assert last < len(after) - 1, "the arm has moved to the end"
-    return after[last, 0] - after[0, 0], float(np.linalg.norm(after[last, 1:4] - after[0, 1:4])), refusal
+    metres = float(np.linalg.norm(after[last, 1:4] - after[0, 1:4]))
+    return lasted(after[: last + 1, 0]), metres, refusal
 
 
 def check_stop(cell, double, inject, words: str, mode=ArmMode.FAULT):
@@ -202,8 +218,7 @@ def check_stop(cell, double, inject, words: str, mode=ArmMode.FAULT):
         mend(cell, double)
     assert seconds <= WITHIN
     assert metres <= SPEED * WITHIN
-    for line in double.mended:
-        double(*line.split())
+    double.mend()
     double.trace()
     assert cell.command(ALONG, 0.2), "it went on by itself"
     assert not (np.abs(double.trace()[:, 7:13]) > STILL).any()

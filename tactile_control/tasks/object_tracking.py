@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_control.contact_phases import INTO_CONTACT
 from tactile_control.contact_settings import ContactTaskSettings
-from tactile_control.contact_task import INTO_CONTACT, ContactTask
+from tactile_control.contact_task import ContactTask
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal
 from tactile_control.surface_check import SurfaceSettings

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_control.alignment import AlignmentController, AlignmentSettings, Bearing, target_bearing
+from tactile_control.contact_phases import INTO_CONTACT
 from tactile_control.contact_settings import ContactSettings, ContactTaskSettings
-from tactile_control.contact_task import INTO_CONTACT, ContactTask
+from tactile_control.contact_task import ContactTask
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal, StampedPose
 from tactile_control.steering import SteeringController, SteeringSettings
@@ -57,7 +58,9 @@ class PushingSettings(ContactTaskSettings):
         default_factory=lambda: ContactSettings(lost_contact="fail", leave_first=False)
     )
     surface: SurfaceSettings = field(
-        default_factory=lambda: SurfaceSettings(speed=0.03, turn_rate=0.5, yields=0.005, largest_depth=0.007)
+        default_factory=lambda: SurfaceSettings(
+            speed=0.03, turn_rate=0.5, yields=0.005, largest_depth=0.007, still_way=0.06
+        )
     )
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     steering: SteeringSettings = field(default_factory=SteeringSettings)

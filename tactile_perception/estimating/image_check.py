@@ -3,7 +3,7 @@
 A network answers to any image, and so does a comparison with an earlier one. What cannot be an image of this
 sensor is refused, whoever sends it: as if it had not come, so that the arm rests as when a camera is silent.
 
-- Of the camera's image: it does not repeat the one before it bit for bit, and its gray levels vary.
+- Of the camera's image: it repeats none of the latest bit for bit, and its gray levels vary.
 - Of the same after the threshold, against the sensor's own image without contact: as many markers, and
   as much of it white.
 - Of images that follow one another: each is like the one before it, or like the image without contact. One
@@ -12,8 +12,9 @@ sensor is refused, whoever sends it: as if it had not come, so that the arm rest
 - Of the image without contact, against the mean of the images that the network was trained on: no mirrored or
   turned form of that fits better (`layout.Layout`).
 
-That an image shows a touch which is long over, or never was, it cannot tell: a scene that stands still
-before a camera that works, a recording. The arm's own motion has to contradict those.
+That an image shows a touch which is long over it cannot tell alone. Of images that show nothing but noise
+for a second it says so (`still`, `stillness`): where the arm moves, that is a contradiction. A recording that
+is longer than what is remembered the arm's own motion has to contradict.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.exposures import REPEATED, LastExposure, objection
+from tactile_base.exposures import Exposures, objection
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_perception.estimating.image import Image, ImageError
+from tactile_perception.estimating.stillness import FRAMES, Stillness
 
 #: Side of the images in which markers are counted, whatever the network's: in smaller ones they merge.
 SIDE = 128
@@ -52,7 +54,7 @@ class ImageRefused(ImageError):
 class ImageCheckSettings(Settings):
     """What is refused. Markers and white are relative to the image without contact of the reference."""
 
-    repeats: bool = setting(False, doc="take an image that equals the one before it bit for bit")
+    repeats: bool = setting(False, doc="take an image that equals one of the latest bit for bit")
     least_contrast: float = setting(
         4.0, lower=0.0, upper=255.0,
         doc="standard deviation of gray levels below which a camera's image shows nothing; 0: none does",
@@ -72,6 +74,15 @@ class ImageCheckSettings(Settings):
         0.4, lower=-1.0, upper=1.0,
         doc="correlation in contact with the image before it, or with that without contact, 1/60 s later; "
         "for longer times in inverse proportion. Skin that moves by 0.5 mm has 0.47 at least (simulated)",
+    )  # fmt: skip
+    still_images: int = setting(
+        64, lower=2 * FRAMES, upper=6000,
+        doc="so many images with nothing new but noise are said to stand still",
+    )  # fmt: skip
+    still_change: float = setting(
+        0.02, lower=0.0, upper=1.0,
+        doc="part of the noise by which means of images vary more where something moves; 0: nothing is "
+        "still. In a contact that an arm follows it is 0.04 at least, of a frozen scene 0.01 (simulated)",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -99,23 +110,35 @@ class ImageCheck:
     Attributes
     ----------
     settings : ImageCheckSettings
-        May be replaced between two images.
+        `configure` replaces them between two images.
     """
 
     def __init__(self, settings: ImageCheckSettings | None = None) -> None:
-        self.settings = settings or ImageCheckSettings()
-        self._last = LastExposure()
+        self._exposures = Exposures()
+        self._stillness = Stillness()
+        self.configure(settings or ImageCheckSettings())
         self._reference: _Reference | None = None
         self._before = np.zeros(SIDE * SIDE, np.float32)
         self._stamp_ns: int | None = None
         self._captured: list[Image] = []
 
+    def configure(self, settings: ImageCheckSettings) -> None:
+        """Look for what these say from the next image on."""
+        self.settings = settings
+        self._stillness.configure(settings.still_images, settings.still_change)
+
+    @property
+    def still(self) -> bool:
+        """Whether the camera's latest images have shown nothing but noise."""
+        return self._stillness.still
+
     def exposure(self, image: Image) -> None:
         """Of a camera's image (rows, columns); raises `ImageRefused`."""
-        if not self.settings.repeats and self._last.repeats(image):
-            raise ImageRefused(REPEATED)
+        if not self.settings.repeats and (repeats := self._exposures.repeats(image)):
+            raise ImageRefused(repeats)
         if why := objection(image, self.settings.least_contrast):
             raise ImageRefused(why)
+        self._stillness.add(image)
 
     def look(self, view: Image, touched: bool, stamp_ns: int | None = None) -> None:
         """Of an image after the threshold, uint8 (SIDE, SIDE), that is no part of a reference.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from numpy.typing import NDArray
@@ -32,12 +32,15 @@ class Percept:
         Gaussian over X_sf (SI, left perturbation); None without contact, and where the network failed.
     fault : str
         Why there is no estimate although one was due, or why images are no reference; else empty.
+    still : bool
+        Whether the latest images have shown nothing but noise.
     """
 
     in_contact: bool | None
     score: float
     estimate: PoseGaussian | None = None
     fault: str = ""
+    still: bool = False
 
 
 class Perceiver:
@@ -84,7 +87,8 @@ class Perceiver:
             self.check.take(not presence.refused)
         if not presence.in_contact:
             return Percept(presence.in_contact, presence.score, fault=presence.refused)
-        return self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
+        percept = self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
+        return replace(percept, still=self.check.still)
 
     def _no_reference(self, prepared: NDArray) -> str:
         """Why an image is not one without contact, as the camera of the training was mounted; else empty."""

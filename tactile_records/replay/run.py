@@ -30,6 +30,7 @@ from tactile_records.runs.record import BeliefSeries
 Array = NDArray[Any]
 
 NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
+_OF_BELIEFS = sum(BeliefFlag)
 
 
 @dataclass
@@ -197,7 +198,7 @@ class Agreement:
     common : int
         Stamps that both have, with the same history.
     identical : int
-        Of these, messages that are the same to the bit (latency aside).
+        Of these, messages that are the same to the bit (latency and the flag STILL aside).
     only_live, only_replayed : int
         Stamps that only one of them has; of those that only the live filter has, the bag lacks the inputs.
     first_difference : str
@@ -237,6 +238,8 @@ def agreement(rows: Array, live: LiveStates) -> Agreement:
         else:
             pairs.append((replayed[stamp], place))
     mine, theirs = (np.array([pair[k] for pair in pairs], np.int64) for k in (0, 1))
+    values = live.values.copy()
+    values["flags"] &= _OF_BELIEFS  # that images stand still is said there, too
     names = [
         n for n in rows.dtype.names or () if n in (live.values.dtype.names or ()) and n not in NOT_COMPARED
     ]
@@ -244,7 +247,7 @@ def agreement(rows: Array, live: LiveStates) -> Agreement:
     differing = np.full(len(pairs), "", object)
     for name in names if pairs else ():
         a = np.ascontiguousarray(rows[name][mine]).reshape(len(pairs), -1).view(np.uint8)
-        b = np.ascontiguousarray(live.values[name][theirs]).reshape(len(pairs), -1).view(np.uint8)
+        b = np.ascontiguousarray(values[name][theirs]).reshape(len(pairs), -1).view(np.uint8)
         equal = (a == b).all(axis=1) if a.shape == b.shape else np.zeros(len(pairs), bool)
         differing[same & ~equal] = name
         same &= equal

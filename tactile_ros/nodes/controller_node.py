@@ -10,6 +10,7 @@ runs at a time: a second one is refused, a cancelled one decelerates and retreat
 from __future__ import annotations
 
 import sys
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,14 +20,16 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import STATE as STATE_TOPIC
+from tactile_control.partners import Partners
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.tasks import TASKS
+from tactile_drivers.arm import WorkspaceSettings
 from tactile_filter import se3
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import STATE_FLAGS, STATE_XI, read_state
-from tactile_ros.colleagues import EstimatorWord, Partners
+from tactile_ros.colleagues import EstimatorWord, listen_to_partners
 from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
@@ -55,20 +58,8 @@ class ControllerTimingSettings(Settings):
     )
     partner_age: float = setting(
         0.2, lower=0.03, upper=10.0, unit="s",
-        doc="the task rests when the controller of one of `partners` has said nothing for this long",
+        doc="the task rests when the controller of a partner at work has said nothing for this long",
     )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class SpaceSettings(Settings):
-    """Where a goal may begin: where the arm's node lets it go (`tactile_drivers.arm.SafetySettings`)."""
-
-    workspace_lower: tuple[float, ...] = setting(
-        (-20.0,) * 3, length=3, lower=-20.0, upper=20.0, unit="m", doc="corner of a box in the arm's base"
-    )
-    workspace_upper: tuple[float, ...] = setting(
-        (20.0,) * 3, length=3, lower=-20.0, upper=20.0, unit="m", doc="the opposite corner"
-    )
 
 
 @dataclass(kw_only=True)
@@ -93,21 +84,23 @@ class ControllerNode(TaskNode):
         self.timing = SettingsParameters(
             self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period", "partner_age")
         )
-        named = declare_read_only(
-            self,
-            "partners",
-            [""],
-            "arms that work on the same object: the task rests when one of them does not go on",
+        self.partners = Partners(
+            self._arms("awaited", "arms that the task waits for: it rests when one of them does not go on"),
+            self._arms("waiting", "arms that wait for the task: the same, once they are at work"),
+            self.timing.value.partner_age,
         )
-        self.partner_arms = [arm for arm in named if arm]
         self.settings = GroupParameters(self, self.task_type.settings_class(), self._configure_task)
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
-        self.space = fixed_settings(self, SpaceSettings(), "space")
+        self.space = fixed_settings(self, WorkspaceSettings(), "space")
         self.last: Command | None = None
         self.goals = 0
         self.goal_name = ""
         self.estimator: EstimatorWord | None = None
         self.forget()
+
+    def _arms(self, name: str, doc: str) -> list[str]:
+        """Names of arms that a parameter of that name gives; [""] stands for none."""
+        return [arm for arm in declare_read_only(self, name, [""], doc) if arm]
 
     # ---- lifecycle ----
 
@@ -127,7 +120,7 @@ class ControllerNode(TaskNode):
                 frame=self.sensor_frame,
             )
             self.estimator = EstimatorWord(self)
-        self.partners = Partners(self, self.partner_arms, self.timing.value.partner_age)
+        listen_to_partners(self, self.partners)
         self.open_task(self.timing.value.watchdog_period)
 
     def activate(self) -> None:
@@ -152,7 +145,8 @@ class ControllerNode(TaskNode):
             raise MessageError(f"its stamp is {behind:.3f} s before that of the last belief")
         xi, flags = numbers[STATE_XI], int(numbers[STATE_FLAGS])
         if self.presence is None or stamp_ns > self.presence.stamp_ns:
-            self.presence = StampedPresence(stamp_ns, not flags & ContactState.NO_CONTACT)
+            touches, still = not flags & ContactState.NO_CONTACT, bool(flags & ContactState.STILL)
+            self.presence = StampedPresence(stamp_ns, touches, still)
         if not flags & (ContactState.INVALID | ContactState.PREDICTED_ONLY):  # as `Belief.measured`
             self._take_belief(stamp_ns, np.array(xi))
         self.step()
@@ -183,7 +177,7 @@ class ControllerNode(TaskNode):
             pose = self.sensor_pose()
             inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None)
             broken = self.run.task.traceback
-            self.run.task.partner = self.partners.trouble()
+            self.run.task.partner = self.partners.trouble(time.monotonic())
             self.run.task.remark = self.estimator.text if self.estimator else ""
             command = self.run.task.step(now_ns, inputs)
             now_ns = self.send_twist(command.twist)
@@ -239,15 +233,8 @@ class ControllerNode(TaskNode):
             with_settings(goal, self.settings.value)
         except (SettingError, ValueError) as error:
             return str(error)
-        return self._out_of_space(named.start)
-
-    def _out_of_space(self, start: NDArray[np.float64] | None) -> str:
-        """Why a goal may not begin there; '' if it may."""
-        lower, upper = self.space.workspace_lower, self.space.workspace_upper
-        if start is None or ((lower <= start[:3, 3]) & (start[:3, 3] <= upper)).all():
-            return ""
-        where = f"({', '.join(f'{value:g}' for value in start[:3, 3])}) m"
-        return f"start: {where} is outside the workspace, {list(lower)} to {list(upper)} m"
+        outside = "" if named.start is None else self.space.outside(named.start[:3, 3], self.arm)
+        return f"start: {outside}" if outside else ""
 
     def accept(self, handle: Any) -> GoalRun:
         """See `TaskNode`."""
@@ -258,6 +245,7 @@ class ControllerNode(TaskNode):
         self.goal_name = named.name
         self.goals += 1
         self.last = None
+        self.partners.begin()
         return GoalRun(handle=handle, task=task, started_ns=self.now_ns(), message=message)
 
     def finish_run(self, reason: str, succeeded: bool) -> None:

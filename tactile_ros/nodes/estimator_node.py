@@ -80,9 +80,9 @@ class EstimatorNode(ManagedNode):
         self.presence.configure(presence.value)
         self.check = ImageCheck()
         checked = SettingsParameters(
-            self, ImageCheckSettings(), prefix="check", on_change=self._configure_check
+            self, ImageCheckSettings(), prefix="check", on_change=self.check.configure
         )
-        self._configure_check(checked.value)
+        self.check.configure(checked.value)
         self.last_stamp_ns = 0
         self.refusing = False
 
@@ -123,9 +123,6 @@ class EstimatorNode(ManagedNode):
                 self.refusing = True
                 self.publish_diagnostics()
 
-    def _configure_check(self, settings: ImageCheckSettings) -> None:
-        self.check.settings = settings
-
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
         percept = self.perceive(image, stamp_ns=stamp_ns)
         self.refusing = False
@@ -134,7 +131,7 @@ class EstimatorNode(ManagedNode):
             return
         self._publish_estimate(percept, stamp_ns)
         emitted_ns = self.now_ns()
-        numbers = percept.score, self.presence.settings.on, percept.in_contact
+        numbers = percept.score, self.presence.settings.on, percept.in_contact, percept.still
         self.presence_out.publish(headed_bytes(PresenceMessage, stamp_ns, self.sensor_frame, *numbers))
         self.latency.note(stamp_ns, received_ns, emitted_ns, self._dropped())
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactile_base.exposures import DamagedJpeg, LastExposure, gray_of_jpeg, objection
+from tactile_base.exposures import REMEMBERED, DamagedJpeg, Exposures, gray_of_jpeg, objection
 from tactile_drivers.doubles.lying_camera import jpeg, torn
 from tactile_drivers.sim.tactip import TacTip
 
@@ -55,13 +55,24 @@ def test_what_is_no_jpeg_is_refused(data):
 
 
 def test_a_frame_repeats_the_last_one_only_if_every_bit_is_the_same_also_in_the_same_memory(image):
-    last, frame = LastExposure(), image.copy()
-    assert not last.repeats(frame) and last.repeats(frame)
+    seen, frame = Exposures(), image.copy()
+    assert not seen.repeats(frame) and "the one before it" in seen.repeats(frame)
     frame[0, 0] ^= 1
-    assert not last.repeats(frame) and last.repeats(frame.copy())
-    assert not last.repeats(frame[:100])
-    last.forget()
-    assert not last.repeats(frame[:100])
+    assert not seen.repeats(frame) and seen.repeats(frame.copy())
+    assert not seen.repeats(frame[:100])
+    seen.forget()
+    assert not seen.repeats(frame[:100])
+
+
+def test_a_recording_that_begins_anew_is_known_by_its_first_frame_as_far_back_as_frames_are_remembered():
+    random = np.random.default_rng(1)
+    frames = random.integers(0, 256, (REMEMBERED + 2, 40, 60), dtype=np.uint8)
+    seen = Exposures()
+    assert not any(seen.repeats(frame) for frame in frames[:60])
+    assert "one of the last 60" in seen.repeats(frames[0]) and "one of the last 60" in seen.repeats(frames[1])
+    assert not any(seen.repeats(frame) for frame in frames[60:])
+    assert not seen.repeats(frames[0]), "it was forgotten"
+    assert seen.repeats(frames[3])
 
 
 def test_an_image_whose_gray_levels_hardly_vary_shows_nothing(image):

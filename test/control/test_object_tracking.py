@@ -5,7 +5,7 @@ import pytest
 from kinematic_plant import MS, Plane, Plant, freeze_after, pointing_down, rest_after, run
 
 from tactile_base.settings import SettingError
-from tactile_control.contact_task import APPROACH, SETTLE
+from tactile_control.contact_phases import APPROACH, SETTLE
 from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING
 from tactile_control.task_file import load_controller
 from tactile_control.tasks.object_tracking import (

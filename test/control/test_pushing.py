@@ -9,7 +9,7 @@ from kinematic_plant import PushedFace, PushingPlant, freeze_after, rest_after, 
 from test_alignment import TARGET, pushing_along_y
 
 from tactile_base.settings import SettingError
-from tactile_control.contact_task import APPROACH, SETTLE
+from tactile_control.contact_phases import APPROACH, SETTLE
 from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, StampedPresence
 from tactile_control.task_file import load_controller, load_task
 from tactile_control.tasks.object_tracking import ObjectTrackingSettings

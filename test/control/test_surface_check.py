@@ -6,6 +6,7 @@ from kinematic_plant import Plane, Plant, Sphere, contact_pose, pointing_down, r
 
 from tactile_control.phases import StampedPose, TaskInputs
 from tactile_control.surface_check import SurfaceCheck, SurfaceSettings
+from tactile_control.tasks.pushing import PushingSettings
 from tactile_control.tasks.surface_following import FollowingGoal, SurfaceFollowing, SurfaceFollowingSettings
 from tactile_filter import se3
 
@@ -165,10 +166,48 @@ def test_a_new_contact_and_another_memory_do_not_stand_in_the_way(check):
     )
 
 
+def seen(check, sensor, still, seconds=2.0):
+    """How far the sensor had come when images that stand still were refuted, m; None if they were not."""
+    for k in range(round(60 * seconds)):
+        T = sensor(k / 60)
+        check.add(10**9 + round(k / 60 * 1e9), euler_pose(), T)
+        check.see(True, still(k / 60))
+        if check.contradiction:
+            return float(np.linalg.norm(T[:3, 3] - sensor(0.0)[:3, 3]))
+    return None
+
+
+def test_an_arm_that_moves_over_images_that_stand_still_is_told_after_3_mm_whatever_is_believed(check):
+    """On the plane: what is believed fits the motion to the micrometre."""
+    assert 0.003 < seen(check, lambda t: at(x=0.010 * t), lambda t: True) < 0.0034
+    assert check.contradiction.startswith("the arm went 3.") and "nothing but noise" in check.contradiction
+
+
+@pytest.mark.parametrize(
+    ("sensor", "still"),
+    [
+        (lambda t: at(x=0.010 * t), lambda t: False),
+        (lambda t: at(x=0.002 * np.sin(8.0 * t)), lambda t: True),  # to and fro, which sums up to more
+        (lambda t: at(x=0.010 * t), lambda t: t % 0.3 < 0.2),  # they move again before that
+        (lambda t: at(), lambda t: True),
+    ],
+)
+def test_an_arm_that_stays_where_it_is_or_images_that_move_again_are_no_contradiction(check, sensor, still):
+    assert seen(check, sensor, still) is None
+
+
+def test_with_an_object_that_is_carried_along_images_may_stand_still_for_a_while():
+    check = SurfaceCheck(PushingSettings().surface)
+    check.work()
+    assert seen(check, lambda t: at(x=0.010 * t), lambda t: t < 5.0, seconds=8.0) is None
+    check.begin()
+    assert 0.06 < seen(check, lambda t: at(x=0.010 * t), lambda t: True, seconds=8.0) < 0.061
+
+
 def test_it_can_be_left_out():
     check = SurfaceCheck(SurfaceSettings(checked=False))
     for _ in range(60):
-        check.see(False)
+        check.see(False, still=True)
     assert fed(check, 3.0, lambda t: euler_pose(), lambda t: at(down=5e-3 * t)) is None
 
 

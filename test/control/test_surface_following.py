@@ -7,7 +7,7 @@ import pytest
 from kinematic_plant import MS, Plane, Plant, Sphere, freeze_after, pointing_down, rest_after, run
 
 from tactile_base.settings import SettingError
-from tactile_control.contact_task import APPROACH, LEAVE, SETTLE
+from tactile_control.contact_phases import APPROACH, LEAVE, SETTLE
 from tactile_control.phases import (
     DONE,
     FAILED,

@@ -19,7 +19,7 @@ from tactile_drivers.camera_frames import (
 
 START = Arrival(5_000 * SECOND_NS, 1_800_000_000 * SECOND_NS)  # steady clock, ROS time
 RATE, MS = 100.0, 1_000_000
-PICTURES = itertools.cycle(FRAMES)
+PICTURES = (jpeg(picture(number)) for number in itertools.count(100))
 
 
 def later(ms: float) -> Arrival:
@@ -55,7 +55,7 @@ def test_a_frame_has_the_kernels_time_in_ros_time_where_there_is_one_and_else_th
 
 def test_a_device_with_a_clock_of_its_own_is_stamped_at_arrival_once_that_is_sure():
     stream = intake()
-    taken = [stream.take(FRAMES[k % 4], 77.0 + 10.0 * k, later(10.0 * k)) for k in range(12)]
+    taken = [stream.take(next(PICTURES), 77.0 + 10.0 * k, later(10.0 * k)) for k in range(12)]
     assert [frame is not None for frame in taken] == [False] * 9 + [True] * 3
     assert stream.clock.source == ARRIVAL and taken[-1].stamp_ns == later(110.0).now_ns
 

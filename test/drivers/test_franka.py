@@ -15,6 +15,8 @@ from franka_cell import LIMITS, Double, scene_file
 from ur_cell import (
     ALONG,
     ATTEMPTS,
+    PATIENT,
+    PROMPT,
     SPEED,
     STILL,
     WITHIN,
@@ -24,6 +26,7 @@ from ur_cell import (
     check_clock_jump,
     check_pose_jump,
     check_stop,
+    lasted,
     mend,
     real_time,
 )
@@ -36,6 +39,7 @@ pytest.importorskip("franky_sim", reason="franky-sim is not installed")
 
 pytestmark = pytest.mark.live
 
+FILTERED = 0.02  # s by which the filter of what is commanded draws out a stop, until nothing is left of it
 AS_IT_WAS = ["recover", "version 0", "mass 0", "end_effector 0 0 0 0 0 0"]
 
 
@@ -46,11 +50,16 @@ def double():
     assert not double.close()
 
 
-@pytest.fixture(scope="module")
-def opened(double, tmp_path_factory):
-    cell = Cell(scene_file(tmp_path_factory.mktemp("franka"), double.host))
+@pytest.fixture(scope="module", params=[PATIENT])
+def opened(double, tmp_path_factory, request):
+    """A machine that holds it up is no silence of the arm, but for tests of that: `prompt`."""
+    double.mend()
+    cell = Cell(scene_file(tmp_path_factory.mktemp("franka"), double.host, state_timeout=request.param))
     yield cell
     cell.close()
+
+
+prompt = pytest.mark.parametrize("opened", [PROMPT], indirect=True, ids=["prompt"])
 
 
 @pytest.fixture
@@ -59,8 +68,7 @@ def cell(opened, double):
     if not real_time():
         pytest.skip("needs real-time priorities: a thread that is late makes the motions rough")
     mend(opened, double)
-    yield opened
-    mend(opened, double)
+    return opened
 
 
 @pytest.mark.parametrize(
@@ -71,16 +79,26 @@ def cell(opened, double):
         ("cartesian_position_limits", "cartesian position limits violation", ArmMode.FAULT),
         ("user_stop", "the user stop is pressed", ArmMode.ESTOP),
         ("guiding", r"moved by hand \(guiding\)", ArmMode.FAULT),
-        ("runs_away 0.3", "the arm moves at 0.35, 2 times its limit of 0.1", ArmMode.FAULT),
-        ("drop", "connection lost|lost, and is back", ArmMode.FAULT),
-        ("leave", "connection", ArmMode.FAULT),
-        ("silence", "connection lost: no state of the arm for 0.1 s|lost, and is back", ArmMode.FAULT),
-        ("slow 0.3", "connection lost: no state|late|lost, and is back", ArmMode.FAULT),
-        ("garbled", "in fault", ArmMode.FAULT),
+        ("runs_away 0.3", r"the arm moves at 0\.3\d*, 2 times its limit of 0\.1", ArmMode.FAULT),
     ],
 )
 def test_what_goes_wrong_at_the_controller_stops_the_arm_and_is_told(cell, double, fault, words, mode):
     check_stop(cell, double, lambda: double(*fault.split()), words, mode)
+
+
+@prompt
+@pytest.mark.parametrize(
+    "fault, words",
+    [
+        ("drop", "connection lost|lost, and is back"),
+        ("leave", "connection"),
+        ("silence", "connection lost: no state of the arm for 0.1 s|lost, and is back"),
+        ("slow 0.3", "connection lost: no state|late|lost, and is back"),
+        ("garbled", "in fault"),
+    ],
+)
+def test_a_controller_that_is_not_heard_any_more_stops_the_arm_and_it_is_told(cell, double, fault, words):
+    check_stop(cell, double, lambda: double(*fault.split()), words)
 
 
 def test_commands_that_do_not_come_any_more_stop_the_arm_as_a_reflex(cell, double):
@@ -92,11 +110,10 @@ def test_a_driver_that_is_told_nothing_any_more_stops_its_arm_and_says_so(cell, 
     for _ in range(ATTEMPTS):
         cell.move()
         double.trace()
-        since = double("success_rate", 1.0)
         cell.rest()
         trace = double.trace()
         moving = np.flatnonzero((np.abs(trace[:, 7:13]) > STILL).any(axis=1))[-1]
-        seconds = trace[moving, 0] - since
+        seconds = lasted(trace[: moving + 1, 0])
         assert "no command for" in cell.state.reason
         if seconds < WITHIN:
             break
@@ -156,6 +173,7 @@ def test_a_reflex_that_has_to_be_left_by_hand_says_so(cell, double):
         cell.safe.reset()
 
 
+@prompt
 def test_a_connection_that_is_back_is_a_fault_until_a_reset(cell, double):
     cell.move()
     double("drop")
@@ -205,16 +223,19 @@ def test_an_arm_that_says_it_is_somewhere_else_is_not_believed(cell, double):
 
 
 def test_an_emergency_stop_of_the_stage_brings_the_arm_to_rest_within_the_limits(cell, double):
+    """By what is commanded in answer to which cycle of the arm's, however late it comes there."""
     cell.move()
-    double.trace()
+    double("commands")
     cell.safe.estop("test")
     assert "emergency stop: test" in cell.command(ALONG, 0.3)
-    speed = np.linalg.norm(double.trace()[:, 7:10], axis=1)
-    slowing = np.flatnonzero(speed[1:] < speed[:-1] - 1e-6)
-    assert speed[-1] == 0.0
+    rows = np.array(double("commands"))
+    cycles, speed = rows[:, 0], np.linalg.norm(rows[:, 1:4], axis=1)
+    full, still = np.flatnonzero(speed > SPEED - 1e-4)[-1], np.flatnonzero(speed > STILL)[-1]
+    assert full < still < len(rows) - 1, "it does not come to rest"
     limits = cell.arm.limits
     braking = SPEED / limits.linear_acceleration + limits.linear_acceleration / limits.linear_jerk
-    assert 1e-3 * (slowing[-1] - slowing[0]) <= braking + 0.03
+    assert 1e-3 * (cycles[still] - cycles[full]) <= braking + FILTERED
+    assert not double.trace()[-1, 7:13].any()
 
 
 def test_twists_of_the_sensor_move_and_turn_the_sensor(cell, double):

@@ -2,10 +2,12 @@
 
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tactile_drivers import sender
 from tactile_drivers.arm import ArmLimits, ArmMode
 from tactile_drivers.doubles.lying_arm import ARM_LIES, LyingDriver
 from tactile_drivers.safety import SafeArm
@@ -212,6 +214,20 @@ def test_an_emergency_stop_does_not_wait_for_a_drivers_command():
     assert len(cell.driver.commands) == count, "nothing that waited is sent after a stop"
     remark = cell.step(0.02).remark
     assert "the driver's command took 2." in remark and "(at most 0.01 s)" in remark
+
+
+def test_a_call_that_took_too_long_is_told_for_a_while_and_not_for_ever(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(sender, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    timer = sender.CallTimer()
+    timer("command", now.__setitem__, 0, 0.25)
+    assert timer.remark == "the driver's command took 0.250 s (at most 0.01 s)"
+    timer("command", now.__setitem__, 0, 9.0)
+    assert "took 8.750 s" in timer.remark
+    timer("command", now.__setitem__, 0, 9.005)
+    assert "took 8.750 s" in timer.remark
+    now[0] = 19.1
+    assert timer.remark == ""
 
 
 def test_an_emergency_stop_passes_whoever_holds_the_stage():

@@ -19,18 +19,27 @@ BUFFERS = 4  # as many as OpenCV has of a device
 CLOCKS = {"monotonic": 0.0, "realtime": time.time() - time.monotonic(), "none": None}
 
 
+NOISE = np.random.default_rng(0).integers(0, 8, WIDTH * HEIGHT, dtype=np.uint8)
+
+
 def noisy(image: np.ndarray, number: int) -> np.ndarray:
-    """The image with noise of its own for each number."""
-    return np.minimum(image, 247) + np.random.default_rng(number).integers(0, 8, image.shape, dtype=np.uint8)
+    """The image with noise of its own for each number, as no two exposures are equal."""
+    noise = np.roll(NOISE, 7 * number)[: image.size].reshape(image.shape)
+    return np.minimum(image, 247) + noise
 
 
-def picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
-    """Bright discs on dark, with noise of its own for each number."""
+def discs(width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """Bright discs on dark."""
     image = np.full((height, width), 40, np.uint8)
     for x in range(60, width - 40, 40):
         for y in range(60, height - 40, 40):
             cv2.circle(image, (x, y), 8, 200, -1, cv2.LINE_AA)
-    return noisy(image, number)
+    return image
+
+
+def picture(number: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """Discs, with noise of its own for each number."""
+    return noisy(discs(width, height), number)
 
 
 def jpeg(image: np.ndarray) -> np.ndarray:
@@ -52,7 +61,7 @@ class Device:
     faults : what is wrong with the frame of a number since the device was made: "black", "frozen", "torn",
         "small", "early" (stamped 2 s ago), "drop" (never comes), or nothing
     jitter : by which a stamp strays, standard deviation, s
-    frames : what it exposes, over and over
+    scene : what it exposes, with new noise in each frame
     """
 
     rate: float = 60.0
@@ -64,7 +73,7 @@ class Device:
     busy: bool = False
     opened: int = 0
     number: int = 0
-    frames: list[np.ndarray] = field(default_factory=lambda: FRAMES)
+    scene: np.ndarray = field(default_factory=discs)
 
     def open(self, path: str) -> Capture:
         if not self.plugged:
@@ -123,12 +132,12 @@ class Capture:
     def retrieve(self):
         number = self.device.number
         if self.fault == "torn":
-            return True, self.device.frames[number % 4][:, :2000]
+            return True, jpeg(noisy(self.device.scene, number))[:, :2000]
         if self.fault == "black":
             return True, jpeg(picture(number) // 100)
         if self.fault == "small":
             return True, jpeg(picture(number, 320, 240))
-        return True, self.device.frames[0 if self.fault == "frozen" else number % 4]
+        return True, jpeg(noisy(self.device.scene, 0 if self.fault == "frozen" else number))
 
     def release(self):
         self.released = True
@@ -153,8 +162,7 @@ class DistantDevice(Device):
         keeps = {cv2.CAP_PROP_WB_TEMPERATURE: kept} if kept else {}
         super().__init__(rate=rate, keeps=keeps, jitter=settings.jitter)
         if settings.image:
-            image = cv2.imread(settings.image, cv2.IMREAD_GRAYSCALE)
-            self.frames = [jpeg(noisy(image, number)) for number in range(4)]
+            self.scene = cv2.imread(settings.image, cv2.IMREAD_GRAYSCALE)
 
     @property
     def plugged(self) -> bool:

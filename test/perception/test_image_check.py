@@ -12,6 +12,7 @@ from tactile_perception.estimating.layout import Layout, LayoutError
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_perception.estimating.stillness import FRAMES
 from tactile_perception.estimator import Estimator, shipped_model
 
 pytestmark = pytest.mark.skipif(
@@ -26,6 +27,7 @@ KNOWN = {
     "turned_90": "another picture at once",
     "shifted": "no image of the sensor",
     "frozen": "repeated",
+    "replayed": "repeated",
     "noise": "no image of the sensor",
     "black": "without contrast",
     "grey": "without contrast",
@@ -138,11 +140,17 @@ def test_the_retreat_before_a_camera_of_30_hz_is_taken():
     assert sensor.see().in_contact is False
 
 
-def test_a_scene_that_stands_still_before_a_camera_that_works_is_not_known_by_its_images(pressed):
-    """It is known by the arm's own motion alone (docs/safety.md)."""
+def test_a_scene_that_stands_still_before_a_camera_that_works_is_taken_and_said_to_stand_still(pressed):
+    """What is wrong about it the arm's own motion says (`surface_check`)."""
     camera = LYING_CAMERAS["frozen_noisy"](seed=1)
     camera.see(pressed.sensor.image())
-    assert pressed.see(camera).in_contact
+    settings = pressed.perceive.check.settings
+    percepts = [pressed.see(camera) for _ in range(settings.still_images + FRAMES)]
+    assert all(percept.in_contact for percept in percepts)
+    assert not percepts[0].still and percepts[-1].still
+    pressed.perceive.check.configure(ImageCheckSettings(still_change=0.0))
+    assert not any(pressed.see(camera).still for _ in range(settings.still_images + FRAMES))
+    pressed.perceive.check.configure(settings)
 
 
 def test_each_check_can_be_switched_off():

@@ -96,7 +96,7 @@ class Recording:
 
     def presence(self, stamp_ns: int, in_contact: bool, arm: str = "arm") -> None:
         head = header(stamp_ns, f"{arm}/tactile_sensor")
-        message = make(PRESENCE, head, float(in_contact), 0.5, in_contact)
+        message = make(PRESENCE, head, float(in_contact), 0.5, in_contact, False)
         self.add(f"/{arm}/contact/presence", PRESENCE, message, stamp_ns)
 
     def truth(self, stamp_ns: int, T_fs, arm: str = "arm") -> None:

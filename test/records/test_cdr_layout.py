@@ -36,8 +36,8 @@ def test_a_reader_follows_strings_that_change_from_message_to_message():
     read = MessageReader(PRESENCE)
     for k in range(200):
         frame = "x" * (k % 90)
-        layout, numbers = read(serialized(make(PRESENCE, header(k, frame), 0.5, 0.25, True), PRESENCE))
-        assert layout.texts == {"header.frame_id": frame} and numbers == (0, k, 0.5, 0.25, True)
+        layout, numbers = read(serialized(make(PRESENCE, header(k, frame), 0.5, 0.25, True, False), PRESENCE))
+        assert layout.texts == {"header.frame_id": frame} and numbers == (0, k, 0.5, 0.25, True, False)
 
 
 def test_what_stands_before_the_elements_of_a_sequence_is_read_without_them():

@@ -123,6 +123,16 @@ def test_what_the_live_filter_published_is_what_the_replay_gives(tmp_path):
     assert found == Agreement(common=55, identical=55, only_live=0, only_replayed=5)
 
 
+STILL = 128  # ContactState.msg's, which is a fact about images and no flag of the filter
+
+
+@pytest.mark.parametrize("flag, identical", [(STILL, 55), (int(BeliefFlag.GATED), 49)])
+def test_that_images_stood_still_is_no_difference_between_beliefs(tmp_path, flag, identical):
+    inputs, (run,) = replayed(with_live(recording()).write(tmp_path / "bag"), as_recorded=False)
+    inputs.arms[0].live.values["flags"][10:16] |= flag
+    assert agreement(run.states, inputs.arms[0].live).identical == identical
+
+
 def test_by_how_much_unlikely_estimates_were_inflated_is_part_of_what_is_compared(tmp_path):
     settings = FilterSettings(robust="student_t")
     inputs, (run,) = replayed(with_live(recording(), settings).write(tmp_path / "bag"), settings)

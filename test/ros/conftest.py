@@ -205,10 +205,14 @@ class Graph:
 
     def restart(self, node: str) -> None:
         """Deactivate and activate a node, which makes it forget its state, and the reports so far."""
-        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
-            request = ChangeState.Request(transition=Transition(id=transition))
-            assert self.call(ChangeState, f"{node}/change_state", request).success
+        self.change(node, Transition.TRANSITION_DEACTIVATE)
+        self.change(node, Transition.TRANSITION_ACTIVATE)
         self.diagnostics.clear()
+
+    def change(self, node: str, transition: int) -> None:
+        """Take a node to another state of its life."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert self.call(ChangeState, f"{node}/change_state", request).success, transition
 
     # ---- time ----
 
@@ -273,10 +277,12 @@ class Graph:
         return client
 
     def call(self, service_type: type, name: str, request: Any) -> Any:
-        if name not in self.clients:
-            self.clients[name] = self.node.create_client(service_type, name)
-        client = self.clients[name]
-        assert self.wait(client.service_is_ready), f"no service {name}"
+        """The answer of a service, asked once: by us, whom the node knows, or its answer would go nowhere."""
+        client = self.clients.get(name)
+        if client is None:
+            client = self.clients[name] = self.node.create_client(service_type, name)
+            assert self.wait(client.service_is_ready), f"no service {name}"
+            self.settle()
         future = client.call_async(request)
         assert self.wait(future.done), f"no answer from {name}"
         return future.result()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
+from arm_bench import ALONG, ARM_NODE, SENSOR, SENSOR_TEXT, TOOL, keep_commanding, position, scene_text
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from messages import arm_command, vector_from_twist
 from other_package import installed
@@ -12,15 +12,11 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter import se3
-from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState, StageLatency
+from tactile_msgs.msg import ArmCommand, ArmStatus, StageLatency
 from tactile_ros import qos
 from tactile_ros.conversions import array_from_image, matrix_from_pose, matrix_from_transform, ns_from_time
 
-ARM_NODE, CAMERA_NODE = "tactile_ros.nodes.arm_node", "tactile_ros.nodes.camera_node"
-TOOL, SENSOR = "arm/tool", "arm/tactile_sensor"
-ERROR = int.from_bytes(DiagnosticStatus.ERROR, "little")
-ALONG = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
-SENSOR_TEXT = "sensor: {in_tool: {position: [0, 0, 0.065]}, camera: bench_camera, camera_rate: 30}"
+CAMERA_NODE = "tactile_ros.nodes.camera_node"
 
 
 @pytest.fixture
@@ -29,16 +25,10 @@ def bench(graph, tmp_path):
     graph.import_from(installed(tmp_path))
     path = tmp_path / "bench.yaml"
 
-    def start(
-        module=ARM_NODE, driver="bench_arm", settings="{}", safety="{}", sensor=SENSOR_TEXT, wait=True,
-        **parameters,
-    ):  # fmt: skip
-        path.write_text(
-            f"arms:\n  arm:\n    driver: {driver}\n    driver_settings: {settings}\n    safety: {safety}\n"
-            f"    start: {{position: [0.1, 0.2, 0.3], rotation_deg: [0, 180, 0]}}\n    {sensor}\n"
-        )
+    def start(module=ARM_NODE, parameters=None, wait=True, **scene: str):
+        path.write_text(scene_text(**scene))
         moves = {"feels": False} if module == ARM_NODE else {}  # nobody tells what the sensor feels
-        return graph.start(module, {"scene": str(path), **moves, **parameters}, wait=wait)
+        return graph.start(module, {"scene": path, **moves, **(parameters or {})}, wait=wait)
 
     return start
 
@@ -48,22 +38,12 @@ def told(graph) -> str:
     return graph.log(ARM_NODE).read_text()
 
 
-def keep_commanding(graph, frame, until, twist=ALONG):
-    """Send a twist every 20 ms until something holds."""
-    ask = graph.commands(frame)
-    for _ in graph.ticks(0.02):
-        ask(twist)
-        if until():
-            return
-    raise AssertionError("it never held")
-
-
 def test_states_of_a_driver_become_transforms_pose_and_status_that_fit_together(graph, bench):
     poses = graph.collect(PoseStamped, "arm/pose")
     statuses = graph.collect(ArmStatus, "arm/status")
     transforms = graph.collect(TFMessage, "/tf", qos.TF)
     static = graph.collect(TFMessage, "/tf_static", qos.TF_STATIC)
-    bench(status_rate=20.0)
+    bench(parameters={"status_rate": 20.0})
     assert graph.wait(lambda: len(poses) > 20 and bool(statuses) and bool(static))
     base, mount = static[0].transforms
     assert (base.header.frame_id, base.child_frame_id) == ("world", "arm/base")
@@ -77,70 +57,6 @@ def test_states_of_a_driver_become_transforms_pose_and_status_that_fit_together(
     assert statuses[-1].header.frame_id == "arm/base" and statuses[-1].mode == ArmStatus.RESTING
     stamps = [ns_from_time(message.header.stamp) for message in poses]
     assert len(stamps) < 2 + (stamps[-1] - stamps[0]) * 20e-9  # of the states, as many as status_rate says
-
-
-def test_an_arm_whose_driver_does_not_watch_its_commands_is_stopped_when_they_stop_coming(graph, bench):
-    poses = graph.collect(PoseStamped, "arm/pose")
-    statuses = graph.collect(ArmStatus, "arm/status")
-    bench()
-    assert graph.wait(lambda: bool(poses))
-    start = matrix_from_pose(poses[-1].pose)
-
-    def moved() -> np.ndarray:
-        return se3.inverse(start) @ matrix_from_pose(poses[-1].pose)
-
-    keep_commanding(graph, SENSOR, lambda: moved()[1, 3] > 0.003)
-    assert abs(moved()[0, 3]) < 1e-9
-    assert graph.wait(lambda: statuses[-1].mode == ArmStatus.RESTING)
-    assert "no command for" in statuses[-1].reason and "(limit 0.1 s)" in statuses[-1].reason
-
-
-def test_an_arm_whose_driver_falls_silent_is_stopped_and_commands_are_refused(graph, bench):
-    bench(settings="{states: 300}")  # it has to be commanded before
-    keep_commanding(graph, SENSOR, lambda: "stop: no state from the driver for" in told(graph))
-    report = graph.wait_for_count("arm", "commands refused")
-    assert "no state from the driver" in report.message
-
-
-@pytest.mark.parametrize("sensor, right, wrong", [(SENSOR_TEXT, SENSOR, TOOL), ("", TOOL, SENSOR)])
-def test_commands_are_in_the_controlled_frame_the_tool_of_an_arm_without_a_sensor(
-    graph, bench, sensor, right, wrong
-):
-    bench(sensor=sensor)
-    statuses = graph.collect(ArmStatus, "arm/status")
-    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
-    twists.publish(arm_command(graph.now_ns(), wrong, ALONG))
-    assert f"must be '{right}'" in graph.wait_for_count("arm", "commands refused").message
-    ask = graph.commands(right)
-    for _ in graph.ticks(0.02):
-        ask(ALONG)
-        if statuses and statuses[-1].mode == ArmStatus.MOVING:
-            return
-    raise AssertionError("the arm never moved")
-
-
-def position(poses) -> np.ndarray:
-    return matrix_from_pose(poses[-1].pose)[:3, 3]
-
-
-def test_a_second_commander_is_refused_and_named_and_the_first_goes_on(graph, bench):
-    bench(safety="{owner_timeout: 10.0}")  # longer than a machine may hold us up
-    statuses = graph.collect(ArmStatus, "arm/status")
-    controller, stray, joystick = (
-        graph.publisher(ArmCommand, "command/request", qos.COMMAND) for _ in range(3)
-    )
-    controller.publish(arm_command(graph.now_ns(), SENSOR, np.zeros(6), "/arm/controller"))
-    assert graph.wait(lambda: bool(statuses) and bool(statuses[-1].owner))
-    for _ in graph.ticks(0.02):
-        controller.publish(arm_command(graph.now_ns(), SENSOR, ALONG, "/arm/controller"))
-        stray.publish(arm_command(graph.now_ns() + 95_000_000, SENSOR, -ALONG, "/stray"))
-        joystick.publish(arm_command(graph.now_ns(), SENSOR, -ALONG, "/joystick"))
-        if statuses and statuses[-1].twist[1] > 0.019:
-            break
-    assert statuses[-1].owner == "/arm/controller"
-    assert all(status.twist[1] >= 0.0 for status in statuses)
-    refusal = "command of /joystick refused: the arm is commanded by /arm/controller"
-    graph.wait_for_report("arm", lambda report: refusal in report.message)
 
 
 @pytest.mark.parametrize("by_topic", [True, False], ids=["topic", "service"])
@@ -184,55 +100,6 @@ def test_after_an_emergency_stop_nothing_moves_until_a_reset_and_a_twist_of_zero
     keep_asking(lambda: statuses[-1].mode == ArmStatus.MOVING)
 
 
-def test_what_the_sensor_feels_bounds_how_deep_any_command_takes_it(graph, bench):
-    bench()
-    statuses = graph.collect(ArmStatus, "arm/status")
-    poses = graph.collect(PoseStamped, "arm/pose")
-    ask = graph.commands(SENSOR)
-    states = graph.publisher(ContactState, "contact/state")
-    assert graph.wait(lambda: bool(poses))
-    T_base_surface = matrix_from_pose(poses[-1].pose) @ se3.exp(np.array([0, 0, -0.005, 0, 0, 0]))
-    for _ in graph.ticks(0.02):
-        X_sf = se3.inverse(matrix_from_pose(poses[-1].pose)) @ T_base_surface
-        state = ContactState(header=poses[-1].header, xi=se3.log(X_sf))
-        state.header.frame_id = SENSOR
-        states.publish(state)
-        ask([0, 0, 0.05, 0, 0, 0])
-        if statuses and statuses[-1].held_back and abs(statuses[-1].twist[2]) < 1e-4:
-            break
-    depth = (se3.inverse(T_base_surface) @ matrix_from_pose(poses[-1].pose))[2, 3]
-    assert 0.009 < depth < 0.0101
-    assert statuses[-1].held_back == "depth 0.01 m"
-
-
-def test_an_arm_that_says_it_is_somewhere_else_is_stopped_until_a_reset(graph, bench):
-    bench(settings="{jump_after: 300}")  # it has to be commanded before
-    poses, statuses = graph.collect(PoseStamped, "arm/pose"), graph.collect(ArmStatus, "arm/status")
-    keep_commanding(graph, SENSOR, lambda: "stop: the arm cannot have moved by 300" in told(graph))
-    assert "cannot have moved" in graph.wait_for_count("arm", "states refused").message
-    assert graph.wait(lambda: statuses[-1].mode == ArmStatus.FAULT)
-    assert "where it is is not known" in statuses[-1].reason
-    graph.spin(2.0)  # no waiting makes it believable
-    assert np.abs(position(poses) - [0.1, 0.2, 0.3]).max() < 0.1
-    assert statuses[-1].mode == ArmStatus.FAULT
-    assert graph.call(Trigger, "arm/reset", Trigger.Request()).success
-    assert graph.wait(lambda: np.abs(position(poses) - [0.1, 0.2, 0.3]).max() > 0.1)
-    assert graph.wait(lambda: statuses[-1].mode == ArmStatus.RESTING)
-
-
-def test_an_arm_that_does_otherwise_is_stopped_and_the_reason_is_an_error_until_a_reset(graph, bench):
-    bench(settings="{flips: true}")
-    statuses = graph.collect(ArmStatus, "arm/status")
-    keep_commanding(graph, SENSOR, lambda: bool(statuses) and statuses[-1].mode == ArmStatus.FAULT)
-    assert "the arm does not do what it is told: in " in statuses[-1].reason
-    graph.wait_for_report("arm", lambda report: report.level == ERROR)
-    assert "the arm does not do what it is told" in graph.reports("arm")[-1].message
-    assert "arm/reset leaves it" in told(graph)
-    assert graph.wait(lambda: graph.call(Trigger, "arm/reset", Trigger.Request()).success)  # once it rests
-    assert graph.wait(lambda: statuses[-1].mode == ArmStatus.RESTING)
-    graph.wait_for_report("arm", lambda report: report.level != ERROR)
-
-
 def test_an_arm_that_ignores_an_emergency_stop_is_told_louder_than_anything_else(graph, bench):
     bench(settings="{deaf: true}")
     statuses = graph.collect(ArmStatus, "arm/status")
@@ -264,28 +131,8 @@ def test_an_emergency_stop_does_not_wait_for_a_command_that_hangs_in_the_driver(
     graph.wait_for_report("arm", lambda report: "the driver's command took 2." in report.message)
 
 
-def test_a_second_process_that_calls_itself_as_the_owner_is_refused(graph, bench):
-    bench(safety="{owner_timeout: 10.0}")
-    statuses, poses = graph.collect(ArmStatus, "arm/status"), graph.collect(PoseStamped, "arm/pose")
-    owner, other = (graph.publisher(ArmCommand, "command/request", qos.COMMAND) for _ in range(2))
-    message = arm_command(graph.now_ns(), SENSOR, np.zeros(6), "/arm/controller")
-    message.session, message.sequence = 4711, 1
-    owner.publish(message)
-    assert graph.wait(lambda: bool(statuses) and statuses[-1].owner == "/arm/controller")
-    assert "commanded by /arm/controller" in told(graph)
-    where = position(poses)
-    for _ in range(20):
-        for twist in (np.zeros(6), ALONG):
-            other.publish(arm_command(graph.now_ns(), SENSOR, twist, statuses[-1].owner))
-        graph.spin(0.02)
-    refusal = "somebody else commands the arm as /arm/controller, too"
-    graph.wait_for_report("arm", lambda report: refusal in report.message)
-    assert statuses[-1].refused_source == "/arm/controller" and refusal in statuses[-1].refused
-    np.testing.assert_array_equal(position(poses), where)
-
-
 def test_an_arm_with_a_sensor_of_which_nothing_is_heard_crawls(graph, bench):
-    bench(feels=True)
+    bench(parameters={"feels": True})
     statuses = graph.collect(ArmStatus, "arm/status")
     keep_commanding(graph, SENSOR, lambda: bool(statuses) and bool(statuses[-1].held_back))
     assert statuses[-1].held_back == "no word of the contact: 0.002 m/s"
@@ -295,7 +142,7 @@ def test_an_arm_with_a_sensor_of_which_nothing_is_heard_crawls(graph, bench):
 
 def test_those_who_wait_for_a_first_state_are_told_why_none_is_believed(graph, bench):
     statuses, transforms = graph.collect(ArmStatus, "arm/status"), graph.collect(TFMessage, "/tf", qos.TF)
-    bench(settings="{nowhere: true}", status_rate=20.0)
+    bench(settings="{nowhere: true}", parameters={"status_rate": 20.0})
     assert graph.wait(lambda: len(statuses) > 5)
     assert {status.mode for status in statuses} == {ArmStatus.FAULT}
     assert "is not believed: pose" in statuses[-1].reason and not transforms

@@ -129,12 +129,12 @@ def test_a_device_that_is_not_there_ends_the_node_with_a_sentence(graph, double)
 
 def test_a_recording_is_shown_in_place_of_a_camera_and_its_end_is_told(graph, double, tmp_path):
     (tmp_path / "touches").mkdir()
-    for number in range(120):  # 6 s, of which we see at least the end
+    for number in range(60):  # 3 s, of which we see at least the end
         cv2.imwrite(str(tmp_path / "touches" / f"{number}.png"), np.full((480, 640), 2 * number, np.uint8))
     text = SCENE.replace("double_camera", "replay").replace("{SETTINGS}", "{path: touches, loop: false}")
     double.scene.write_text(text.replace("DRIVER", "external").replace("RATE", "20"))
     graph.start(CAMERA_NODE, {"scene": str(double.scene)})
-    graph.wait_for_report("camera", lambda report: "touches: ended after 120 frames" in report.message)
+    graph.wait_for_report("camera", lambda report: "touches: ended after 60 frames" in report.message)
     shown = [int(array_from_image(message)[0, 0]) // 2 for message in double.images]
-    assert shown == sorted(shown) and shown[-1] == 119
+    assert shown == sorted(shown) and shown[-1] == 59
     assert (np.diff([ns_from_time(message.header.stamp) for message in double.images]) > 0).all()

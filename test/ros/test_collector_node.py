@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import shutil
 
 import cv2
 import numpy as np
@@ -33,6 +34,7 @@ PATIENT = 30.0  # s; a machine that holds up a process only delays a collection
 QUICK = {
     "motion.settle_time": 0.05,
     "motion.air_speed": 0.1,
+    "motion.contact_speed": 0.04,
     "presence.reference_frames": 3,
     "watchdog.start_timeout": PATIENT,
     "motion.motion_timeout": PATIENT,
@@ -66,8 +68,24 @@ class World:
         self.statuses = graph.collect(ControllerStatus, "controller/status")
         self.image_out = graph.publisher(Image, "tactile/image", qos.IMAGE)
         self.client = graph.action(RunTask, "run_task")
+        self.reset()
+
+    def reset(self) -> None:
+        """The arm at its start, camera and poses as they should be, and nothing heard yet."""
         self.T, self.images, self.poses, self.last_stamp = START.copy(), True, True, 0
-        assert graph.wait(lambda: bool(self.twists) and bool(self.statuses)), "no twist arrives"
+        self.twists.clear()
+        self.statuses.clear()
+        assert self.graph.wait(lambda: bool(self.twists) and bool(self.statuses)), "no twist arrives"
+
+    def restart(self) -> None:
+        """A new start of the collector."""
+        self.graph.restart("collector")
+        for name in ("watchdog.patience", "watchdog.start_timeout"):
+            self.set(name, PATIENT)
+        self.reset()
+
+    def set(self, name: str, value: float) -> None:
+        assert self.graph.set_parameter("collector", name, value).successful
 
     def step(self) -> None:
         stamp_ns = self.graph.now_ns()
@@ -125,16 +143,34 @@ class World:
         return moving[-1] - self.last_stamp < seconds * SECOND
 
 
-@pytest.fixture
-def folder(tmp_path):
-    return tmp_path / "data"
-
-
-@pytest.fixture
-def world(graph, folder):
-    frame = se3.euler_from_pose(FRAME).tolist()
-    graph.start(COLLECTOR, {**QUICK, "folder": folder, "frame": frame})
+def start(graph, folder, frame: np.ndarray = FRAME, **parameters) -> World:
+    """A collector in its world."""
+    where = {"folder": folder, "frame": se3.euler_from_pose(frame).tolist()}
+    graph.start(COLLECTOR, {**QUICK, **where, **parameters})
     return World(graph)
+
+
+@pytest.fixture(scope="module")
+def running(shared_graph, tmp_path_factory):
+    """For all tests that need no collector of their own, and the folder that it collects in."""
+    folder = tmp_path_factory.mktemp("collected") / "data"
+    return start(shared_graph, folder), folder
+
+
+@pytest.fixture
+def folder(running):
+    """That of the collector that is shared, with nothing in it."""
+    folder = running[1]
+    if folder.is_file():
+        folder.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
+    return folder
+
+
+@pytest.fixture
+def world(running, folder):
+    running[0].restart()
+    return running[0]
 
 
 def rows(folder) -> list[dict[str, str]]:
@@ -168,7 +204,7 @@ def test_a_goal_gives_a_data_set_whose_labels_are_the_poses_at_the_exposures(wor
 @pytest.mark.parametrize("silent", ["images", "poses"])
 def test_an_input_that_stops_in_contact_brings_the_arm_to_rest_and_says_which(world, silent):
     handle = world.moving_in("contact")
-    assert world.graph.set_parameter("collector", "watchdog.patience", 1.0).successful
+    world.set("watchdog.patience", 1.0)
     setattr(world, silent, False)
     result = world.result(handle)
     assert not result.success
@@ -197,7 +233,7 @@ def test_a_pose_that_is_not_a_number_never_moves_the_arm(world):
     bad = world.T.copy()
     bad[0, 3] = np.nan
     world.poses = False
-    assert world.graph.set_parameter("collector", "watchdog.patience", 1.0).successful
+    world.set("watchdog.patience", 1.0)
     future = handle.get_result_async()
     for _ in world.graph.ticks(PERIOD):
         if future.done():
@@ -209,12 +245,13 @@ def test_a_pose_that_is_not_a_number_never_moves_the_arm(world):
     assert np.all(world.twist() == 0.0)
 
 
-def test_shutting_down_in_contact_sends_zero_last_and_keeps_what_was_collected(world, folder):
+def test_shutting_down_in_contact_sends_zero_last_and_keeps_what_was_collected(graph, tmp_path):
+    world = start(graph, tmp_path / "data")
     world.send()
     assert world.run_until(lambda: world.statuses[-1].goal == 2 and world.phase() == "contact")
-    assert world.graph.stop(COLLECTOR) == 0
-    assert world.graph.wait(lambda: np.all(world.twist() == 0.0))
-    assert len(rows(folder)) == 1
+    assert graph.stop(COLLECTOR) == 0
+    assert graph.wait(lambda: np.all(world.twist() == 0.0))
+    assert len(rows(tmp_path / "data")) == 1
 
 
 def test_a_folder_that_cannot_be_written_ends_the_goal_with_the_reason(world, folder):
@@ -223,13 +260,11 @@ def test_a_folder_that_cannot_be_written_ends_the_goal_with_the_reason(world, fo
     assert not result.success and str(folder) in result.reason
 
 
-def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_on(graph, folder):
-    wrong = FRAME.copy()
+def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_on(graph, tmp_path):
+    folder, wrong = tmp_path / "data", FRAME.copy()
     wrong[2, 3] += 0.001
-    frame = se3.euler_from_pose(wrong).tolist()
     touch = {"touch.points": 1, "touch.search": 0.004, "touch.speed": 0.004, "touch.depth": 2.5e-4}
-    graph.start(COLLECTOR, {**QUICK, **touch, "folder": folder, "frame": frame})
-    world = World(graph)
+    world = start(graph, folder, wrong, **touch)
     handle = world.send()
     assert world.run_until(lambda: (folder / "surface.json").exists())
     assert world.run_until(lambda: world.statuses[-1].goal == 2 and world.phase() == "rotate")
@@ -247,16 +282,15 @@ def test_the_surface_is_found_by_touch_and_used_again_when_the_collection_goes_o
         assert float(row["pose_z"]) == pytest.approx(depth, abs=0.15)
 
 
-def test_images_of_another_size_count_as_not_come(graph, folder):
-    frame = se3.euler_from_pose(FRAME).tolist()
-    parameters = {"folder": folder, "frame": frame, "watchdog.start_timeout": 0.5}
-    graph.start(COLLECTOR, {**QUICK, **parameters})
-    world = World(graph)
-    small = np.zeros((240, 320), np.uint8)
-    world.step = lambda: (
-        world.image_out.publish(image_message(graph.now_ns(), SENSOR, small)),
-        world.arm.at(graph.now_ns(), world.T),
-    )
+def test_images_of_another_size_count_as_not_come(world, monkeypatch):
+    graph, small = world.graph, np.zeros((240, 320), np.uint8)
+    world.set("watchdog.start_timeout", 0.5)
+
+    def step() -> None:
+        world.image_out.publish(image_message(graph.now_ns(), SENSOR, small))
+        world.arm.at(graph.now_ns(), world.T)
+
+    monkeypatch.setattr(world, "step", step)
     result = world.result(world.send())
     assert not result.success and np.all(world.twist() == 0.0)
     assert "no image has arrived" in result.reason
@@ -287,7 +321,8 @@ def test_without_a_folder_it_does_not_start(graph):
     assert "folder: must name" in graph.log(COLLECTOR).read_text()
 
 
-def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, folder):
+def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, tmp_path):
+    folder = tmp_path / "data"
     scene = load_scene("plane")
     arm, (surface,) = scene.arms["arm"], scene.bodies
     T_base_surface = scene.T_base_body("arm", surface)

@@ -230,36 +230,67 @@ def test_what_the_estimator_says_of_its_images_is_in_the_reason_of_a_task_that_w
     assert "belief" in result.reason and result.reason.endswith(text), result.reason
 
 
-def test_the_task_rests_when_the_arm_that_it_works_with_waits_or_falls_silent_and_names_it(graph):
-    graph.start(CONTROLLER, {**FAST, "partners": ["other"]})
-    world = World(graph)
-    partner = graph.publisher(ControllerStatus, "/other/controller/status")
-    well = ControllerStatus(phase="track")
+class Beside:
+    """A controller that works beside another arm's, of which this test says what it says."""
 
-    def step_until(condition, status: ControllerStatus | None) -> bool:
+    def __init__(self, graph, role: str) -> None:
+        graph.start(CONTROLLER, {**FAST, role: ["other"]})
+        self.world = World(graph)
+        self.partner = graph.publisher(ControllerStatus, "/other/controller/status")
+        assert graph.wait(lambda: bool(self.world.twists) and bool(self.world.statuses))
+        self.goal = self.world.client.send_goal_async(
+            RunTask.Goal(task="surface_following", name="line", goal="{direction_deg: 90.0, length: 0.5}")
+        )
+
+    def until(self, condition, status: ControllerStatus | None) -> bool:
+        """Run while the other one says this at every step; None: nothing."""
+
         def turn() -> bool:
             if status is not None:
-                partner.publish(status)
+                self.partner.publish(status)
             return condition()
 
-        return world.run_until(turn)
+        return self.world.run_until(turn)
 
-    assert graph.wait(lambda: bool(world.twists) and bool(world.statuses))
-    future = world.client.send_goal_async(
-        RunTask.Goal(task="surface_following", name="line", goal="{direction_deg: 90.0, length: 0.5}")
-    )
-    moving = lambda: world.phase() == "follow" and world.twist()[1] > 0.005  # noqa: E731
-    assert step_until(lambda: future.done() and moving(), well), world.statuses[-1]
-    reason = "presence is 120 ms old, limit 100 ms"
-    waiting = ControllerStatus(phase="track", reason=reason, waiting=True)
-    assert step_until(world.rests, waiting)
-    assert step_until(lambda: "other: presence is 120 ms old" in world.statuses[-1].reason, waiting)
-    assert step_until(moving, well), "and goes on with it"
-    assert step_until(world.rests, None)
-    assert "other: no controller/status of it is heard" in world.statuses[-1].reason
-    assert step_until(moving, well)
-    assert step_until(world.rests, ControllerStatus(phase="failed"))
-    assert "other: its task is over" in world.statuses[-1].reason
+    def moving(self) -> bool:
+        return self.goal.done() and self.world.phase() == "follow" and self.world.twist()[1] > 0.005
+
+    def says(self, text: str) -> bool:
+        return text in self.world.statuses[-1].reason
+
+
+WELL = ControllerStatus(phase="track", at_work=True)
+BLIND = ControllerStatus(phase="track", at_work=True, trouble="presence is 120 ms old, limit 100 ms")
+
+
+def test_the_task_rests_when_the_arm_that_it_waited_for_waits_or_falls_silent_and_names_it(graph):
+    beside = Beside(graph, "awaited")
+    world, until, moving = beside.world, beside.until, beside.moving
+    assert until(moving, WELL), world.statuses[-1]
+    assert until(world.rests, BLIND)
+    assert until(lambda: beside.says("other: presence is 120 ms old"), BLIND)
+    assert not world.statuses[-1].trouble, "it lacks nothing itself"
+    assert until(moving, WELL), "and goes on with it"
+    assert until(world.rests, None)
+    assert beside.says("other: nothing is heard of its controller")
+    assert until(moving, WELL)
+    assert until(world.rests, ControllerStatus(phase="done"))
+    assert beside.says("other: its task is over")
+
+
+def test_the_task_minds_the_arm_that_waited_for_it_once_that_is_at_work_and_lets_it_end(graph):
+    beside = Beside(graph, "waiting")
+    world, until, moving = beside.world, beside.until, beside.moving
+    assert until(moving, None), "an arm that has yet to begin is no trouble"
+    assert world.statuses[-1].at_work and not world.statuses[-1].trouble
+    assert until(world.rests, BLIND)
+    assert until(lambda: beside.says("other: presence is 120 ms old"), BLIND)
+    assert until(moving, WELL), "and goes on with it"
+    assert until(world.rests, None)
+    assert until(moving, WELL)
+    ended, since = ControllerStatus(phase="done"), len(world.statuses)
+    assert until(lambda: len(world.statuses) > since + 60, ended)
+    assert moving() and not any(status.reason for status in world.statuses[since + 5 :])
 
 
 def test_twists_decrease_smoothly_while_the_watchdog_stops(world):

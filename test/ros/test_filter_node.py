@@ -69,7 +69,12 @@ class Feed:
         return PoseGaussian(se3.exp(np.array([0.001, 0.0, -0.003, 0.05, 0.01 * k, 0.0])), COV)
 
     def step(
-        self, k: int, tf: bool = True, in_contact: bool = True, estimate: PoseGaussian | None = None
+        self,
+        k: int,
+        tf: bool = True,
+        in_contact: bool = True,
+        estimate: PoseGaussian | None = None,
+        still: bool = False,
     ) -> int:
         stamp_ns = self.stamp_ns + k * PERIOD_NS
         if 0 < stamp_ns - time.time_ns() < SECOND:  # answered faster than stamps go on
@@ -78,11 +83,14 @@ class Feed:
             self.arm.at(stamp_ns, self.pose(k))
         if in_contact:
             self.send_estimate(stamp_ns, estimate or self.estimate(k))
-        self.send_presence(stamp_ns, in_contact)
+        self.send_presence(stamp_ns, in_contact, still=still)
         return stamp_ns
 
-    def send_presence(self, stamp_ns: int, in_contact: bool = True, frame: str = SENSOR) -> None:
-        self.presences.publish(ContactPresence(header=header(stamp_ns, frame), in_contact=in_contact))
+    def send_presence(
+        self, stamp_ns: int, in_contact: bool = True, frame: str = SENSOR, still: bool = False
+    ) -> None:
+        said = ContactPresence(header=header(stamp_ns, frame), in_contact=in_contact, still=still)
+        self.presences.publish(said)
 
     def send_estimate(self, stamp_ns: int, estimate: PoseGaussian, frame: str = SENSOR) -> None:
         self.estimates.publish(gaussian_message(stamp_ns, frame, estimate.mean, estimate.cov))
@@ -120,6 +128,12 @@ def assert_as_library(feed, states) -> None:
         assert state.inflation == belief.inflation == 1.0
         if belief.nis_dof:
             assert state.nis == pytest.approx(belief.nis, rel=1e-6)
+
+
+def test_that_images_stand_still_is_said_with_beliefs_until_they_move_again(feed):
+    """Of an exposure the estimate comes first, so that it is said with the next one, or the one after it."""
+    said = [feed.state(feed.step(k, still=4 <= k < 8)).flags & ContactState.STILL for k in range(12)]
+    assert not any(said[:4]) and all(said[6:8]) and not any(said[10:])
 
 
 def test_beliefs_are_those_of_the_library_with_the_images_stamps(feed):

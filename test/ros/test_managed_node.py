@@ -64,10 +64,18 @@ TOY = textwrap.dedent("""
 """)
 
 
+@pytest.fixture(scope="module")
+def running(shared_graph):
+    """A node for all tests that leave it as it was."""
+    shared_graph.start_code("toy", TOY)
+    return shared_graph
+
+
 @pytest.fixture
-def toy(graph):
-    graph.start_code("toy", TOY, {"diagnostics_period": 1.0})
-    return graph
+def toy(running):
+    running.restart("toy")
+    assert running.set_parameter("toy", "gain", 1.0).successful
+    return running
 
 
 def change(graph, transition: int) -> bool:
@@ -79,20 +87,20 @@ def state(graph) -> str:
     return graph.call(GetState, "toy/get_state", GetState.Request()).current_state.label
 
 
-def test_a_node_starts_by_itself_reports_each_second_and_ends_cleanly_by_sigterm(toy):
-    numbers = toy.publisher(Int64, "number")
-    doubled = toy.collect(Int64, "doubled")
+def test_a_node_starts_by_itself_reports_each_second_and_ends_cleanly_by_sigterm(graph):
+    process = graph.start_code("toy", TOY, {"diagnostics_period": 1.0})
+    numbers = graph.publisher(Int64, "number")
+    doubled = graph.collect(Int64, "doubled")
     numbers.publish(Int64(data=21))
-    assert toy.wait(lambda: bool(doubled)) and doubled[0].data == 42
-    report = toy.wait_for_count("toy", "numbers")
+    assert graph.wait(lambda: bool(doubled)) and doubled[0].data == 42
+    report = graph.wait_for_count("toy", "numbers")
     assert report.values["state"] == "active" and report.values["number messages"] == report.values["numbers"]
-    assert toy.wait(lambda: len(toy.diagnostics) >= 4)
-    first, last = (ns_from_time(toy.diagnostics[k].header.stamp) for k in (0, 3))
+    assert graph.wait(lambda: len(graph.diagnostics) >= 4)
+    first, last = (ns_from_time(graph.diagnostics[k].header.stamp) for k in (0, 3))
     assert (last - first) * 1e-9 == pytest.approx(3.0, abs=0.9)
-    process = toy.processes.children["toy"].process
     process.terminate()
-    assert toy.wait(lambda: process.poll() is not None) and process.returncode == 0
-    log = toy.log("toy").read_text()
+    assert graph.wait(lambda: process.poll() is not None) and process.returncode == 0
+    log = graph.log("toy").read_text()
     assert log.index("deactivated") < log.index("cleaned up") and "SIGTERM" in log
 
 

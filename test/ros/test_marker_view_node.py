@@ -26,13 +26,21 @@ def contact(depth: float) -> np.ndarray:
     return sensor.image()
 
 
+@pytest.fixture(scope="module")
+def running(shared_graph):
+    shared_graph.start(VIEW, {"rate": 10.0, "diagnostics_period": 0.02})
+    shared_graph.images = shared_graph.publisher(Image, "tactile/image", qos.IMAGE)
+    shared_graph.pictures = shared_graph.collect(Image, "tactile/marker_view", qos.IMAGE)
+    return shared_graph
+
+
 @pytest.fixture
-def view(graph):
-    graph.start(VIEW, {"rate": 10.0, "diagnostics_period": 0.02})
-    graph.images = graph.publisher(Image, "tactile/image", qos.IMAGE)
-    graph.pictures = graph.collect(Image, "tactile/marker_view", qos.IMAGE)
-    graph.sent = 0
-    return graph
+def view(running):
+    """The node with no reference yet."""
+    running.restart("marker_view")
+    running.pictures.clear()
+    running.sent = 0
+    return running
 
 
 def send(view, stamp_ns: int, image: np.ndarray) -> None:

@@ -42,6 +42,21 @@ def ideal_scene(tmp_path):
     return scene_file(tmp_path, ("bodies:", f"{IDEAL}bodies:"))
 
 
+@pytest.fixture(scope="module")
+def running(shared_graph, tmp_path_factory):
+    """A cell with an ideal sensor, of which nobody tells what it feels."""
+    scene = scene_file(tmp_path_factory.mktemp("cell"), ("bodies:", f"{IDEAL}bodies:"))
+    shared_graph.start(SIM, {"scene": scene, "feels": False}, namespace="")
+    return shared_graph
+
+
+@pytest.fixture
+def cell(running):
+    """Its arm at rest, with nothing told of it yet."""
+    running.restart("arm")
+    return running
+
+
 def stamps(messages: list) -> list[int]:
     return [ns_from_time(m.header.stamp) for m in messages]
 
@@ -86,25 +101,24 @@ def test_stamps_advance_at_the_rate_of_the_scene_and_are_those_of_now(graph, ide
         assert np.median(steps) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the_reason(graph, ideal_scene):
-    poses = graph.collect(PoseStamped, "arm/pose")
-    statuses = graph.collect(ArmStatus, "arm/status")
-    limited = graph.collect(TwistStamped, "command/twist_limited")
-    graph.start(SIM, {"scene": ideal_scene, "feels": False}, namespace="")
-    ask = graph.commands(SENSOR)
-    assert graph.wait(lambda: bool(poses) and bool(statuses))
+def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the_reason(cell):
+    poses = cell.collect(PoseStamped, "arm/pose")
+    statuses = cell.collect(ArmStatus, "arm/status")
+    limited = cell.collect(TwistStamped, "command/twist_limited")
+    ask = cell.commands(SENSOR)
+    assert cell.wait(lambda: bool(poses) and bool(statuses))
     start = matrix_from_pose(poses[-1].pose)
 
     def moved() -> np.ndarray:
         return se3.inverse(start) @ matrix_from_pose(poses[-1].pose)
 
-    for _ in graph.ticks(0.02):
+    for _ in cell.ticks(0.02):
         ask(FORWARD)
         if moved()[1, 3] > 0.003:
             break
     assert moved()[1, 3] > 0.003 and abs(moved()[0, 3]) < 1e-9
     assert max(vector_from_twist(m.twist)[1] for m in limited) == pytest.approx(0.02)
-    assert graph.wait(lambda: np.all(np.array(statuses[-1].twist) == 0.0))
+    assert cell.wait(lambda: np.all(np.array(statuses[-1].twist) == 0.0))
     assert "no command for" in statuses[-1].reason and "limit 0.1 s" in statuses[-1].reason
 
 
@@ -113,21 +127,17 @@ def test_a_twist_moves_the_sensor_in_its_own_frame_and_silence_stops_it_with_the
     [("arm/base", FORWARD, "must be 'arm/tactile_sensor'"), (SENSOR, np.full(6, np.nan), "not finite")],
     ids=["frame", "nan"],
 )
-def test_a_twist_that_cannot_be_followed_is_refused_counted_and_told(
-    graph, ideal_scene, frame, twist, complaint
-):
-    graph.start(SIM, {"scene": ideal_scene}, namespace="")
-    twists = graph.publisher(ArmCommand, "command/request", qos.COMMAND)
-    twists.publish(arm_command(graph.now_ns(), frame, twist))
-    assert complaint in graph.wait_for_count("arm", "commands refused").message
+def test_a_twist_that_cannot_be_followed_is_refused_counted_and_told(cell, frame, twist, complaint):
+    twists = cell.publisher(ArmCommand, "command/request", qos.COMMAND)
+    twists.publish(arm_command(cell.now_ns(), frame, twist))
+    assert complaint in cell.wait_for_count("arm", "commands refused").message
 
 
-def test_an_ideal_sensor_gives_presence_in_place_of_images(graph, ideal_scene):
-    images = graph.collect(Image, "tactile/image", qos.IMAGE)
-    presences = graph.collect(ContactPresence, "contact/presence")
-    estimates = graph.collect(PoseWithCovarianceStamped, "contact/estimate")
-    graph.start(SIM, {"scene": ideal_scene}, namespace="")
-    assert graph.wait(lambda: len(presences) > 10)
+def test_an_ideal_sensor_gives_presence_in_place_of_images(cell):
+    images = cell.collect(Image, "tactile/image", qos.IMAGE)
+    presences = cell.collect(ContactPresence, "contact/presence")
+    estimates = cell.collect(PoseWithCovarianceStamped, "contact/estimate")
+    assert cell.wait(lambda: len(presences) > 10)
     assert not images and not estimates and not presences[-1].in_contact
 
 

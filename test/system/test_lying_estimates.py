@@ -102,6 +102,9 @@ def test_covariances_that_are_refused_bring_the_arm_to_rest_within_200_ms(lie):
     "lie, known_s",
     [
         ("z flipped", 0.3),
+        ("half as large", 0.1),
+        ("2 mm too deep", 0.1),
+        ("2 mm too shallow", 0.1),
         ("5 mm of noise", 0.4),
         ("10 degrees of noise", 0.4),
         ("tilts flipped", 1.0),
@@ -147,6 +150,15 @@ def test_two_arms_press_their_object_no_deeper_than_is_set_by_a_drift_that_canno
     records, begin_ns = lied_to("dual_pushing", "z drifts down")
     assert max(depth_mm(record, begin_ns).max() for record in records.values()) <= 7.5
     assert "mm deep, which is over 7 mm" in records["leader"].result["reason"]
+
+
+@pytest.mark.parametrize("lie", ["x drifts up", "x drifts down"])
+def test_a_follower_whose_shear_drifts_climbs_no_further_than_its_workspace_and_presses_no_deeper(lie):
+    """The sensor's x is vertical: a tip that climbs far enough turns the object over."""
+    records, begin_ns = lied_to("dual_pushing", lie)
+    height = 1e3 * records["follower"].pose.T_base_sensor[:, 2, 3]
+    assert 2.0 < np.abs(height - 45.0).max() < 3.1
+    assert max(depth_mm(record, begin_ns).max() for record in records.values()) <= 7.5
 
 
 @pytest.mark.parametrize("fidelity", ["fitted", "ideal"])

@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tactile_base.settings import Settings, setting
-from tactile_control.contact_task import APPROACH, SETTLE, ContactTask, ContactTaskSettings
+from tactile_control.contact_phases import APPROACH, SETTLE
+from tactile_control.contact_task import ContactTask, ContactTaskSettings
 from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
 
 

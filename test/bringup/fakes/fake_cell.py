@@ -11,13 +11,13 @@ import time
 from pathlib import Path
 
 from rclpy.action import ActionServer, CancelResponse
-from rclpy.task import Future
 
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import STATE
+from tactile_ros.task_node import conclude
 
 
 class FakeCell(ManagedNode):
@@ -34,17 +34,13 @@ class FakeCell(ManagedNode):
         self.status_out = self.publisher(ArmStatus, "arm/status", STATE)
         self.timer(0.02, self.tick)
         server = ActionServer(
-            self, RunTask, "run_task", self.execute, cancel_callback=self.cancel,
+            self, RunTask, "run_task", lambda handle: None, cancel_callback=self.cancel,
             handle_accepted_callback=self.accept,
         )  # fmt: skip
         self.release_later(ActionServer.destroy, server)
 
     def accept(self, handle):
-        self.goal, self.done, self.started = handle, Future(), time.monotonic()
-        handle.execute()
-
-    async def execute(self, handle):
-        return await self.done
+        self.goal, self.started = handle, time.monotonic()
 
     def cancel(self, handle):
         self.get_logger().info("cancel requested")
@@ -80,12 +76,8 @@ class FakeCell(ManagedNode):
         handle, self.goal = self.goal, None
         cancelled = handle.is_cancel_requested
         success = not (cancelled or failure or self.fault == "fail")
-        if cancelled:
-            handle.canceled()
-        else:
-            (handle.succeed if success else handle.abort)()
         reason = "" if success else "cancelled" if cancelled else failure or "lost the contact at 12 mm"
-        self.done.set_result(RunTask.Result(success=success, reason=reason, path_length=0.05))
+        conclude(handle, RunTask.Result(success=success, reason=reason, path_length=0.05))
 
 
 def main():
