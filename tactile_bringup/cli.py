@@ -7,14 +7,14 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from tactile_base.process_limits import COMMAND, LimitError, require
-from tactile_base.requirements import RequirementMissing, require_packages
-from tactile_bringup.commands.changes import in_words
+from tactile_bringup.commands import stop
 
 # Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
 COMMANDS = (
     "tactile_bringup.commands.launch",
     "tactile_bringup.commands.run",
+    "tactile_bringup.commands.stop",
+    "tactile_bringup.commands.operate",
     "tactile_bringup.commands.move",
     "tactile_bringup.commands.demo",
     "tactile_bringup.commands.simulate",
@@ -37,6 +37,19 @@ COMMANDS = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code of the process."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if words[:1] == [
+        "stop"
+    ]:  # an arm may be about to break something: nothing else is loaded or checked first
+        return stop.main(words[1:])
+    return _main(words)
+
+
+def _main(words: Sequence[str]) -> int:
+    from tactile_base.process_limits import COMMAND, LimitError, require
+    from tactile_base.requirements import RequirementMissing, require_packages
+    from tactile_bringup.commands.changes import in_words
+
     try:
         require_packages()
     except RequirementMissing as error:
@@ -47,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LimitError as error:
         print(f"tactile: {error}", file=sys.stderr)
         return 2
-    parsed = _parser().parse_args(arguments)
+    parsed = _parser().parse_args(words)
     try:
         return int(parsed.run(parsed))
     except KeyboardInterrupt:

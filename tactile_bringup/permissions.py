@@ -71,9 +71,10 @@ def enclaves(graph: Graph, scene: Scene) -> dict[str, list[Profile]]:
     operator = Profile("/", OPERATOR.strip("/"))
     for arm in graph.arms:
         client.subscribe |= {topic.of(arm).name for topic in (topics.ARM_STATUS, topics.LATENCY)}
-        client.call.add(f"/{arm}/{topics.RUN_TASK}")
+        for person in (client, operator):
+            person.call.add(f"/{arm}/{topics.RUN_TASK}")
     client.request = {f"{_full(node)}/{GET_STATE}" for node in nodes}
-    client.publish = {topics.PARAMETER_EVENTS.name}
+    client.publish = {topics.ESTOP.name, topics.PARAMETER_EVENTS.name}
     operator.publish = {topics.ESTOP.name, topics.PARAMETER_EVENTS.name, topics.ROSOUT.name}
     operator.subscribe = set().union(*(node.publish for node in nodes))
     operator.request = set().union(*(node.reply for node in nodes))

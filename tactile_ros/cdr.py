@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 FRAME = "header.frame_id"
 _HEADER_END = cdr.HEADER + 12  # where the frame's name begins: after its stamp and its length
+LONGEST_NAME = 200  # characters of what people and nodes call themselves and their goals
+LONGEST_SAID = 1000  # characters of a text that nodes send
 STAMP_NUMBERS = 2  # sec and nanosec, which a message with a header starts with
 
 
@@ -186,7 +188,12 @@ def _head(frame_id: str, size: int) -> cdr.Layout:
 
 
 def headed_bytes(message_type: Any, stamp_ns: int, frame_id: str, *numbers: Number, **texts: str) -> bytes:
-    """A message with a header: its numbers in the order of the definition, its texts by name."""
+    """A message with a header: its numbers in the order of the definition, its texts by name.
+
+    Long ones are cut: they are sent many times a second, and kept for whoever has missed them.
+    """
+    if any(len(text) > LONGEST_SAID for text in texts.values()):
+        texts = {name: text[:LONGEST_SAID] for name, text in texts.items()}
     return _headed_layout(message_type, frame_id, **texts).pack(*split_stamp(stamp_ns), *numbers)
 
 
@@ -213,6 +220,8 @@ def command_from_bytes(data: bytes) -> ReceivedCommand:
     """A serialized ArmCommand; `MessageError` for cut bytes."""
     layout, (sec, nanosec, session, sequence, *twist) = _read_command(data)
     stamp_ns, texts = sec * SECOND_NS + nanosec, layout.texts
+    if len(texts["source"]) > LONGEST_NAME:
+        raise MessageError(f"its source has {len(texts['source'])} characters, at most {LONGEST_NAME} may be")
     return ReceivedCommand(stamp_ns, texts[FRAME], texts["source"], session, sequence, np.array(twist))
 
 

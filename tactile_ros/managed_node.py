@@ -28,6 +28,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -425,15 +426,15 @@ def lost_counter(topic: str) -> str:
     return f"{topic} messages lost"
 
 
-def make_executor() -> Any:
-    """The executor with the least latency that this rclpy has."""
+def make_executor(context: Context | None = None) -> Any:
+    """The executor with the least latency that this rclpy has, of a context (default: the process's)."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:  # before Kilted
         from rclpy.executors import SingleThreadedExecutor
 
-        return SingleThreadedExecutor()
-    return EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
 
 
 def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str] | None = None) -> int:

@@ -15,7 +15,7 @@ from tactile_control.phases import Command, Goal, PhaseMachine
 from tactile_control.task_file import NamedGoal
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
-from tactile_ros.cdr import headed_bytes, split_stamp
+from tactile_ros.cdr import LONGEST_NAME, headed_bytes, split_stamp
 from tactile_ros.conversions import MessageError, matrix_from_pose, pose_from_matrix
 
 Array = NDArray[np.float64]
@@ -42,6 +42,9 @@ def named_goal(message: RunTask.Goal, task_type: TaskType) -> NamedGoal:
     SettingError
         Saying what is wrong with it, and what would be right.
     """
+    if len(message.name) > LONGEST_NAME:
+        found = len(message.name)
+        raise SettingError(f"name: has {found} characters, must have no more than {LONGEST_NAME}")
     goal: Goal = task_type.goal_class.from_mapping(values_of(message.goal, "goal"), "goal")
     try:
         start = matrix_from_pose(message.start[0]) if message.start else None

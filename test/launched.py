@@ -26,6 +26,7 @@ class Launched:
         self.process = subprocess.Popen(
             command,
             env={**os.environ, **variables},
+            stdin=subprocess.DEVNULL,  # no keys of whoever runs the tests
             stdout=self.output_file.open("w"),
             stderr=subprocess.STDOUT,
         )

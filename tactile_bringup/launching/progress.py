@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from tactile_base import progress as base
+from tactile_base.keys import Keys
 from tactile_base.progress import Progress
 from tactile_control.collection import REFERENCE, TOUCH
 from tactile_control.phases import GO_TO_START
@@ -14,6 +16,8 @@ from tactile_control.phases import GO_TO_START
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import Progress as TaskProgress
 
+KEYS = "space stops all arms at once; Ctrl-C ends the task and brings them to rest"
+STOP_KEYS = (" ", "s", "\x1b")  # Escape, too
 LINE_PERIOD = 2.0  # s between plain lines of one phase
 MM, DEGREES, MS = 1e3, 180.0 / math.pi, 1e3
 #: Phases before the first sample, which say nothing of the pace.
@@ -23,8 +27,24 @@ BEFORE_SAMPLES = (GO_TO_START, REFERENCE, TOUCH)
 class Display(Progress):
     """Shows headlines and how far each arm is with its goal, which is given by a label."""
 
-    def __init__(self, console: Console, live: bool) -> None:
-        super().__init__(console, live, LINE_PERIOD)
+    def __init__(self, console: Console, live: bool, line_period: float = LINE_PERIOD) -> None:
+        super().__init__(console, live, line_period)
+        self._keys = Keys()
+
+    def __enter__(self) -> Display:
+        self._keys.__enter__()
+        if self._keys.there:
+            self.say(KEYS)
+        super().__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        super().__exit__(*exception)
+        self._keys.__exit__(*exception)
+
+    def stop_wanted(self) -> bool:
+        """Whether a key that stops all arms was pressed since the last look."""
+        return self._keys.pressed() in STOP_KEYS
 
     def show(self, arm: str, label: str, progress: TaskProgress) -> None:
         """Show how far an arm is with the goal of that label."""
@@ -43,7 +63,7 @@ class CollectionDisplay(Display):
     """Shows how far a collection is; `samples` is the number that the folder is to hold."""
 
     def __init__(self, console: Console, live: bool, samples: int) -> None:
-        Progress.__init__(self, console, live)
+        super().__init__(console, live, base.LINE_PERIOD)
         self._samples = samples
 
     def show(self, arm: str, label: str, progress: TaskProgress) -> None:

@@ -8,21 +8,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import rclpy
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.action.client import ActionClient
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Bool
 
 from tactile_base import topics
 from tactile_base.node_topics import CLIENT
+from tactile_bringup.launching.graph_client import GraphClient
 from tactile_control.task_file import NamedGoal
 from tactile_drivers.arm import AT_REST
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
-from tactile_ros.discovery import use_dds_profile
-from tactile_ros.managed_node import make_executor
 from tactile_ros.qos import LATENCY, STATE
 from tactile_ros.task_messages import goal_message
 
@@ -36,7 +34,6 @@ MODES = {
 }
 ASK_PERIOD = 0.2  # s between questions to a node that is not active yet
 ANSWER_TIME = 1.0  # s; an answer can be lost while two nodes are still finding each other: then ask again
-BACKLOG = 10  # events handled at once after the first
 GAP = 0.1  # s between two words of an arm that runs regularly
 SILENCE = 0.5  # s after which the last word of an arm says nothing about now
 
@@ -100,7 +97,7 @@ class _Goal:
     result: Any = None
 
 
-class TaskClient:
+class TaskClient(GraphClient):
     """Talks to the nodes from the launcher's own process; nothing happens unless `spin` is called.
 
     Parameters
@@ -110,33 +107,20 @@ class TaskClient:
     """
 
     def __init__(self, domain_id: int) -> None:
-        use_dds_profile()
-        enclave = ["--ros-args", "--enclave", CLIENT]
-        rclpy.init(args=enclave, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(CLIENT.strip("/"), enable_rosout=False)
-        self._executor = make_executor()
-        self._executor.add_node(self._node)
+        super().__init__(CLIENT, domain_id)
+        self._estop = self._node.create_publisher(Bool, topics.ESTOP.name, STATE)
         self._states: dict[str, _NodeState] = {}
         self._arms: dict[str, ArmTask] = {}
 
-    def spin(self, timeout_s: float) -> None:
-        """Handle what has arrived, waiting for at most `timeout_s` for the first of it."""
-        self._executor.spin_once(timeout_sec=timeout_s)
-        for _ in range(BACKLOG):  # each call handles one event
-            self._executor.spin_once(timeout_sec=0.0)
+    def stop_arms(self) -> None:
+        """An emergency stop of all arms."""
+        self._estop.publish(Bool(data=True))
 
     def close(self) -> None:
-        """Leave the graph; no shared memory of this process is in use afterwards."""
+        """See `GraphClient`."""
         for arm in self._arms.values():
             arm.close()
-        self._executor.remove_node(self._node)
-        self._node.destroy_node()
-        self._executor.shutdown()
-        rclpy.try_shutdown()
-
-    def node_names(self) -> set[str]:
-        """Full names of the nodes in the domain, as far as they are known by now."""
-        return {f"{space.rstrip('/')}/{name}" for name, space in self._node.get_node_names_and_namespaces()}
+        super().close()
 
     def arm(self, name: str) -> ArmTask:
         """The task of that arm."""

@@ -182,7 +182,7 @@ class TaskRunner:
             return None
         started = time.monotonic()
         while time.monotonic() - started < REST_TIMEOUT and len(self.signals) < patience:
-            self.client.spin(SPIN)
+            self._spin()
             listened = time.monotonic() - started > GONE
             if all(_settled(task) or (listened and task.unheard_for > GONE) for task in tasks):
                 break
@@ -201,7 +201,7 @@ class TaskRunner:
         patience = len(self.signals) + 1
         started, held_up, limit = time.monotonic(), False, HOLD_TIMEOUT
         while time.monotonic() - started < limit and len(self.signals) < patience and lives():
-            self.client.spin(SPIN)
+            self._spin()
             waited = time.monotonic() - started
             if limit == HOLD_TIMEOUT and not self.client.inactive([name], time.monotonic()):
                 limit = waited + CATCH_UP if held_up else 0.0
@@ -214,9 +214,16 @@ class TaskRunner:
         deaf = {f"/{a}/{RUN_TASK}": "no action server" for a in self.arms if not self.client.arm(a).ready}
         return inactive | deaf
 
-    def _turn(self) -> None:
-        """Handle messages, then look at signals and processes."""
+    def _spin(self) -> None:
+        """Handle messages, and the key that stops all arms."""
         self.client.spin(SPIN)
+        if self.display.stop_wanted():
+            self.client.stop_arms()
+            self.display.say("a key was pressed: emergency stop of all arms", "red")
+
+    def _turn(self) -> None:
+        """Handle messages and keys, then look at signals and processes."""
+        self._spin()
         if self.signals:
             raise Interrupted(self.signals[0])
         self.check()

@@ -36,6 +36,8 @@ _STRING = "string"
 _NAME, _BASE, _ARRAY = 2, 1, 3  # rosbags.interfaces.Nodetype
 _LARGEST_GAP = 7  # bytes that alignment leaves between two numbers
 _REMEMBERED = 64  # layouts of a `MessageReader`
+_SHORT = 10_000  # bytes of strings and lengths in a layout that is remembered: all of them stay in memory
+LONGEST_TEXT = 1_000_000  # bytes of a string
 
 
 @dataclass(eq=False)
@@ -181,6 +183,8 @@ class MessageReader:
     def _remember(self, data: bytes) -> Layout:
         layout = layout_of(self._fields, self._type, data)
         read = layout.before(self._before) if self._before else layout
+        if len(layout.fixed) > _SHORT:
+            return read
         if sum(map(len, self._known.values())) >= _REMEMBERED:
             self._known.clear()
         self._known.setdefault(len(data), []).append((layout, read))
@@ -289,6 +293,8 @@ class _Walk:
     def _string(self, name: str) -> None:
         if self.to_write is None:
             length = self._length(0)
+            if length > LONGEST_TEXT:
+                raise MessageError(f"{name} has {length} bytes, must have no more than {LONGEST_TEXT}")
         else:
             encoded = self.to_write[0].get(name, "").encode() + b"\x00"
             length = self._length(len(encoded))

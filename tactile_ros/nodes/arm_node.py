@@ -3,8 +3,8 @@
 Publishes /tf from base to tool at every state of the driver, `arm/pose`, `arm/status`,
 `command/twist_limited`, and where joints are known `joint_states` (`tactile_ros.joint_states`); listens to
 `command/request`, in the arm's controlled frame, to `contact/state`, which bounds the motion, and to
-`/estop`; `arm/estop` and `arm/reset` are its services. What is refused, and what is followed, `SafeArm`
-decides.
+`/estop`; `arm/estop` and `arm/reset` are its services, and `tactile stop` reaches it without ROS
+(`tactile_base.stop_line`). What is refused, and what is followed, `SafeArm` decides.
 
 A driver of the registry `ARMS` is opened here, in a process of its own; so is the one that speaks to the
 nodes of an external arm. A simulated arm is given by the process of the simulated cell, which runs this node
@@ -33,7 +33,8 @@ from tf2_msgs.msg import TFMessage
 from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import Arm, ArmMode, ArmState, open_arm
+from tactile_base.stop_line import StopLine
+from tactile_drivers.arm import AT_REST, Arm, ArmMode, ArmState, open_arm
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.safety import SafeArm
@@ -136,6 +137,7 @@ class ArmNode(ManagedNode):
             )
         self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self._forget()
+        self._open_stop_line()
         if cell is not None:
             self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
             self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
@@ -326,6 +328,28 @@ class ArmNode(ManagedNode):
             self.get_logger().error(f"{self.arm}: emergency stop: {reason}; arm/reset leaves it")
         self.estop = self.estop or reason
         self.safe.estop(self.estop)
+
+    def _open_stop_line(self) -> None:
+        """Let whoever started this node stop its arm without ROS."""
+        try:
+            line = StopLine(
+                self.get_namespace(), self.context.get_domain_id(), self._stop_emergency, self._at_rest
+            )
+        except OSError as error:
+            self.warn(
+                "stop line", f"`tactile stop` reaches this arm by ROS alone, which takes seconds: {error}"
+            )
+            return
+        self.release_later(StopLine.close, line)
+
+    def _at_rest(self) -> tuple[bool, str]:
+        """Whether the arm rests in an emergency stop, as far as it is believed, and what it does in words."""
+        state, silence = self.safe.state, self._silence()
+        if state is None or silence:
+            return False, silence or "it has told nothing of itself yet"
+        rests = state.mode is ArmMode.ESTOP and bool((np.abs(state.twist) < AT_REST).all())
+        text = f"{state.mode.name.lower()}: {state.reason}" if state.reason else state.mode.name.lower()
+        return rests and not self.safe.alarm, text
 
     def _serve_estop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._stop_emergency("asked for by the service arm/estop")

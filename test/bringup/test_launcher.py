@@ -237,7 +237,9 @@ def test_however_often_somebody_asks_for_the_end_the_last_word_tells_of_the_arm(
     assert "Traceback" not in launch.output
 
 
-def test_a_terminal_that_is_closed_ends_a_launch_in_order(tmp_path):
+@pytest.fixture
+def in_terminal(tmp_path):
+    """A launch in a terminal of its own, whose goal is under way: its process, our end of the terminal."""
     ours, theirs = pty.openpty()
 
     def take_terminal() -> None:
@@ -247,17 +249,36 @@ def test_a_terminal_that_is_closed_ends_a_launch_in_order(tmp_path):
         fake(tmp_path, seconds=60), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         preexec_fn=take_terminal, env={**os.environ, "PYTHONPATH": PATHS},
     )  # fmt: skip
-    try:
-        os.close(theirs)
-        shown = b""
-        while b"arm: follow" not in shown:
-            shown += os.read(ours, 65536)
-        os.close(ours)
-        assert process.wait(60) == 128 + signal.SIGHUP
-    finally:
-        process.kill()
-        process.wait()
+    os.close(theirs)
+    terminal = os.fdopen(ours, "r+b", buffering=0)
+    read_until(terminal, b"arm: follow")
+    yield process, terminal
+    process.kill()
+    process.wait()
+
+
+def read_until(terminal, wanted: bytes) -> None:
+    shown = b""
+    while wanted not in shown:
+        shown += terminal.read(65536)
+
+
+def test_a_terminal_that_is_closed_ends_a_launch_in_order(in_terminal, tmp_path):
+    process, terminal = in_terminal
+    terminal.close()
+    assert process.wait(60) == 128 + signal.SIGHUP
     assert "cancel requested" in (tmp_path / "logs" / "arm.cell.log").read_text()
+
+
+def test_a_key_in_the_launchs_terminal_stops_all_arms_and_the_terminal_is_left_as_it_was(in_terminal):
+    process, terminal = in_terminal
+    assert not termios.tcgetattr(terminal)[3] & termios.ICANON
+    terminal.write(b"x")  # no key of ours
+    terminal.write(b" ")
+    read_until(terminal, b"emergency stop of all arms")
+    read_until(terminal, b"stopped: the arm rests")
+    assert process.wait(60) == 1
+    assert termios.tcgetattr(terminal)[3] & termios.ICANON
 
 
 def test_a_launch_runs_within_the_limits_that_it_asks_for(start):

@@ -48,9 +48,10 @@ def test_each_process_and_who_stops_and_starts_by_hand_has_an_enclave(pushing):
 
 def test_what_moves_and_stops_an_arm_is_for_those_alone_whose_part_it_is(pushing):
     assert holders(pushing, "publish", "rt/leader/command/request") == {"/leader/controller"}
-    assert holders(pushing, "publish", "rt/estop") == {"/operator"}
+    assert holders(pushing, "publish", "rt/estop") == {"/operator", "/tactile_launch"}
     assert holders(pushing, "publish", "rq/leader/arm/resetRequest") == {"/operator"}
-    assert holders(pushing, "publish", "rq/leader/run_task/_action/send_goalRequest") == {"/tactile_launch"}
+    goals = holders(pushing, "publish", "rq/leader/run_task/_action/send_goalRequest")
+    assert goals == {"/operator", "/tactile_launch"}
     assert holders(pushing, "publish", "rq/leader/controller/set_parametersRequest") == {"/operator"}
     assert holders(pushing, "publish", "rt/leader/contact/state") == {"/leader/filter"}
     assert holders(pushing, "publish", "rt/leader/tactile/image") == {"/sim"}

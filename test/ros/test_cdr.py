@@ -8,7 +8,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, the
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistStamped
 from hypothesis import given
 from hypothesis import strategies as st
-from messages import gaussian_message, twist_stamped
+from messages import arm_command, gaussian_message, twist_stamped
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Image
@@ -18,9 +18,11 @@ from tactile_filter import se3
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactState, ContactTruth, ControllerStatus
 from tactile_records.bags.cdr import MessageError
 from tactile_ros.cdr import (
+    LONGEST_SAID,
     HeadedReader,
     Layout,
     bytes_from_array,
+    command_from_bytes,
     gaussian_bytes,
     headed_bytes,
     image_from_bytes,
@@ -100,6 +102,18 @@ def test_bytes_that_are_no_message_are_an_error_that_says_why():
         HeadedReader(TwistStamped)(b"\xff\xff" + data[2:])
     with pytest.raises(MessageError, match="TFMessage"):
         transforms_from_bytes(serialize_message(TFMessage())[:6])
+
+
+def test_long_texts_are_cut_where_they_are_sent_and_refused_where_they_come():
+    numbers = (0, -1.0, False, *[0.0] * 6)
+    status = deserialize_message(headed_bytes(ArmStatus, 1, "base", *numbers, reason="x" * 10**7), ArmStatus)
+    assert status.reason == "x" * LONGEST_SAID
+    stranger = arm_command(1, "sensor", np.zeros(6), source="s" * 10**5)
+    with pytest.raises(MessageError, match=r"source has 100000 characters, at most \d+ may be"):
+        command_from_bytes(serialize_message(stranger))
+    stranger.source = "s" * 2 * 10**6
+    with pytest.raises(MessageError, match="source has 2000001 bytes, must have no more than"):
+        command_from_bytes(serialize_message(stranger))
 
 
 def test_numbers_are_found_by_the_name_of_their_field():

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from rclpy.action import ActionServer, CancelResponse
+from std_msgs.msg import Bool
 
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus
@@ -32,6 +33,7 @@ class FakeCell(ManagedNode):
         if self.fault == "configure":
             raise ConfigurationError("the model file is missing: /no/such/model.onnx")
         self.status_out = self.publisher(ArmStatus, "arm/status", STATE)
+        self.subscribe(Bool, "/estop", self.on_estop, STATE, always=True)
         self.timer(0.02, self.tick)
         server = ActionServer(
             self, RunTask, "run_task", lambda handle: None, cancel_callback=self.cancel,
@@ -47,6 +49,11 @@ class FakeCell(ManagedNode):
         self.finish_at = time.monotonic() + 0.2  # an arm takes a while to come to rest
         self.started = self.finish_at - self.seconds
         return CancelResponse.ACCEPT
+
+    def on_estop(self, message):
+        if self.goal is not None:
+            self.stopped_at = time.monotonic()
+            self.end("emergency stop")
 
     def tick(self):
         self.status_out.publish(self.status())

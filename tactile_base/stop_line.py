@@ -1,0 +1,181 @@
+"""The stop line of an arm: a socket of this host by which its user stops it within milliseconds.
+
+ROS needs one to three seconds until a new terminal has found the nodes of a graph; a socket in a folder that
+both know needs none. The folder belongs to one user, and tells which arms run in which ROS domain. What it
+can do is stop an arm and ask about it, nothing else; arms of other users and other hosts are stopped by
+`/estop`. Whoever calls needs the standard library alone, which is what makes it fast.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import select
+import socket
+import stat
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+STOP, ASK, _END = b"stop", b"ask", b"end"
+LOOK = 0.005  # s between two looks at an arm that somebody waits for
+LONGEST = 4096  # bytes of an answer
+_NAME = re.compile(r"(\d+)-(\d+)-(\d+)")  # domain, process, number
+
+
+@dataclass(frozen=True)
+class Word:
+    """What an arm answers.
+
+    Attributes
+    ----------
+    arm : str
+        Its namespace.
+    domain, pid : int
+        ROS domain and process of its node.
+    rests : bool
+        Whether it is stopped and at rest.
+    text : str
+        What it does, for a person.
+    """
+
+    arm: str
+    domain: int
+    pid: int
+    rests: bool
+    text: str
+
+
+def folder() -> Path:
+    """Where the lines of this user's arms are; made for this user alone if it is not there.
+
+    Raises
+    ------
+    PermissionError
+        If somebody else has made it, or may write to it: what lies there is not to be believed.
+    """
+    path = Path(os.environ.get("TACTILE_STOP_FOLDER") or f"/tmp/tactile_servoing-{os.getuid()}")
+    path.mkdir(mode=0o700, exist_ok=True)
+    found = path.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise PermissionError(
+            f"{path}: must be a folder that belongs to you and that nobody else may write to"
+        )
+    return path
+
+
+class StopLine:
+    """An arm's end of its line, served by a thread of its own until `close`.
+
+    Parameters
+    ----------
+    arm : str
+        The arm's namespace.
+    domain : int
+        Its ROS domain.
+    stop : callable
+        Stops the arm at once; is given a reason.
+    look : callable
+        Whether the arm is stopped and at rest, and what it does in words.
+    """
+
+    _numbers = iter(range(1 << 30))
+
+    def __init__(
+        self, arm: str, domain: int, stop: Callable[[str], None], look: Callable[[], tuple[bool, str]]
+    ) -> None:
+        self.arm, self.domain = arm, domain
+        self._stop, self._look = stop, look
+        self._path = folder() / f"{domain}-{os.getpid()}-{next(self._numbers)}"
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(self._path))
+        self._waiting: set[bytes | str] = set()
+        self._thread = threading.Thread(target=self._serve, name=f"stop line of {arm}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own, contextlib.suppress(OSError):
+            own.sendto(_END, str(self._path))
+        self._thread.join()
+        self._path.unlink(missing_ok=True)
+        self._socket.close()
+
+    def _serve(self) -> None:
+        while True:
+            if select.select([self._socket], [], [], LOOK if self._waiting else None)[0]:
+                asked, sender = self._socket.recvfrom(64)
+                if asked == _END:
+                    return
+                if asked == STOP:
+                    self._stop("asked for by `tactile stop`")
+                    self._waiting.add(sender)
+                if asked in (STOP, ASK):
+                    self._answer(sender)
+            if self._waiting and self._look()[0]:
+                for sender in self._waiting:
+                    self._answer(sender)
+                self._waiting.clear()
+
+    def _answer(self, sender: bytes | str) -> None:
+        rests, text = self._look()
+        word = {"arm": self.arm, "domain": self.domain, "pid": os.getpid(), "rests": rests, "text": text}
+        with contextlib.suppress(OSError):  # whoever asked has gone
+            self._socket.sendto(json.dumps(word).encode()[:LONGEST], socket.MSG_DONTWAIT, sender)
+
+
+class StopCaller:
+    """The other end of the lines of all arms of this user, in one ROS domain or in all of them (None)."""
+
+    def __init__(self, domain: int | None = None) -> None:
+        self.domain = domain
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind("")  # any free name, by which arms answer
+        self._folder = folder()
+
+    def __enter__(self) -> StopCaller:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._socket.close()
+
+    def call(self, what: bytes) -> int:
+        """Tell every arm to STOP, or ASK it; returns how many there are."""
+        return sum(self._send(what, path) for path in self._lines())
+
+    def words(self, timeout_s: float) -> Iterator[Word]:
+        """What the arms answer, as it comes, for so long."""
+        end = time.monotonic() + timeout_s
+        while (left := end - time.monotonic()) > 0.0 and select.select([self._socket], [], [], left)[0]:
+            yield Word(**json.loads(self._socket.recv(LONGEST)))
+
+    def _lines(self) -> list[Path]:
+        found = {path: _NAME.fullmatch(path.name) for path in self._folder.iterdir()}
+        wanted = None if self.domain is None else str(self.domain)
+        return sorted(path for path, name in found.items() if name and wanted in (None, name[1]))
+
+    def _send(self, what: bytes, path: Path) -> bool:
+        try:
+            self._socket.sendto(what, socket.MSG_DONTWAIT, str(path))
+        except (ConnectionRefusedError, FileNotFoundError):  # its process was killed, or has just ended
+            path.unlink(missing_ok=True)
+            return False
+        except BlockingIOError:  # full: its node stands still
+            return True
+        return True
+
+
+def arms_here(domain: int | None = None, timeout_s: float = 0.2) -> list[Word]:
+    """The arms of this user on this host that answer within so long."""
+    with StopCaller(domain) as caller:
+        count = caller.call(ASK)
+        found: dict[tuple[int, str], Word] = {}
+        for word in caller.words(timeout_s) if count else ():
+            found[word.pid, word.arm] = word
+            if len(found) == count:
+                break
+        return sorted(found.values(), key=lambda word: (word.domain, word.arm))

@@ -1,0 +1,260 @@
+"""`tactile reset`, `status`, `get`, `set`, `goal`, `cancel`: what a person does beside a graph that runs.
+
+They speak to the nodes of the ROS domain that ROS_DOMAIN_ID names; where it is not set, to that of the arms
+which run on this host, as their stop lines tell.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from tactile_base.stop_line import arms_here
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tactile_bringup.launching.operator import ArmView, Operator
+
+FIND = 5.0  # s, at most, to find what is there; less where all that was found has spoken
+EXAMPLE = "pid.kp='[0, 0, 3, 2, 2, 0]'"
+
+
+def register(subparsers: Any) -> None:
+    """Add all of them."""
+    reset = _add(subparsers, "reset", _reset, "let arms move again after a stop, an alarm or a fault")
+    reset.add_argument("arms", nargs="*", metavar="ARM", help="(default: all)")
+    status = _add(subparsers, "status", _status, "what each arm does, who commands it, and what is wrong")
+    status.add_argument("arms", nargs="*", metavar="ARM", help="(default: all)")
+    status.add_argument("--watch", action="store_true", help="again every second, until Ctrl-C")
+    get = _add(subparsers, "get", _get, "parameters of a node, with range and meaning")
+    get.add_argument("node", nargs="?", metavar="NODE", help="as /arm/controller (default: list the nodes)")
+    get.add_argument("name", nargs="?", metavar="NAME", default="", help="one, or all that begin so")
+    change = _add(subparsers, "set", _set, "set parameters of a node while it runs")
+    change.add_argument("node", metavar="NODE", help="as /arm/controller")
+    change.add_argument("changes", nargs="+", metavar="NAME=VALUE", help=f"as {EXAMPLE}")
+    goal = _add(subparsers, "goal", _goal, "send one goal to an arm's controller, and wait for its end")
+    goal.add_argument("goal", nargs="?", default="{}", metavar="YAML",
+        help="its values, as '{direction_deg: 90, length: 0.05}' (default: those of the task)")  # fmt: skip
+    goal.add_argument("--arm", default="", metavar="ARM", help="(default: the only one)")
+    goal.add_argument("--name", default="by hand", help="how it is called in status and reports")
+    goal.add_argument(
+        "--settings", default="", metavar="YAML", help="settings of the task for this goal alone"
+    )
+    cancel = _add(subparsers, "cancel", _cancel, "end the goals that run: arms stop and leave the surface")
+    cancel.add_argument("arms", nargs="*", metavar="ARM", help="(default: all)")
+
+
+def _add(subparsers: Any, name: str, act: Any, doc: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = subparsers.add_parser(name, help=doc, description=f"{doc}.")
+    parser.set_defaults(run=run, act=act)
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run one of them; 0: it was done."""
+    from tactile_base.console import lasting_console
+    from tactile_base.settings import SettingError
+    from tactile_bringup.launching.operator import Operator, OperatorError
+
+    try:
+        with Operator(chosen_domain()) as operator:
+            return int(arguments.act(arguments, operator, lasting_console()))
+    except (OperatorError, SettingError, ValueError) as error:
+        print(f"tactile {arguments.command}: {error}", file=sys.stderr)
+        return 1
+
+
+def chosen_domain() -> int:
+    """The ROS domain to look at; `ValueError` where arms run in several."""
+    given = os.environ.get("ROS_DOMAIN_ID", "")
+    if given:
+        return int(given)
+    found: dict[int, list[str]] = {}
+    for word in arms_here():
+        found.setdefault(word.domain, []).append(word.arm)
+    if len(found) > 1:
+        listed = "; ".join(f"{domain}: {', '.join(arms)}" for domain, arms in sorted(found.items()))
+        raise ValueError(f"arms run in several ROS domains ({listed}): set ROS_DOMAIN_ID to one of them")
+    return next(iter(found), 0)
+
+
+# ---- arms ----
+
+
+def _reset(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
+    from tactile_bringup.launching.operator import OperatorError
+
+    failed = 0
+    for view in _arms(arguments.arms, operator):
+        try:
+            _say(console, f"/{view.name}: {operator.reset(view.name)}")
+        except OperatorError as error:
+            failed = 1
+            _say(console, f"/{view.name} was not reset: {error}", "red")
+    return failed
+
+
+def _cancel(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
+    for view in _arms(arguments.arms, operator):
+        count = operator.cancel(view.name) if view.controller is not None else 0
+        _say(console, f"/{view.name}: {'its goal ends: it stops and retreats' if count else 'no goal runs'}")
+    return 0
+
+
+def _arms(names: list[str], operator: Operator) -> list[ArmView]:
+    """The arms of these names, or all, once they have spoken."""
+    operator.find(FIND)
+    return operator.chosen(names)
+
+
+def _status(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
+    views = _arms(arguments.arms, operator)
+    while True:
+        bad = [_show(view, console) for view in views]
+        for trouble in operator.troubles():
+            _say(console, trouble, "yellow")
+        if not arguments.watch:
+            return int(any(bad))
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:
+            operator.look()
+        _say(console, "")
+
+
+def _show(view: ArmView, console: Console) -> bool:
+    """Print what is known of an arm; returns whether something is wrong with it."""
+    status, task, contact = view.status, view.controller, view.contact
+    if status is None or view.age > 1.0:
+        since = "has said nothing" if math.isinf(view.age) else f"has said nothing for {view.age:.1f} s"
+        _say(console, f"/{view.name}: {since}", "red")
+        return True
+    wrong = status.mode in (status.FAULT, status.ESTOP)
+    _say(console, f"/{view.name}: {_mode(status)}", "red" if wrong else "green")
+    linear, angular = (math.hypot(*status.twist[k : k + 3]) for k in (0, 3))
+    lines = {
+        "why": status.reason,
+        "commanded by": status.owner or "nobody",
+        "speed": f"{1e3 * linear:.1f} mm/s, {math.degrees(angular):.1f} deg/s",
+        "held back by": status.held_back,
+        "refused": f"{status.refused} ({status.refused_source})" if status.refused else "",
+        "remark": status.remark,
+        "task": _task(task),
+        "contact": _contact(contact),
+    }
+    for name, text in lines.items():
+        if text:
+            _say(console, f"  {name + ':':14}{text}")
+    return wrong
+
+
+def _mode(status: Any) -> str:
+    names = {getattr(status, name): name for name in ("RESTING", "MOVING", "STOPPING", "FAULT", "ESTOP")}
+    return names.get(status.mode, f"mode {status.mode}").lower()
+
+
+def _task(status: Any) -> str:
+    if status is None:
+        return ""
+    goal = f" '{status.goal_name}'" if status.goal_name else ""
+    why = f": {status.reason}" if status.reason else ""
+    return f"{status.task}{goal}, {status.phase}, {100 * status.progress:.0f} %{why}"
+
+
+def _contact(state: Any) -> str:
+    if state is None:
+        return ""
+    if state.flags & state.INVALID:
+        return "none" if state.flags & state.NO_CONTACT else "nothing is known of it"
+    lean = math.degrees(math.hypot(state.euler[3], state.euler[4]))
+    return f"{1e3 * state.euler[2]:.2f} mm deep, {lean:.1f} deg from the surface normal"
+
+
+# ---- parameters ----
+
+
+def _get(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
+    if arguments.node is None:
+        operator.find(FIND)
+        for name in sorted(operator.nodes):
+            _say(console, name)
+        return 0 if operator.nodes else 1
+    known = operator.parameters(arguments.node)
+    chosen = {name: found for name, found in known.items() if name.startswith(arguments.name)}
+    if not chosen:
+        from tactile_base.settings import unknown_name
+
+        raise ValueError(f"{arguments.node}: {unknown_name(arguments.name, list(known))}")
+    for name, (value, descriptor) in chosen.items():
+        _say(console, f"{name}: {_as_yaml(value)}")
+        notes = [descriptor.description, _range(descriptor), "fixed" if descriptor.read_only else ""]
+        if about := "; ".join(filter(None, notes)):
+            _say(console, f"    {about}", "bright_black")
+    return 0
+
+
+def _set(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
+    from tactile_base.yaml_file import name_and_value
+
+    for name, value in [name_and_value(change, EXAMPLE) for change in arguments.changes]:
+        before, after = operator.set_parameter(arguments.node, name, value)
+        _say(console, f"{arguments.node} {name}: {_as_yaml(before)} -> {_as_yaml(after)}")
+    return 0
+
+
+def _as_yaml(value: Any) -> str:
+    text = yaml.safe_dump(
+        list(value) if hasattr(value, "tolist") else value, default_flow_style=True, width=1000
+    )
+    return text.removesuffix("\n...\n").strip()
+
+
+def _range(descriptor: Any) -> str:
+    for found in (*descriptor.floating_point_range, *descriptor.integer_range):
+        return f"{found.from_value:g} to {found.to_value:g}"
+    return ""
+
+
+# ---- goals ----
+
+
+def _goal(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
+    from tactile_base.end_signals import signals_into
+    from tactile_msgs.action import RunTask
+
+    operator.find(FIND)
+    names = [arguments.arm] if arguments.arm else [n for n, view in operator.arms.items() if view.controller]
+    view = operator.chosen(names)[0]
+    if len(names) > 1:
+        raise ValueError(f"--arm: must be one of {', '.join(sorted(names))}")
+    if view.controller is None:
+        raise ValueError(f"/{view.name} has no controller that takes goals")
+    signals: list[int] = []
+    signals_into(signals)
+    goal = RunTask.Goal(
+        task=view.controller.task, name=arguments.name, goal=arguments.goal, settings=arguments.settings
+    )
+    said: list[str] = []
+
+    def hear(feedback: Any) -> None:
+        text = f"{feedback.phase}{feedback.reason and ': '}{feedback.reason}"
+        if text not in said[-1:]:
+            said.append(text)
+            _say(console, f"{text} ({100 * feedback.progress:.0f} %)")
+
+    result = operator.run_goal(view.name, goal, hear, lambda: bool(signals))
+    ended = "done" if result.success else f"failed: {result.reason}"
+    _say(console, f"{ended} ({1e3 * result.path_length:.0f} mm)", "green" if result.success else "red")
+    return 0 if result.success else 128 + signals[0] if signals else 1
+
+
+def _say(console: Console, text: str, style: str | None = None) -> None:
+    from tactile_base.console import say
+
+    say(console, text, style)

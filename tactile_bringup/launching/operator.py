@@ -1,0 +1,243 @@
+"""A person's part of the ROS graph: sees what arms do, stops and resets them, sets and asks, sends goals."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from action_msgs.srv import CancelGoal
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rclpy.action.client import ActionClient
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from tactile_base import topics
+from tactile_base.settings import unknown_name
+from tactile_bringup.launching.graph_client import GraphClient
+from tactile_drivers.arm import AT_REST
+from tactile_msgs.action import RunTask
+from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
+from tactile_ros.qos import DIAGNOSTICS, STATE
+
+ENCLAVE = "/operator"
+ANSWER = 5.0  # s, for a service to answer; a reset of an arm's protective stop takes its time
+RESET_ANSWER = 30.0
+SETTLED = 1.0  # s without anything new after which all that is there counts as found
+SPIN = 0.01  # s
+
+
+class OperatorError(RuntimeError):
+    """What was asked for could not be done, in words for a person."""
+
+
+@dataclass
+class ArmView:
+    """What an arm's nodes said last; None before they have."""
+
+    name: str
+    status: ArmStatus | None = None
+    controller: ControllerStatus | None = None
+    contact: ContactState | None = None
+    heard_s: float = -math.inf
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the arm is in emergency stop and its twist is zero."""
+        return (
+            self.status is not None
+            and self.status.mode == ArmStatus.ESTOP
+            and bool((np.abs(self.status.twist) < AT_REST).all())
+        )
+
+    @property
+    def age(self) -> float:
+        """Seconds since the arm was heard of last."""
+        return time.monotonic() - self.heard_s
+
+
+@dataclass
+class NodeView:
+    """What a node reports about itself in /diagnostics."""
+
+    level: int = 0
+    message: str = ""
+    values: dict[str, str] = field(default_factory=dict)
+
+
+class Operator(GraphClient):
+    """Looks at all arms of a ROS domain and acts on them; a context (`GraphClient`)."""
+
+    def __init__(self, domain_id: int) -> None:
+        super().__init__(ENCLAVE, domain_id)
+        self.arms: dict[str, ArmView] = {}
+        self.nodes: dict[str, NodeView] = {}
+        self._estop = self._node.create_publisher(Bool, topics.ESTOP.name, STATE)
+        self._node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_report, DIAGNOSTICS)
+        self._actions: list[ActionClient] = []
+
+    def close(self) -> None:
+        """See `GraphClient`."""
+        for action in self._actions:
+            action.destroy()
+        super().close()
+
+    # ---- looking ----
+
+    def look(self) -> None:
+        """Handle what has arrived, and listen to arms that are new."""
+        self.spin(SPIN)
+        for name, _ in self._node.get_topic_names_and_types():
+            arm = topics.ARM_STATUS.arm_of(name)
+            if arm is not None and arm not in self.arms and self._node.count_publishers(name):
+                self.arms[arm] = view = ArmView(arm)
+                self._listen(ArmStatus, topics.ARM_STATUS, view, "status")
+                self._listen(ControllerStatus, topics.CONTROLLER_STATUS, view, "controller")
+                self._listen(ContactState, topics.STATE, view, "contact")
+
+    def find(self, timeout_s: float, enough: Callable[[], bool] | None = None) -> None:
+        """Look until `enough`, or all that was found has spoken and nothing new has come for `SETTLED`."""
+        end = time.monotonic() + timeout_s
+        count, since = 0, time.monotonic()
+        while time.monotonic() < end and not (enough is not None and enough()):
+            self.look()
+            known = len(self.arms) + len(self.node_names())
+            if known != count:
+                count, since = known, time.monotonic()
+            spoke = bool(self.arms) and all(view.status is not None for view in self.arms.values())
+            if enough is None and spoke and time.monotonic() - since > SETTLED:
+                return
+
+    def chosen(self, names: Sequence[str]) -> list[ArmView]:
+        """The arms of these names, or all of them.
+
+        Raises
+        ------
+        OperatorError
+            Where there is none, or none of a name.
+        """
+        if not self.arms:
+            raise OperatorError(f"no arm was found in ROS domain {self.domain_id}")
+        wanted = [name.strip("/") for name in names] or sorted(self.arms)
+        for name in wanted:
+            if name not in self.arms:
+                raise OperatorError(f"arm: {unknown_name(name, sorted(self.arms))}")
+        return [self.arms[name] for name in wanted]
+
+    def _listen(self, message_type: type, topic: topics.Topic, view: ArmView, name: str) -> None:
+        def take(message: Any) -> None:
+            setattr(view, name, message)
+            view.heard_s = time.monotonic()
+
+        self._node.create_subscription(message_type, topic.of(view.name).name, take, STATE)
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            level = status.level if isinstance(status.level, int) else status.level[0]
+            values = {item.key: item.value for item in status.values}
+            self.nodes[status.name] = NodeView(level, status.message, values)
+
+    def troubles(self) -> list[str]:
+        """What nodes complain about, each with its node."""
+        ok = DiagnosticStatus.OK[0] if isinstance(DiagnosticStatus.OK, bytes) else DiagnosticStatus.OK
+        return [f"{name}: {node.message}" for name, node in sorted(self.nodes.items()) if node.level != ok]
+
+    # ---- acting ----
+
+    def stop(self) -> None:
+        """Publish /estop once, which reaches those that are known by now."""
+        self._estop.publish(Bool(data=True))
+
+    def reset(self, arm: str) -> str:
+        """Let an arm move again; returns what it answers, raises `OperatorError` with why it does not."""
+        service = f"/{arm}/arm/reset"
+        answer = self._ask(Trigger, service, Trigger.Request(), RESET_ANSWER)
+        if not answer.success:
+            raise OperatorError(str(answer.message))
+        return str(answer.message)
+
+    def cancel(self, arm: str) -> int:
+        """End the goal of an arm's controller; returns how many there were."""
+        service = f"/{arm}/{topics.RUN_TASK}/_action/cancel_goal"
+        answer = self._ask(CancelGoal, service, CancelGoal.Request())  # of no goal and no time: all
+        return len(answer.goals_canceling)
+
+    def run_goal(
+        self, arm: str, goal: RunTask.Goal, hear: Callable[[Any], None], ends: Callable[[], bool]
+    ) -> Any:
+        """Send a goal and wait for its result; where it `ends` early, cancel it and wait for that."""
+        client: Any = ActionClient(self._node, RunTask, f"/{arm}/{topics.RUN_TASK}")
+        self._actions.append(client)
+        self._wait(client.server_is_ready, f"/{arm} has no action {topics.RUN_TASK}")
+        handle = self._result(client.send_goal_async(goal, lambda message: hear(message.feedback)))
+        if not handle.accepted:
+            raise OperatorError("the goal was rejected")
+        result, cancelled = handle.get_result_async(), False
+        while not result.done():
+            self.look()
+            if ends() and not cancelled:
+                handle.cancel_goal_async()
+                cancelled = True
+        return result.result().result
+
+    # ---- parameters ----
+
+    def parameters(self, node: str) -> dict[str, tuple[Any, ParameterDescriptor]]:
+        """All parameters of a node, with their descriptors."""
+        client = self._parameter_client(node)
+        names = sorted(self._result(client.list_parameters()).result.names)
+        values = self._result(client.get_parameters(names)).values
+        described = self._result(client.describe_parameters(names)).descriptors
+        pairs = zip(map(parameter_value_to_python, values), described, strict=True)
+        return dict(zip(names, pairs, strict=True))
+
+    def set_parameter(self, node: str, name: str, value: Any) -> tuple[Any, Any]:
+        """Set one parameter; returns its values before and after; `OperatorError` where it is refused."""
+        known = self.parameters(node)
+        if name not in known:
+            raise OperatorError(f"{node}: {unknown_name(name, list(known))}")
+        before, descriptor = known[name]
+        client = self._parameter_client(node)
+        answer = self._result(client.set_parameters([Parameter(name, value=_as_type(value, descriptor))]))
+        if not answer.results[0].successful:
+            raise OperatorError(f"{node} refuses {name} = {value}: {answer.results[0].reason}")
+        after = self._result(client.get_parameters([name])).values[0]
+        return before, parameter_value_to_python(after)
+
+    def _parameter_client(self, node: str) -> AsyncParameterClient:
+        client = AsyncParameterClient(self._node, node)
+        self._wait(client.services_are_ready, f"node {unknown_name(node, sorted(self.node_names()))}")
+        return client
+
+    # ---- waiting ----
+
+    def _ask(self, service_type: type, name: str, request: Any, timeout_s: float = ANSWER) -> Any:
+        client = self._node.create_client(service_type, name)
+        self._wait(client.service_is_ready, f"no service {name}")
+        return self._result(client.call_async(request), timeout_s)
+
+    def _result(self, future: Any, timeout_s: float = ANSWER) -> Any:
+        self._wait(future.done, f"no answer within {timeout_s:g} s", timeout_s)
+        return future.result()
+
+    def _wait(self, holds: Callable[[], bool], otherwise: str, timeout_s: float = ANSWER) -> None:
+        end = time.monotonic() + timeout_s
+        while not holds():
+            if time.monotonic() > end:
+                raise OperatorError(otherwise)
+            self.look()
+
+
+def _as_type(value: Any, descriptor: ParameterDescriptor) -> Any:
+    """Whole numbers as floating-point ones where the parameter holds these: people write 3 for 3.0."""
+    if descriptor.type == ParameterType.PARAMETER_DOUBLE and isinstance(value, int):
+        return float(value) if not isinstance(value, bool) else value
+    if descriptor.type == ParameterType.PARAMETER_DOUBLE_ARRAY and isinstance(value, list):
+        return [float(item) if type(item) is int else item for item in value]
+    return value

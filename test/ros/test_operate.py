@@ -1,0 +1,148 @@
+"""What a person says and sees from another terminal, on a graph that follows the ramp."""
+
+import contextlib
+import fcntl
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+
+import pytest
+from ramp_cell import CONTROLLER, SIM, Cell
+
+from tactile_msgs.msg import ArmStatus
+
+
+class Terminal:
+    """Runs commands of `tactile` in the ROS domain of a cell."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell, self.graph = cell, cell.graph
+
+    def __call__(self, *words: str, code: int = 0) -> str:
+        """What a command prints, once it has ended with this code."""
+        with self.start(*words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+            assert self.graph.wait(lambda: process.poll() is not None), words
+            said = process.stdout.read()
+        assert process.returncode == code, said
+        return said
+
+    def start(self, *words: str, **options) -> subprocess.Popen:
+        command = [sys.executable, "-m", "tactile_bringup.cli", *words]
+        return subprocess.Popen(command, env=self.graph.variables, **options)
+
+    def stopped(self) -> bool:
+        status = self.cell.arms[-1]
+        return status.mode == ArmStatus.ESTOP and not any(status.twist)
+
+
+@pytest.fixture(scope="module")
+def tactile(shared_graph, tmp_path_factory):
+    return Terminal(Cell(shared_graph, tmp_path_factory.mktemp("cell"), length=0.04))
+
+
+def test_a_stop_brings_the_arm_to_rest_fails_the_goal_and_lasts_until_a_reset(tactile):
+    handle = tactile.cell.following()
+    said = tactile("stop")
+    assert "/arm was told to stop" in said and "/arm rests after" in said
+    assert tactile.graph.wait(tactile.stopped)
+    result = tactile.cell.result(handle)
+    assert not result.success and "asked for by `tactile stop`" in result.reason
+    said = tactile("status", code=1)
+    assert "/arm: estop" in said and "emergency stop: asked for by `tactile stop`" in said
+    assert "the arm moves again once" in tactile("reset")
+    assert "/arm: resting" in tactile("status")
+
+
+def test_an_arm_that_only_ros_finds_is_stopped_by_the_topic(tactile, tmp_path):
+    handle = tactile.cell.following()
+    tactile.graph.variables["TACTILE_STOP_FOLDER"] = str(tmp_path)  # where there is no line
+    try:
+        assert "/arm rests (by /estop" in tactile("stop")
+        assert tactile("stop", "--here", code=1) == "tactile stop: no arm was found\n"
+    finally:
+        del tactile.graph.variables["TACTILE_STOP_FOLDER"]
+    assert "asked for on /estop" in tactile.cell.result(handle).reason
+    tactile("reset", "arm")
+
+
+def test_a_stop_that_is_ready_acts_by_a_key_again_and_again(tactile):
+    ours, theirs = pty.openpty()
+
+    def take_terminal() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    terminal = {"stdin": theirs, "stdout": theirs, "stderr": theirs}
+    process = tactile.start("stop", "--ready", **terminal, start_new_session=True, preexec_fn=take_terminal)
+    os.close(theirs)
+    os.set_blocking(ours, False)
+    shown = [""]
+
+    def says(text: str) -> bool:
+        with contextlib.suppress(BlockingIOError):
+            shown[0] += os.read(ours, 65536).decode()
+        return text in shown[0]
+
+    try:
+        assert tactile.graph.wait(lambda: says("ready to stop: /arm")), shown
+        for _ in range(2):
+            handle = tactile.cell.following()
+            shown[0] = ""
+            os.write(ours, b" ")
+            assert tactile.graph.wait(lambda: says("/arm rests after")), shown
+            assert tactile.graph.wait(tactile.stopped)
+            assert not tactile.cell.result(handle).success
+            tactile("reset")
+        os.write(ours, b"q")
+        assert tactile.graph.wait(lambda: process.poll() is not None) and process.returncode == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+
+
+def test_a_goal_is_sent_followed_and_done(tactile):
+    said = tactile("goal", "{direction_deg: 90, length: 0.01}", "--name", "a little")
+    assert "follow" in said and said.endswith("done (10 mm)\n")
+    assert tactile.cell.statuses[-1].goal_name == "a little"
+
+
+def test_a_goal_that_is_none_is_refused_with_the_reason(tactile):
+    assert "goal refused: goal.lenth" in tactile("goal", "{lenth: 0.01}", code=1)
+    assert "has 5000 characters" in tactile("goal", "{}", "--name", "n" * 5000, code=1)
+    assert "/arm" not in tactile("goal", "{}", "--arm", "arn", code=1).replace("unknown", "")
+
+
+def test_a_goal_is_cancelled_from_another_terminal(tactile):
+    handle = tactile.cell.following()
+    assert "/arm: its goal ends" in tactile("cancel")
+    assert "cancelled" in tactile.cell.result(handle).reason
+    assert "/arm: no goal runs" in tactile("cancel", "arm")
+
+
+def test_parameters_are_shown_with_range_and_meaning_and_set(tactile):
+    said = tactile("get", "/arm/controller", "task.speed")
+    assert said.startswith("task.speed: ") and "m/s" in said
+    assert tactile("set", "/arm/controller", "task.speed=0.012").endswith("-> 0.012\n")
+    assert tactile.graph.get_parameter("controller", "task.speed") == 0.012
+    tactile("set", "/arm/controller", "pid.kp=[0, 0, 3, 2, 2, 0]")  # whole numbers are meant as others
+    assert "task.speed = 99" in tactile("set", "/arm/controller", "task.speed=99", code=1)
+    assert tactile.graph.get_parameter("controller", "task.speed") == 0.012
+    assert "did you mean" in tactile("set", "/arm/controller", "task.sped=0.01", code=1)
+    assert "/arm/controller" in tactile("get", "/arm/contoller", code=1)
+    assert "/arm/filter" in tactile("get")
+
+
+def test_a_stop_says_so_where_the_arms_node_stands_still(tactile):
+    child = tactile.graph.processes.children[SIM].process
+    child.send_signal(signal.SIGSTOP)
+    try:
+        said = tactile("stop", "--here", code=1)
+    finally:
+        child.send_signal(signal.SIGCONT)
+    assert "1 of 1 arms was not seen at rest: no answer" in said
+    assert tactile.graph.wait(tactile.stopped)  # what was called waits for it
+    assert CONTROLLER in tactile.graph.processes.children
+    tactile("reset")
