@@ -15,7 +15,7 @@ import numpy as np
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_filter import se3
-from tactile_perception.estimating.image_check import SIDE, ImageCheck
+from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence
 from tactile_perception.estimator import Estimator
@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--images", type=int, default=300)
     args = parser.parse_args()
-    sensor, check = TacTip(seed=1), ImageCheck()
+    sensor, check = TacTip(seed=1), ImageCheck(ImageCheckSettings(repeats=True))
     perceive = Perceiver(Estimator(), ContactPresence(), check)
     for _ in range(10):
         perceive(sensor.image())

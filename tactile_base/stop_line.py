@@ -9,6 +9,7 @@ can do is stop an arm and ask about it, nothing else; arms of other users and ot
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import re
@@ -173,9 +174,5 @@ def arms_here(domain: int | None = None, timeout_s: float = 0.2) -> list[Word]:
     """The arms of this user on this host that answer within so long."""
     with StopCaller(domain) as caller:
         count = caller.call(ASK)
-        found: dict[tuple[int, str], Word] = {}
-        for word in caller.words(timeout_s) if count else ():
-            found[word.pid, word.arm] = word
-            if len(found) == count:
-                break
-        return sorted(found.values(), key=lambda word: (word.domain, word.arm))
+        found = list(itertools.islice(caller.words(timeout_s), count))
+        return sorted(found, key=lambda word: (word.domain, word.arm))

@@ -212,7 +212,13 @@ class Operator(GraphClient):
 
     def _parameter_client(self, node: str) -> AsyncParameterClient:
         client = AsyncParameterClient(self._node, node)
-        self._wait(client.services_are_ready, f"node {unknown_name(node, sorted(self.node_names()))}")
+        try:
+            self._wait(client.services_are_ready, "it does not answer")
+        except OperatorError as error:  # by now, all that are there are known
+            others = sorted(self.node_names() - {ENCLAVE})
+            raise OperatorError(
+                f"node {unknown_name(node, others)}" if node not in others else f"{node}: {error}"
+            ) from error
         return client
 
     # ---- waiting ----

@@ -105,7 +105,7 @@ class ImageCheck:
 
     A further check, as of a network that has learnt what its images look like, belongs into `look`.
 
-    Used by `Perceiver` in the order: `exposure`, `look`, and `capture` or `take` of the reference.
+    Used by `Perceiver` in the order: `exposure`, `look`, `capture` or `take` of the reference, `remember`.
 
     Attributes
     ----------
@@ -138,6 +138,9 @@ class ImageCheck:
             raise ImageRefused(repeats)
         if why := objection(image, self.settings.least_contrast):
             raise ImageRefused(why)
+
+    def remember(self, image: Image) -> None:
+        """Take a camera's image for what only several of them show; this can wait a while."""
         self._stillness.add(image)
 
     def look(self, view: Image, touched: bool, stamp_ns: int | None = None) -> None:

@@ -59,6 +59,7 @@ class Perceiver:
         self.estimator = estimator
         self.presence = presence
         self.check = check or ImageCheck()
+        self._kept: Image | None = None
         if presence is not None:
             presence.objection = self._no_reference
 
@@ -73,10 +74,12 @@ class Perceiver:
         if self.presence is None:
             make = self.estimator.estimate_processed if processed else self.estimator.estimate
             return self._estimated(make, image, None, float("nan"))
+        self.catch_up()
         prepare = self.estimator.preprocessor
         prepared = prepare.from_processed(image) if processed else prepare(image)
         if not processed:  # what is drawn at the network's input has no noise: it repeats itself
             self.check.exposure(image)
+            self._kept = image
         view = prepare.view(SIDE)
         if self.presence.ready:
             self.check.look(view, self.presence.touched, stamp_ns)
@@ -89,6 +92,12 @@ class Perceiver:
             return Percept(presence.in_contact, presence.score, fault=presence.refused)
         percept = self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
         return replace(percept, still=self.check.still)
+
+    def catch_up(self) -> None:
+        """Do what need not be known before a percept is on its way; at the next image at the latest."""
+        if self._kept is not None:
+            self.check.remember(self._kept)
+            self._kept = None
 
     def _no_reference(self, prepared: NDArray) -> str:
         """Why an image is not one without contact, as the camera of the training was mounted; else empty."""

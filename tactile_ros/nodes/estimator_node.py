@@ -134,6 +134,7 @@ class EstimatorNode(ManagedNode):
         numbers = percept.score, self.presence.settings.on, percept.in_contact, percept.still
         self.presence_out.publish(headed_bytes(PresenceMessage, stamp_ns, self.sensor_frame, *numbers))
         self.latency.note(stamp_ns, received_ns, emitted_ns, self._dropped())
+        self.perceive.catch_up()
 
     def _publish_estimate(self, percept: Percept, stamp_ns: int) -> None:
         if percept.fault:

@@ -1,6 +1,7 @@
 """What a person says and sees from another terminal, on a graph that follows the ramp."""
 
 import contextlib
+import dataclasses
 import fcntl
 import os
 import pty
@@ -110,13 +111,16 @@ def test_a_goal_is_sent_followed_and_done(tactile):
 
 
 def test_a_goal_that_is_none_is_refused_with_the_reason(tactile):
-    assert "goal refused: goal.lenth" in tactile("goal", "{lenth: 0.01}", code=1)
+    assert "goal refused: goal: unknown name 'lenth'" in tactile("goal", "{lenth: 0.01}", code=1)
     assert "has 5000 characters" in tactile("goal", "{}", "--name", "n" * 5000, code=1)
     assert "/arm" not in tactile("goal", "{}", "--arm", "arn", code=1).replace("unknown", "")
 
 
 def test_a_goal_is_cancelled_from_another_terminal(tactile):
-    handle = tactile.cell.following()
+    cell, goal = tactile.cell, tactile.cell.goal
+    cell.goal = dataclasses.replace(goal, goal=goal.goal.replaced(length=0.1))  # which takes a while
+    handle = cell.following()
+    cell.goal = goal
     assert "/arm: its goal ends" in tactile("cancel")
     assert "cancelled" in tactile.cell.result(handle).reason
     assert "/arm: no goal runs" in tactile("cancel", "arm")
