@@ -43,6 +43,8 @@ _RATES = {E_SERIES: 500.0, CB3: 125.0}
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: TCPs that differ by less are the same
 _SAME_PAYLOAD = 0.05  # kg
 _OF_WATCHDOG = 0.8  # of the watchdog's time, within which a stop has to end
+_STOPS_WITHIN = 0.1  # s, from the largest speeds
+_ABOVE = 1.2  # times the limits of acceleration, so that the arm does not lag behind commands at their limit
 _GRACE = 1.3  # the link stops by itself this much later than the stage should have
 _PATIENT = 10.0  # times longer an arm at rest may be silent
 _STOPS = 0.05  # s, for a link that says nothing any more to pass on a stop all the same
@@ -71,12 +73,14 @@ class UrSettings(Settings):
         0.0, lower=0.0, upper=50.0, unit="kg", doc="mass at the flange, as the controller has to have it"
     )
     acceleration: float = setting(
-        3.0, lower=0.01, upper=20.0, unit="m/s^2",
-        doc="with which speedL goes after each command; above the limits, which the commands keep themselves",
+        0.0, lower=0.0, upper=200.0, unit="m/s^2, rad/s^2",
+        doc="with which speedL goes after each command, translation and rotation; above the limits, which "
+        "the commands keep themselves; 0: by a fifth above the larger of both",
     )  # fmt: skip
     deceleration: float = setting(
-        2.0, lower=0.1, upper=20.0, unit="m/s^2", doc="of speedStop, and of stops by a watchdog"
-    )
+        0.0, lower=0.0, upper=200.0, unit="m/s^2, rad/s^2",
+        doc="of speedStop, translation and rotation; 0: both end within 0.1 s, and before the watchdog",
+    )  # fmt: skip
     watchdog: float = setting(
         10.0, lower=2.0, upper=100.0, unit="Hz", doc="the controller stops when it hears less often"
     )
@@ -126,6 +130,7 @@ class UrArm:
     def __init__(self, arm: ArmScene, settings: UrSettings, report: Callable[[ArmState], None]) -> None:
         if wrong := _unfit(settings, arm.limits):
             raise RuntimeError(wrong)
+        settings = _with_accelerations(settings, arm.limits)
         self.settings, self.kinematics, self._report = settings, arm.kinematics, report
         self._timeout = _GRACE * arm.limits.command_timeout
         self._T_tcp_controlled = arm.T_tool_controlled
@@ -177,8 +182,10 @@ class UrArm:
             if not self._answered.wait_for(lambda: self._answers or self._link is not link, _RECOVERY):
                 raise RuntimeError(f"the arm did not answer within {_RECOVERY:g} s")
             answer = self._answers.pop() if self._answers else "the connection to the arm was lost"
-        if answer:
+        if not answer.startswith("{"):
             raise RuntimeError(answer)
+        if wrong := self._wrong(json.loads(answer)):  # at the pendant meanwhile
+            raise RuntimeError(wrong)
         with self._sending:
             self._fault, self._moving, self._reason = "", False, "fault cleared"
 
@@ -366,14 +373,39 @@ def _unfit(settings: UrSettings, limits: ArmLimits) -> str:
     most = _RATES[settings.generation]
     if settings.loop_rate > most:
         return f"rate = {settings.rate:g} Hz: a {settings.generation} has at most {most:g} Hz"
-    needed = limits.linear_velocity * settings.watchdog / _OF_WATCHDOG
-    if settings.deceleration < needed:
+    needed = _fastest(limits) * settings.watchdog / _OF_WATCHDOG
+    if 0.0 < settings.deceleration < needed:
         return (
-            f"deceleration = {settings.deceleration:g} m/s^2 does not stop the arm from "
-            f"{limits.linear_velocity:g} m/s before the watchdog ({settings.watchdog:g} Hz) does; "
-            f"it has to be at least {needed:g}"
+            f"deceleration = {settings.deceleration:g} m/s^2 and rad/s^2 does not stop the arm from "
+            f"{limits.linear_velocity:g} m/s and {limits.angular_velocity:g} rad/s before the watchdog "
+            f"({settings.watchdog:g} Hz) does; it has to be at least {needed:g}"
+        )
+    least = max(limits.linear_acceleration, limits.angular_acceleration)
+    if 0.0 < settings.acceleration < least:
+        return (
+            f"acceleration = {settings.acceleration:g} m/s^2 and rad/s^2 is below the limits of the "
+            f"commands, {limits.linear_acceleration:g} m/s^2 and {limits.angular_acceleration:g} rad/s^2: "
+            f"the arm would lag behind them; it has to be at least {least:g}"
         )
     return ""
+
+
+def _fastest(limits: ArmLimits) -> float:
+    """The larger number of both speeds: one acceleration has to serve both.
+
+    ur_rtde's program gives speedl and stopl no `aRot`, for which URScript then takes the number of the linear
+    acceleration, in rad/s^2 (URScript manual, module motion: speedl, stopl).
+    """
+    return max(limits.linear_velocity, limits.angular_velocity)
+
+
+def _with_accelerations(settings: UrSettings, limits: ArmLimits) -> UrSettings:
+    """The settings with numbers for 0."""
+    largest = max(limits.linear_acceleration, limits.angular_acceleration)
+    stops = _fastest(limits) * max(1.0 / _STOPS_WITHIN, settings.watchdog / _OF_WATCHDOG)
+    return settings.replaced(
+        acceleration=settings.acceleration or _ABOVE * largest, deceleration=settings.deceleration or stops
+    )
 
 
 class _LinkProcess:

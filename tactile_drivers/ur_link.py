@@ -57,6 +57,10 @@ _WORDS = (
         "start control script",
         "it does not start the program; is the arm powered on, with its brakes released?",
     ),
+    (
+        "unlock protective stop until",
+        "a protective stop can be left 5 s after it at the earliest: look for its cause, then reset again",
+    ),
     ("dashboard server", "its dashboard server (port 29999) does not answer"),
     ("Could not connect", "it does not answer on port 30004 (RTDE)"),
 )
@@ -123,14 +127,19 @@ class _Link:
         self._control = RTDEControlInterface(host, rate, flags)
         _give_way()
         self._watch()
-        self.facts = {
-            "version": version,
+        self._version = version
+        self.facts = self._facts()
+        self._open, self._moving, self._written = True, False, time.monotonic()
+        self._commanded, self._heard = 0.0, time.monotonic()
+
+    def _facts(self) -> dict[str, Any]:
+        """What the controller says of its arm, which somebody may change at the pendant."""
+        return {
+            "version": self._version,
             "model": self._dashboard.getRobotModel(),
             "tcp_offset": self._control.getTCPOffset(),
             "payload": self._receive.getPayload(),
         }
-        self._open, self._moving, self._written = True, False, time.monotonic()
-        self._commanded, self._heard = 0.0, time.monotonic()
 
     # ---- states ----
 
@@ -205,7 +214,7 @@ class _Link:
         elif kind == RECOVER:
             try:
                 self._recover()
-                _say(self._socket, ANSWER)
+                _say(self._socket, ANSWER + json.dumps(self._facts()).encode())
             except (OSError, RuntimeError, ValueError) as error:
                 _say(self._socket, ANSWER + in_words(error).encode())
         else:  # asked to end, or the driver is gone

@@ -327,6 +327,9 @@ class ManagedNode(LifecycleNode):
         if self.active:
             for complaint in self.report.silent_inputs():
                 self._log_warning(complaint.split(":")[0], complaint, period=5.0)
+        if self.get_node_names_and_namespaces().count((self.get_name(), self.get_namespace())) > 1:
+            name = self.get_fully_qualified_name()
+            self.warn("twin", f"another node in this ROS domain is called {name}, too: end one of them", 5.0)
         self._diagnostics.publish(self.report.message(self.get_clock().now().to_msg(), state, self.active))
 
     # Lifecycle transitions.

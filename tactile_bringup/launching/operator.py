@@ -27,7 +27,7 @@ from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
 from tactile_ros.qos import DIAGNOSTICS, STATE
 
 ENCLAVE = "/operator"
-ANSWER = 5.0  # s, for a service to answer; a reset of an arm's protective stop takes its time
+ANSWER = 10.0  # s, for a service to answer; a reset of an arm's protective stop takes its time
 RESET_ANSWER = 30.0
 SETTLED = 1.0  # s without anything new after which all that is there counts as found
 SPIN = 0.01  # s

@@ -38,9 +38,10 @@ _SAFETY_NAMES = {
     NORMAL: "NORMAL", PROTECTIVE_STOP: "PROTECTIVE_STOP", SAFEGUARD_STOP: "SAFEGUARD_STOP",
     ROBOT_EMERGENCY_STOP: "ROBOT_EMERGENCY_STOP",
 }  # fmt: skip
-_ANGULAR = 10.0  # rad/m: angular acceleration of a speedl for each m/s^2 of its linear one
-_SAFETY_DECELERATION = 10.0  # m/s^2, of a stop by safety
-_PROGRAM_DECELERATION = 2.0  # m/s^2, when the program ends
+_SAFETY_DECELERATION = 10.0  # m/s^2, rad/s^2, of a stop by safety
+_PROGRAM_DECELERATION = 2.0  # m/s^2, rad/s^2, when the program ends
+_UNLOCKED_AFTER = 5.0  # s: "unlock protective stop" of the dashboard server, e-Series and CB3
+_TOO_EARLY = "Cannot unlock protective stop until 5s after occurrence."
 _JOINTS_EVERY = 0.007  # s; joints follow the pose, and take most of the time of a cycle
 
 
@@ -106,6 +107,7 @@ class UrRobot:
         self._offset = 0  # of the registers that the program uses
         self.program_running = self._executing = False
         self._watchdog, self._fed = 0.0, 0.0
+        self.protected_at = 0.0  # time of the last protective stop
 
     # ---- one cycle ----
 
@@ -150,9 +152,14 @@ class UrRobot:
         }  # fmt: skip
 
     def _move(self, dt: float) -> None:
-        """Towards the target speed, with both parts at their ends at the same time, and on by it."""
+        """Towards the target speed, with both parts at their ends at the same time, and on by it.
+
+        Without `aRot`, which ur_rtde's program does not give (`speedl(xd, a=acceleration, t=time)`,
+        `stopl(deceleration_rate)`), "position acceleration value in [rad/s^2] will be used" (URScript manual,
+        module motion: speedl, stopl).
+        """
         change = self._target * self.speed_slider - self.speed
-        needed = max(np.linalg.norm(change[:3]), np.linalg.norm(change[3:]) / _ANGULAR)
+        needed = max(np.linalg.norm(change[:3]), np.linalg.norm(change[3:]))
         before = self.speed.copy()
         self.speed = self.speed + change * min(1.0, self._acceleration * dt / needed if needed else 1.0)
         self._hold = max(0.0, self._hold - dt)
@@ -215,6 +222,7 @@ class UrRobot:
     def protective_stop(self) -> None:
         """As after a collision."""
         self._stop_by_safety(PROTECTIVE_STOP)
+        self.protected_at = self.time
 
     def emergency_stop(self) -> None:
         """The arm's own button."""
@@ -243,6 +251,8 @@ class UrRobot:
         if words == "unlock protective stop":
             if self.safety_mode != PROTECTIVE_STOP:
                 return "Cannot unlock protective stop: there is none"
+            if self.time - self.protected_at < _UNLOCKED_AFTER:
+                return f"{_TOO_EARLY} Always inspect cause of protective stop before unlocking"
             self.safety_mode = NORMAL
             return "Protective stop releasing"
         if words == "stop":

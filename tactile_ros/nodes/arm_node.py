@@ -33,7 +33,7 @@ from tf2_msgs.msg import TFMessage
 from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_base.stop_line import StopLine
+from tactile_base.stop_line import StopLine, arms_here
 from tactile_drivers.arm import AT_REST, Arm, ArmMode, ArmState, open_arm
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
@@ -109,6 +109,7 @@ class ArmNode(ManagedNode):
         """Open topics and, unless another node does, the driver."""
         scene, cell = (self.hosted, None) if self.hosted is not None else self._scene()
         self.scene = scene
+        self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self.safe = SafeArm(scene, self.now_ns, self.settings.value.feels)
         self.safe.neighbours = self._neighbours(cell) if cell is not None else ()
         self.frame = self.frame_of(scene.controlled_frame)
@@ -135,7 +136,6 @@ class ArmNode(ManagedNode):
             self.subscribe(
                 ContactState, topics.STATE.name, self._take_contact, STATE, raw=True, frame=self.frame
             )
-        self.states = self.report.watch("states of the driver", self.settings.value.state_timeout)
         self._forget()
         self._open_stop_line()
         if cell is not None:
@@ -330,15 +330,18 @@ class ArmNode(ManagedNode):
         self.safe.estop(self.estop)
 
     def _open_stop_line(self) -> None:
-        """Let whoever started this node stop its arm without ROS."""
+        """Let whoever started this node stop its arm without ROS, and refuse to be the arm's second node."""
+        name, domain = self.get_namespace(), self.context.get_domain_id()
         try:
-            line = StopLine(
-                self.get_namespace(), self.context.get_domain_id(), self._stop_emergency, self._at_rest
-            )
+            twins = [word.pid for word in arms_here(domain) if word.arm == name]
+            if twins:
+                raise ConfigurationError(
+                    f"process {twins[0]} is a node of {name} in ROS domain {domain} already: end it first"
+                )
+            line = StopLine(name, domain, self._stop_emergency, self._at_rest)
         except OSError as error:
-            self.warn(
-                "stop line", f"`tactile stop` reaches this arm by ROS alone, which takes seconds: {error}"
-            )
+            text = "`tactile stop` reaches this arm by /estop alone, which takes seconds"
+            self.get_logger().warning(f"{text}: {error}")
             return
         self.release_later(StopLine.close, line)
 

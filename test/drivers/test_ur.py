@@ -164,10 +164,33 @@ def test_after_an_emergency_stop_nothing_moves_until_the_button_is_out_and_a_res
 def test_a_protective_stop_is_left_by_a_reset_which_starts_the_program_again(cell, double):
     double("protective_stop")
     cell.until(lambda: cell.state.mode is ArmMode.FAULT, "fault")
+    with pytest.raises(RuntimeError, match="can be left 5 s after it at the earliest: look for its cause"):
+        cell.safe.reset()
+    time.sleep(5.0)
     cell.safe.reset()
     cell.until(lambda: cell.state.mode is ArmMode.RESTING, "rest")
     assert not cell.command(ZERO)
     cell.move()
+
+
+def test_a_tcp_that_is_changed_at_the_pendant_in_an_emergency_stop_keeps_the_arm_from_going_on(cell, double):
+    double("emergency_stop")
+    cell.until(lambda: cell.state.mode is ArmMode.ESTOP, "emergency stop")
+    double("tcp_offset", 0, 0, 0.05, 0, 0, 0)
+    double("restore")
+
+    def refusal() -> str:
+        try:
+            cell.safe.reset()
+        except RuntimeError as error:
+            return str(error)
+        return ""
+
+    cell.until(lambda: "its TCP offset is [0.0, 0.0, 0.05" in refusal(), "that refusal")
+    assert cell.command(ALONG, 0.2)
+    double("tcp_offset", 0, 0, 0, 0, 0, 0)
+    cell.until(lambda: not refusal(), "a reset")
+    cell.until(lambda: not cell.command(ZERO), "an arm that follows")
 
 
 def test_a_connection_that_is_back_is_a_fault_until_a_reset(cell, double):
@@ -222,6 +245,33 @@ def test_an_emergency_stop_of_the_stage_brings_the_arm_to_rest_with_speed_stop(c
     slowing = np.flatnonzero(speed[1:] < speed[:-1])
     assert speed[-1] == 0.0
     assert (slowing[-1] - slowing[0]) / 500.0 <= SPEED / cell.driver.settings.deceleration + 0.004
+
+
+def test_rotation_stops_as_fast_as_translation_does(cell, double):
+    """URScript takes the number of stopl's linear deceleration for rotation, too, in rad/s^2."""
+    turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.8])
+    cell.until(lambda: not cell.command(turning) and cell.state.twist[5] > 0.79, "that speed")
+    double.trace()
+    cell.safe.estop("test")
+    assert "emergency stop: test" in cell.command(turning, 0.5)
+    speed = np.linalg.norm(double.trace()[:, 10:13], axis=1)
+    slowing = np.flatnonzero(speed[1:] < speed[:-1] - 1e-9)
+    assert speed[-1] == 0.0
+    assert (
+        cell.driver.settings.deceleration >= 10.0
+    )  # 1 rad/s within 0.1 s, of which the double knows nothing
+    assert (slowing[-1] - slowing[0]) / 500.0 <= 0.8 / cell.driver.settings.deceleration + 0.004
+
+
+def test_a_step_of_rotation_is_followed_as_its_limits_allow(cell, double):
+    limits, step = cell.arm.limits, 0.5
+    double.trace()
+    cell.until(lambda: not cell.command([0, 0, 0, 0, 0, step]) and cell.state.twist[5] > 0.49, "that speed")
+    speed = np.linalg.norm(double.trace()[:, 10:13], axis=1)
+    rising = np.flatnonzero(speed[1:] > speed[:-1] + 1e-9)
+    ramp = limits.angular_acceleration / limits.angular_jerk
+    assert (rising[-1] - rising[0]) / 500.0 < step / limits.angular_acceleration + ramp + 0.05
+    cell.command(ZERO, 0.3)
 
 
 def test_twists_of_the_sensor_move_and_turn_the_sensor(cell, double):
@@ -372,7 +422,8 @@ def other(second):
         ("silence", {"connect_timeout": 1.0}, "did not answer within 1 s"),
         ("leave", {}, "does not answer"),
         ("scripts_ignored", {"connect_timeout": 1.0}, "did not answer within 1 s"),
-        ("", {"deceleration": 0.5}, "does not stop the arm from 0.1 m/s before the watchdog"),
+        ("", {"deceleration": 2.0}, "does not stop the arm from 0.1 m/s and 1 rad/s before the watchdog"),
+        ("", {"acceleration": 3.0}, "is below the limits of the commands, 1 m/s.2 and 10 rad/s.2"),
         ("", {"generation": "cb3", "rate": 500.0}, "a cb3 has at most 125 Hz"),
     ],
 )

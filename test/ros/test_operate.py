@@ -34,6 +34,13 @@ class Terminal:
         command = [sys.executable, "-m", "tactile_bringup.cli", *words]
         return subprocess.Popen(command, env=self.graph.variables, **options)
 
+    def following(self):
+        """A goal under way for longer than a command takes to be there, the other way than the last one."""
+        goal = self.cell.goal
+        turned = goal.goal.replaced(direction_deg=(goal.goal.direction_deg + 180.0) % 360.0)
+        self.cell.goal = dataclasses.replace(goal, goal=turned)
+        return self.cell.following()
+
     def stopped(self) -> bool:
         status = self.cell.arms[-1]
         return status.mode == ArmStatus.ESTOP and not any(status.twist)
@@ -41,11 +48,11 @@ class Terminal:
 
 @pytest.fixture(scope="module")
 def tactile(shared_graph, tmp_path_factory):
-    return Terminal(Cell(shared_graph, tmp_path_factory.mktemp("cell"), length=0.04))
+    return Terminal(Cell(shared_graph, tmp_path_factory.mktemp("cell"), length=0.12))
 
 
 def test_a_stop_brings_the_arm_to_rest_fails_the_goal_and_lasts_until_a_reset(tactile):
-    handle = tactile.cell.following()
+    handle = tactile.following()
     said = tactile("stop")
     assert "/arm was told to stop" in said and "/arm rests after" in said
     assert tactile.graph.wait(tactile.stopped)
@@ -58,7 +65,7 @@ def test_a_stop_brings_the_arm_to_rest_fails_the_goal_and_lasts_until_a_reset(ta
 
 
 def test_an_arm_that_only_ros_finds_is_stopped_by_the_topic(tactile, tmp_path):
-    handle = tactile.cell.following()
+    handle = tactile.following()
     tactile.graph.variables["TACTILE_STOP_FOLDER"] = str(tmp_path)  # where there is no line
     try:
         assert "/arm rests (by /estop" in tactile("stop")
@@ -89,7 +96,7 @@ def test_a_stop_that_is_ready_acts_by_a_key_again_and_again(tactile):
     try:
         assert tactile.graph.wait(lambda: says("ready to stop: /arm")), shown
         for _ in range(2):
-            handle = tactile.cell.following()
+            handle = tactile.following()
             shown[0] = ""
             os.write(ours, b" ")
             assert tactile.graph.wait(lambda: says("/arm rests after")), shown
@@ -117,10 +124,7 @@ def test_a_goal_that_is_none_is_refused_with_the_reason(tactile):
 
 
 def test_a_goal_is_cancelled_from_another_terminal(tactile):
-    cell, goal = tactile.cell, tactile.cell.goal
-    cell.goal = dataclasses.replace(goal, goal=goal.goal.replaced(length=0.1))  # which takes a while
-    handle = cell.following()
-    cell.goal = goal
+    handle = tactile.following()
     assert "/arm: its goal ends" in tactile("cancel")
     assert "cancelled" in tactile.cell.result(handle).reason
     assert "/arm: no goal runs" in tactile("cancel", "arm")
