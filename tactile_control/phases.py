@@ -343,8 +343,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         return bool(missing)
 
     def _explained(self, reason: str) -> str:
-        """Why an input is missing, as far as it is known."""
-        return f"{reason}{self._refused}: {self.remark}" if self.remark else reason + self._refused
+        """An input is missing: first why, as far as it is known."""
+        return f"{self.remark}, so {reason}{self._refused}" if self.remark else reason + self._refused
 
     def _enter(self, phase: str) -> None:
         self.phase = phase

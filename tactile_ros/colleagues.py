@@ -1,8 +1,9 @@
-"""What a controller hears of others while it works: of its own estimator, and of the arms it works with."""
+"""What a controller hears of others while it works: of the nodes before it, and of the arms it works with."""
 
 from __future__ import annotations
 
 import functools
+import re
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -21,33 +22,61 @@ from tactile_ros.task_messages import IDLE
 if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode
 
+_NUMBER = re.compile(r"[-+]?\d[\d.e+-]*")
 
-class EstimatorWord:
-    """What the arm's estimator complains about in /diagnostics, in whose hands it is that estimates come.
+#: Between the exposure of an image and a motion, in this order, below the arm's namespace.
+_CHAIN = ("camera", "estimator", "filter", "arm")
+_NEW = 5.0  # s; what is complained about for longer has done no harm before
 
-    Attributes
-    ----------
-    text : str
-        Empty where nothing is wrong.
-    """
+
+class Upstream:
+    """What the nodes complain about in /diagnostics that a task gets its inputs from."""
 
     def __init__(self, node: ManagedNode) -> None:
-        self.text = ""
         namespace = node.get_namespace().rstrip("/")
-        self._name = f"{namespace}/estimator"
+        self._names = [f"{namespace}/{name}" for name in _CHAIN]
+        self._marks = [name.encode() + b"\0" for name in self._names]
+        self._said: dict[str, _Complaint] = {}
         self._fields = type_fields(topics.DIAGNOSTICS.type)
         node.subscribe(DiagnosticArray, topics.DIAGNOSTICS.name, self._take, DIAGNOSTICS, raw=True)
 
+    @property
+    def cause(self) -> str:
+        """The most likely reason for an input that is missing, and whose; empty where nobody complains.
+
+        Of complaints that are new the first on the way from the image to the arm, else of all others.
+        """
+        found = [self._said[name] for name in self._names if name in self._said]
+        new = [complaint for complaint in found if time.monotonic() - complaint.since_s < _NEW]
+        return next((complaint.text for complaint in new or found), "")
+
     def _take(self, data: bytes) -> None:
         """Most of what arrives is of other nodes, of which nothing is read."""
-        if self._name.encode() + b"\0" not in data:
+        if not any(mark in data for mark in self._marks):
             return
         layout = layout_of(self._fields, topics.DIAGNOSTICS.type, data)
         numbers = layout.unpack(data)
         for index in range(layout.lengths["status"]):
-            if layout.texts[f"status.{index}.name"] == self._name:
+            name = layout.texts[f"status.{index}.name"]
+            if name in self._names:
                 level = bytes([numbers[layout.place(f"status.{index}.level").start]])
-                self.text = "" if level == DiagnosticStatus.OK else layout.texts[f"status.{index}.message"]
+                self._hear(name, layout.texts[f"status.{index}.message"], level != DiagnosticStatus.OK)
+
+    def _hear(self, name: str, message: str, complains: bool) -> None:
+        before, kind = self._said.pop(name, None), _NUMBER.sub("", message)
+        if complains:
+            goes_on = before is not None and before.kind == kind
+            since_s = before.since_s if before is not None and goes_on else time.monotonic()
+            self._said[name] = _Complaint(f"{name}: {message}", kind, since_s)
+
+
+@dataclass(frozen=True)
+class _Complaint:
+    """What a node says, the same without numbers, and since when."""
+
+    text: str
+    kind: str
+    since_s: float
 
 
 @dataclass(frozen=True)

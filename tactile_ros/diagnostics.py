@@ -79,6 +79,7 @@ class Diagnostics:
         self.inputs: dict[str, InputWatch] = {}
         self.fault = ""
         self._complaints: dict[str, str] = {}
+        self._reported: set[str] = set()
 
     def watch(self, name: str, limit: float) -> InputWatch:
         """Watch the age of an input from now on (limit in s, 0 for none)."""
@@ -93,8 +94,18 @@ class Diagnostics:
         """Complaints about inputs that are older than their limit."""
         return [complaint for watch in self.inputs.values() if (complaint := watch.complaint())]
 
+    def has_news(self, active: bool) -> bool:
+        """Whether there is something to complain about that the last report did not say."""
+        return not self._subjects(active) <= self._reported
+
+    def _subjects(self, active: bool) -> set[str]:
+        """What is complained about now."""
+        silent = {watch.name for watch in self.inputs.values() if watch.complaint()} if active else set()
+        return {*self._complaints, *silent, *(["fault"] if self.fault else [])}
+
     def message(self, stamp: object, state: str, active: bool) -> DiagnosticArray:
         """The report as of now; takes the complaints with it."""
+        self._reported = self._subjects(active)
         complaints = list(self._complaints.values()) + (self.silent_inputs() if active else [])
         self._complaints.clear()
         level = ERROR if self.fault else WARN if complaints else OK

@@ -59,6 +59,7 @@ Result = TransitionCallbackReturn
 
 COMMON_PARAMETERS = ("use_sim_time", "start_type_description_service")
 DIAGNOSTIC_PERIOD = 1.0  # s
+NEWS_PERIOD = 0.2  # s, within which others, as a task that fails for it, know what is wrong
 CONTROLLED_FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 LARGEST_PRIORITY = 99  # of SCHED_FIFO
 TOO_FAST = "messages came too fast"
@@ -141,6 +142,7 @@ class ManagedNode(LifecycleNode):
             self, "diagnostics_period", DIAGNOSTIC_PERIOD, "seconds between two reports on /diagnostics"
         )
         self._diagnostics_timer = self.create_timer(period, self.publish_diagnostics, clock=self.steady)
+        self._news_timer = self.create_timer(NEWS_PERIOD, self._report_news, clock=self.steady)
 
     # What a node fills in. Each may raise ConfigurationError or SettingError to refuse.
 
@@ -320,6 +322,10 @@ class ManagedNode(LifecycleNode):
     def stop(self, reason: str, exit_code: int = 0) -> None:
         """Have the process end after this callback."""
         self.stop_reason, self.exit_code = reason, exit_code
+
+    def _report_news(self) -> None:
+        if self.report.has_news(self.active):
+            self.publish_diagnostics()
 
     def publish_diagnostics(self) -> None:
         """Report now; also called once a second."""

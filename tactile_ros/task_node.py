@@ -31,6 +31,7 @@ from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
 from tactile_ros.arm_attention import ArmAttention
 from tactile_ros.cdr import headed_bytes
+from tactile_ros.colleagues import Upstream
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import CONTROLLED_FRAMES, ManagedNode
 from tactile_ros.parameters import declare_read_only, fixed_settings
@@ -128,6 +129,7 @@ class TaskNode(ManagedNode, ABC):
 
     def open_task(self, tick_period: float, on_transform: Callable[[], None] | None = None) -> None:
         """Create publishers, the action, and a timer of that period (s) that steps if nothing else has."""
+        self.upstream = Upstream(self)
         self.twist_out = self.publisher(ArmCommand, topics.COMMAND.name, COMMAND)
         self.status_out = self.publisher(ControllerStatus, topics.CONTROLLER_STATUS.name, STATE)
         self.subscribe(ArmStatus, topics.ARM_STATUS.name, self._on_arm, STATE)

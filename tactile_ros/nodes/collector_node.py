@@ -184,6 +184,7 @@ class CollectorNode(TaskNode):
             return
         pose = self.sensor_pose()
         inputs = CollectionInputs(StampedPose(*pose) if pose else None, self.exposure)
+        self.run.task.remark = self.upstream.cause
         command = self.run.task.step(now_ns, inputs)
         self.send_twist(command.twist)
         self._publish_status(now_ns, command)

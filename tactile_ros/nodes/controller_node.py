@@ -29,7 +29,7 @@ from tactile_filter.contact_bounds import ContactBounds
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import STATE_FLAGS, STATE_XI, read_state
-from tactile_ros.colleagues import EstimatorWord, listen_to_partners
+from tactile_ros.colleagues import listen_to_partners
 from tactile_ros.conversions import MessageError
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import lost_counter, run
@@ -95,7 +95,6 @@ class ControllerNode(TaskNode):
         self.last: Command | None = None
         self.goals = 0
         self.goal_name = ""
-        self.estimator: EstimatorWord | None = None
         self.forget()
 
     def _arms(self, name: str, doc: str) -> list[str]:
@@ -119,7 +118,6 @@ class ControllerNode(TaskNode):
                 raw=True,
                 frame=self.sensor_frame,
             )
-            self.estimator = EstimatorWord(self)
         listen_to_partners(self, self.partners)
         self.open_task(self.timing.value.watchdog_period)
 
@@ -178,7 +176,7 @@ class ControllerNode(TaskNode):
             inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None)
             broken = self.run.task.traceback
             self.run.task.partner = self.partners.trouble(time.monotonic())
-            self.run.task.remark = self.estimator.text if self.estimator else ""
+            self.run.task.remark = self.upstream.cause
             command = self.run.task.step(now_ns, inputs)
             now_ns = self.send_twist(command.twist)
             if self.run.task.traceback != broken:

@@ -217,17 +217,17 @@ def test_an_image_stream_that_stops_brings_the_twist_to_zero_within_200_ms_and_s
     assert "belief" in result.reason and "limit 100 ms" in result.reason
 
 
-def test_what_the_estimator_says_of_its_images_is_in_the_reason_of_a_task_that_waits_for_them(world):
+def test_a_task_that_fails_for_want_of_an_input_says_first_why_that_does_not_come(world):
     reports = world.graph.publisher(DiagnosticArray, "/diagnostics", qos.DIAGNOSTICS)
     handle = world.following()
     world.patience(1.0)
     text = "tactile/image refused: repeated: it equals the one before it bit for bit"
-    others = DiagnosticStatus(level=b"\2", name="/arm/filter", message="something else")
+    others = DiagnosticStatus(level=b"\2", name="/arm/filter", message="which then is silent, too")
     own = DiagnosticStatus(level=b"\1", name="/arm/estimator", message=text)
     reports.publish(DiagnosticArray(status=[others, own]))
     world.images = False
     result = world.result(handle)
-    assert "belief" in result.reason and result.reason.endswith(text), result.reason
+    assert result.reason.startswith(f"/arm/estimator: {text}, so ") and "belief is" in result.reason
 
 
 class Beside:
