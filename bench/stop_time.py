@@ -1,11 +1,11 @@
 """Time from Enter to rest for `tactile stop`, cold and ready, and for the key in the launch's terminal.
 
-    python bench/stop_time.py [surface_following] [--scene plane] [--loops 0 4] [--times 20]
+    python bench/stop_time.py [surface_following] [--scene two_arms] [--loops 0 4] [--times 20]
 
-Each time a launch of the task has its arms in motion in a terminal of its own, beside so many processes that
-never rest; then the command is typed, or the key pressed, and what `arm/status` of each arm says is watched
-from this process. At rest: the arm is in emergency stop and its twist is zero, by the stamp of that state.
-Then it is reset, and the task is launched anew.
+All arms of the task are in motion, beside so many processes that never rest; then the command is typed, or
+the key pressed, and what `arm/status` of each arm says is watched from this process. At rest: every arm is in
+emergency stop and its twist is zero, by the stamp of that state. Then the arms are reset, and go on; for the
+key the task is launched anew each time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import sys
 import tempfile
 import termios
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,13 +29,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from latency_under_load import busy
 
+from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.environment import free_domain_id
 from tactile_bringup.launching.operator import Operator
+from tactile_bringup.launching.processes import ProcessGroup
+from tactile_bringup.launching.task_client import TaskClient
 from tactile_msgs.msg import ArmStatus
 
 CLI = [sys.executable, "-m", "tactile_bringup.cli"]
 MOVES = 0.003  # m/s
 PATIENCE = 90.0  # s
+PRIORITY = 20
 
 
 def take_terminal() -> None:
@@ -85,81 +89,145 @@ def wait(operator: Operator, holds: Callable[[], bool]) -> None:
         operator.look()
 
 
-@contextlib.contextmanager
-def moving(task: list[str], variables: dict[str, str]) -> Iterator[tuple[Terminal, Operator]]:
-    """A launch whose arms all move, and somebody who listens."""
-    with tempfile.TemporaryDirectory() as folder:
-        launch = Terminal([*CLI, "launch", *task, "--priority", "20", "--out", folder], variables)
-        try:
-            with Operator(int(variables["ROS_DOMAIN_ID"])) as operator:
+def all_move(operator: Operator) -> bool:
+    """Whether every arm with a task moves."""
+    views = [view for view in operator.arms.values() if view.controller]
+    speeds = [np.linalg.norm(view.status.twist[:3]) for view in views if view.status]
+    return len(speeds) == len(views) == len(operator.arms) > 0 and min(speeds) > MOVES
 
-                def moves() -> bool:
-                    launch.read()
-                    working = [v.controller.at_work for v in operator.arms.values() if v.controller]
-                    speeds = [np.hypot(*v.status.twist[:2]) for v in operator.arms.values() if v.status]
-                    return bool(working) and all(working) and min(speeds) > MOVES
 
-                wait(operator, moves)
-                yield launch, operator
-        finally:
-            launch.end()
+class Nodes:
+    """The nodes of a task, running, and goals for all of its arms."""
+
+    def __init__(self, task: str, scene: str, folder: Path, variables: dict[str, str]) -> None:
+        self._graph = load_graph(task, scene, GraphOptions(priority=PRIORITY))
+        self._group = ProcessGroup()
+        for node in self._graph.nodes:
+            file = folder / f"{node.file_stem}.yaml"
+            file.write_text(node.parameter_text())
+            log = folder / f"{node.file_stem}.log"
+            self._group.start(node.full_name, node.command(file), variables, log)
+        self._client = TaskClient(int(variables["ROS_DOMAIN_ID"]))
+        self._names = [node.full_name for node in self._graph.nodes]
+        self._turn(lambda: not self._client.inactive(self._names, time.monotonic()))
+
+    def _turn(self, holds: Callable[[], bool]) -> None:
+        end = time.monotonic() + PATIENCE
+        while not holds():
+            if time.monotonic() > end:
+                raise TimeoutError("it never held")
+            self._client.spin(0.01)
+
+    def move(self, operator: Operator) -> None:
+        """Have all arms in motion."""
+        for plan in self._graph.plans:
+            arm = self._client.arm(plan.arm)
+            self._turn(lambda arm=arm: arm.ready and arm.rests_for() > 0.2)
+            arm.send(plan.goals[0], plan.role.task)
+
+        def moves() -> bool:
+            self._client.spin(0.0)
+            for plan in self._graph.plans:
+                if ended := self._client.arm(plan.arm).result():
+                    raise RuntimeError(f"{plan.arm}: {ended.reason}")
+            return all_move(operator)
+
+        wait(operator, moves)
+
+    def go_on(self, operator: Operator) -> None:
+        """Leave the emergency stop, once the goals have ended."""
+        for plan in self._graph.plans:
+            arm = self._client.arm(plan.arm)
+            self._turn(lambda arm=arm: arm.result() is not None)
+            operator.reset(plan.arm)
+
+    def close(self) -> None:
+        """End them."""
+        self._client.close()
+        self._group.close()
 
 
 def until_rest(operator: Operator, begun_s: float) -> float:
     """Seconds from a time (of `time.time`) to the first state in which every arm is stopped and rests."""
     rested: dict[str, float] = {}
+    moving = {name: view for name, view in operator.arms.items() if view.controller}
 
     def all_rest() -> bool:
-        for name, view in operator.arms.items():
+        for name, view in moving.items():
             status = view.status
             if status.mode == ArmStatus.ESTOP and not any(status.twist) and name not in rested:
                 rested[name] = status.header.stamp.sec + 1e-9 * status.header.stamp.nanosec
-        return len(rested) == len(operator.arms)
+        return len(rested) == len(moving)
 
     wait(operator, all_rest)
     return max(rested.values()) - begun_s
 
 
-def measure(way: str, task: list[str]) -> float:
-    """One time, s."""
+def stopped_by_command(ready: bool, task: str, scene: str, times: int) -> list[float]:
+    """Seconds, of `tactile stop` typed so often."""
     variables = {**os.environ, "ROS_DOMAIN_ID": str(free_domain_id()), "TERM": "xterm"}
-    with moving(task, variables) as (launch, operator):
-        if way == "key":
-            begun = time.time()
-            launch.type(" ")
-            return until_rest(operator, begun)
-        if way == "cold":
-            begun = time.time()
-            with subprocess.Popen([*CLI, "stop", "--here"], env=variables, stdout=subprocess.DEVNULL):
-                return until_rest(operator, begun)
-        ready = Terminal([*CLI, "stop", "--ready"], variables)
+    taken: list[float] = []
+    with tempfile.TemporaryDirectory() as folder, Operator(int(variables["ROS_DOMAIN_ID"])) as operator:
+        nodes = Nodes(task, scene, Path(folder), variables)
+        terminal = Terminal([*CLI, "stop", "--ready"], variables) if ready else None
         try:
-            wait(operator, lambda: all(f"/{arm}" in ready.read() for arm in operator.arms))
-            begun = time.time()
-            ready.type(" ")
-            return until_rest(operator, begun)
+            for _ in range(times):
+                nodes.move(operator)
+                if terminal is not None:
+                    wait(operator, lambda: all(f"/{arm}" in terminal.read() for arm in operator.arms))
+                    begun = time.time()
+                    terminal.type(" ")
+                    taken.append(until_rest(operator, begun))
+                else:
+                    begun = time.time()
+                    with subprocess.Popen([*CLI, "stop", "--here"], env=variables, stdout=subprocess.DEVNULL):
+                        taken.append(until_rest(operator, begun))
+                nodes.go_on(operator)
         finally:
-            ready.end()
+            if terminal is not None:
+                terminal.end()
+            nodes.close()
+    return taken
+
+
+def stopped_by_key(task: str, scene: str, times: int) -> list[float]:
+    """Seconds, of the key in the terminal of a launch."""
+    taken: list[float] = []
+    for _ in range(times):
+        variables = {**os.environ, "ROS_DOMAIN_ID": str(free_domain_id()), "TERM": "xterm"}
+        with tempfile.TemporaryDirectory() as folder, Operator(int(variables["ROS_DOMAIN_ID"])) as operator:
+            command = [*CLI, "launch", task, "--scene", scene, "--priority", str(PRIORITY), "--out", folder]
+            launch = Terminal(command, variables)
+            try:
+                wait(operator, lambda launch=launch: bool(launch.read()) and all_move(operator))
+                begun = time.time()
+                launch.type(" ")
+                taken.append(until_rest(operator, begun))
+            finally:
+                launch.end()
+    return taken
 
 
 def main() -> None:
     """See the module's text."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("task", nargs="?", default="surface_following")
-    parser.add_argument("--scene", default="plane")
+    parser.add_argument("--scene", default="two_arms")
     parser.add_argument("--loops", type=int, nargs="+", default=[0, 4])
     parser.add_argument("--times", type=int, default=20)
-    parser.add_argument("--ways", nargs="+", default=["cold", "ready", "key"])
-    arguments = parser.parse_args()
-    task = [arguments.task, "--scene", arguments.scene]
+    given = parser.parse_args()
+    what = given.task, given.scene, given.times
     print("| from | busy loops | times | median (ms) | largest (ms) |\n| --- | --- | --- | --- | --- |")
-    for loops in arguments.loops:
+    for loops in given.loops:
         others = busy(loops)
         try:
-            for way in arguments.ways:
-                taken = [1e3 * measure(way, task) for _ in range(arguments.times)]
-                middle, largest = np.median(taken), max(taken)
-                print(f"| {way} | {loops} | {len(taken)} | {middle:.0f} | {largest:.0f} |", flush=True)
+            for way, times in (
+                ("`tactile stop`", stopped_by_command(False, *what)),
+                ("`tactile stop --ready`", stopped_by_command(True, *what)),
+                ("space bar", stopped_by_key(*what)),
+            ):
+                ms = 1e3 * np.array(times)
+                print(f"| {way} | {loops} | {len(ms)} | {np.median(ms):.0f} | {ms.max():.0f} |", flush=True)
         finally:
             for other in others:
                 other.kill()

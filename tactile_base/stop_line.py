@@ -19,8 +19,9 @@ import stat
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from typing import NamedTuple
+
+# Whoever stops an arm waits for what is imported here: no dataclasses, no pathlib.
 
 STOP, ASK, _END = b"stop", b"ask", b"end"
 LOOK = 0.005  # s between two looks at an arm that somebody waits for
@@ -28,8 +29,7 @@ LONGEST = 4096  # bytes of an answer
 _NAME = re.compile(r"(\d+)-(\d+)-(\d+)")  # domain, process, number
 
 
-@dataclass(frozen=True)
-class Word:
+class Word(NamedTuple):
     """What an arm answers.
 
     Attributes
@@ -51,7 +51,7 @@ class Word:
     text: str
 
 
-def folder() -> Path:
+def folder() -> str:
     """Where the lines of this user's arms are; made for this user alone if it is not there.
 
     Raises
@@ -59,9 +59,10 @@ def folder() -> Path:
     PermissionError
         If somebody else has made it, or may write to it: what lies there is not to be believed.
     """
-    path = Path(os.environ.get("TACTILE_STOP_FOLDER") or f"/tmp/tactile_servoing-{os.getuid()}")
-    path.mkdir(mode=0o700, exist_ok=True)
-    found = path.lstat()
+    path = os.environ.get("TACTILE_STOP_FOLDER") or f"/tmp/tactile_servoing-{os.getuid()}"
+    with contextlib.suppress(FileExistsError):
+        os.mkdir(path, 0o700)
+    found = os.lstat(path)
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
         raise PermissionError(
             f"{path}: must be a folder that belongs to you and that nobody else may write to"
@@ -91,9 +92,9 @@ class StopLine:
     ) -> None:
         self.arm, self.domain = arm, domain
         self._stop, self._look = stop, look
-        self._path = folder() / f"{domain}-{os.getpid()}-{next(self._numbers)}"
+        self._path = os.path.join(folder(), f"{domain}-{os.getpid()}-{next(self._numbers)}")
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(self._path))
+        self._socket.bind(self._path)
         self._waiting: set[bytes | str] = set()
         self._thread = threading.Thread(target=self._serve, name=f"stop line of {arm}", daemon=True)
         self._thread.start()
@@ -101,9 +102,9 @@ class StopLine:
     def close(self) -> None:
         """Hang up."""
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own, contextlib.suppress(OSError):
-            own.sendto(_END, str(self._path))
+            own.sendto(_END, self._path)
         self._thread.join()
-        self._path.unlink(missing_ok=True)
+        _remove(self._path)
         self._socket.close()
 
     def _serve(self) -> None:
@@ -154,20 +155,25 @@ class StopCaller:
         while (left := end - time.monotonic()) > 0.0 and select.select([self._socket], [], [], left)[0]:
             yield Word(**json.loads(self._socket.recv(LONGEST)))
 
-    def _lines(self) -> list[Path]:
-        found = {path: _NAME.fullmatch(path.name) for path in self._folder.iterdir()}
+    def _lines(self) -> list[str]:
+        found = [name for name in map(_NAME.fullmatch, os.listdir(self._folder)) if name]
         wanted = None if self.domain is None else str(self.domain)
-        return sorted(path for path, name in found.items() if name and wanted in (None, name[1]))
+        return [os.path.join(self._folder, name[0]) for name in found if wanted in (None, name[1])]
 
-    def _send(self, what: bytes, path: Path) -> bool:
+    def _send(self, what: bytes, path: str) -> bool:
         try:
-            self._socket.sendto(what, socket.MSG_DONTWAIT, str(path))
+            self._socket.sendto(what, socket.MSG_DONTWAIT, path)
         except (ConnectionRefusedError, FileNotFoundError):  # its process was killed, or has just ended
-            path.unlink(missing_ok=True)
+            _remove(path)
             return False
         except BlockingIOError:  # full: its node stands still
             return True
         return True
+
+
+def _remove(path: str) -> None:
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(path)
 
 
 def arms_here(domain: int | None = None, timeout_s: float = 0.2) -> list[Word]:

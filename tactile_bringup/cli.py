@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import importlib
+import os
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from tactile_bringup.commands import stop
+if TYPE_CHECKING:
+    import argparse
 
 # Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
 COMMANDS = (
@@ -38,11 +41,16 @@ COMMANDS = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code of the process."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    if words[:1] == [
-        "stop"
-    ]:  # an arm may be about to break something: nothing else is loaded or checked first
-        return stop.main(words[1:])
-    return _main(words)
+    return _stop(words[1:]) if words[:1] == ["stop"] else _main(words)
+
+
+def _stop(words: Sequence[str]) -> int:
+    """An arm may be about to break something: nothing is checked or loaded first, and nobody waited for."""
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(os.sched_get_priority_max(os.SCHED_FIFO)))
+    from tactile_bringup.commands import stop
+
+    return stop.main(words)
 
 
 def _main(words: Sequence[str]) -> int:
@@ -75,6 +83,8 @@ def _main(words: Sequence[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    import argparse
+
     from tactile_base.version import version
 
     parser = argparse.ArgumentParser(

@@ -55,12 +55,19 @@ def run(arguments: argparse.Namespace) -> int:
     given = os.environ.get("ROS_DOMAIN_ID")
     with StopCaller(int(given) if given else None) as caller:
         if arguments.ready:
+            _take_time()
             return _stay_ready(caller, arguments.here)
         arms = _stop_here(caller)
+    _take_time()
     if not arguments.here:
         domains = {caller.domain} if caller.domain is not None else {domain for domain, _ in arms}
         _stop_elsewhere(domains or {0}, arms)
     return _judge(arms)
+
+
+def _take_time() -> None:
+    """What follows takes processor time that arms may need: no real-time priority for it."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 # ---- arms of this host ----

@@ -205,6 +205,17 @@ def test_an_arm_that_cannot_be_had_ends_the_process_with_the_reason(graph, bench
     assert process.returncode == 1 and complaint in told(graph)
 
 
+def test_a_second_node_of_an_arm_is_refused_and_names_the_first(graph, bench):
+    first = bench()
+    code = "from tactile_ros.nodes.arm_node import main; raise SystemExit(main())"
+    parameters = {"scene": graph.folder / "bench.yaml", "feels": False}
+    second = graph.start_code("second", code, parameters, wait=False)
+    assert graph.wait(lambda: second.poll() is not None) and second.returncode == 1
+    said = graph.log("second").read_text()
+    assert f"process {first.pid} is a node of /arm in ROS domain" in said and "already: end it first" in said
+    assert first.poll() is None
+
+
 def test_frames_of_a_camera_driver_become_images_and_the_latency_of_the_stage_camera(graph, bench):
     images = graph.collect(Image, "tactile/image", qos.IMAGE)
     latencies = graph.collect(StageLatency, "latency", qos.LATENCY)
