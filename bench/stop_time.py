@@ -115,7 +115,8 @@ class Nodes:
         end = time.monotonic() + PATIENCE
         while not holds():
             if time.monotonic() > end:
-                raise TimeoutError("it never held")
+                arms = [self._client.arm(plan.arm) for plan in self._graph.plans]
+                raise TimeoutError(f"it never held; {[f'{a.arm}: {a.last_word()}' for a in arms]}")
             self._client.spin(0.01)
 
     def move(self, operator: Operator) -> None:
@@ -140,6 +141,9 @@ class Nodes:
             arm = self._client.arm(plan.arm)
             self._turn(lambda arm=arm: arm.result() is not None)
             operator.reset(plan.arm)
+        seen = time.monotonic() + 0.3  # by the controllers, too
+        views = operator.arms.values()
+        wait(operator, lambda: not any(v.stopped for v in views) and time.monotonic() > seen)
 
     def close(self) -> None:
         """End them."""

@@ -15,13 +15,38 @@ Another package adds an entry in its own metadata, and nothing here has to chang
 from __future__ import annotations
 
 import importlib
+import traceback
 from collections.abc import Mapping
-from importlib.metadata import entry_points
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
 from tactile_base.settings import SettingError, unknown_name
 
 T = TypeVar("T")
+OURS = "tactile_servoing"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One thing that plugs in.
+
+    Attributes
+    ----------
+    name : str
+        As users say it.
+    place : str
+        "module:attribute".
+    package : str
+        The distribution that brings it.
+    shadowed_by : str
+        The one whose entry of that name is used in place of this; '' for none.
+    """
+
+    name: str
+    place: str
+    package: str
+    shadowed_by: str = ""
 
 
 class Registry(Generic[T]):
@@ -41,9 +66,20 @@ class Registry(Generic[T]):
         self.kind, self.group = kind, group
         self._builtin = dict(builtin)
 
+    def entries(self) -> list[Entry]:
+        """All that there is, this package's first; of one name the first is used, and shadows the others."""
+        own = [Entry(name, place, OURS) for name, place in self._builtin.items()]
+        others = [Entry(p.name, p.value, p.dist.name if p.dist else "?") for p in self._points()]
+        found: dict[str, Entry] = {}
+        listed = []
+        for entry in own + others:
+            first = found.setdefault(entry.name, entry)
+            listed.append(entry if first is entry else replace(entry, shadowed_by=first.package))
+        return listed
+
     def names(self) -> tuple[str, ...]:
         """All names that there are, this package's first."""
-        others = {point.name for point in entry_points(group=self.group)} - set(self._builtin)
+        others = {point.name for point in self._points()} - set(self._builtin)
         return (*self._builtin, *sorted(others))
 
     def load(self, name: str) -> T:
@@ -52,7 +88,7 @@ class Registry(Generic[T]):
         Raises
         ------
         SettingError
-            With the names that there are, or with what keeps an entry from being imported.
+            With the names that there are, or with what keeps an entry from being imported, and where.
         """
         place = self._builtin.get(name) or self._elsewhere(name)
         module, _, attribute = place.partition(":")
@@ -60,11 +96,28 @@ class Registry(Generic[T]):
             found: Any = importlib.import_module(module)
             for part in attribute.split("."):
                 found = getattr(found, part)
-        except (ImportError, AttributeError) as error:
-            raise SettingError(f"{self.kind} '{name}': {place} cannot be loaded: {error}") from error
+        except Exception as error:  # somebody else's module may raise anything
+            why = f"{in_short(error)} ({raised_at(error)})"
+            raise SettingError(f"{self.kind} '{name}': {place} cannot be loaded: {why}") from error
         return found
 
+    def _points(self) -> list[EntryPoint]:
+        return sorted(entry_points(group=self.group), key=lambda point: (point.name, point.value))
+
     def _elsewhere(self, name: str) -> str:
-        for point in entry_points(group=self.group, name=name):
-            return point.value
+        for point in self._points():
+            if point.name == name:
+                return point.value
         raise SettingError(f"{self.kind}: {unknown_name(name, list(self.names()))}")
+
+
+def in_short(error: BaseException) -> str:
+    """What an error says, with its kind unless that is said by its words."""
+    plain = isinstance(error, SettingError | ImportError | OSError)
+    return str(error) if plain and str(error) else f"{type(error).__name__}: {error}"
+
+
+def raised_at(error: BaseException) -> str:
+    """File and line where an error was raised."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{frame.filename}:{frame.lineno}"

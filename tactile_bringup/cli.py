@@ -34,6 +34,7 @@ COMMANDS = (
     "tactile_bringup.commands.cell",
     "tactile_bringup.commands.data",
     "tactile_bringup.commands.security",
+    "tactile_bringup.commands.plugins",
     "tactile_bringup.commands.doctor",
 )
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from tactile_base.console import say
+from tactile_base.registry import raised_at
+from tactile_base.settings import SettingError
 from tactile_base.yaml_file import name_and_value
 
 Run = Callable[[argparse.Namespace], int]
@@ -53,6 +56,15 @@ def in_words(error: Exception) -> str:
     return str(error)
 
 
+def _place_elsewhere(error: Exception) -> str:
+    """Where a plug-in, or a library, has raised an error that was not written for the user; else ''."""
+    if isinstance(error, SettingError | OSError):
+        return ""
+    ours = Path(__file__).resolve().parents[2]
+    place = raised_at(error)
+    return "" if place.startswith(str(ours / "tactile_")) else f" ({place})"
+
+
 def refusing(command: str, *others: type[Exception], status: int = 1) -> Callable[[Run], Run]:
     """Decorator of what runs a command: wrong input becomes a message and the exit status of that.
 
@@ -73,7 +85,7 @@ def refusing(command: str, *others: type[Exception], status: int = 1) -> Callabl
                 say(console, f"tactile {command} needs {error.name}: pip install 'tactile_servoing[train]'")
                 return 2
             except wrong as error:
-                say(console, f"tactile {command}: {in_words(error)}", "red")
+                say(console, f"tactile {command}: {in_words(error)}{_place_elsewhere(error)}", "red")
                 return status
 
         return refused

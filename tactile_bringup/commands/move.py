@@ -98,6 +98,8 @@ def chosen_goal(arguments: argparse.Namespace, arm: ArmScene) -> MoveGoal:
     if len(numbers) not in (3, 6):
         raise ValueError(f"--to: must be 3 or 6 numbers, these are {len(numbers)}")
     goal = MoveGoal(tuple(numbers[:3].tolist()), tuple(numbers[3:].tolist()))
-    if goal.rotation_deg and arm.kinematics is not None:
-        arm.kinematics.reach(goal.pose_from(np.eye(4)), arm.kinematics.ready)
+    if (
+        arm.kinematics is not None
+    ):  # without a rotation it keeps that which it has, in its cell that of its start
+        arm.kinematics.reach(goal.pose_from(arm.T_base_start), arm.kinematics.ready)
     return goal

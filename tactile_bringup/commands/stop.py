@@ -52,15 +52,20 @@ def _add_options(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; 0: arms were found, and every one was seen at rest."""
-    given = os.environ.get("ROS_DOMAIN_ID")
-    with StopCaller(int(given) if given else None) as caller:
-        if arguments.ready:
-            _take_time()
-            return _stay_ready(caller, arguments.here)
-        arms = _stop_here(caller)
+    given = os.environ.get("ROS_DOMAIN_ID", "")
+    domain = int(given) if given.isdigit() else None
+    arms: Arms = {}
+    try:
+        with StopCaller(domain) as caller:
+            if arguments.ready:
+                _take_time()
+                return _stay_ready(caller, arguments.here)
+            arms = _stop_here(caller)
+    except OSError as error:  # of the folder: then there is ROS
+        print(f"tactile stop: {error}", file=sys.stderr)
     _take_time()
     if not arguments.here:
-        domains = {caller.domain} if caller.domain is not None else {domain for domain, _ in arms}
+        domains = {found for found, _ in arms} if domain is None else {domain}
         _stop_elsewhere(domains or {0}, arms)
     return _judge(arms)
 

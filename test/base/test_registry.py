@@ -15,12 +15,13 @@ GROUP = "tactile_servoing.test_things"
 def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A package that is installed beside ours and brings an entry."""
     (tmp_path / "other_things.py").write_text("class Thing:\n    pass\n")
+    (tmp_path / "other_slip.py").write_text("SPEED = 1.0\nLIMIT = float('fast')\n")
     info = tmp_path / "other_things-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-things\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
         f"[{GROUP}]\nthing = other_things:Thing\nbroken = other_things:Missing\n"
-        "settings = other_things:Thing\n"
+        "settings = other_things:Thing\nslip = other_slip:Thing\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "other_things", raising=False)
@@ -39,7 +40,7 @@ def test_an_entry_of_this_package_is_loaded_by_its_name(registry: Registry[type]
 
 def test_another_package_adds_entries_without_a_change_here(registry: Registry[type], other_package: None):
     assert registry.load("thing").__name__ == "Thing"
-    assert registry.names() == ("settings", "broken", "thing")
+    assert registry.names() == ("settings", "broken", "slip", "thing")
 
 
 def test_another_package_cannot_replace_an_entry_of_this_one(registry: Registry[type], other_package: None):
@@ -56,3 +57,21 @@ def test_an_entry_that_cannot_be_imported_says_where_it_should_be(
 ):
     with pytest.raises(SettingError, match=r"thing 'broken': other_things:Missing cannot be loaded"):
         registry.load("broken")
+
+
+def test_an_error_in_somebody_elses_module_has_its_file_and_line(
+    registry: Registry[type], other_package: None
+):
+    with pytest.raises(SettingError, match=r"ValueError: could not convert .*'fast' \(.*other_slip.py:2\)"):
+        registry.load("slip")
+
+
+def test_entries_say_whose_they_are_and_what_shadows_them(registry: Registry[type], other_package: None):
+    found = {(entry.package, entry.name): entry.shadowed_by for entry in registry.entries()}
+    assert found == {
+        ("tactile_servoing", "settings"): "",
+        ("other-things", "settings"): "tactile_servoing",
+        ("other-things", "thing"): "",
+        ("other-things", "broken"): "",
+        ("other-things", "slip"): "",
+    }

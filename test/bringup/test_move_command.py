@@ -50,6 +50,7 @@ def asked(tmp_path, monkeypatch):
         ("--to nan 0 0.2", "", "position[0]: is not a number"),
         ("--to 0.3 0 0.2 --arm left", "", "--arm: unknown name 'left'; valid: arm"),
         ("--to 0.6 0 0.3 0 -90 0", KNOWN, "out of reach of the ur5e"),
+        ("--to 1.5 0 0.3", KNOWN, "out of reach of the ur5e"),
     ],
 )
 def test_a_pose_out_of_bounds_is_refused_before_anything_starts(asked, capsys, words, more, complaint):
