@@ -182,6 +182,8 @@ def stopped_by_command(ready: bool, task: str, scene: str, times: int) -> list[f
                     begun = time.time()
                     terminal.type(" ")
                     taken.append(until_rest(operator, begun))
+                    said = len(operator.arms) * (len(taken))
+                    wait(operator, lambda said=said: terminal.read().count("rests after") >= said)
                 else:
                     begun = time.time()
                     with subprocess.Popen([*CLI, "stop", "--here"], env=variables, stdout=subprocess.DEVNULL):

@@ -226,7 +226,6 @@ def _range(descriptor: Any) -> str:
 
 def _goal(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
     from tactile_base.end_signals import signals_into
-    from tactile_msgs.action import RunTask
 
     operator.find(FIND)
     names = [arguments.arm] if arguments.arm else [n for n, view in operator.arms.items() if view.controller]
@@ -237,9 +236,8 @@ def _goal(arguments: argparse.Namespace, operator: Operator, console: Console) -
         raise ValueError(f"/{view.name} has no controller that takes goals")
     signals: list[int] = []
     signals_into(signals)
-    goal = RunTask.Goal(
-        task=view.controller.task, name=arguments.name, goal=arguments.goal, settings=arguments.settings
-    )
+    words = {"task": view.controller.task, "name": arguments.name}
+    words |= {"goal": arguments.goal, "settings": arguments.settings}
     said: list[str] = []
 
     def hear(feedback: Any) -> None:
@@ -248,7 +246,7 @@ def _goal(arguments: argparse.Namespace, operator: Operator, console: Console) -
             said.append(text)
             _say(console, f"{text} ({100 * feedback.progress:.0f} %)")
 
-    result = operator.run_goal(view.name, goal, hear, lambda: bool(signals))
+    result = operator.run_goal(view.name, words, hear, lambda: bool(signals))
     ended = "done" if result.success else f"failed: {result.reason}"
     _say(console, f"{ended} ({1e3 * result.path_length:.0f} mm)", "green" if result.success else "red")
     return 0 if result.success else 128 + signals[0] if signals else 1

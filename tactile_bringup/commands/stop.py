@@ -144,13 +144,14 @@ class _Others:
             operator.stop()
 
     def stop_all(self, seconds: float, arms: Arms, search: bool) -> None:
-        """Publish /estop again and again; tells of arms that come to rest, and puts all into `arms`.
+        """Publish /estop to whoever is found; tells of arms that come to rest, and puts all into `arms`.
 
         With `search` all of that time is used, to find more.
         """
         here, end = set(arms), time.monotonic() + seconds
         while time.monotonic() < end:
-            self.stop()
+            for operator in self._operators.values():
+                operator.stop_new()
             self.look()
             for key, view in self._views():
                 if key not in here and arms.get(key) != "":

@@ -80,6 +80,7 @@ class Operator(GraphClient):
         self.nodes: dict[str, NodeView] = {}
         self._estop = self._node.create_publisher(Bool, topics.ESTOP.name, STATE)
         self._node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_report, DIAGNOSTICS)
+        self._told = 0  # how many heard the last /estop
         self._actions: list[ActionClient] = []
 
     def close(self) -> None:
@@ -151,8 +152,14 @@ class Operator(GraphClient):
     # ---- acting ----
 
     def stop(self) -> None:
-        """Publish /estop once, which reaches those that are known by now."""
+        """Publish /estop, which reaches those that are known by now."""
+        self._told = self._estop.get_subscription_count()
         self._estop.publish(Bool(data=True))
+
+    def stop_new(self) -> None:
+        """Publish /estop if somebody hears it by now who did not before: others may have been reset since."""
+        if self._estop.get_subscription_count() > self._told:
+            self.stop()
 
     def reset(self, arm: str) -> str:
         """Let an arm move again; returns what it answers, raises `OperatorError` with why it does not."""
@@ -169,9 +176,10 @@ class Operator(GraphClient):
         return len(answer.goals_canceling)
 
     def run_goal(
-        self, arm: str, goal: RunTask.Goal, hear: Callable[[Any], None], ends: Callable[[], bool]
+        self, arm: str, words: dict[str, str], hear: Callable[[Any], None], ends: Callable[[], bool]
     ) -> Any:
-        """Send a goal and wait for its result; where it `ends` early, cancel it and wait for that."""
+        """Send a goal, the `words` of RunTask, and wait for its result; where it `ends` early, cancel it."""
+        goal = RunTask.Goal(**words)
         client: Any = ActionClient(self._node, RunTask, f"/{arm}/{topics.RUN_TASK}")
         self._actions.append(client)
         self._wait(client.server_is_ready, f"/{arm} has no action {topics.RUN_TASK}")
@@ -224,7 +232,7 @@ class Operator(GraphClient):
     # ---- waiting ----
 
     def _ask(self, service_type: type, name: str, request: Any, timeout_s: float = ANSWER) -> Any:
-        client = self._node.create_client(service_type, name)
+        client: Any = self._node.create_client(service_type, name)
         self._wait(client.service_is_ready, f"no service {name}")
         return self._result(client.call_async(request), timeout_s)
 
