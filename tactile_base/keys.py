@@ -37,12 +37,12 @@ class Keys:
         return self._fd >= 0
 
     def pressed(self, timeout_s: float = 0.0) -> str:
-        """The next key, waiting for so long at most; '' for none."""
+        """The keys since the last call, waiting for so long at most for the first; '' for none."""
         if not self.there or not self._foreground(self._fd):
             return ""
         if not select.select([self._fd], [], [], timeout_s)[0]:
             return ""
-        return os.read(self._fd, 16).decode(errors="replace")  # all of one key, as an arrow's three bytes
+        return os.read(self._fd, 16).decode(errors="replace")
 
     @staticmethod
     def _foreground(fd: int) -> bool:

@@ -185,11 +185,15 @@ class SafeArm:
     def reset(self) -> None:
         """Leave an emergency stop, an alarm and a fault; the arm moves no earlier than after a zero command.
 
+        An arm that is in none of these goes on as it is.
+
         Raises
         ------
         RuntimeError
             If the arm cannot leave its fault, or does not rest, with the reason.
         """
+        if not (self._estop or self._fault or self.alarm):
+            return
         driver, fault, estops = self.driver, self._fault, self._estops
         with self._lock:
             if self._watch.alarm and self._watch.moves and not self.bad_state:

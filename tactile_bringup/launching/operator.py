@@ -111,9 +111,14 @@ class Operator(GraphClient):
             known = len(self.arms) + len(self.node_names())
             if known != count:
                 count, since = known, time.monotonic()
-            spoke = bool(self.arms) and all(view.status is not None for view in self.arms.values())
+            spoke = bool(self.arms) and all(map(self._has_spoken, self.arms.values()))
             if enough is None and spoke and time.monotonic() - since > SETTLED:
                 return
+
+    def _has_spoken(self, view: ArmView) -> bool:
+        """Whether the arm has, and its controller, where it has one."""
+        controllers = self._node.count_publishers(topics.CONTROLLER_STATUS.of(view.name).name)
+        return view.status is not None and (view.controller is not None or not controllers)
 
     def chosen(self, names: Sequence[str]) -> list[ArmView]:
         """The arms of these names, or all of them.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import Progress as TaskProgress
 
 KEYS = "space stops all arms at once; Ctrl-C ends the task and brings them to rest"
-STOP_KEYS = (" ", "s", "\x1b")  # Escape, too
+STOP_KEYS = frozenset(" s\x1b")  # Escape, too, with which other keys begin
 LINE_PERIOD = 2.0  # s between plain lines of one phase
 MM, DEGREES, MS = 1e3, 180.0 / math.pi, 1e3
 #: Phases before the first sample, which say nothing of the pace.
@@ -44,7 +44,7 @@ class Display(Progress):
 
     def stop_wanted(self) -> bool:
         """Whether a key that stops all arms was pressed since the last look."""
-        return self._keys.pressed() in STOP_KEYS
+        return not STOP_KEYS.isdisjoint(self._keys.pressed())
 
     def show(self, arm: str, label: str, progress: TaskProgress) -> None:
         """Show how far an arm is with the goal of that label."""

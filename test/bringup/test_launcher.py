@@ -249,36 +249,46 @@ def in_terminal(tmp_path):
         fake(tmp_path, seconds=60), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         preexec_fn=take_terminal, env={**os.environ, "PYTHONPATH": PATHS},
     )  # fmt: skip
-    os.close(theirs)
-    terminal = os.fdopen(ours, "r+b", buffering=0)
-    read_until(terminal, b"arm: follow")
+    terminal = Terminal(ours, theirs)
+    terminal.read_until("arm: follow")
     yield process, terminal
     process.kill()
     process.wait()
+    os.close(theirs)
 
 
-def read_until(terminal, wanted: bytes) -> None:
-    shown = b""
-    while wanted not in shown:
-        shown += terminal.read(65536)
+class Terminal:
+    """Both ends of a terminal, and what was shown in it."""
+
+    def __init__(self, ours: int, theirs: int) -> None:
+        self.ours, self.theirs, self.shown = ours, theirs, ""
+
+    @property
+    def gives_lines(self) -> bool:
+        """Whether what is typed comes by the line, as a shell leaves it, and not by the key."""
+        return bool(termios.tcgetattr(self.theirs)[3] & termios.ICANON)
+
+    def read_until(self, wanted: str) -> None:
+        while wanted not in self.shown:
+            self.shown += os.read(self.ours, 65536).decode()
 
 
 def test_a_terminal_that_is_closed_ends_a_launch_in_order(in_terminal, tmp_path):
     process, terminal = in_terminal
-    terminal.close()
+    os.close(terminal.ours)
     assert process.wait(60) == 128 + signal.SIGHUP
     assert "cancel requested" in (tmp_path / "logs" / "arm.cell.log").read_text()
 
 
 def test_a_key_in_the_launchs_terminal_stops_all_arms_and_the_terminal_is_left_as_it_was(in_terminal):
     process, terminal = in_terminal
-    assert not termios.tcgetattr(terminal)[3] & termios.ICANON
-    terminal.write(b"x")  # no key of ours
-    terminal.write(b" ")
-    read_until(terminal, b"emergency stop of all arms")
-    read_until(terminal, b"stopped: the arm rests")
-    assert process.wait(60) == 1
-    assert termios.tcgetattr(terminal)[3] & termios.ICANON
+    assert not terminal.gives_lines
+    os.write(terminal.ours, b"x")  # no key of ours
+    os.write(terminal.ours, b" ")
+    terminal.read_until("stopped: the arm rests")
+    assert "emergency stop of all arms" in terminal.shown
+    assert process.wait(60) == 1 and terminal.gives_lines
+    os.close(terminal.ours)
 
 
 def test_a_launch_runs_within_the_limits_that_it_asks_for(start):
