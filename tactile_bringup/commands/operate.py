@@ -102,10 +102,16 @@ def _reset(arguments: argparse.Namespace, operator: Operator, console: Console) 
 
 
 def _cancel(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
-    for view in _arms(arguments.arms, operator):
+    _find_controllers(operator)
+    for view in operator.chosen(arguments.arms):
         count = operator.cancel(view.name) if view.controller is not None else 0
         _say(console, f"/{view.name}: {'its goal ends: it stops and retreats' if count else 'no goal runs'}")
     return 0
+
+
+def _find_controllers(operator: Operator) -> None:
+    """Find the arms, and the controller of each, which may be found later than its arm."""
+    operator.find(FIND, lambda: bool(operator.arms) and all(v.controller for v in operator.arms.values()))
 
 
 def _arms(names: list[str], operator: Operator) -> list[ArmView]:
@@ -227,7 +233,7 @@ def _range(descriptor: Any) -> str:
 def _goal(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
     from tactile_base.end_signals import signals_into
 
-    operator.find(FIND)
+    _find_controllers(operator)
     names = [arguments.arm] if arguments.arm else [n for n, view in operator.arms.items() if view.controller]
     view = operator.chosen(names)[0]
     if len(names) > 1:
