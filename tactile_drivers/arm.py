@@ -47,6 +47,11 @@ class ArmMode(IntEnum):
     ESTOP = 4
 
 
+def is_at_rest(twist: ArrayLike) -> bool:
+    """Whether speeds (6,), m/s and rad/s, are those of an arm that does not move; NaN is not."""
+    return bool((np.abs(twist) < AT_REST).all())
+
+
 @dataclass(frozen=True)
 class ArmLimits(Settings):
     """Limits of commands by their norms, and of velocity, acceleration and jerk on each axis of the frame.

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import AT_REST, ArmLimits, ArmMode, ArmState
+from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, is_at_rest
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, vector_of
 from tactile_drivers.scene import ArmScene
@@ -393,7 +393,7 @@ class FrankaArm:
             return self._fault_mode
         if self._moving and self._twist.any():
             return ArmMode.MOVING
-        if (np.abs(twist) < AT_REST).all():
+        if is_at_rest(twist):
             return ArmMode.RESTING
         return ArmMode.MOVING if self._moving else ArmMode.STOPPING
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
@@ -10,6 +12,7 @@ from rclpy.signals import SignalHandlerOptions
 from tactile_ros.discovery import use_dds_profile
 from tactile_ros.managed_node import make_executor
 
+G = TypeVar("G", bound="GraphClient")
 BACKLOG = 10  # events handled at once after the first
 
 
@@ -31,7 +34,7 @@ class GraphClient:
         self._executor = make_executor(self._context)
         self._executor.add_node(self._node)
 
-    def __enter__(self):  # type: ignore[no-untyped-def]
+    def __enter__(self: G) -> G:
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
@@ -21,7 +20,7 @@ from std_srvs.srv import Trigger
 from tactile_base import topics
 from tactile_base.settings import unknown_name
 from tactile_bringup.launching.graph_client import GraphClient
-from tactile_drivers.arm import AT_REST
+from tactile_drivers.arm import is_at_rest
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
 from tactile_ros.qos import DIAGNOSTICS, STATE
@@ -51,9 +50,7 @@ class ArmView:
     def stopped(self) -> bool:
         """Whether the arm is in emergency stop and its twist is zero."""
         return (
-            self.status is not None
-            and self.status.mode == ArmStatus.ESTOP
-            and bool((np.abs(self.status.twist) < AT_REST).all())
+            self.status is not None and self.status.mode == ArmStatus.ESTOP and is_at_rest(self.status.twist)
         )
 
     @property

@@ -7,7 +7,6 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.action.client import ActionClient
@@ -18,7 +17,7 @@ from tactile_base import topics
 from tactile_base.node_topics import CLIENT
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_control.task_file import NamedGoal
-from tactile_drivers.arm import AT_REST
+from tactile_drivers.arm import is_at_rest
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
 from tactile_ros.qos import LATENCY, STATE
@@ -265,5 +264,5 @@ class ArmTask:
 def _rests(status: ArmStatus) -> bool:
     """Whether an arm says that it is at rest: by its mode, or in one that says nothing of it by its twist."""
     if status.mode in (ArmStatus.FAULT, ArmStatus.ESTOP):
-        return bool((np.abs(status.twist) < AT_REST).all())
+        return is_at_rest(status.twist)
     return bool(status.mode == ArmStatus.RESTING)

@@ -34,7 +34,7 @@ from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_base.stop_line import StopLine, arms_here
-from tactile_drivers.arm import AT_REST, Arm, ArmMode, ArmState, open_arm
+from tactile_drivers.arm import Arm, ArmMode, ArmState, is_at_rest, open_arm
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.safety import SafeArm
@@ -350,7 +350,7 @@ class ArmNode(ManagedNode):
         state, silence = self.safe.state, self._silence()
         if state is None or silence:
             return False, silence or "it has told nothing of itself yet"
-        rests = state.mode is ArmMode.ESTOP and bool((np.abs(state.twist) < AT_REST).all())
+        rests = state.mode is ArmMode.ESTOP and is_at_rest(state.twist)
         text = f"{state.mode.name.lower()}: {state.reason}" if state.reason else state.mode.name.lower()
         return rests and not self.safe.alarm, text
 
