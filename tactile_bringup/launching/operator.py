@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from action_msgs.srv import CancelGoal
@@ -26,8 +26,8 @@ from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
 from tactile_ros.qos import DIAGNOSTICS, STATE
 
 ENCLAVE = "/operator"
-ANSWER = 10.0  # s, for a service to answer; a reset of an arm's protective stop takes its time
-RESET_ANSWER = 30.0
+ANSWER = 10.0  # s, for a service to answer
+RESET_ANSWER = 30.0  # s; to leave a fault of an arm takes its time
 SETTLED = 1.0  # s without anything new after which all that is there counts as found
 SPIN = 0.01  # s
 
@@ -65,7 +65,6 @@ class NodeView:
 
     level: int = 0
     message: str = ""
-    values: dict[str, str] = field(default_factory=dict)
 
 
 class Operator(GraphClient):
@@ -143,8 +142,7 @@ class Operator(GraphClient):
     def _on_report(self, message: DiagnosticArray) -> None:
         for status in message.status:
             level = status.level if isinstance(status.level, int) else status.level[0]
-            values = {item.key: item.value for item in status.values}
-            self.nodes[status.name] = NodeView(level, status.message, values)
+            self.nodes[status.name] = NodeView(level, status.message)
 
     def troubles(self) -> list[str]:
         """What nodes complain about, each with its node."""
