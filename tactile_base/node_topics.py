@@ -18,6 +18,7 @@ GET_STATE = "get_state"
 NODE_SERVICES = (*_PARAMETERS, *_SET, *_LIFECYCLE, GET_STATE)
 #: Who starts a task (`tactile launch`, `tactile run`): a plain node, which hears what arms do.
 CLIENT = "/tactile_launch"
+LAUNCH_LOG = "tactile_launch"  # what it is called in /rosout
 TRANSITION_EVENT = "transition_event"  # below the node's name
 
 

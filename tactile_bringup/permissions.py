@@ -74,8 +74,7 @@ def enclaves(graph: Graph, scene: Scene) -> dict[str, list[Profile]]:
         for person in (client, operator):
             person.call.add(f"/{arm}/{topics.RUN_TASK}")
     client.request = {f"{_full(node)}/{GET_STATE}" for node in nodes}
-    client.publish = {topics.ESTOP.name, topics.PARAMETER_EVENTS.name}
-    operator.publish = {topics.ESTOP.name, topics.PARAMETER_EVENTS.name, topics.ROSOUT.name}
+    client.publish = operator.publish = {topics.ESTOP.name, topics.PARAMETER_EVENTS.name, topics.ROSOUT.name}
     operator.subscribe = set().union(*(node.publish for node in nodes))
     operator.request = set().union(*(node.reply for node in nodes))
     for person in (client, operator):

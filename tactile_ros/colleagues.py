@@ -27,6 +27,8 @@ _NUMBER = re.compile(r"[-+]?\d[\d.e+-]*")
 #: Between the exposure of an image and a motion, in this order, below the arm's namespace.
 _CHAIN = ("camera", "estimator", "filter", "arm")
 _NEW = 5.0  # s; what is complained about for longer has done no harm before
+_LOST = re.compile(r"\d+ lost so far")  # of single messages: no reason for an input that does not come at all
+_SILENT = 1.2  # s; every node reports once a second
 
 
 class Upstream:
@@ -37,17 +39,23 @@ class Upstream:
         self._names = [f"{namespace}/{name}" for name in _CHAIN]
         self._marks = [name.encode() + b"\0" for name in self._names]
         self._said: dict[str, _Complaint] = {}
+        self._heard: dict[str, float] = {}
         self._fields = type_fields(topics.DIAGNOSTICS.type)
         node.subscribe(DiagnosticArray, topics.DIAGNOSTICS.name, self._take, DIAGNOSTICS, raw=True)
 
     @property
     def cause(self) -> str:
-        """The most likely reason for an input that is missing, and whose; empty where nobody complains.
+        """The most likely reason for an input that is missing, and whose; empty where it is not known.
 
-        Of complaints that are new the first on the way from the image to the arm, else of all others.
+        A node that says nothing at all any more, being held up or dead; else of complaints that are new the
+        first on the way from the image to the arm; else of all others.
         """
+        now = time.monotonic()
+        for name, heard in self._heard.items():
+            if now - heard > _SILENT:
+                return f"{name} has not been heard of for {now - heard:.1f} s"
         found = [self._said[name] for name in self._names if name in self._said]
-        new = [complaint for complaint in found if time.monotonic() - complaint.since_s < _NEW]
+        new = [complaint for complaint in found if now - complaint.since_s < _NEW]
         return next((complaint.text for complaint in new or found), "")
 
     def _take(self, data: bytes) -> None:
@@ -64,7 +72,9 @@ class Upstream:
 
     def _hear(self, name: str, message: str, complains: bool) -> None:
         before, kind = self._said.pop(name, None), _NUMBER.sub("", message)
-        if complains:
+        self._heard[name] = time.monotonic()
+        message = "; ".join(part for part in message.split("; ") if not _LOST.search(part))
+        if complains and message:
             goes_on = before is not None and before.kind == kind
             since_s = before.since_s if before is not None and goes_on else time.monotonic()
             self._said[name] = _Complaint(f"{name}: {message}", kind, since_s)

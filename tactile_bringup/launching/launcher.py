@@ -121,6 +121,8 @@ class Launcher:
                 if isinstance(end, Interrupted):
                     self.display.say(f"{end}: bringing the arm to rest (again to hurry)", "yellow")
             finally:
+                if self._runner is not None and outcome.reason:
+                    self._runner.client.note(outcome.reason)
                 reports = self._stop(group, outcome)
             self._judge([report for report in reports if report.name != dead], outcome)
         shared_memory.remove_orphans(started_ns)

@@ -9,18 +9,19 @@ from typing import Any
 
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
+from rcl_interfaces.msg import Log
 from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from std_msgs.msg import Bool
 
 from tactile_base import topics
-from tactile_base.node_topics import CLIENT
+from tactile_base.node_topics import CLIENT, LAUNCH_LOG
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_control.task_file import NamedGoal
 from tactile_drivers.arm import is_at_rest
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
-from tactile_ros.qos import LATENCY, STATE
+from tactile_ros.qos import LATCHED, LATENCY, STATE
 from tactile_ros.task_messages import goal_message
 
 CONTROLLER_STAGE = "controller"
@@ -108,8 +109,14 @@ class TaskClient(GraphClient):
     def __init__(self, domain_id: int) -> None:
         super().__init__(CLIENT, domain_id)
         self._estop = self._node.create_publisher(Bool, topics.ESTOP.name, STATE)
+        self._log = self._node.create_publisher(Log, topics.ROSOUT.name, LATCHED)
         self._states: dict[str, _NodeState] = {}
         self._arms: dict[str, ArmTask] = {}
+
+    def note(self, reason: str) -> None:
+        """Have recordings know why a run ends that its nodes cannot know it of."""
+        stamp = self._node.get_clock().now().to_msg()
+        self._log.publish(Log(stamp=stamp, level=Log.ERROR, name=LAUNCH_LOG, msg=reason))
 
     def stop_arms(self) -> None:
         """An emergency stop of all arms."""

@@ -17,6 +17,7 @@ from tactile_filter import se3
 from tactile_filter.gaussian import left_from_ros
 from tactile_records.bags.contents import noted
 from tactile_records.bags.reader import Bag, read_bag
+from tactile_records.runs.ending import ending
 from tactile_records.runs.record import BodySeries, RunRecord, Series, StageSeries
 from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
 
@@ -24,7 +25,6 @@ Array = NDArray[Any]
 R = TypeVar("R")
 S = TypeVar("S", bound=Series)
 
-DONE = "done"
 STAGES = ("camera", "estimator", "filter", "controller", "arm")
 GATED, PREDICTED_ONLY, INVALID = 4, 2, 32  # flags of tactile_msgs/ContactState
 
@@ -66,7 +66,7 @@ def run_from_bag(bag: Bag, arm: str) -> RunRecord:
         setattr(record, stream, rows.series(type(getattr(record, stream)), topic, row))
     record.latency, record.lost = _latency(rows)
     problem = _add_bodies(record, bag)
-    record.result = _result(bag, record) | ({"surface_problem": problem} if problem else {})
+    record.result = ending(bag, record) | ({"surface_problem": problem} if problem else {})
     return record
 
 
@@ -178,7 +178,7 @@ def _presence_row(message: Any) -> dict[str, Any]:
 
 
 def _command_row(message: Any) -> dict[str, Any]:
-    same = ("unlimited", "error", "feedforward", "reference", "phase", "goal")
+    same = ("unlimited", "error", "feedforward", "reference", "phase", "goal", "reason")
     return {
         "stamp_ns": stamp_of(message),
         "twist": message.limited,
@@ -257,20 +257,6 @@ def _body_series(bag: Bag, frame: str) -> BodySeries:
                 rows.append((_ns(transform.header.stamp), T))
     rows.sort(key=lambda row: row[0])
     return BodySeries(*map(np.array, zip(*rows, strict=True))) if rows else BodySeries()
-
-
-def _result(bag: Bag, record: RunRecord) -> dict[str, Any]:
-    """Whether every goal was reached, as far as the bag knows."""
-    result: dict[str, Any] = {"bag_complete": bag.complete}
-    if not bag.complete:
-        result["bag_problem"] = bag.problem
-    if bag.messages:
-        result["wall_s"] = (bag.messages[-1].received_ns - bag.messages[0].received_ns) * 1e-9
-    phases = {index: record.command.phase[record.command.goal == index] for index in range(len(record.goals))}
-    unfinished = [record.goals[index] for index, phase in phases.items() if DONE not in phase]
-    result["succeeded"] = bool(record.goals) and not unfinished
-    result["reason"] = f"goal {unfinished[0]} was not reached" if unfinished else ""
-    return result
 
 
 def arms_of(bag: Bag) -> list[str]:

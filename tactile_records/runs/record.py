@@ -116,6 +116,7 @@ class CommandSeries(Series):
     phase: Array = _array(dtype=np.dtype("U16"))
     goal: Array = _array(dtype=np.int64)  # index of the goal among the arm's, from 0
     exposure_ns: Array = _array(dtype=np.int64)  # stamp of the belief used; 0 for none
+    reason: Array = _array(dtype=np.dtype("U64"))  # why it is in that phase; '' where that says it all
 
 
 @dataclass

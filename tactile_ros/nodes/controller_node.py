@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,14 @@ from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import STATE as STATE_TOPIC
 from tactile_control.partners import Partners
-from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
+from tactile_control.phases import (
+    FAILED,
+    Command,
+    PhaseMachine,
+    StampedPose,
+    StampedPresence,
+    TaskInputs,
+)
 from tactile_control.tasks import TASKS
 from tactile_drivers.arm import WorkspaceSettings
 from tactile_filter import se3
@@ -247,8 +254,11 @@ class ControllerNode(TaskNode):
         return GoalRun(handle=handle, task=task, started_ns=self.now_ns(), message=message)
 
     def finish_run(self, reason: str, succeeded: bool) -> None:
-        """End the run, and warn of a failure."""
+        """End the run, and warn of a failure; the status tells also of one that is none of the task's."""
         super().finish_run(reason, succeeded)
+        if self.last is not None and not self.last.done:
+            self.last = replace(self.last, phase=FAILED, reason=reason)
+            self._publish_status(self.now_ns(), self.last, ZERO)
         if not succeeded:
             self.warn("task", f"'{self.goal_name}' failed: {reason}", period=0.0)
 

@@ -67,3 +67,20 @@ def test_other_arms_and_other_nodes_are_not_listened_to(node, upstream):
     say(node, "/other/camera", "the device is gone")
     say(node, "/arm/recorder", "the disk is full")
     assert upstream.cause == ""
+
+
+def test_single_images_that_were_lost_are_no_reason_for_none_at_all(node, upstream):
+    say(node, "/arm/estimator", "tactile/image: 115 lost so far, 1 just now")
+    assert upstream.cause == ""
+    say(node, "/arm/estimator", "tactile/image: 115 lost so far, 1 just now; the model is gone")
+    assert upstream.cause == "/arm/estimator: the model is gone"
+
+
+def test_a_node_that_says_nothing_any_more_is_named(node, upstream, clock):
+    say(node, "/arm/estimator", "active", OK)
+    say(node, "/arm/filter", "active", OK)
+    clock[0] += 1.0
+    say(node, "/arm/filter", "contact/estimate: no message for 0.31 s")
+    assert upstream.cause == "/arm/filter: contact/estimate: no message for 0.31 s"
+    clock[0] += 0.3
+    assert upstream.cause == "/arm/estimator has not been heard of for 1.3 s"
