@@ -87,6 +87,8 @@ setup(
         ("bin", ["scripts/tactile"]),
         *shared_files("launch", "*.launch.py"),
         *shared_files("config", "*"),
+        *shared_files("tactile_msgs", "*.msg"),  # for bags, also where the messages are not built
+        *shared_files("tactile_msgs", "*.action"),
     ],
     entry_points={
         "console_scripts": [

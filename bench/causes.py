@@ -102,7 +102,16 @@ def show(cause: str, arguments: argparse.Namespace) -> None:
     domain = free_domain_id()
     with tempfile.TemporaryDirectory() as folder, Person(domain) as person:
         person.folder = Path(folder)
-        command = [*CLI, "launch", arguments.task, "--scene", arguments.scene, "--headless"]
+        command = [
+            *CLI,
+            "launch",
+            arguments.task,
+            "--scene",
+            arguments.scene,
+            "--headless",
+            "--priority",
+            "20",
+        ]
         command += ["--out", f"{folder}/run", "--record", f"{folder}/bag"]
         with Path(f"{folder}/screen").open("w") as screen:
             launch = subprocess.Popen(
@@ -133,7 +142,8 @@ def wait_until_at_work(person: Person, seconds: float) -> None:
     end, since = time.monotonic() + PATIENCE, None
     while since is None or time.monotonic() - since < seconds:
         if time.monotonic() > end:
-            raise TimeoutError("the task never came to its work")
+            said = (person.folder / "screen").read_text()
+            raise TimeoutError(f"the task never came to its work:\n{said}")
         person.look()
         view = person.arms.get(ARM)
         if since is None and view is not None and view.controller is not None and view.controller.at_work:

@@ -1,15 +1,27 @@
 #!/usr/bin/env bash
 # Build what changed with colcon into install/: first the interface packages, then the Python package with its C code.
+# build.sh --check: build nothing; exit with 1 if there is something to build.
 set -euo pipefail
 . "$(dirname "$0")/common.sh"
 . scripts/env.sh
-lock build
 
 shopt -s extglob
 packages=(tactile_!(msgs|*.egg-info))
 interfaces=(tactile_msgs)
 # Wheels of tf2_msgs do not exist yet; where they do, the real package is used.
 [ -d .venv/share/tf2_msgs ] || interfaces+=(deps/tf2_msgs)
+
+# What was built with another Python, or before the folder moved, holds the old paths.
+python="$root $(cat .venv/pyvenv.cfg)"
+of_interfaces() { echo "$(fingerprint "${interfaces[@]}") $(cat .venv/stamp-base)"; }
+of_package() { fingerprint package.xml setup.py setup.cfg resource scripts/tactile launch config tactile_msgs "${packages[@]}"; }
+
+if [ "${1-}" = --check ]; then
+    up_to_date build/stamp-python "$python" && up_to_date build/stamp-interfaces "$(of_interfaces)" &&
+        up_to_date build/stamp-package "$(of_package)"
+    exit
+fi
+lock build
 
 # build NAME TITLE PACKAGE...: run colcon on these packages.
 build() {
@@ -21,15 +33,13 @@ build() {
         -DCMAKE_UNITY_BUILD=ON
 }
 
-# What was built with another Python, or before the folder moved, holds the old paths.
-python="$root $(cat .venv/pyvenv.cfg)"
 if ! up_to_date build/stamp-python "$python"; then
     rm -rf build install
     mkdir build
     printf '%s\n' "$python" >build/stamp-python
 fi
 
-wanted="$(fingerprint "${interfaces[@]}") $(cat .venv/stamp-base)"
+wanted=$(of_interfaces)
 if ! up_to_date build/stamp-interfaces "$wanted"; then
     build colcon-interfaces "messages, services and actions" "${interfaces[@]##*/}"
     printf '%s\n' "$wanted" >build/stamp-interfaces
@@ -37,7 +47,7 @@ if ! up_to_date build/stamp-interfaces "$wanted"; then
     . scripts/env.sh
 fi
 
-wanted="$(fingerprint package.xml setup.py setup.cfg resource scripts/tactile launch config "${packages[@]}")"
+wanted=$(of_package)
 if ! up_to_date build/stamp-package "$wanted"; then
     # Neither setuptools nor colcon removes what a deleted or renamed source left behind.
     rm -rf build/tactile_servoing/build install/share/tactile_servoing install/lib/tactile_servoing \

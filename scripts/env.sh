@@ -1,9 +1,21 @@
-# Environment of the build in this folder, ROS 2 from wheels included:  . scripts/env.sh  (bash or zsh)
+# Environment of the build in this folder, ROS 2 from wheels included:  . scripts/env.sh  (bash, zsh or sh)
 #
 # Only for machines without a ROS 2 install; with one, source its setup file and install/setup.bash instead.
 # The variables are set rather than extended, so that a sourced ROS 2 cannot mix with this one.
 
-_tactile_root=$(cd "$(dirname "${BASH_SOURCE[0]:-$0}")/.." && pwd)
+# Where this file lies is known to bash and zsh alone; the others have to be in the folder.
+if [ -n "${BASH_VERSION-}" ]; then
+    eval '_tactile_file=${BASH_SOURCE[0]}'
+elif [ -n "${ZSH_VERSION-}" ]; then
+    _tactile_file=$0
+else
+    _tactile_file=./scripts/env.sh
+fi
+if [ ! -f "$_tactile_file" ]; then
+    echo "scripts/env.sh: in this shell, change to the folder that it is in first:  cd FOLDER; . scripts/env.sh" >&2
+    return 1
+fi
+_tactile_root=$(cd "$(dirname "$_tactile_file")/.." && pwd)
 _tactile_venv=$_tactile_root/.venv
 _tactile_install=$_tactile_root/install
 
@@ -46,4 +58,4 @@ export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
 export ROS_LOG_DIR=${ROS_LOG_DIR:-$_tactile_root/log/ros}
 
-unset _tactile_root _tactile_venv _tactile_install _tactile_site _tactile_libs
+unset _tactile_file _tactile_root _tactile_venv _tactile_install _tactile_site _tactile_libs

@@ -19,7 +19,7 @@ def cluster_client(scheduler: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name not in ("distributed", "dask"):
             raise
-        raise ClusterError("--scheduler needs Dask: pip install 'tactile_servoing[cluster]'") from error
+        raise ClusterError("--scheduler needs Dask: pip install distributed") from error
     try:
         return Client(scheduler, timeout=10)
     except (OSError, ValueError, TypeError) as error:

@@ -56,7 +56,7 @@ def _stop(words: Sequence[str]) -> int:
 
 def _main(words: Sequence[str]) -> int:
     from tactile_base.process_limits import COMMAND, LimitError, require
-    from tactile_base.requirements import RequirementMissing, require_packages
+    from tactile_base.requirements import ROS_MODULES, RequirementMissing, require_packages, without_ros
     from tactile_bringup.commands.changes import in_words
 
     try:
@@ -75,6 +75,11 @@ def _main(words: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print("\ninterrupted", file=sys.stderr)
         return 130
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ROS_MODULES:
+            raise
+        print(f"tactile {parsed.command}: {without_ros(str(error.name))}", file=sys.stderr)
+        return 2
     except BrokenPipeError:  # the reader of our output (a pager, head) has gone
         sys.stderr.close()
         return 141

@@ -466,7 +466,7 @@ class FrankaArm:
 def _unfit(arm: ArmScene, settings: FrankaSettings) -> str:
     """Why no arm can be driven with these settings, here; '' if one can."""
     if importlib.util.find_spec("franky") is None:
-        return "the Python package franky-control is missing: pip install 'tactile_servoing[franka]'"
+        return "the Python package franky-control is missing: pip install franky-control"
     lever = float(np.linalg.norm(arm.T_tool_controlled[:3, 3]))
     for name, most in largest_limits(settings.model, arm.limits, lever).items():
         if (value := float(getattr(arm.limits, name))) > most:

@@ -369,7 +369,7 @@ class UrArm:
 def _unfit(settings: UrSettings, limits: ArmLimits) -> str:
     """Why no arm can be driven with these settings, here; '' if one can."""
     if importlib.util.find_spec("rtde_control") is None:
-        return "the Python package ur_rtde is missing: pip install 'tactile_servoing[ur]'"
+        return "the Python package ur_rtde is missing: pip install ur-rtde"
     most = _RATES[settings.generation]
     if settings.loop_rate > most:
         return f"rate = {settings.rate:g} Hz: a {settings.generation} has at most {most:g} Hz"

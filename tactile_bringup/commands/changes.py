@@ -82,7 +82,7 @@ def refusing(command: str, *others: type[Exception], status: int = 1) -> Callabl
             except ModuleNotFoundError as error:
                 if error.name not in EXTRA:
                     raise
-                say(console, f"tactile {command} needs {error.name}: pip install 'tactile_servoing[train]'")
+                say(console, f"tactile {command} needs {error.name}: pip install {' '.join(EXTRA)}")
                 return 2
             except wrong as error:
                 say(console, f"tactile {command}: {in_words(error)}{_place_elsewhere(error)}", "red")

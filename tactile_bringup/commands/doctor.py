@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -44,6 +45,18 @@ def _python() -> str:
     if not (3, 10) <= sys.version_info[:2] <= (3, 13):
         raise Missing(f"{sys.version.split()[0]}: must be 3.10 to 3.13 (make PYTHON=python3.12)")
     return f"{sys.version.split()[0]} at {sys.executable}"
+
+
+def _sources() -> str:
+    """Whether what is installed is what the sources beside it say, where `make` has installed it."""
+    folders = Path(__file__).resolve().parents
+    root = next((folder.parent for folder in folders if folder.name == "install"), Path())
+    build = root / "scripts" / "build.sh"
+    if not build.is_file():
+        return "installed without a checkout beside it"
+    if subprocess.run([build, "--check"], capture_output=True, check=False).returncode:
+        raise Missing(f"the sources in {root} are not what is installed: type `make` there")
+    return f"installed as the sources in {root} say"
 
 
 def _ros() -> str:
@@ -129,6 +142,7 @@ def _limits() -> str:
 CHECKS: dict[str, Callable[[], str]] = {
     "Python": _python,
     "Python packages": lambda: ", ".join(REQUIREMENTS.values()),  # `tactile` itself has looked for them
+    "sources": _sources,
     "ROS 2": _ros,
     "messages": lambda: _imported(*(f"{package}.msg" for package in PACKAGES)),
     "message definitions": _definitions,

@@ -22,9 +22,7 @@ class FrankaRehearsal(DoubleProcess):
 
     def __init__(self, arm: ArmScene) -> None:
         if importlib.util.find_spec("franky_sim") is None:
-            raise OSError(
-                "the Python package franky-sim is missing: pip install 'tactile_servoing[franka-sim]'"
-            )
+            raise OSError("the Python package franky-sim is missing: pip install franky-control franky-sim")
         given = arm.driver_settings
         wanted = given.checked(FrankaSettings, given.values)
         settings = {

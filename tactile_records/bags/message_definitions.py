@@ -34,8 +34,8 @@ def message_definition(type_name: str) -> str:
     """The .msg text of a type with all types that it uses, as MCAP wants it (`ros2msg`).
 
     Read from `share/<package>/msg` under the prefixes of AMENT_PREFIX_PATH, then that of the Python
-    environment; what is nowhere there comes from our source tree and from the common packages that `rosbags`
-    brings. Raises `DefinitionMissing` where a file is missing.
+    environment; what is nowhere there comes from the copy that is installed with this package, from our source
+    tree, and from the common packages that `rosbags` brings. Raises `DefinitionMissing` where it is nowhere.
     """
     texts: dict[str, str] = {}
     _collect_definitions(type_name, texts)
@@ -77,8 +77,9 @@ def _read_feedback(package: str, name: str) -> str:
 
 
 def _installed(file: str) -> str:
-    """Text of a file below share/ that is installed or in our source tree; empty where it is nowhere."""
-    for path in (*(prefix / "share" / file for prefix in _prefixes()), Path(__file__).parents[2] / file):
+    """Text of a file below a share folder, or in our source tree; empty where it is nowhere."""
+    folders = [prefix / "share" / part for part in ("", "tactile_servoing") for prefix in _prefixes()]
+    for path in (folder / file for folder in [*folders, Path(__file__).parents[2]]):
         if path.is_file():
             return path.read_text()
     return ""

@@ -64,7 +64,7 @@ def _why(bag: Bag, record: RunRecord, goal: int) -> tuple[str, int]:
 def _launcher_said(bag: Bag) -> str:
     """Why the launch ended, where its nodes did not know it: one of them died, or somebody pressed Ctrl-C."""
     said = [message.msg for _, message in bag.decoded(ROSOUT.name) if message.name == LAUNCH_LOG]
-    return str(said[-1]) if said else ""
+    return str(said[-1]).splitlines()[0] if said else ""
 
 
 def _complaints(bag: Bag, end_ns: int) -> list[str]:

@@ -52,6 +52,22 @@ def test_environment_has_one_fixed_order_of_libraries(scripts: Path):
     assert path.split(":").count(str(python.parent)) == 1
 
 
+@pytest.mark.parametrize("shell", ["bash", "dash", "sh"])
+def test_environment_is_that_of_its_folder_in_any_shell(scripts: Path, shell: str):
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
+    python = scripts.parent / ".venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.touch(mode=0o755)
+    here = run(shell, "-c", '. ./scripts/env.sh; echo "$VIRTUAL_ENV"', cwd=scripts.parent)
+    assert here.stdout.strip() == str(scripts.parent / ".venv"), here.stderr
+    elsewhere = run(shell, "-c", f'. {scripts}/env.sh || exit 3; echo "$VIRTUAL_ENV"', cwd=scripts)
+    if shell == "bash":
+        assert elsewhere.stdout.strip() == str(scripts.parent / ".venv")
+    else:
+        assert elsewhere.returncode == 3 and "change to the folder" in elsewhere.stderr
+
+
 def test_setup_without_a_usable_python_names_what_it_needs(scripts: Path):
     result = run("bash", "scripts/setup.sh", cwd=scripts.parent, PYTHON="/bin/false")
     assert result.returncode != 0
