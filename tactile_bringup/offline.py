@@ -119,7 +119,7 @@ def run_arms_offline(
     scene = load_scene(scene) if isinstance(scene, str) else scene
     if options.fidelity is not None:
         scene = scene.with_fidelity(options.fidelity, **options.sensor)
-    task = load_task(task_path(task), scene.name) if isinstance(task, str) else task
+    task = load_task(task_path(task), scene.name, goals_of=scene.goals_of) if isinstance(task, str) else task
     return _OfflineLoop(scene, task, options, progress).run()
 
 

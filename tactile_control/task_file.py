@@ -142,6 +142,7 @@ def load_task(
     controllers: str | Path | None = None,
     controller: str | None = None,
     changes: Sequence[str] = (),
+    goals_of: str = "",
 ) -> Task:
     """The task of a file of config/tasks on the scene of that name.
 
@@ -154,6 +155,8 @@ def load_task(
         Name of one of them in place of those that the task names for the roles that feel; ROLE=NAME for one.
     changes
         Settings on top of all files, each as ROLE.GROUP.NAME=VALUE; with one role its name may be left out.
+    goals_of
+        The scene whose goals it takes where the task does not name it.
 
     Raises
     ------
@@ -167,9 +170,14 @@ def load_task(
     roles, scenes = root.sections("roles"), root.sections("scenes")
     if not roles:
         root.fail("roles: a task must have at least one")
-    here = scenes.get(scene, scenes.get(OTHER))
+    here = scenes.get(scene, scenes.get(goals_of, scenes.get(OTHER)))
     if here is None:
-        root.fail(f"no goals for this scene: {unknown_name(scene, list(scenes))}", "scenes")
+        unknown = unknown_name(goals_of or scene, list(scenes))
+        root.fail(
+            f"no goals for this scene: {unknown}; say in the scene whose it takes, as `goals_of: "
+            f"{next(iter(scenes))}`, or in a copy of this file what arms do there",
+            "scenes",
+        )
     here.allow(*roles)
     folder = Path(controllers) if controllers is not None else _controllers_of(Path(path))
     only = (controller or "").rpartition("=")[0]

@@ -197,6 +197,8 @@ class Scene:
     ----------
     simulation : Simulation
         How it is simulated, as far as it is.
+    goals_of : str
+        The scene whose goals it takes in task files that do not name it; empty: none.
     """
 
     name: str
@@ -205,6 +207,7 @@ class Scene:
     arms: Mapping[str, ArmScene]
     bodies: Mapping[str, BodyScene]
     simulation: Simulation
+    goals_of: str = ""
 
     @property
     def is_simulated(self) -> bool:
@@ -267,7 +270,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
     except FileNotFoundError as error:
         raise SceneError(str(error)) from error
     root = read_yaml(path, SceneError)
-    root.allow("description", "arms", "bodies", "simulation")
+    root.allow("description", "goals_of", "arms", "bodies", "simulation")
     arm_sections, body_sections = _named(root, "arms"), _named(root, "bodies")
     if not arm_sections:
         root.fail("arms: a scene must have at least one")
@@ -279,7 +282,8 @@ def load_scene(name_or_path: str | Path) -> Scene:
     for name, arm in arms.items():
         if arm.simulated_sensor:
             _check_rate(arm, simulation.rate, arm_sections[name].section("sensor"))
-    scene = Scene(path.stem, path, root.text("description", ""), arms, bodies, simulation)
+    description, goals_of = root.text("description", ""), root.text("goals_of", "")
+    scene = Scene(path.stem, path, description, arms, bodies, simulation, goals_of)
     return _with_tips(scene)
 
 

@@ -40,11 +40,11 @@ def register(commands: Any) -> None:
     )
     add = parser.add_argument
     add("out", type=Path, help="folder for train/ and val/")
-    add("--train", type=natural_int, default=6000, metavar="N", help="training samples (6000)")
-    add("--val", type=natural_int, default=2000, metavar="N", help="validation samples (2000)")
+    add("--train", type=natural_int, metavar="N", help="training samples (6000; none with --val alone)")
+    add("--val", type=natural_int, metavar="N", help="validation samples (2000; none with --train alone)")
     add("--seed", type=natural_int, default=0)
     cores = len(os.sched_getaffinity(0))
-    add("--processes", type=positive_int, default=cores, help=f"processes (as many as cores: {cores})")
+    add("--jobs", type=positive_int, default=cores, help=f"processes (as many as cores: {cores})")
     add("--sensor", metavar="NAME", help="one of config/sensors, or a file (default: the built-in sensor)")
     add("--config", type=Path, help="YAML file with collection settings (SI)")
     add_set_option(parser, "change one of them")
@@ -59,8 +59,11 @@ def run_generate(arguments: argparse.Namespace) -> int:
         check_folder(arguments.out)
         sensor = load_sensor(arguments.sensor) if arguments.sensor else SensorFile()
         settings = _settings(arguments, sensor.collection)
-        for name, count, start in (("train", arguments.train, 0), ("val", arguments.val, VALIDATION_START)):
-            if count > 0:
+        wanted = {"train": (arguments.train, 0), "val": (arguments.val, VALIDATION_START)}
+        if arguments.train is None and arguments.val is None:
+            wanted = {"train": (6000, 0), "val": (2000, VALIDATION_START)}
+        for name, (count, start) in wanted.items():
+            if count:
                 _generate_split(arguments, sensor, settings, name, count, start, console)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
@@ -99,7 +102,7 @@ def _generate_split(
         store = partial(store_sample, folder, Preprocessor(preprocessing), start)
         samples = generate(
             settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
-            processes=arguments.processes, each=store, variation=sensor.variation,
+            processes=arguments.jobs, each=store, variation=sensor.variation,
         )  # fmt: skip
         with Progress(console) as progress:
             for number, euler in progress.counted(samples, name, len(missing), "samples"):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactile_base.whole_file import room_for_results
+from tactile_bringup.commands.changes import refusing
 from tactile_bringup.commands.launch import EXIT_CODES, TASK_HELP, add_scene_options
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def register(subparsers: Any) -> None:
     parser.set_defaults(run=run)
 
 
+@refusing("demo", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from tactile_base.console import lasting_console
@@ -39,8 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     console, folder = lasting_console(), arguments.out.absolute()
     bag = folder / BAG
-    if not _make_room(bag):
-        return 2
+    room_for_results(folder, f"{BAG}/{MARKER}")
     options = graph_options(arguments, record=bag)
     outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
     if outcome is None:
@@ -48,16 +49,6 @@ def run(arguments: argparse.Namespace) -> int:
     if not bag.is_dir():
         return outcome.exit_code or 1
     return _deliver(bag, folder, outcome, console)
-
-
-def _make_room(bag: Path) -> bool:
-    """Remove the bag of the last demo, and only that."""
-    if bag.exists() and not (bag / MARKER).is_file():
-        print(f"tactile demo: {bag} exists and is no bag; remove it or use --out elsewhere", file=sys.stderr)
-        return False
-    if bag.exists():
-        shutil.rmtree(bag)
-    return True
 
 
 def _deliver(bag: Path, folder: Path, outcome: Outcome, console: Console) -> int:

@@ -12,9 +12,11 @@ from rich.console import Console
 
 from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
-from tactile_base.whole_file import check_folder
+from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import natural_int, positive_int, refusing
 from tactile_perception.estimating.labels import NETWORK_TITLES
+
+TABLE = "estimates.csv"
 
 
 def register(subparsers: Any) -> None:
@@ -50,7 +52,7 @@ def run_estimate(arguments: argparse.Namespace) -> int:
     if not arguments.motion_sigma >= 0.0:
         raise ValueError(f"--motion-sigma {arguments.motion_sigma:g}: must not be negative")
     estimator = Estimator(arguments.model or "", arguments.threads)
-    check_folder(arguments.out)
+    room_for_results(arguments.out, TABLE, source=Path(arguments.source))
     if Path(arguments.source).is_dir():
         frames, contact_filter, total = _from_folder(arguments, estimator, console)
     else:
@@ -110,7 +112,7 @@ def _write_estimates(arguments: argparse.Namespace, table: Any) -> None:
     from tactile_perception.estimating.plots import draw_estimates, draw_series
 
     arguments.out.mkdir(parents=True, exist_ok=True)
-    table_path = arguments.out / "estimates.csv"
+    table_path = arguments.out / TABLE
     table.write_csv(table_path)
     title = f"{Path(arguments.source).name}, {len(table)} images"
     if table.has_labels:

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from tactile_base.console import say
 from tactile_base.progress import Progress
-from tactile_base.whole_file import check_folder
+from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import (
     add_set_option,
     changed_settings,
@@ -137,7 +137,7 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
     from tactile_perception.evaluation.models import open_models
 
     out = arguments.out or Path("out/evaluate")
-    check_folder(out)  # before the images are read
+    room_for_results(out, "results.json", "filter.csv", source=arguments.data)  # before the images are read
     models = open_models(arguments.model, arguments.threads)
     with Progress(console) as progress:
         reading = partial(progress.update, "reading", unit="images")

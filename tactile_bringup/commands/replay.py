@@ -14,6 +14,7 @@ from rich.console import Console
 
 from tactile_base.config_paths import named_file
 from tactile_base.console import number_table, say
+from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import add_set_option, refusing
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def register(subparsers: Any) -> None:
     add_set_option(parser, "change a setting of the filter")
     add("--sweep", action="append", default=[], metavar="NAME=A,B,C",
         help="one run for each value; given again: for each combination")  # fmt: skip
-    add("--profile", metavar="NAME|FILE", help="filter settings from a file, in place of the recorded ones")
+    add("--filter", metavar="NAME|FILE", help="filter settings from a file, in place of the recorded ones")
     add("--from", dest="source", choices=("estimates", "images"), default="estimates",
         help="what the filter takes: the recorded estimates, or new ones from the recorded images",
     )  # fmt: skip
@@ -65,9 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
     folder = arguments.out or Path("out") / "replay" / arguments.bag.resolve().stem
     started, busy = time.perf_counter(), _processor_time()
     inputs = _inputs(arguments)
-    profile = None if arguments.profile is None else named_file("filter", arguments.profile)
+    profile = None if arguments.filter is None else named_file("filter", arguments.filter)
     base = base_settings(inputs, profile)
     plans = make_plans(base, arguments.changes, arguments.sweep, folder, profile is not None)
+    room_for_results(folder, REPORT, source=arguments.bag)
     _make_room(folder, plans)
     results = run_plans(plans, inputs, _options(arguments, inputs), arguments.jobs)
     seconds, busy = time.perf_counter() - started, _processor_time() - busy

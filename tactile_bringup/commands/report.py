@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from tactile_base.console import number_table, say
-from tactile_base.whole_file import check_folder
+from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
 
 if TYPE_CHECKING:
@@ -32,9 +32,10 @@ def register(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code: 0 where the task was done, 1 where not, 2 without a record."""
     from tactile_records.runs.from_bag import read_arms
+    from tactile_records.runs.report import FILES
 
     folder = arguments.out or arguments.bag.with_name(f"{arguments.bag.name}-report")
-    check_folder(folder)
+    room_for_results(folder, *FILES, source=arguments.bag)
     records = read_arms(arguments.bag)
     deliver(records, arguments.bag, folder, Console())
     return 0 if records and all(record.result["succeeded"] for record in records.values()) else 1

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_base.progress import Progress
-from tactile_base.whole_file import check_folder
+from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
 from tactile_bringup.commands.launch import TASK_HELP, add_task_options
 from tactile_drivers.sim.simulation import FIDELITIES
@@ -40,12 +40,14 @@ def _simulate(arguments: argparse.Namespace) -> int:
     from tactile_control.task_file import default_scene, load_task, task_path
     from tactile_drivers.scene import load_scene
     from tactile_filter.filter_settings import load_filter_settings
+    from tactile_records.runs.report import FILES
 
     folder = arguments.out or Path("out") / "simulate"
-    check_folder(folder)
+    room_for_results(folder, *FILES)
     path = task_path(arguments.task)
     scene = load_scene(arguments.scene or default_scene(path))
-    task = load_task(path, scene.name, controller=arguments.controller, changes=arguments.changes)
+    chosen = {"controller": arguments.controller, "changes": arguments.changes}
+    task = load_task(path, scene.name, goals_of=scene.goals_of, **chosen)
     options = OfflineOptions(
         fidelity=arguments.fidelity,
         model=arguments.model,

@@ -48,7 +48,7 @@ def register(subparsers: Any) -> None:
     add(
         "--repeat", type=positive_int, metavar="N", help="N networks of different seeds, in OUT/seed_0 and on"
     )
-    add("--processes", type=positive_int, default=1, metavar="P", help="with --repeat: runs at a time")
+    add("--jobs", type=positive_int, default=1, metavar="N", help="with --repeat: runs at a time")
     add(
         "--scheduler",
         metavar="ADDRESS",
@@ -95,8 +95,8 @@ def _train_one(arguments: argparse.Namespace) -> int:
     from tactile_perception.training.progress import TrainingDisplay
     from tactile_perception.training.train import train
 
-    if arguments.scheduler or arguments.processes != 1:
-        raise ValueError("--processes and --scheduler spread many runs: they need --repeat N")
+    if arguments.scheduler or arguments.jobs != 1:
+        raise ValueError("--jobs and --scheduler spread many runs: they need --repeat N")
     config = _config(arguments)
     if arguments.install:
         check_file(arguments.install)
@@ -164,8 +164,8 @@ def _train_many(arguments: argparse.Namespace) -> int:
 
     if arguments.scheduler:
         jobs.run_cluster(waiting, arguments.scheduler, report)
-    elif arguments.processes > 1:
-        jobs.run_processes(waiting, arguments.processes, report)
+    elif arguments.jobs > 1:
+        jobs.run_processes(waiting, arguments.jobs, report)
     else:
         for job in waiting:
             report(job, _train_here(job, console))

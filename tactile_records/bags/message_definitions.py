@@ -34,8 +34,8 @@ def message_definition(type_name: str) -> str:
     """The .msg text of a type with all types that it uses, as MCAP wants it (`ros2msg`).
 
     Read from `share/<package>/msg` under the prefixes of AMENT_PREFIX_PATH, then that of the Python
-    environment; what is nowhere there comes from the copy that is installed with this package, from our source
-    tree, and from the common packages that `rosbags` brings. Raises `DefinitionMissing` where it is nowhere.
+    environment; what is nowhere there comes from the copy that is installed with this package, from our
+    source tree, and from the common packages that `rosbags` brings. Raises `DefinitionMissing` otherwise.
     """
     texts: dict[str, str] = {}
     _collect_definitions(type_name, texts)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tactile_records.runs.figures import Picture
 
 Run = Mapping[str, RunRecord]  # all arms of a run, by name
+FILES = ("report.json", "*/report.json")  # by which a folder of results is known: of one arm, of several
 
 
 @dataclass(frozen=True)

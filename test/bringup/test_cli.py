@@ -9,6 +9,7 @@ import pytest
 
 from tactile_base.config_paths import config_path
 from tactile_base.version import version
+from tactile_base.whole_file import room_for_results
 from tactile_bringup import cli
 from tactile_perception.estimator import shipped_model
 
@@ -111,8 +112,28 @@ def test_the_demo_removes_nothing_that_is_no_bag(tmp_path, capsys):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "thesis.tex").touch()
     assert cli.main(["demo", "--out", str(tmp_path)]) == 2
-    assert "exists and is no bag" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert (tmp_path / "bag" / "thesis.tex").exists()
+
+
+def test_earlier_results_are_kept_beside_new_ones(tmp_path, capsys):
+    folder = tmp_path / "out"
+    for number in range(3):
+        room_for_results(folder, "report.json", "*/report.json")
+        (folder / "arm").mkdir(parents=True)
+        (folder / "arm" / "report.json").write_text(str(number))
+    kept = [(tmp_path / name / "arm" / "report.json").read_text() for name in ("out-1", "out-2", "out")]
+    assert kept == ["0", "1", "2"]
+    assert f"earlier results of {folder} are in {folder}-2 now" in capsys.readouterr().err
+
+
+def test_results_stay_where_what_they_are_of_is_read_from_and_others_things_as_well(tmp_path, monkeypatch):
+    (tmp_path / "report.json").touch()
+    room_for_results(tmp_path, "report.json", source=tmp_path / "bag")
+    room_for_results(tmp_path, "results.json")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileExistsError, match="name a folder for new ones"):
+        room_for_results(tmp_path, "report.json")
 
 
 def test_help_comes_without_ros_and_without_heavy_libraries():
@@ -132,6 +153,16 @@ def test_doctor_names_what_is_missing(capsys, monkeypatch):
     assert cli.main(["doctor"]) == 1
     shown = capsys.readouterr().out
     assert "MISSING  thing: no such thing; build it" in shown and "1 of 2 checks failed" in shown
+
+
+def test_a_command_that_needs_ros_says_so_where_there_is_none(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    loaded = [name for name in sys.modules if name.startswith("tactile_bringup.launching")]
+    for name in loaded:
+        monkeypatch.delitem(sys.modules, name)
+    assert cli.main(["status"]) == 2
+    shown = capsys.readouterr().err
+    assert shown.startswith("tactile status: needs ROS 2") and "`. scripts/env.sh`" in shown
 
 
 SHORT = "simulate --scene plane --fidelity ideal --set follower.task.timeout=0.1"

@@ -172,8 +172,16 @@ def test_arms_are_a_list(write):
 
 def test_a_scene_without_goals_is_named_with_those_that_have(write):
     path, controllers = write(TASK)
-    with pytest.raises(SettingError, match=r"unknown name 'rump'.*did you mean 'ramp'"):
+    with pytest.raises(SettingError, match=r"unknown name 'rump'.*did you mean 'ramp'.*`goals_of: ramp`"):
         load_task(path, "rump", controllers)
+
+
+def test_a_copied_scene_takes_the_goals_of_the_one_that_it_names(write):
+    path, controllers = write(TASK)
+    copied = load_task(path, "my_cell", controllers, goals_of="ramp")
+    assert (copied.scene, copied.roles) == ("my_cell", load_task(path, "ramp", controllers).roles)
+    with pytest.raises(SettingError, match="unknown name 'rimp'"):
+        load_task(path, "my_cell", controllers, goals_of="rimp")
 
 
 def test_a_scene_that_is_not_named_has_the_goals_of_other_scenes_where_there_are_some(write):

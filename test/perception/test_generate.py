@@ -18,7 +18,7 @@ from tactile_perception.datasets.dataset import read_dataset
 def generate(out: Path, *options: str) -> int:
     parser = argparse.ArgumentParser()
     data_command.register(parser.add_subparsers())
-    parsed = parser.parse_args(["data", "generate", str(out), "--processes", "1", *options])
+    parsed = parser.parse_args(["data", "generate", str(out), "--jobs", "1", *options])
     return parsed.run(parsed)
 
 
@@ -55,7 +55,7 @@ def test_a_longer_run_goes_on_from_a_shorter_one_to_the_same_data(data, tmp_path
 
 
 def test_two_processes_give_the_same_data_as_one(data, tmp_path):
-    assert generate(tmp_path, "--train", "6", "--val", "0", "--seed", "5", "--processes", "2") == 0
+    assert generate(tmp_path, "--train", "6", "--val", "0", "--seed", "5", "--jobs", "2") == 0
     assert read_dataset(tmp_path / "train").sha256 == read_dataset(data / "train").sha256
 
 
@@ -96,7 +96,7 @@ def wait_for(condition, timeout_s: float = 30.0) -> bool:
 
 def test_a_killed_run_leaves_no_process_behind_and_goes_on_to_the_same_data(data, tmp_path):
     command = [sys.executable, "-m", "tactile_bringup.cli", "data", "generate", str(tmp_path)]
-    options = ["--train", "400", "--val", "0", "--seed", "5", "--processes", "2"]
+    options = ["--train", "400", "--val", "0", "--seed", "5", "--jobs", "2"]
     journal = tmp_path / "train" / "targets_images.partial.csv"
     with subprocess.Popen([*command, *options], stderr=subprocess.DEVNULL) as process:
         assert wait_for(lambda: journal.exists() and journal.read_text().count("\n") > 5)
@@ -127,3 +127,8 @@ def test_another_seed_does_not_mix_into_a_folder(data, capsys):
 def test_a_wrong_setting_is_told(tmp_path, capsys, change, message):
     assert generate(tmp_path, "--set", change) == 1
     assert message in capsys.readouterr().err
+
+
+def test_only_the_part_that_is_asked_for_is_made(tmp_path):
+    assert generate(tmp_path, "--train", "2", "--seed", "5") == 0
+    assert not (tmp_path / "val").exists()

@@ -41,7 +41,7 @@ COMMANDS = {
     "ensemble": ("ensemble MODEL MODEL --out OUT/new.onnx", 0),
     "markers": ("markers d/val/processed_images/image_1.png --out OUT/new.png", 0),
     "data check": ("data check d/val --out OUT", 0),
-    "data generate": ("data generate OUT --train 1 --val 0 --processes 1", 0),
+    "data generate": ("data generate OUT --train 1 --val 0 --jobs 1", 0),
 }
 
 

@@ -85,7 +85,7 @@ def test_finished_runs_of_another_configuration_are_not_mixed_in(repeated, train
 
 
 def test_processes_give_the_same_networks(repeated, training_data, tmp_path):
-    assert train(training_data, tmp_path, "--repeat", 2, "--processes", 2) == 0
+    assert train(training_data, tmp_path, "--repeat", 2, "--jobs", 2) == 0
     for seed in ("seed_0", "seed_1"):
         models = [weights(out / seed / "model.onnx") for out in (repeated, tmp_path)]
         assert models[0] == models[1]
@@ -94,14 +94,14 @@ def test_processes_give_the_same_networks(repeated, training_data, tmp_path):
 def test_a_run_that_fails_in_a_process_is_told_with_its_reason(tmp_path, capsys):
     (tmp_path / "data").mkdir()
     val = ("--val", tmp_path / "data")
-    assert train(tmp_path / "data", tmp_path / "out", "--repeat", 1, "--processes", 2, *val) == 1
+    assert train(tmp_path / "data", tmp_path / "out", "--repeat", 1, "--jobs", 2, *val) == 1
     assert "targets_images.csv" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "words, message",
     [
-        (["--processes", 2], "they need --repeat"),
+        (["--jobs", 2], "they need --repeat"),
         (["--repeat", 2, "--install", "m.onnx"], "leave out --repeat"),
     ],
 )

@@ -357,6 +357,15 @@ def test_a_definition_holds_all_that_a_type_uses(tmp_path, monkeypatch):
     assert type_hash("toy_msgs/msg/Whole", text).startswith("RIHS01_")
 
 
+def test_our_definitions_come_with_the_python_package_where_no_messages_are_built(tmp_path, monkeypatch):
+    copy = tmp_path / "share" / "tactile_servoing" / "tactile_msgs"
+    shutil.copytree(ROOT / "tactile_msgs", copy)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    for name in ("msg/ContactState", "action/RunTask_FeedbackMessage"):
+        assert message_definition(f"tactile_msgs/{name}")
+
+
 def test_a_missing_definition_is_an_error_that_says_where_it_was_sought(tmp_path, monkeypatch):
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     with pytest.raises(DefinitionMissing, match=f"no definition of toy_msgs/msg/Part.*{tmp_path}"):

@@ -310,7 +310,7 @@ def test_settings_come_from_the_recording_a_profile_and_the_command_line(tmp_pat
     assert "settings that the filter does not have now: former_setting" in capsys.readouterr().out
     profile = tmp_path / "mine.yaml"
     profile.write_text("fusion_mode: fast\niterations: 2\n")
-    found = settings("--profile", str(profile), "--set", "iterations=4")
+    found = settings("--filter", str(profile), "--set", "iterations=4")
     assert (found["fusion_mode"], found["iterations"]) == ("fast", 4)
 
 
@@ -329,7 +329,7 @@ def test_without_recorded_settings_those_of_the_configuration_are_taken_and_it_i
         (["--set", "fusion_mode=best"], "fusion_mode = 'best': must be one of paper, fast, exact"),
         (["--sweep", "iterations=1,x"], "iterations = 'x': must be of type int"),
         (["--sweep", "iterations=1,2", "--set", "iterations=3"], "iterations is given more than once"),
-        (["--profile", "nameless"], "nameless"),
+        (["--filter", "nameless"], "nameless"),
     ],
 )
 def test_unknown_settings_are_errors_with_the_valid_choices(tmp_path, capsys, options, message):
