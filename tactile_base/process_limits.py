@@ -1,4 +1,4 @@
-"""What a process may take of the machine (`ulimit`), against what commands and the nodes of a graph need.
+"""What a process may take of the machine (`ulimit`), what others leave of it, and what our processes need.
 
 Python, its libraries and Fast DDS end in the middle of something where a limit is reached: by SIGABRT,
 SIGSEGV, or with a traceback out of an import. `bench/process_needs.py` measures what is needed.
@@ -14,6 +14,7 @@ MIB = 1 << 20
 KIB = 1 << 10
 # of address space, for the buffers of OpenBLAS (41 MB measured for each of its threads, one a core)
 CORE = 40 * MIB
+OVERLOAD = 1.5  # processes for each core that wait or run, from which on latencies suffer
 
 
 class LimitError(RuntimeError):
@@ -43,6 +44,21 @@ GRAPH = Needs(files=64, address_space=2200 * MIB)  # measured: 27 files, 2.07 GB
 def address_space(needs: Needs) -> int:
     """What they come to on this machine, in bytes."""
     return needs.address_space + CORE * (os.cpu_count() or 1)
+
+
+def overload() -> str:
+    """What to do about a machine that has more to do than its cores can; '' for one that has not.
+
+    By the processes that wanted to run in the last minute, our own among them, which want up to one core for
+    each arm and one for its simulation.
+    """
+    cores, wanted = len(os.sched_getaffinity(0)), os.getloadavg()[0]
+    if wanted < OVERLOAD * cores:
+        return ""
+    return (
+        f"the machine is overloaded: {wanted:.1f} processes at a time wanted its {cores} cores; end what else "
+        "runs (`top`), or give the nodes a real-time priority (--priority 20)"
+    )
 
 
 def require(needs: Needs, what: str) -> None:

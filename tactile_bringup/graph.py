@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ from tactile_drivers.doubles.rehearsal import rehearsed
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.settings import load_object
+from tactile_perception.estimating.model_metadata import SIMULATED_ONLY
 
 RECORDER = "recorder"
 
@@ -141,6 +142,8 @@ class Graph:
     arms : arms that run something
     plans : tuple of ArmPlan
         What each of them does.
+    remarks : tuple of str
+        What whoever starts it has to know.
     """
 
     task: str
@@ -150,6 +153,7 @@ class Graph:
     nodes: tuple[NodeProcess, ...]
     topics: tuple[Topic, ...]
     plans: tuple[ArmPlan, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def node(self, full_name: str) -> NodeProcess:
         """The node of that full name; raises KeyError with the names there are."""
@@ -204,8 +208,8 @@ def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: Grap
         topics += OBJECT_TOPICS
     if options.record is not None:
         nodes.insert(0, _recorder(task, scene, plans, topics, nodes, options))
-    arms = tuple(plan.arm for plan in plans)
-    return Graph(task, scene.name, scene.path.absolute(), arms, tuple(nodes), topics, tuple(plans))
+    arms, remarks = tuple(plan.arm for plan in plans), tuple(_remarks(scene, feeling, options))
+    return Graph(task, scene.name, scene.path.absolute(), arms, tuple(nodes), topics, tuple(plans), remarks)
 
 
 def build_collection_graph(
@@ -280,6 +284,14 @@ def _senses(
         if options.marker_view:
             nodes.append(_node("marker_view", f"/{arm}", _transport(scene.arms[arm])))
     return [*nodes, _node("filter", f"/{arm}", filter_values)]
+
+
+def _remarks(scene: Scene, arms: Sequence[str], options: GraphOptions) -> Iterator[str]:
+    for arm in arms:
+        sensor = scene.arms[arm].sensor
+        shipped = options.model is None and scene.model_file(arm) is None
+        if sensor is not None and sensor.camera != SIM and shipped:
+            yield f"{arm}: {SIMULATED_ONLY}"
 
 
 def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:

@@ -11,10 +11,12 @@ import numpy as np
 from rich.console import Console
 
 from tactile_base.console import number_table, say
+from tactile_base.input_file import parse_json, read_text
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import natural_int, positive_int, refusing
 from tactile_perception.estimating.labels import NETWORK_TITLES
+from tactile_records.collecting.parameters import PARAMETERS_NAME
 
 TABLE = "estimates.csv"
 
@@ -45,8 +47,9 @@ def register(subparsers: Any) -> None:
 @refusing("estimate")
 def run_estimate(arguments: argparse.Namespace) -> int:
     """`tactile estimate`: returns the exit status."""
+    from tactile_perception.estimating.model_metadata import SIMULATED_ONLY
     from tactile_perception.estimating.run import run_estimates
-    from tactile_perception.estimator import Estimator
+    from tactile_perception.estimator import Estimator, shipped_model
 
     console = Console(stderr=True)
     if not arguments.motion_sigma >= 0.0:
@@ -57,11 +60,19 @@ def run_estimate(arguments: argparse.Namespace) -> int:
         frames, contact_filter, total = _from_folder(arguments, estimator, console)
     else:
         frames, contact_filter, total = _from_video(arguments)
+    if estimator.path == shipped_model() and not _simulated(Path(arguments.source)):
+        say(console, f"note: {SIMULATED_ONLY}", "yellow")
     with Progress(console) as progress:
         update = partial(progress.update, "estimating", total=total, unit="images")
         table = run_estimates(estimator, frames, contact_filter, update, arguments.smooth)
     _write_estimates(arguments, table)
     return 0
+
+
+def _simulated(source: Path) -> bool:
+    """Whether a data folder says of itself that its images are simulated."""
+    path = source / PARAMETERS_NAME
+    return path.is_file() and parse_json(read_text(path)).get("robot") == "sim"
 
 
 def _from_folder(

@@ -141,6 +141,7 @@ def _actions(task: str, context: LaunchContext) -> list[Any]:
     check_start(graph)
     folder = Path(launch_config.log_dir)
     actions = [_node(node, folder, _shut_down(f"node {node.full_name}")) for node in graph.nodes]
+    actions += [LogInfo(msg=remark) for remark in graph.remarks]
     if not _flag(given, "headless"):
         actions += _viewer(graph, folder)
     if _flag(given, "run"):

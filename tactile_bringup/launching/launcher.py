@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tactile_base.process_limits import overload
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
 from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import ros_environment
@@ -137,6 +138,8 @@ class Launcher:
             f"ROS domain {environment.domain_id} ({chosen}), discovery {environment.discovery}, "
             f"logs in {self.logs}"
         )
+        for remark in self.graph.remarks:
+            self.display.say(remark, "yellow")
         if environment.shared:
             self._wait_for_namesakes(group)
         for node in self.graph.nodes:
@@ -219,6 +222,8 @@ class Launcher:
         outcome.reason = "\n".join([outcome.reason, *disorder])
 
     def _tell(self, outcome: Outcome) -> None:
+        if self._worked and (overloaded := overload()):
+            self.display.say(f"note: {overloaded}", "yellow")
         if outcome.reason:
             self.display.say(f"tactile {self.command}: {outcome.reason}", "red")
         refused = outcome.exit_code == EXIT_REFUSED

@@ -46,13 +46,14 @@ class Display(Progress):
         """Whether a key that stops all arms was pressed since the last look."""
         return not STOP_KEYS.isdisjoint(self._keys.pressed())
 
-    def show(self, arm: str, label: str, progress: TaskProgress) -> None:
-        """Show how far an arm is with the goal of that label."""
+    def show(self, arm: str, label: str, progress: TaskProgress, ends: bool = True) -> None:
+        """Show how far an arm is with the goal of that label; nobody knows of one that never `ends`."""
         if progress.phase:
             path = f"path {progress.travelled * MM:.1f} mm"
             text = ", ".join(part for part in (progress.reason, path, *_figures(progress)) if part)
             name, state = _name(arm, label), progress.phase
-            self.update(name, progress.fraction, 1.0, state=state, text=text, seconds_left=math.nan)
+            total = 1.0 if ends else None
+            self.update(name, progress.fraction, total, state=state, text=text, seconds_left=math.nan)
 
     def conclude(self, arm: str, label: str) -> None:
         """The arm's goal of that label has ended."""
@@ -66,7 +67,7 @@ class CollectionDisplay(Display):
         super().__init__(console, live, base.LINE_PERIOD)
         self._samples = samples
 
-    def show(self, arm: str, label: str, progress: TaskProgress) -> None:
+    def show(self, arm: str, label: str, progress: TaskProgress, ends: bool = True) -> None:
         """Show the collection of an arm; each sample has all phases, so these are no lines of their own."""
         if not progress.phase:
             return

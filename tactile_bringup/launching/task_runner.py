@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from tactile_base.end_signals import signals_into
+from tactile_base.process_limits import overload
 from tactile_base.topics import RUN_TASK
 from tactile_bringup.launching.progress import Display
 from tactile_bringup.run_sequence import ArmPlan, RunSequence
@@ -64,6 +65,13 @@ EXIT_DISORDER = 5
 def in_disorder(exit_code: int) -> int:
     """The exit code of what was done, or ended by a signal, but not in order; that of a failure stays."""
     return EXIT_DISORDER if exit_code == 0 or exit_code > 128 else exit_code
+
+
+class Label(NamedTuple):
+    """A goal for people, and whether it is reached some time without being asked to end."""
+
+    text: str
+    ends: bool
 
 
 @dataclass
@@ -123,18 +131,18 @@ class TaskRunner:
             if all(self.client.arm(arm).regular_for > REGULAR for arm in self.arms):
                 return
             self._turn()
-        self.display.say(
-            "the arms do not report regularly: is the machine busy with something else?", "yellow"
-        )
+        why = overload() or "is the machine busy with something else?"
+        self.display.say(f"the arms do not report regularly: {why}", "yellow")
 
     def run(self) -> None:
         """Run all goals as `RunSequence` has it; raises `GoalFailed` if one is not reached."""
         sequence = RunSequence(self.plans)
-        labels: dict[str, str] = {}
+        labels: dict[str, Label] = {}
         while not sequence.finished:
             for plan, number in sequence.start():
                 goal = plan.goals[number]
-                labels[plan.arm] = f"[{number + 1}/{len(plan.goals)}] {goal.name}"
+                text = f"[{number + 1}/{len(plan.goals)}] {goal.name}"
+                labels[plan.arm] = Label(text, goal.goal.ends)
                 self.client.arm(plan.arm).send(goal, plan.role.task)
             for arm in sequence.finish():
                 self.client.arm(arm).cancel()
@@ -143,7 +151,7 @@ class TaskRunner:
         if sequence.failure:
             raise GoalFailed(sequence.failure)
 
-    def _follow(self, sequence: RunSequence, labels: dict[str, str]) -> None:
+    def _follow(self, sequence: RunSequence, labels: dict[str, Label]) -> None:
         """Take in what the arms have reported, and show it."""
         running = {
             plan.arm: (labels[plan.arm], self.client.arm(plan.arm))
@@ -151,12 +159,12 @@ class TaskRunner:
             if sequence.running(plan.arm)
         }
         for arm, (label, task) in running.items():
-            self.display.show(arm, label, task.progress)
+            self.display.show(arm, label.text, task.progress, label.ends)
             sequence.phase(arm, task.progress.phase)
             result = task.result()
             if result is not None:
                 well = sequence.result(arm, result.success, result.reason)
-                self._conclude(label, arm, result, well)
+                self._conclude(label.text, arm, result, well)
 
     def _conclude(self, label: str, arm: str, result: GoalResult, well: bool) -> None:
         self.results.append(result)

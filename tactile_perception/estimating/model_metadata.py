@@ -40,6 +40,11 @@ UNSUMMED = "-" * 64
 #: As protobuf writes it: the key, the number of the value's field, its length, the value.
 _SUM_ENTRY = re.compile(CHECKSUM.encode() + rb"\x12\x40(.{64})", re.DOTALL)
 _SECTIONS = ("network", "training", "augmentation", "calibration")
+#: What has to be said where the shipped model sees a real sensor.
+SIMULATED_ONLY = (
+    "the shipped model has seen simulated images alone: of a real sensor it only guesses; train one of your "
+    "own (docs/own_sensor.md)"
+)
 _REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+import operator
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 from tactile_base.node_topics import LAUNCH_LOG
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import DIAGNOSTICS, ROSOUT
+from tactile_base.topics import CONTROLLER_STATUS, DIAGNOSTICS, ROSOUT
 from tactile_records.bags.contents import Bag
 from tactile_records.runs.record import RunRecord
 
@@ -17,63 +19,86 @@ BEFORE, AFTER = 3.0, 0.5  # s about the end of a goal in which a complaint may s
 SILENT = 1.0  # s without a status after which a controller counts as gone: it has one in every step
 
 
+class _End(NamedTuple):
+    """Why a goal was not reached, and since when that was said (ns, as bags are stamped)."""
+
+    why: str
+    since_ns: int
+
+
 def ending(bag: Bag, record: RunRecord) -> dict[str, Any]:
     """The result of a run (`RunRecord.result`), as far as the bag knows.
 
-    The reason is what the controller said, or that it said nothing any more. `complaints` are those of all
-    nodes about the end of the goal that was not reached, each once, in their order: "/arm/filter: ...".
+    The reason is what the controller said, or the launch, or that neither said anything. `complaints` are
+    those of all nodes about the end of the goal that was not reached, each once, in their order.
     """
-    result: dict[str, Any] = {"bag_complete": bag.complete, "complaints": []}
+    result: dict[str, Any] = {"bag_complete": bag.complete, "complaints": [], "reason": ""}
     if not bag.complete:
         result["bag_problem"] = bag.problem
     if bag.messages:
         result["wall_s"] = (bag.messages[-1].received_ns - bag.messages[0].received_ns) * 1e-9
-    reached = [
-        DONE in record.command.phase[record.command.goal == index] for index in range(len(record.goals))
-    ]
+    phase, goal = record.command.phase, record.command.goal
+    reached = [DONE in phase[goal == index] for index in range(len(record.goals))]
     result["succeeded"] = bool(record.goals) and all(reached)
-    result["reason"] = ""
-    if not result["succeeded"] and record.goals:
+    if not all(reached):
         missed = reached.index(False)
-        why, end_ns = _why(bag, record, missed)
-        result["reason"] = f"goal {record.goals[missed]} was not reached" + (f": {why}" if why else "")
-        result["complaints"] = _complaints(bag, end_ns)
+        end = _end(bag, record.arm, missed)
+        result["reason"] = f"goal {record.goals[missed]} was not reached: {end.why}"
+        result["complaints"] = _complaints(bag, end.since_ns)
     return result
 
 
-def _why(bag: Bag, record: RunRecord, goal: int) -> tuple[str, int]:
-    """Why a goal was not reached, and when that was known (ns)."""
-    command = record.command
-    rows = ((command.goal == goal) & (command.phase != IDLE)).nonzero()[0]
-    if not len(rows):
-        return "it was not begun", int(command.stamp_ns[-1]) if len(command) else 0
-    reason, phase = str(command.reason[rows[-1]]), command.phase[rows[-1]]
+def _end(bag: Bag, arm: str, missed: int) -> _End:
+    last, heard_ns = None, 0
+    statuses = _fields(bag, CONTROLLER_STATUS.of(arm).name, "goal", "phase", "reason")
+    for heard_ns, goal, phase, reason in statuses:
+        if goal == missed and phase != IDLE:
+            since_ns = last[2] if last is not None and reason and reason == last[1] else heard_ns
+            last = phase, reason, since_ns
+    if last is None:
+        return _End("it was not begun", heard_ns)
+    phase, reason, since_ns = last
     launcher = _launcher_said(bag)
     if launcher and reason in ("", CANCELLED):
-        return launcher, int(command.stamp_ns[rows[-1]])
-    if reason:
-        said = rows[command.reason[rows] == reason]
-        return reason, int(command.stamp_ns[said[0]])
-    last_ns, heard_ns = int(command.stamp_ns[rows[-1]]), int(command.stamp_ns[-1])
+        return _End(launcher, since_ns)
     silence = (bag.messages[-1].received_ns - heard_ns) / SECOND_NS
-    if silence > SILENT:
-        return f"nothing was heard of its controller for the last {silence:.1f} s", last_ns
-    return f"the recording ends in its phase '{phase}'", last_ns
+    if not reason and silence > SILENT:
+        return _End(f"nothing was heard of its controller for the last {silence:.1f} s", since_ns)
+    return _End(reason or f"the recording ends in its phase '{phase}'", since_ns)
 
 
 def _launcher_said(bag: Bag) -> str:
-    """Why the launch ended, where its nodes did not know it: one of them died, or somebody pressed Ctrl-C."""
-    said = [message.msg for _, message in bag.decoded(ROSOUT.name) if message.name == LAUNCH_LOG]
-    return str(said[-1]).splitlines()[0] if said else ""
+    """Why the launch ended, where nodes did not know it: one of them died, or somebody pressed Ctrl-C."""
+    said = [text for _, name, text in _fields(bag, ROSOUT.name, "name", "msg") if name == LAUNCH_LOG]
+    return str(said[-1]).splitlines()[0] if said and said[-1] else ""
 
 
 def _complaints(bag: Bag, end_ns: int) -> list[str]:
     """What nodes complained about at that time, once each."""
     first, last = end_ns - BEFORE * SECOND_NS, end_ns + AFTER * SECOND_NS
     found: dict[str, None] = {}
-    for recorded, message in bag.decoded(DIAGNOSTICS.name):
-        if first <= recorded.received_ns <= last:
-            for status in message.status:
-                if status.level != LEVEL_OK:
-                    found[f"{status.name}: {status.message}"] = None
+    for received_ns, statuses in _fields(bag, DIAGNOSTICS.name, "status"):
+        if not first <= received_ns <= last or not isinstance(statuses, list):
+            continue
+        for level, name, text in filter(None, map(_status, statuses)):
+            if level != LEVEL_OK:
+                found[f"{name}: {text}"] = None
     return list(found)
+
+
+def _status(status: Any) -> tuple[Any, ...] | None:
+    try:
+        return (status.level, status.name, status.message)
+    except AttributeError:
+        return None
+
+
+def _fields(bag: Bag, topic: str, *names: str) -> Iterator[tuple[Any, ...]]:
+    """When each message of a topic was received (ns), and its fields; nothing of one that has others."""
+    take = operator.attrgetter(*names)
+    for recorded, message in bag.decoded(topic):
+        try:
+            values = take(message)
+        except AttributeError:  # told where the numbers of this topic are read, if it is one of those
+            continue
+        yield (recorded.received_ns, *(values if len(names) > 1 else (values,)))

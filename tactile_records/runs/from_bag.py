@@ -178,7 +178,7 @@ def _presence_row(message: Any) -> dict[str, Any]:
 
 
 def _command_row(message: Any) -> dict[str, Any]:
-    same = ("unlimited", "error", "feedforward", "reference", "phase", "goal", "reason")
+    same = ("unlimited", "error", "feedforward", "reference", "phase", "goal")
     return {
         "stamp_ns": stamp_of(message),
         "twist": message.limited,

@@ -62,7 +62,7 @@ class RunLog:
     def command(self, now_ns: int, goal: int, command: Command) -> None:
         """What the controller sends; `goal` is the index of the goal under way."""
         row = (command.twist, command.unlimited, command.error, command.feedforward, command.reference)
-        self._rows["command"].append((now_ns, *row, command.phase, goal, command.exposure_ns, command.reason))
+        self._rows["command"].append((now_ns, *row, command.phase, goal, command.exposure_ns))
 
     def latency(self, exposure_ns: int, now_ns: int) -> None:
         """When the controller answered an exposure."""

@@ -21,6 +21,7 @@ from tactile_records.runs.tracking import COMPONENTS, UNITS, Tracking, leader_of
 Array = NDArray[Any]
 
 POSITION_REQUIREMENT, ANGLE_REQUIREMENT = 2.0, 1.5  # mm, deg: RMS of each component
+LIMITS = {name: POSITION_REQUIREMENT if name in "xyz" else ANGLE_REQUIREMENT for name in COMPONENTS}
 LENGTH, TRIADS = 22.0, 12  # mm, and how many along each goal: axes that are drawn of a pose
 LABELS = ("x [mm]", "y [mm]", "z [mm]", "α [deg]", "β [deg]", "γ [deg]")
 
@@ -31,6 +32,7 @@ FIELDS = {
     "tracking.leader_speed_mm_s": "largest speed of the follower's place on what the leader moves",
     "tracking.leader_speed_deg_s": "its largest angular speed",
     "tracking.rms.*": "RMS error by component, in the frame of the sensor as it should be (mm, deg)",
+    "tracking.beyond": "components whose RMS error is beyond 2 mm or 1.5 deg; the task is done all the same",
     "tracking.largest.*": "largest error by component (mm, deg)",
     "tracking.goals.*.rms.*": "RMS error while the leader was at this goal",
     "tracking.lag_ms": "delay of the follower's velocity, by cross-correlation",
@@ -57,6 +59,7 @@ def _tracking_numbers(record: RunRecord, run: Run) -> dict[str, Any]:
         "leader_speed_mm_s": speed,
         "leader_speed_deg_s": angular_speed,
         "rms": dict(zip(COMPONENTS, map(rms, error.T), strict=True)),
+        "beyond": [name for k, name in enumerate(COMPONENTS) if rms(error[:, k]) > LIMITS[name]],
         "largest": dict(zip(COMPONENTS, map(largest, np.abs(error.T)), strict=True)),
         "goals": {
             name: {"rms": dict(zip(COMPONENTS, map(rms, error[track.goal == index].T), strict=True))}
@@ -84,11 +87,14 @@ def _speeds(track: Tracking) -> tuple[float, float]:
 
 def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first."""
-    rows = [task_row(values), ("contact kept", percent(values["contact_fraction"]), "100 %")]
     track = values["tracking"]
+    task, said, wanted = task_row(values)
+    if values["succeeded"] and track.get("beyond"):
+        said = f"ended, but {', '.join(track['beyond'])} not kept"
+    rows = [(task, said, wanted), ("contact kept", percent(values["contact_fraction"]), "100 %")]
     if track["leader"] is not None:
         for name in COMPONENTS:
-            unit, limit = ("mm", POSITION_REQUIREMENT) if name in "xyz" else ("deg", ANGLE_REQUIREMENT)
+            unit, limit = "mm" if name in "xyz" else "deg", LIMITS[name]
             measured = f"{text(track['rms'][name], unit, 2)}, {text(track['largest'][name], unit, 2)}"
             rows.append((f"error {name} RMS, largest", measured, f"<= {limit:g} {unit}"))
         rows += [

@@ -231,9 +231,10 @@ def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first."""
     push = values["push"]
     toppled = {None: "unknown", False: "no", True: "yes"}[push["toppled"]]
+    ended = "" if values["succeeded"] else f", {text(push['distance_mm'], 'mm', 0)} before it"
     rows = [
         task_row(values),
-        ("target to contact normal", text(push["error_mm"], "mm", 2), ""),
+        ("target to contact normal", text(push["error_mm"], "mm", 2) + ended, ""),
         ("by the believed normal", text(push["error_believed_mm"], "mm", 2), ""),
         ("tip's centre to target", text(push["distance_mm"], "mm", 1), ""),
         *_direction_row(push["direction_error_deg"]),

@@ -60,8 +60,6 @@ class Series:
 
 def _missing(shape: tuple[int, ...], dtype: Any) -> Array:
     """What an optional column holds where nothing was recorded: NaN, False, 0 or an empty string."""
-    if dtype is object:
-        return np.full(shape, "", dtype)
     return np.full(shape, np.nan) if dtype is np.float64 else np.zeros(shape, dtype)
 
 
@@ -118,7 +116,6 @@ class CommandSeries(Series):
     phase: Array = _array(dtype=np.dtype("U16"))
     goal: Array = _array(dtype=np.int64)  # index of the goal among the arm's, from 0
     exposure_ns: Array = _array(dtype=np.int64)  # stamp of the belief used; 0 for none
-    reason: Array = _array(dtype=object)  # why it is in that phase; '' where that says it all
 
 
 @dataclass

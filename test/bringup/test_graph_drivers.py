@@ -17,7 +17,7 @@ arms:
   arm:
     driver: DRIVER
     start: {position: [0.0, 0.0, 0.032], rotation_deg: [0, 180, 0]}
-    sensor: {in_tool: {position: [0.0, 0.0, 0.065]}, camera: CAMERA, camera_rate: 40, model: mine.onnx}
+    sensor: {in_tool: {position: [0.0, 0.0, 0.065]}, model: MODEL, camera: CAMERA, camera_rate: 40}
 bodies:
   table: {shape: plane}
 """
@@ -30,9 +30,9 @@ def graph_of(tmp_path, monkeypatch):
     for folder in installed(tmp_path / "site"):
         monkeypatch.syspath_prepend(folder)
 
-    def make(driver: str, camera: str, options: GraphOptions | None = None):
+    def make(driver: str, camera: str, options: GraphOptions | None = None, model: str = "mine.onnx"):
         path = tmp_path / "plane.yaml"
-        path.write_text(SCENE.replace("DRIVER", driver).replace("CAMERA", camera))
+        path.write_text(SCENE.replace("DRIVER", driver).replace("CAMERA", camera).replace("MODEL", model))
         return load_graph("surface_following", str(path), options or GraphOptions(rate=20.0, seed=3))
 
     yield make
@@ -72,6 +72,13 @@ def test_a_real_sensor_keeps_its_own_rate_and_model(graph_of):
     assert parameters["images.rate"] == 40.0  # --rate is that of simulated cameras
     assert parameters["model"] == str(graph.scene_file.parent / "mine.onnx")
     assert "seed" not in graph.node("/arm/arm").parameters
+    assert not graph.remarks
+
+
+def test_a_real_sensor_without_a_model_of_its_own_is_told_of(graph_of):
+    remarks = graph_of("bench_arm", "bench_camera", model="''").remarks
+    assert len(remarks) == 1 and remarks[0].startswith("arm: the shipped model has seen simulated images")
+    assert not load_graph("surface_following", "plane").remarks
 
 
 def test_images_of_somebody_elses_camera_are_taken_compressed_where_the_scene_says_so(graph_of, tmp_path):

@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+import shutil
 from pathlib import Path
 
 import cv2
@@ -28,7 +29,7 @@ from tactile_perception.estimating.sources import (
     usable_order,
     video_frames,
 )
-from tactile_perception.estimator import Estimator
+from tactile_perception.estimator import Estimator, shipped_model
 from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
@@ -242,6 +243,17 @@ def test_a_source_that_is_nothing_is_told_on_the_command_line(tmp_path, constant
     status = commands.run_estimate(arguments(tmp_path / source, constant_model(), tmp_path / "out"))
     assert status == 1
     assert "tactile estimate:" in capsys.readouterr().err
+
+
+def test_the_simulators_model_on_images_that_are_not_said_to_be_simulated_is_told(folder, tmp_path, capsys):
+    source = tmp_path / "copy"
+    shutil.copytree(folder, source)
+    given = arguments(source, shipped_model(), tmp_path / "out", no_filter=True, limit=1)
+    assert given.run(given) == 0
+    assert "the shipped model has seen simulated images alone" in capsys.readouterr().err
+    (source / "collect_params.json").write_text('{"robot": "sim"}')
+    assert given.run(given) == 0
+    assert "simulated images alone" not in capsys.readouterr().err
 
 
 def test_a_missing_model_is_told_on_the_command_line(folder, tmp_path, capsys):

@@ -90,7 +90,7 @@ WRONG = [
     (f"{TRAIN} --limit 0", "argument --limit: 0: must be a whole number from 1 on"),
     (f"{TRAIN} --limit 1", "1 samples, needs at least 2"),
     (f"{TRAIN} --repeat 0", "argument --repeat: 0: must be a whole number from 1 on"),
-    (f"{TRAIN} --jobs two", "argument --processes: two: must be a whole number"),
+    (f"{TRAIN} --jobs two", "argument --jobs: two: must be a whole number"),
     (f"{TRAIN} --set network.chanels=[4]", "did you mean 'channels'"),
     (f"{TRAIN} --set network.channels=[]", "must name the features of one block at least"),
     (f"{TRAIN} --set network.inverse_sigma_bounds=[2,1]", "the first must be below the second"),

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from tactile_base.node_topics import LAUNCH_LOG
-from tactile_base.topics import DIAGNOSTICS, ROSOUT
+from tactile_base.topics import CONTROLLER_STATUS, DIAGNOSTICS, ROSOUT
 from tactile_records.runs.ending import ending
 from tactile_records.runs.record import CommandSeries, RunRecord
 
 SECOND = 10**9
 START = 1_000 * SECOND
+TOPIC = CONTROLLER_STATUS.of("arm").name
 SILENCE = "nothing was heard of its controller for the last 4.1 s"
 
 
@@ -36,48 +37,50 @@ def report(at, *statuses):
     return DIAGNOSTICS.name, at, SimpleNamespace(status=status)
 
 
-def run(*rows):
-    """A record of two goals, with commands from each row's time (s) to that of the next, or 10 s."""
-    record = RunRecord(goals=["first", "second"])
+def end_of(*rows, said=()):
+    """How a run of two goals ended with a status each 0.1 s from each row's time (s) to that of the next."""
     ends = [row[0] for row in rows[1:]] + [10.0]
-    stamps, phases, goals, reasons = [], [], [], []
-    for (begin, phase, goal, reason), end in zip(rows, ends, strict=True):
-        for at in np.arange(begin, end, 0.1) if phase else ():
-            stamps.append(START + int(at * SECOND))
-            phases.append(phase)
-            goals.append(goal)
-            reasons.append(reason)
+    statuses = [
+        (TOPIC, at, SimpleNamespace(phase=phase, goal=goal, reason=reason))
+        for (begin, phase, goal, reason), end in zip(rows, ends, strict=True)
+        for at in (np.arange(begin, end, 0.1) if phase else ())
+    ]
+    bag = Bag(*statuses, *said)
+    record = RunRecord(goals=["first", "second"])
     record.command = CommandSeries(
-        np.array(stamps), phase=np.array(phases), goal=np.array(goals), reason=np.array(reasons)
+        np.array([recorded.received_ns for _, recorded, _ in bag.said[: len(statuses)]]),
+        phase=np.array([status.phase for _, _, status in statuses]),
+        goal=np.array([status.goal for _, _, status in statuses]),
     )
-    return record
+    return ending(bag, record)
 
 
 def test_a_run_that_reached_all_goals_has_no_reason_and_no_complaints():
-    record = run((0.0, "follow", 0, ""), (4.0, "done", 0, ""), (5.0, "follow", 1, ""), (9.0, "done", 1, ""))
-    result = ending(Bag(report(8.9, ("/arm/filter", "late", 1))), record)
+    rows = (0.0, "follow", 0, ""), (4.0, "done", 0, ""), (5.0, "follow", 1, ""), (9.0, "done", 1, "")
+    result = end_of(*rows, said=[report(8.9, ("/arm/filter", "late", 1))])
     assert (result["succeeded"], result["reason"], result["complaints"]) == (True, "", [])
 
 
 def test_what_the_controller_said_is_the_reason_and_what_was_said_about_then_is_told():
-    record = run((0.0, "done", 0, ""), (4.0, "follow", 1, ""), (6.0, "stopping", 1, "belief is old"),
-                 (7.0, "failed", 1, "belief is old"))  # fmt: skip
-    bag = Bag(
+    said = [
         report(1.0, ("/arm/camera", "gain is 4", 1)),
         report(5.9, ("/arm/estimator", "without contrast", 2), ("/arm/filter", "active", 0)),
         report(6.1, ("/arm/estimator", "without contrast", 2)),
         report(7.5, ("/arm/filter", "ends", 1)),
-    )
-    result = ending(bag, record)
+        (DIAGNOSTICS.name, 6.1, SimpleNamespace(other="type")),
+    ]
+    old = "belief is old"
+    rows = (0.0, "done", 0, ""), (4.0, "follow", 1, ""), (6.0, "stopping", 1, old), (7.0, "failed", 1, old)
+    result = end_of(*rows, said=said)
     assert not result["succeeded"]
     assert result["reason"] == "goal second was not reached: belief is old"
     assert result["complaints"] == ["/arm/estimator: without contrast"]
 
 
 def test_the_launch_says_what_no_node_could_know():
-    note = (ROSOUT.name, 6.5, SimpleNamespace(name=LAUNCH_LOG, msg="node /arm/filter was killed by SIGKILL"))
-    record = run((0.0, "follow", 0, ""), (6.5, "retreat", 0, "cancelled"))
-    reason = ending(Bag(note), record)["reason"]
+    note = SimpleNamespace(name=LAUNCH_LOG, msg="node /arm/filter was killed by SIGKILL\n    its log")
+    rows = (0.0, "follow", 0, ""), (6.5, "retreat", 0, "cancelled")
+    reason = end_of(*rows, said=[(ROSOUT.name, 6.5, note)])["reason"]
     assert reason == "goal first was not reached: node /arm/filter was killed by SIGKILL"
 
 
@@ -85,12 +88,9 @@ def test_the_launch_says_what_no_node_could_know():
     ("rows", "reason"),
     [
         ([(0.0, "follow", 0, "")], "the recording ends in its phase 'follow'"),
-        (
-            [(0.0, "follow", 0, ""), (6.0, "", 0, "")],
-            "nothing was heard of its controller for the last 4.1 s",
-        ),
+        ([(0.0, "follow", 0, ""), (6.0, "", 0, "")], SILENCE),
         ([(0.0, "idle", 0, "")], "it was not begun"),
     ],
 )
 def test_without_a_word_the_silence_is_told(rows, reason):
-    assert ending(Bag(), run(*rows))["reason"] == f"goal first was not reached: {reason}"
+    assert end_of(*rows)["reason"] == f"goal first was not reached: {reason}"

@@ -48,6 +48,7 @@ def made_up(paths=1, seconds=3.0):
     return RunRecord(
         scene="plane",
         task="surface_following",
+        source="ros",
         goals=[f"path_{k}" for k in range(paths)],
         pose=PoseSeries(stamps, T),
         truth=TruthSeries(stamps, X_fs, np.zeros(len(stamps)), np.ones(len(stamps), bool)),
@@ -120,6 +121,14 @@ def test_labels_of_the_latency_lie_inside_the_axes_whatever_the_outliers(late, s
     hidden = late * 1e3 > stack.get_xlim()[1]
     told = f"({round(share * 1000)} of 1000 frames of the controller lie beyond" in stack.get_xlabel()
     assert told == hidden
+
+
+def test_a_latency_that_was_chosen_is_said_and_not_drawn():
+    record = made_up()
+    record.source = "offline"
+    record.latency = {"controller": StageSeries(np.arange(3), np.full(3, 0.01))}
+    figure = figures.latency(record)
+    assert not figure.axes and figure.texts[0].get_text().endswith("was set to 10.0 ms")
 
 
 def test_the_latency_that_is_drawn_is_that_of_the_report():

@@ -128,6 +128,13 @@ def test_a_real_push_is_reported_by_belief_with_an_indicative_body():
     np.testing.assert_allclose(moved, true_body[:, :3, 3] - true_body[0, :3, 3], atol=1e-9)
 
 
+def test_a_push_that_ended_before_its_target_says_how_far_from_it():
+    record = made_up()
+    record.result = {"succeeded": False, "reason": "no contact"}
+    rows = dict(row[:2] for row in pushing.summary(pushing.numbers(record, {record.arm: record})))
+    assert rows["target to contact normal"] == f"10.00 mm, {np.hypot(350.0 - END_X, 10.0):.0f} mm before it"
+
+
 def test_a_body_that_falls_has_toppled_and_one_that_turns_has_not():
     record = made_up()
     for k, angle in enumerate(np.linspace(0.0, 0.5, ROWS)):

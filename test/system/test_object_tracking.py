@@ -103,7 +103,10 @@ def test_the_report_of_each_arm_has_the_numbers_and_pictures_of_its_task(flat, t
         assert (tmp_path / "follower" / name).stat().st_size > 1000
     assert written["leader"]["error_rms_mm"] < 1.0
     rows = {name: value for name, value, _ in report.summary(run, written)}
-    assert rows["follower: contact kept"] == "100.0 %"
+    assert rows["follower: contact kept"] == "100.0 %" and rows["follower: task"] == "succeeded"
+    written["follower"]["tracking"]["beyond"] = ["y", "gamma"]
+    rows = {name: value for name, value, _ in report.summary(run, written)}
+    assert rows["follower: task"] == "ended, but y, gamma not kept"
 
 
 @pytest.mark.slow
