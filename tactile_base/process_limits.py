@@ -47,7 +47,7 @@ def address_space(needs: Needs) -> int:
 
 
 def overload() -> str:
-    """What to do about a machine that has more to do than its cores can; '' for one that has not.
+    """What to do about a machine that has more to do than its cores can; empty for others.
 
     By the processes that wanted to run in the last minute, our own among them, which want up to one core for
     each arm and one for its simulation.
