@@ -47,7 +47,7 @@ def address_space(needs: Needs) -> int:
 
 
 def overload() -> str:
-    """What to do about a machine that has more to do than its cores can; empty for others.
+    """What to do about a machine with more to do than its cores can; empty for others.
 
     By the processes that wanted to run in the last minute, our own among them, which want up to one core for
     each arm and one for its simulation.
@@ -56,8 +56,8 @@ def overload() -> str:
     if wanted < OVERLOAD * cores:
         return ""
     return (
-        f"the machine is overloaded: {wanted:.1f} processes at a time wanted its {cores} cores; end what else "
-        "runs (`top`), or give the nodes a real-time priority (--priority 20)"
+        f"the machine is overloaded: {wanted:.1f} processes at a time wanted its {cores} cores; end what "
+        "else runs (`top`), or give the nodes a real-time priority (--priority 20)"
     )
 
 

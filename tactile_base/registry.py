@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
+from tactile_base.contract import Contract
 from tactile_base.settings import SettingError, unknown_name
 
 T = TypeVar("T")
@@ -60,10 +61,15 @@ class Registry(Generic[T]):
         Entry-point group of other packages' entries.
     builtin : mapping
         Name -> "module:attribute" of this package's entries; another package cannot replace them.
+    contract : Contract
+        What entries have to offer; those of other packages are held against it when they are loaded.
     """
 
-    def __init__(self, kind: str, group: str, builtin: Mapping[str, str]) -> None:
+    def __init__(
+        self, kind: str, group: str, builtin: Mapping[str, str], contract: Contract | None = None
+    ) -> None:
         self.kind, self.group = kind, group
+        self.contract = contract or Contract()
         self._builtin = dict(builtin)
 
     def entries(self) -> list[Entry]:
@@ -88,9 +94,17 @@ class Registry(Generic[T]):
         Raises
         ------
         SettingError
-            With the names that there are, or with what keeps an entry from being imported, and where.
+            With the names that there are, or with what keeps an entry from being imported or used, and where.
         """
-        place = self._builtin.get(name) or self._elsewhere(name)
+        if name in self._builtin:
+            return self.load_place(self._builtin[name], name)
+        found = self.load_place(place := self._elsewhere(name), name)
+        if objections := self.contract.objections(found):
+            raise SettingError(f"{self.kind} '{name}': {place} {'; '.join(objections)}")
+        return found
+
+    def load_place(self, place: str, name: str) -> T:
+        """What lies at "module:attribute", unchecked; raises `SettingError` for `name` as `load` does."""
         module, _, attribute = place.partition(":")
         try:
             found: Any = importlib.import_module(module)

@@ -35,6 +35,7 @@ COMMANDS = (
     "tactile_bringup.commands.data",
     "tactile_bringup.commands.security",
     "tactile_bringup.commands.plugins",
+    "tactile_bringup.commands.check",
     "tactile_bringup.commands.doctor",
 )
 

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_base.contract import Contract
 from tactile_base.registry import Registry
 from tactile_base.settings import Settings, setting
 from tactile_drivers import _native
@@ -299,6 +300,11 @@ ARMS: Registry[ArmDriver] = Registry(
     "arm driver",
     "tactile_servoing.arms",
     {"franka": "tactile_drivers.franka:FrankaArm", "ur": "tactile_drivers.ur:UrArm"},
+    Contract(
+        ("arm", "settings", "report"),
+        {"command": ("stamp_ns", "twist"), "stop": ("reason",), "recover": (), "close": ()},
+        settings=True,
+    ),
 )
 
 

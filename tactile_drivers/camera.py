@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.contract import Contract
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import SECOND_NS
@@ -113,6 +114,7 @@ CAMERAS: Registry[CameraDriver] = Registry(
         "uvc": "tactile_drivers.uvc_camera:UvcCamera",
         "replay": "tactile_drivers.replay_camera:ReplayCamera",
     },
+    Contract(("arm", "settings", "report"), {"close": ()}, settings=True),
 )
 
 

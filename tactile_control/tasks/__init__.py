@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tactile_base.contract import Contract
 from tactile_base.registry import Registry
 from tactile_control.phases import PhaseMachine
 
@@ -19,4 +20,11 @@ TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
         "touching": "tactile_control.tasks.touching:Touching",
         "data_collection": "tactile_control.tasks.data_collection:DataCollection",
     },
+    Contract(
+        ("settings", "goal", "start"),
+        {"configure": ("settings",)},
+        settings=True,
+        attributes=("goal_class", "phases", "work"),
+        base=lambda: PhaseMachine,
+    ),
 )

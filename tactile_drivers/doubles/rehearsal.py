@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.contract import Contract
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError
 from tactile_base.stamps import SECOND_NS
@@ -69,6 +70,17 @@ DOUBLES: Registry[Double] = Registry(
         "franka": "tactile_drivers.doubles.franka_rehearsal:FrankaRehearsal",
         "ur": "tactile_drivers.doubles.ur_rehearsal:UrRehearsal",
     },
+    Contract(
+        ("arm",),
+        {
+            "settings": ("address",),
+            "wait": ("arm", "seconds"),
+            "now": (),
+            "protective_stop": (),
+            "ask": ("line",),
+            "close": (),
+        },
+    ),
 )
 
 

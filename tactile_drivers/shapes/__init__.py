@@ -12,11 +12,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from tactile_base.contract import Contract
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError
 
 if TYPE_CHECKING:
     from tactile_drivers.shapes.surface import Surface
+
+
+def _surface() -> type:
+    from tactile_drivers.shapes.surface import Surface
+
+    return Surface
+
 
 SHAPES: Registry[type[Surface]] = Registry(
     "shape",
@@ -30,6 +38,7 @@ SHAPES: Registry[type[Surface]] = Registry(
         "sphere": "tactile_drivers.shapes.sphere:Sphere",
         "prism": "tactile_drivers.shapes.prism:Prism",
     },
+    Contract(("settings",), {"query": ("points",), "grid": ("n",)}, settings=True, base=_surface),
 )
 
 

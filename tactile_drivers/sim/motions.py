@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.contract import Contract
 from tactile_base.registry import Registry
 from tactile_base.settings import Settings
 
@@ -93,6 +94,7 @@ MOTIONS: Registry[MotionType] = Registry(
         "held": "tactile_drivers.sim.held:Held",
         "pushed": "tactile_drivers.sim.pushed:Pushed",
     },
+    Contract(("scene", "body", "settings"), {"step": ("dt", "tools", "contacts")}, settings=True),
 )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactile_base.contract import Contract
 from tactile_base.registry import Registry
 from tactile_records.runs import metrics
 from tactile_records.runs.record import RunRecord
@@ -50,6 +51,7 @@ REPORTS: Registry[TaskReport] = Registry(
         "pushing": "tactile_records.runs.pushing:REPORT",
         "trajectory": "tactile_records.runs.trajectory:REPORT",
     },
+    Contract(None, base=lambda: TaskReport),
 )
 
 

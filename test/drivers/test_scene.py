@@ -169,7 +169,7 @@ def test_all_packaged_scenes_load():
         ("touches: [hill]", "time_offset: 1", "time_offset = 1.0 s: must lie in [-0.5, 0.5]"),
         ("rate: 120", "rate: 120.5", "must be a whole number of Hz"),
         ("  left:", "  Left Arm:", "'Left Arm' must be lower-case letters"),
-        ("arms:", "robots:", "unknown name 'robots'; valid: arms, bodies, description, simulation"),
+        ("arms:", "robots:", "unknown name 'robots'; valid: arms, bodies, description, goals_of, simulation"),
         ("    shape: plane", "    shape: plane\n    shape: ramp", "'shape' is given twice, first in line"),
         ("rate: 120", "rate: [120", "not valid YAML"),
     ],

@@ -436,7 +436,7 @@ def test_an_arm_that_is_not_what_the_scene_says_is_refused_with_what_would_be_ri
 def test_without_ur_rtde_the_driver_says_what_to_type(tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     arm = load_scene(scene_file(tmp_path, "127.0.0.1")).arms["arm"]
-    with pytest.raises(RuntimeError, match=r"ur_rtde is missing: pip install 'tactile_servoing\[ur\]'"):
+    with pytest.raises(RuntimeError, match=r"ur_rtde is missing: pip install ur-rtde"):
         open_arm(arm, lambda state: None)
 
 
