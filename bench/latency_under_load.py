@@ -9,11 +9,11 @@ With --composed, each row also with estimator, filter and controller in one proc
 
 import argparse
 import itertools
-import json
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
+
+from tactile_bringup.timing import LAUNCH, measured
 
 
 def busy(count: int) -> list[subprocess.Popen]:
@@ -22,26 +22,15 @@ def busy(count: int) -> list[subprocess.Popen]:
 
 
 def measure(loops: int, priority: int, composed: bool, task: list[str]) -> dict:
-    """The report of one run; empty if there is none."""
-    with tempfile.TemporaryDirectory() as folder:
-        others = busy(loops)
-        try:
-            separate = [sys.executable, "-m", "tactile_bringup.cli", "launch"]
-            one = [sys.executable, str(Path(__file__).with_name("composed_nodes.py"))]
-            command = [*(one if composed else separate), *task, "--headless"]
-            command += ["--priority", str(priority), "--out", folder, "--record", f"{folder}/bag"]
-            done = subprocess.run(command, capture_output=True, text=True)
-        finally:
-            for other in others:
-                other.kill()
-                other.wait()
-        reports = list(Path(folder).rglob("report.json"))
-        if not reports:
-            made = [sys.executable, "-m", "tactile_bringup.cli", "report", f"{folder}/bag", "--out", folder]
-            subprocess.run(made, capture_output=True, text=True)
-            reports = list(Path(folder).rglob("report.json"))
-        values = json.loads(reports[0].read_text()) if reports else {}
-        return values | {"exit": done.returncode, "end": (done.stdout + done.stderr).strip()[-200:]}
+    """The report of one run; empty but for its end if there is none."""
+    one = [sys.executable, str(Path(__file__).with_name("composed_nodes.py"))]
+    others = busy(loops)
+    try:
+        return measured([*task, "--priority", str(priority)], one if composed else LAUNCH)
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
 
 
 def main() -> None:

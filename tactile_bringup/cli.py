@@ -34,8 +34,10 @@ COMMANDS = (
     "tactile_bringup.commands.cell",
     "tactile_bringup.commands.data",
     "tactile_bringup.commands.security",
+    "tactile_bringup.commands.arm",
     "tactile_bringup.commands.plugins",
     "tactile_bringup.commands.check",
+    "tactile_bringup.commands.drill",
     "tactile_bringup.commands.doctor",
 )
 

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, unknown_name
+from tactile_base.settings import SettingError
 from tactile_base.stamps import SECOND_NS
+from tactile_bringup.staged_arm import WATCHED, StagedArm, arm_of
 
 Array = NDArray[np.float64]
 Problems = Iterator[str]
@@ -71,18 +72,12 @@ def _images(frames: list[Any], kept: list[bytes]) -> Problems:
 def check_arm(kind: Any, scene: str, arm: str, moves: bool) -> Problems:
     """Two seconds of its states, calls of zero twists and stops, and its end; with `moves`, a millimetre."""
     from tactile_drivers.arm import LONGEST_CALL
-    from tactile_drivers.safety import SafeArm
 
-    one, states = _arm(scene, arm), list[tuple[int, Any]]()
-    stage = SafeArm(one, time.time_ns, feels=False)
-
-    def take(state: Any) -> None:
-        states.append((time.time_ns(), state))
-        if stage.driver is not None:
-            stage.take_state(state)
-
+    one = _arm(scene, arm)
     given = one.driver_settings
-    driver = kind(one, given.checked(kind.settings_class, given.values), take)
+    settings = given.checked(kind.settings_class, given.values)
+    staged = StagedArm(one, lambda report: kind(one, settings, report))
+    driver = staged.driver
     if not isinstance(getattr(driver, "keeps_limits", None), bool):
         yield "has no keeps_limits, must be True or False"
     _listen(lambda: False)
@@ -95,12 +90,11 @@ def check_arm(kind: Any, scene: str, arm: str, moves: bool) -> Problems:
         call()
         if (took := time.perf_counter() - begun) > LONGEST_CALL:
             yield f"{name} took {took * 1e3:.0f} ms, may take {LONGEST_CALL * 1e3:.0f}"
-    problems = list(_states(one, states, at_rest=True))
+    problems = list(_states(one, staged.states, at_rest=True))
     yield from problems
     if moves and not problems:
-        stage.drive(driver)
-        yield from _moved(stage, one)
-    yield from _closes(driver, lambda: len(states), "state")
+        yield from _moved(staged)
+    yield from _closes(driver, lambda: len(staged.states), "state")
 
 
 def _states(arm: Any, states: list[tuple[int, Any]], at_rest: bool) -> Problems:
@@ -125,28 +119,20 @@ def _states(arm: Any, states: list[tuple[int, Any]], at_rest: bool) -> Problems:
         yield f"it reports the twist {numbers(moving[0])} though nobody commands it"
 
 
-def _moved(stage: Any, arm: Any) -> Problems:
+def _moved(staged: StagedArm) -> Problems:
     """A millimetre from the surface and back, through the safe command stage; commands end in motion."""
-    from tactile_drivers.arm import is_at_rest
-
-    _listen(lambda: stage.state is not None)
-    begun, rest = stage.state.T_base_controlled[:3, 3].copy(), 0.4
+    stage = staged.stage
+    staged.drive()
+    begun = staged.pose[:3, 3].copy()
     for speed in (-0.005, 0.005):
-        started = time.monotonic()
-        while (elapsed := time.monotonic() - started) < 0.3:  # zero first, as from every new commander
-            twist = np.array([0.0, 0.0, speed if elapsed > 0.1 else 0.0, 0.0, 0.0, 0.0])
-            if refused := stage.command(time.time_ns(), twist, "tactile check"):
-                yield f"a command was refused: {refused}"
-                return
-            time.sleep(0.008)
-        time.sleep(arm.limits.command_timeout)
-        stage.stop("no command came")  # as the arm's node
-        time.sleep(rest)
-        if stage.alarm or not is_at_rest(stage.state.twist):
+        staged.go(np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]), 0.2)
+        time.sleep(staged.arm.limits.command_timeout)
+        rest = staged.stopped(lambda: stage.stop("no command came"))  # as the arm's node
+        if stage.alarm or np.isinf(rest.seconds):
             stage.halt("it does not stop")
-            yield f"{rest:g} s after it was stopped: {stage.alarm or 'it still moves'}"
+            yield f"{WATCHED:g} s after it was stopped: {stage.alarm or 'it still moves'}"
             return
-    if np.linalg.norm(stage.state.T_base_controlled[:3, 3] - begun) > 5e-4:
+    if np.linalg.norm(staged.pose[:3, 3] - begun) > 5e-4:
         yield "a millimetre away and back does not end where it began"
 
 
@@ -181,11 +167,7 @@ def _arm(scene: str, arm: str) -> Any:
 
     if not scene:
         raise SettingError("a driver is tried on an arm of a scene: --scene my_cell.yaml")
-    arms = load_scene(scene).arms
-    name = arm or next(iter(arms))
-    if name not in arms:
-        raise SettingError(f"arm: {unknown_name(name, list(arms))}")
-    return arms[name]
+    return arm_of(load_scene(scene), arm)
 
 
 def not_rigid(T: Array) -> str:

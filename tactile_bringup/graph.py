@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -113,6 +114,8 @@ class GraphOptions:
     object_belief : whether the contacts of all arms are fused into one belief over the object that they touch
     object_file : where they touch it: the name of one of config/objects or a path
         (`tactile_filter.object.settings`); empty: that is found by touch
+    priority : SCHED_FIFO priority of the nodes from exposure to motion; 0: none
+    cores : on which these run; empty: any
     rehearse : whether doubles stand for the arms, and simulated cameras for the cameras
     """
 
@@ -128,6 +131,7 @@ class GraphOptions:
     marker_view: bool = False
     object_belief: bool = False
     priority: int = 0
+    cores: tuple[int, ...] = ()
     object_file: str = ""
     rehearse: bool = False
 
@@ -170,6 +174,9 @@ def check_options(options: GraphOptions, spelling: str) -> None:
         raise ValueError(f"{given}: exists already; remove it or record elsewhere")
     if options.model is not None and not options.model.is_file():
         raise ValueError(f"{spelling.format('model', options.model)}: no such file")
+    if missing := sorted({*options.cores} - os.sched_getaffinity(0)):
+        given, there = spelling.format("cores", missing[0]), sorted(os.sched_getaffinity(0))
+        raise ValueError(f"{given}: this process may use the cores {', '.join(map(str, there))}")
     if options.rate is not None and not 1.0 <= options.rate <= 240.0:
         raise ValueError(f"{spelling.format('rate', f'{options.rate:g}')}: must lie in [1, 240] Hz")
 
@@ -198,8 +205,8 @@ def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: Grap
         if arm.sensor is not None:
             nodes += _senses(scene, plan.arm, filter_values, options)
         nodes.append(_controller(plan, arm, plans))
-    if options.priority:
-        more = {"priority": options.priority}
+    more = {name: value for name in ("priority", "cores") if (value := getattr(options, name))}
+    if more:
         nodes = [dataclasses.replace(node, parameters={**node.parameters, **more}) for node in nodes]
     topics = tuple(_topics(list(scene.arms.values())))
     feeling = [plan.arm for plan in plans if scene.arms[plan.arm].sensor is not None]

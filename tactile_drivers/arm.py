@@ -239,6 +239,9 @@ class Arm(Protocol):
         Whether others may move the arm while nobody commands it here. Without it that is a fault.
     kinematics : Kinematics, optional
         Of an arm that has them; then its states tell `joints`, and the stage minds their limits.
+    agreed : str, optional
+        What its controller says as the scene does (tool, payload, model), since it would not have opened
+        else.
     """
 
     keeps_limits: bool

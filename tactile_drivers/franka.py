@@ -196,6 +196,12 @@ class FrankaArm:
         """By how much our clock is faster than the controller's, s/s."""
         return self._clock.drift
 
+    @property
+    def agreed(self) -> str:
+        """What the controller says as the scene does, in words."""
+        settings = self.settings
+        return f"end effector {list(settings.end_effector)}, {settings.mass:g} kg"
+
     # ---- the thread that alone calls franky ----
 
     def _run(self) -> None:

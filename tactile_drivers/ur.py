@@ -203,6 +203,13 @@ class UrArm:
         """By how much our clock is faster than the controller's, s/s."""
         return self._clock.drift
 
+    @property
+    def agreed(self) -> str:
+        """What the controller says as the scene does, in words."""
+        settings = self.settings
+        model = f"{settings.model}, " if settings.model else ""
+        return f"{model}{settings.generation}, TCP {list(settings.tcp_offset)}, {settings.payload:g} kg"
+
     # ---- commands ----
 
     def _send_speed(self) -> None:

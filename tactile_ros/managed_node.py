@@ -53,7 +53,7 @@ from tactile_ros.parameters import (
     refusing_unknown_types,
 )
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
-from tactile_ros.scheduling import set_priority, settle_garbage
+from tactile_ros.scheduling import set_cores, set_priority, settle_garbage
 
 Result = TransitionCallbackReturn
 
@@ -120,6 +120,9 @@ class ManagedNode(LifecycleNode):
         )
         if not 0 <= self.priority <= LARGEST_PRIORITY:
             raise SettingError(f"parameter priority = {self.priority}: must lie in [0, {LARGEST_PRIORITY}]")
+        self.cores: list[int] = declare_read_only(
+            self, "cores", [-1], "numbers of the cores that the process runs on; -1: any"
+        )
         frames = fixed_settings(self, FrameSettings(), "frames")
         self.base_frame = frames.base or topics.base_frame(self.arm)
         self.tool_frame = frames.tool or topics.tool_frame(self.arm)
@@ -466,8 +469,10 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
         rclpy.try_shutdown()
         return 1
     nodes = [made] if isinstance(made, ManagedNode) else list(made)
-    if missing := set_priority(max(node.priority for node in nodes)):
-        nodes[-1].get_logger().warning(f"priority: this user may not have {missing}")
+    cores = {core for node in nodes for core in node.cores} - {-1}
+    for missing in (set_priority(max(node.priority for node in nodes)), set_cores(cores)):
+        if missing:
+            nodes[-1].get_logger().warning(f"this user may not have {missing}")
     executor = make_executor()
     for node in nodes:
         executor.add_node(node)

@@ -1,10 +1,11 @@
-"""What keeps a node's process in time: its priority, memory that is not paged out, no garbage to search."""
+"""What keeps a node's process in time: its priority and cores, locked memory, no garbage to search."""
 
 from __future__ import annotations
 
 import ctypes
 import gc
 import os
+from collections.abc import Collection
 
 _CURRENT_AND_FUTURE = 1 | 2  # MCL_CURRENT | MCL_FUTURE of <sys/mman.h>
 
@@ -26,6 +27,21 @@ def set_priority(priority: int) -> str:
     if libc.mlockall(_CURRENT_AND_FUTURE) != 0:
         missing.append("locked memory (memlock in /etc/security/limits.conf allows it)")
     return ", ".join(missing)
+
+
+def set_cores(cores: Collection[int]) -> str:
+    """Have this process, and those that it starts, run on these cores alone; none: on any.
+
+    Returns what could not be had; '' where all was.
+    """
+    if not cores:
+        return ""
+    try:
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setaffinity(int(thread), cores)
+    except OSError:
+        return f"the cores {', '.join(map(str, cores))}"
+    return ""
 
 
 def settle_garbage() -> None:

@@ -1,4 +1,9 @@
-"""`tactile doctor`: checks what the commands need, and says what to do where something is missing."""
+"""`tactile doctor`: checks what the commands need, and says what to do where something is missing.
+
+With --timing how well this machine keeps time: kernel, priorities, how late it wakes, from exposure to
+twist with real nodes on the simulated cell, which takes half a minute; with --scene also camera and arm,
+which does not move.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +12,16 @@ import importlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tactile_base.requirements import REQUIREMENTS
+from tactile_bringup.commands.changes import refusing
+from tactile_bringup.commands.launch import add_cores_option
+
+if TYPE_CHECKING:
+    from tactile_bringup.findings import Finding
 
 PACKAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
 COMPILED = ("tactile_filter._fusion", "tactile_drivers.sim._contact", "tactile_perception._image")
@@ -25,11 +35,48 @@ class Missing(RuntimeError):
 def register(subparsers: Any) -> None:
     """Add `doctor`."""
     parser = subparsers.add_parser("doctor", help="check this machine and environment", description=__doc__)
+    add = parser.add_argument
+    add("--timing", action="store_true", help="how well this machine keeps time")
+    add("--scene", default="", metavar="NAME", help="with --timing: whose camera and arm are looked at, too")
+    add("--arm", default="", metavar="NAME", help="which of its arms (default: the only one)")
+    add("--priority", type=int, default=0, metavar="N", help="with --timing: of the nodes")
+    add_cores_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run all checks; returns 0 when all passed, else 1."""
+    return _timing(arguments) if arguments.timing else _all_there()
+
+
+@refusing("doctor", RuntimeError, status=2)
+def _timing(arguments: argparse.Namespace) -> int:
+    from tactile_bringup.findings import show
+    from tactile_bringup.staged_arm import arm_of
+    from tactile_bringup.timing import (
+        check_arm_link,
+        check_camera,
+        check_exposure_to_twist,
+        check_machine,
+        check_wakeups,
+    )
+    from tactile_drivers.scene import load_scene
+
+    arm = arm_of(load_scene(arguments.scene), arguments.arm) if arguments.scene else None
+
+    def findings() -> Iterator[Finding]:
+        yield from check_machine()
+        yield check_wakeups()
+        if arm is not None:
+            yield from check_camera(arm)
+            yield from check_arm_link(arm)
+        cores = ["--cores", *map(str, arguments.cores)] if arguments.cores else []
+        yield check_exposure_to_twist(["--priority", str(arguments.priority), *cores])
+
+    return show(findings())
+
+
+def _all_there() -> int:
     failed = 0
     for name, check in CHECKS.items():
         try:

@@ -42,10 +42,19 @@ def register(subparsers: Any) -> None:
     add("--priority", type=int, default=0, metavar="N",
         help="SCHED_FIFO priority 1..99 of the nodes from exposure to motion (default: 0, as any process)",
     )  # fmt: skip
+    add_cores_option(parser)
     add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
     parser.set_defaults(run=run)
+
+
+def add_cores_option(parser: argparse.ArgumentParser) -> None:
+    """Option of commands that start nodes which have to be in time."""
+    parser.add_argument(
+        "--cores", nargs="+", type=int, default=(), metavar="N",
+        help="of this machine, that these nodes alone run on; isolated ones, say (default: any)",
+    )  # fmt: skip
 
 
 def add_rehearse_option(parser: argparse.ArgumentParser) -> None:
@@ -84,7 +93,7 @@ def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:
 
     names = {item.name for item in fields(GraphOptions)}
     given: dict[str, Any] = {name: value for name, value in vars(arguments).items() if name in names}
-    for name in ("changes", "goals"):
+    for name in ("changes", "goals", "cores"):
         given[name] = tuple(given.get(name, ()))
     return GraphOptions(**given | more)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,10 @@ from tactile_bringup.commands.launch import TASK_HELP, add_task_options
 from tactile_drivers.sim.simulation import FIDELITIES
 
 if TYPE_CHECKING:
+    from tactile_bringup.offline import OfflineOptions
     from tactile_control.phases import Command
+    from tactile_control.task_file import Task
+    from tactile_drivers.scene import Scene
     from tactile_records.runs.report import Run
 
 
@@ -36,14 +40,29 @@ def register(subparsers: Any) -> None:
 
 @refusing("simulate", status=2)
 def _simulate(arguments: argparse.Namespace) -> int:
-    from tactile_bringup.offline import OfflineOptions, run_arms_offline
-    from tactile_control.task_file import default_scene, load_task, task_path
-    from tactile_drivers.scene import load_scene
-    from tactile_filter.filter_settings import load_filter_settings
+    from tactile_bringup.offline import run_arms_offline
     from tactile_records.runs.report import FILES
 
     folder = arguments.out or Path("out") / "simulate"
     room_for_results(folder, *FILES)
+    scene, task, options = prepared(arguments)
+    options = replace(options, latency=arguments.latency * 1e-3, arm=arguments.arm)
+    with Progress() as progress:
+
+        def show(arm: str, goal: str, command: Command) -> None:
+            progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
+
+        run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
+    return deliver(run, folder)
+
+
+def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions]:
+    """What the options of a command that runs a task in one process say."""
+    from tactile_bringup.offline import OfflineOptions
+    from tactile_control.task_file import default_scene, load_task, task_path
+    from tactile_drivers.scene import load_scene
+    from tactile_filter.filter_settings import load_filter_settings
+
     path = task_path(arguments.task)
     scene = load_scene(arguments.scene or default_scene(path))
     chosen = {"controller": arguments.controller, "changes": arguments.changes}
@@ -52,18 +71,10 @@ def _simulate(arguments: argparse.Namespace) -> int:
         fidelity=arguments.fidelity,
         model=arguments.model,
         seed=arguments.seed,
-        latency=arguments.latency * 1e-3,
-        arm=arguments.arm,
         goals=tuple(arguments.goals),
         filter=load_filter_settings(arguments.filter),
     )
-    with Progress() as progress:
-
-        def show(arm: str, goal: str, command: Command) -> None:
-            progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
-
-        run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
-    return deliver(run, folder)
+    return scene, task, options
 
 
 def deliver(run: Run, folder: Path) -> int:

@@ -49,19 +49,21 @@ class Witness:
         Length of its path, m.
     rests_since : float
         From then on the arm was at rest to the end, s after the lie began; inf: it never was.
+    position : ndarray (3,)
+        Where the controlled frame stands in the arm's base, m; NaN before anything was seen.
     """
 
     deepest: float = -math.inf
     fastest: float = 0.0
     way: float = 0.0
     rests_since: float = 0.0
-    _last: Array | None = field(default=None, repr=False)
+    position: Array = field(default_factory=lambda: np.full(3, np.nan))
 
     def see(self, since: float, T_base_controlled: Array, speed: float, depth: float) -> None:
         """Take one step: seconds since the lie began, true pose (4, 4), speed (m/s), depth (m)."""
         position = T_base_controlled[:3, 3]
-        self.way += se3.norm(position - self._last) if self._last is not None else 0.0
-        self._last = position.copy()
+        self.way += float(np.nan_to_num(se3.norm(position - self.position)))
+        self.position = position.copy()
         self.fastest = max(self.fastest, speed)
         self.deepest = max(self.deepest, depth)
         if speed > AT_REST:

@@ -105,10 +105,12 @@ def test_the_links_of_a_urdf_follow_the_joints_and_end_where_the_tool_is(graph, 
                 frames = item.header.frame_id, item.child_frame_id
                 buffer.set_transform(*frames, stamp_ns, T, static=kind == "static")
     chain = load_scene(tmp_path / "cell.yaml").arms["arm"].kinematics
-    checked = 0
+    checked, heard_ns = 0, ns_from_time(cell["tf"][0].transforms[0].header.stamp)
     for message in cell["joints"]:
         stamp_ns = ns_from_time(message.header.stamp)
         assert list(message.name) == turning
+        if stamp_ns < heard_ns:  # each topic is found by itself, this one first
+            continue
         flange = buffer.lookup("arm/base", "arm/urdf/wrist3_link", stamp_ns)
         tool = buffer.lookup("arm/base", "arm/tool", stamp_ns)
         error = se3.log(se3.inverse(tool) @ flange)

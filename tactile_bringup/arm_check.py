@@ -1,0 +1,327 @@
+"""Is this arm what its scene says, and does it stop? Without ROS, and in the air at 10 mm/s.
+
+Everything is told by a line with a verdict. Motions are of some millimetres, away from what the arm's
+controlled frame points at and back, through the safe command stage that tasks go through. The last one is
+made by a process that is then frozen and killed, as a computer that hangs: what stops the arm then is its
+controller.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.stamps import SECOND_NS
+from tactile_bringup.findings import FAILED, LOOK, OK, Finding
+from tactile_bringup.staged_arm import StagedArm, Stopped
+from tactile_drivers.arm import ArmMode, ArmState, SafetySettings, open_arm
+from tactile_drivers.doubles.rehearsal import rehearsed
+from tactile_drivers.scene import ArmScene, load_scene
+from tactile_filter import se3
+
+Array = NDArray[np.float64]
+
+SPEED = 0.01  # m/s, of what is measured
+SECONDS = 1.0  # of each motion
+ROOM = 0.025  # m, that the motions need
+LISTEN = 2.0  # s
+FIRST_DAY = 0.02  # m/s
+SLACK = 0.0005  # m: of a way that is measured from states
+HANGS = 1.0  # s, for which the process that moves the arm is frozen
+#: m at `SPEED`, that an arm may go on for when its computer hangs: its watchdog, and a slow stop
+LONGEST_WAY = 0.005
+MOVED = 2e-4  # m: an arm that has gone so far has begun to move
+
+Findings = Iterator[Finding]
+
+
+def check_scene(arm: ArmScene) -> Findings:
+    """What the scene says of the arm, as far as it bears on a first contact."""
+    speed = arm.limits.linear_velocity
+    where = f"limits.linear_velocity is {1e3 * speed:g} mm/s"
+    yield (
+        Finding(OK, "speed", where)
+        if speed <= FIRST_DAY
+        else Finding(LOOK, "speed", f"{where}; {1e3 * FIRST_DAY:g} until ten runs were good")
+    )
+    given, default = arm.safety, SafetySettings()
+    box = f"{list(given.workspace_lower)} to {list(given.workspace_upper)} m"
+    if (given.workspace_lower, given.workspace_upper) == (default.workspace_lower, default.workspace_upper):
+        yield Finding(FAILED, "workspace", f"{box}, the default: nothing bounds how deep the arm goes")
+    elif reason := arm.out_of_bounds(arm.T_base_start[:3, 3]):
+        yield Finding(FAILED, "workspace", f"the start of tasks: {reason}")
+    else:
+        below = _room_below(arm)
+        yield Finding(LOOK, "workspace", f"{box}, {1e3 * below:.0f} mm from the start along the tip: is the "
+            "surface within these, and no more than 8 mm of them behind it?")  # fmt: skip
+    if arm.kinematics is None:
+        yield Finding(LOOK, "kinematics", "none: nobody minds joints and singularities (docs/kinematics.md)")
+    if arm.sensor is not None:
+        in_tool = np.round(1e3 * arm.T_tool_controlled[:3, 3], 1).tolist()
+        yield Finding(LOOK, "sensor", f"its dome's centre is {in_tool} mm from the tool: by the ruler, too?")
+
+
+def _room_below(arm: ArmScene) -> float:
+    """How far the controlled frame can go ahead from its start within the workspace, m."""
+    p, ahead = arm.T_base_start[:3, 3], arm.T_base_start[:3, 2]
+    ends = np.where(ahead > 0.0, arm.safety.workspace_upper, arm.safety.workspace_lower)
+    ways = [(end - at) / part for end, at, part in zip(ends, p, ahead, strict=True) if abs(part) > 1e-9]
+    return float(min(ways))
+
+
+def check_connection(staged: StagedArm) -> Findings:
+    """What the open driver and its states say, while the arm rests."""
+    time.sleep(LISTEN)
+    arm, states = staged.arm, staged.states
+    host = arm.driver_settings.values.get("host", "the arm")
+    yield Finding(OK, "connection", f"{host} answered after {staged.opened_in:.1f} s")
+    agreed = getattr(staged.driver, "agreed", "")
+    yield (
+        Finding(OK, "controller", f"agrees with the scene in {agreed}")
+        if agreed
+        else Finding(
+            LOOK,
+            "controller",
+            "this driver compares nothing with the scene: tool, payload and base are yours",
+        )
+    )
+    if len(states) < 3:
+        yield Finding(FAILED, "states", f"{len(states)} came in {LISTEN:g} s")
+        return
+    yield check_rate(arm, states)
+    state = states[-1][1]
+    if state.mode in (ArmMode.FAULT, ArmMode.ESTOP):
+        yield Finding(FAILED, "state", f"{state.mode.name.lower()}: {state.reason or 'it does not say why'}")
+    yield from _place(arm, state)
+
+
+def check_rate(arm: ArmScene, states: list[tuple[int, ArmState]]) -> Finding:
+    """How regularly states come, and how old they are when they do."""
+    received = np.array([at for at, _ in states]) / SECOND_NS
+    age = received - np.array([state.stamp_ns for _, state in states]) / SECOND_NS
+    gaps = np.diff(received)
+    text = (
+        f"{1.0 / gaps.mean():.0f} a second, 99 % within {1e3 * np.percentile(gaps, 99):.1f} ms of the last, "
+        f"{1e3 * np.median(age):.1f} ms old, at most {1e3 * age.max():.1f}"
+    )
+    fine = age.max() < 0.5 * arm.safety.state_age and gaps.max() < 0.5 * arm.limits.command_timeout
+    return Finding(OK if fine else LOOK, "states", text if fine else f"{text}: a busy computer, or network?")
+
+
+def _place(arm: ArmScene, state: ArmState) -> Findings:
+    """Where the arm is, by its poses, its joints, and in the world."""
+    T_world = arm.T_world_base @ state.T_base_controlled
+    where = np.round(1e3 * T_world[:3, 3], 1).tolist()
+    yield Finding(LOOK, "base", f"the controlled frame is at {where} mm in the world: by the ruler, too?")
+    if arm.kinematics is not None and state.joints is not None:
+        error = se3.log(se3.inverse(arm.kinematics.pose(state.joints)) @ state.T_base_controlled)
+        way, turn = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
+        fits = way < 20.0 and turn < 3.0  # what the safe command stage asks for
+        text = f"poses lie {way:.1f} mm and {turn:.1f} deg from what the joints give"
+        yield Finding(OK if fits else FAILED, "joints", text)
+    reason = arm.out_of_bounds(state.T_base_controlled[:3, 3])
+    if reason:
+        yield Finding(FAILED, "place", f"{reason}: move it there by hand first")
+
+
+# ---- in motion ----
+
+
+def check_motion(staged: StagedArm) -> Findings:
+    """Measured in the air: direction, lag, stops; each as soon as it is known.
+
+    Raises
+    ------
+    RuntimeError
+        If a command is refused, with the reason; ends with the arm at rest.
+    """
+    arm, stage = staged.arm, staged.stage
+    staged.drive()
+    home = staged.pose.copy()
+    ends = home @ _shift(-ROOM)
+    if reason := arm.out_of_bounds(ends[:3, 3]):
+        yield Finding(FAILED, "room", f"no {1e3 * ROOM:.0f} mm to move away from what it points at: {reason}")
+        return
+    begun = staged.go(_ahead(-SPEED), SECONDS)
+    stopped = staged.stopped(lambda: stage.stop("it is checked"))
+    lag = _lag(staged, begun)
+    yield from _direction(staged, home)
+    yield Finding(OK if lag <= arm.tracking.lag else FAILED, "round trip",
+        f"{1e3 * lag:.0f} ms from a command to the motion that it makes; tracking.lag is "
+        f"{1e3 * arm.tracking.lag:.0f} ms")  # fmt: skip
+    yield _stop_row(arm, "stop", stopped, lag)
+    staged.go(_ahead(SPEED), SECONDS)
+    yield _stop_row(arm, "emergency stop", staged.stopped(lambda: stage.estop("it is checked")), lag)
+    yield from _after_reset(staged)
+    staged.go(_ahead(-SPEED), SECONDS)
+    yield _silence_row(arm, staged)
+    _go_home(staged, home)
+
+
+def _direction(staged: StagedArm, home: Array) -> Findings:
+    """Whether it went where it was told to."""
+    alarm, went = staged.stage.alarm, se3.inverse(home) @ staged.pose
+    away, aside = 1e3 * -went[2, 3], 1e3 * np.linalg.norm(went[:2, 3])
+    text = f"told to go away by {1e3 * SPEED * SECONDS:.0f} mm it went {away:.1f}, and {aside:.1f} aside"
+    fine = not alarm and 0.7 <= away / (1e3 * SPEED * SECONDS) <= 1.3 and aside < 1.0
+    yield Finding(OK if fine else FAILED, "direction", f"{text}{f': {alarm}' if alarm else ''}")
+    up = (staged.arm.T_world_base @ home)[:3, 2] @ [0.0, 0.0, -1.0]
+    if up > 0.7:
+        yield Finding(LOOK, "up", "was that straight up, by your eyes? If not, `base` or the tool is wrong")
+
+
+def _lag(staged: StagedArm, begun_ns: int) -> float:
+    """From the first command to where motion began, less what acceleration takes, s."""
+    states = [(state.stamp_ns, state.T_base_controlled[:3, 3]) for _, state in staged.states]
+    start = next(place for stamp, place in reversed(states) if stamp <= begun_ns)
+    moved = next(
+        (stamp for stamp, place in states if stamp > begun_ns and np.linalg.norm(place - start) > MOVED), None
+    )
+    if moved is None:
+        return float("inf")
+    ramp = staged.arm.limits.lead(SPEED / staged.arm.limits.linear_acceleration)
+    return max(0.0, (moved - begun_ns) / SECOND_NS - MOVED / SPEED - 0.5 * ramp)
+
+
+def _stop_row(arm: ArmScene, what: str, stopped: Stopped, lag: float) -> Finding:
+    """Against the way that the limits and the lag allow."""
+    most = arm.limits.braking_distance(SPEED, lag + arm.safety.reaction_time) + SLACK
+    text = f"at rest after {1e3 * stopped.seconds:.0f} ms and {1e3 * stopped.way:.2f} mm from 10 mm/s"
+    fine = np.isfinite(stopped.seconds) and stopped.way <= most
+    return Finding(OK if fine else FAILED, what, f"{text}; limits and lag allow {1e3 * most:.2f} mm")
+
+
+def _after_reset(staged: StagedArm) -> Findings:
+    """Nothing may move by itself once the emergency stop is left."""
+    stage = staged.stage
+    before = staged.pose[:3, 3].copy()
+    stage.reset()
+    time.sleep(LISTEN / 2)
+    way = 1e3 * float(np.linalg.norm(staged.pose[:3, 3] - before))
+    verdict = OK if way < 1e3 * SLACK else FAILED
+    yield Finding(verdict, "reset", f"it moved by {way:.2f} mm by itself afterwards")
+
+
+def _silence_row(arm: ArmScene, staged: StagedArm) -> Finding:
+    """No command comes any more, and nobody says stop: what the driver does about it."""
+    since = time.time_ns()
+    time.sleep(max(5.0 * arm.limits.command_timeout, 0.5))
+    rest = staged.rest_since(since)
+    if np.isfinite(rest.seconds) and not staged.stage.alarm:
+        text = f"at rest after {1e3 * rest.seconds:.0f} ms and {1e3 * rest.way:.1f} mm without commands"
+        return Finding(OK, "commands end", f"{text}, by the driver")
+    staged.stage.halt("it goes on without commands")
+    time.sleep(LISTEN / 2)
+    staged.stage.reset()
+    return Finding(LOOK, "commands end", "the driver goes on: only the arm's node stops it, while it runs")
+
+
+def _go_home(staged: StagedArm, home: Array) -> None:
+    """Back to where it began."""
+    ahead = (se3.inverse(staged.pose) @ home)[2, 3]
+    if abs(ahead) > SLACK:
+        staged.go(_ahead(np.copysign(SPEED, ahead)), abs(ahead) / SPEED)
+    staged.stopped(lambda: staged.stage.stop("it is back"))
+
+
+def _ahead(speed: float) -> Array:
+    return np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])
+
+
+def _shift(z: float) -> Array:
+    return se3.exp(_ahead(z))
+
+
+# ---- a computer that hangs ----
+
+
+def check_hang(reopen: Callable[[], StagedArm], command: list[str], home: Array) -> Findings:
+    """A process moves the arm, is frozen in mid motion and killed: how far the arm goes then.
+
+    Parameters
+    ----------
+    reopen : callable
+        Opens the arm, afterwards.
+    command : list of str
+        Runs `move_until_killed` in a process of its own.
+    home : ndarray (4, 4)
+        Where the arm goes in the end.
+    """
+    last = _frozen_at(command)
+    try:
+        staged = reopen()
+    except (OSError, RuntimeError) as error:
+        yield Finding(LOOK, "computer hangs", f"it cannot be opened afterwards: {error}; how far did it go?")
+        return
+    with staged:
+        time.sleep(HANGS)
+        if not staged.states:
+            yield Finding(FAILED, "computer hangs", "the arm says nothing when it is opened again")
+            return
+        state = staged.states[-1][1]
+        way = float(np.linalg.norm(state.T_base_controlled[:3, 3] - last))
+        text = f"frozen at 10 mm/s, the arm went on for {1e3 * way:.1f} mm (at most {1e3 * LONGEST_WAY:g}), "
+        text += f"{1e3 * way * FIRST_DAY / SPEED:.1f} at {1e3 * FIRST_DAY:g} mm/s"
+        yield Finding(OK if way <= LONGEST_WAY else FAILED, "computer hangs", text)
+        if state.mode not in (ArmMode.FAULT, ArmMode.ESTOP):
+            staged.drive()
+            _go_home(staged, home)
+
+
+def _frozen_at(command: list[str]) -> Array:
+    """Freeze a process once it moves the arm at its speed; the last place that it told before, (3,) m."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None
+    told: list[list[float]] = []
+    try:
+        for line in process.stdout:
+            told.append(json.loads(line))
+            if told[-1][3] > 0.9 * SPEED:
+                break
+        os.killpg(process.pid, signal.SIGSTOP)
+        time.sleep(HANGS)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    moving = bool(told) and told[-1][3] > 0.9 * SPEED
+    for line in process.stdout:  # told before it was frozen
+        if line.endswith("]\n"):
+            told.append(json.loads(line))
+    if not moving:
+        raise RuntimeError("another process could not move the arm")
+    return np.array(told[-1][:3])
+
+
+def move_until_killed(arm: ArmScene) -> None:
+    """Move an arm away; print, a line for each state, where it is (x, y, z, m) and its speed (m/s)."""
+
+    def open_driver(report: Callable[[ArmState], None]) -> Any:
+        def tell(state: ArmState) -> None:
+            report(state)
+            speed = float(np.linalg.norm(state.twist[:3]))
+            print(json.dumps([*state.T_base_controlled[:3, 3].tolist(), speed]), flush=True)
+
+        return open_arm(arm, tell)
+
+    with StagedArm(arm, open_driver) as staged:
+        staged.drive()
+        staged.go(_ahead(-SPEED), SECONDS)
+
+
+def hang_command(scene: str, arm: str, rehearse: bool) -> list[str]:
+    """The command that runs `move_until_killed`."""
+    return [sys.executable, "-m", __name__, scene, arm, *(["--rehearse"] if rehearse else [])]
+
+
+if __name__ == "__main__":
+    _scene = load_scene(sys.argv[1])
+    move_until_killed((rehearsed(_scene) if "--rehearse" in sys.argv else _scene).arms[sys.argv[2]])
