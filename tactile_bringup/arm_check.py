@@ -36,9 +36,9 @@ ROOM = 0.025  # m, that the motions need
 LISTEN = 2.0  # s
 FIRST_DAY = 0.02  # m/s
 SLACK = 0.0005  # m: of a way that is measured from states
+STATE_WAY = 0.002  # m at `SPEED`, for states that were under way, and a process that freezes late
 HANGS = 1.0  # s, for which the process that moves the arm is frozen
-#: m at `SPEED`, that an arm may go on for when its computer hangs: its watchdog, and a slow stop
-LONGEST_WAY = 0.005
+UNKNOWN = 0.5  # s, that a watchdog may take of which nothing is known
 MOVED = 2e-4  # m: an arm that has gone so far has begun to move
 
 Findings = Iterator[Finding]
@@ -181,7 +181,7 @@ def _direction(staged: StagedArm, home: Array) -> Findings:
 
 def _lag(staged: StagedArm, begun_ns: int) -> float:
     """From the first command to where motion began, less what acceleration takes, s."""
-    states = [(state.stamp_ns, state.T_base_controlled[:3, 3]) for _, state in staged.states]
+    states = [(state.stamp_ns, state.T_base_controlled[:3, 3]) for _, state in list(staged.states)]
     start = next(place for stamp, place in reversed(states) if stamp <= begun_ns)
     moved = next(
         (stamp for stamp, place in states if stamp > begun_ns and np.linalg.norm(place - start) > MOVED), None
@@ -269,9 +269,11 @@ def check_hang(reopen: Callable[[], StagedArm], command: list[str], home: Array)
             return
         state = staged.states[-1][1]
         way = float(np.linalg.norm(state.T_base_controlled[:3, 3] - last))
-        text = f"frozen at 10 mm/s, the arm went on for {1e3 * way:.1f} mm (at most {1e3 * LONGEST_WAY:g}), "
-        text += f"{1e3 * way * FIRST_DAY / SPEED:.1f} at {1e3 * FIRST_DAY:g} mm/s"
-        yield Finding(OK if way <= LONGEST_WAY else FAILED, "computer hangs", text)
+        watchdog = getattr(staged.driver, "watchdog", None)
+        most = SPEED * (watchdog or UNKNOWN) + staged.arm.limits.braking_distance(SPEED) + STATE_WAY
+        text = f"frozen at 10 mm/s, the arm went on for {1e3 * way:.1f} mm (at most {1e3 * most:.1f}: "
+        text += f"its watchdog has {1e3 * watchdog:.0f} ms)" if watchdog else "its watchdog is not known)"
+        yield Finding(OK if way <= most else FAILED, "computer hangs", text)
         if state.mode not in (ArmMode.FAULT, ArmMode.ESTOP):
             staged.drive()
             _go_home(staged, home)

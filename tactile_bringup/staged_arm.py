@@ -119,15 +119,17 @@ class StagedArm:
 
     def rest_since(self, since_ns: int) -> Stopped:
         """How it came to rest since then (ns): the stamp from which on its twist is zero, and the way."""
-        later = [state for _, state in self.states if state.stamp_ns >= since_ns]
+        states = [state for _, state in list(self.states)]  # more come meanwhile
+        later = [state for state in states if state.stamp_ns >= since_ns]
         moving = [state.stamp_ns for state in later if not is_at_rest(state.twist)]
         rests = bool(later) and is_at_rest(later[-1].twist)
         seconds = (max(moving, default=since_ns) - since_ns) / SECOND_NS if rests else np.inf
-        return Stopped(seconds, self._way(since_ns))
+        return Stopped(seconds, _way(states, since_ns))
 
-    def _way(self, since_ns: int) -> float:
-        """From where it was then (ns) to where it is, m."""
-        stamps = np.array([state.stamp_ns for _, state in self.states]) / SECOND_NS
-        places = np.array([state.T_base_controlled[:3, 3] for _, state in self.states])
-        then = np.array([np.interp(since_ns / SECOND_NS, stamps, column) for column in places.T])
-        return float(np.linalg.norm(places[-1] - then))
+
+def _way(states: list[ArmState], since_ns: int) -> float:
+    """From where it was then (ns) to where it is, m."""
+    stamps = [state.stamp_ns / SECOND_NS for state in states]
+    places = np.array([state.T_base_controlled[:3, 3] for state in states])
+    then = np.array([np.interp(since_ns / SECOND_NS, stamps, column) for column in places.T])
+    return float(np.linalg.norm(places[-1] - then))

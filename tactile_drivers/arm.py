@@ -239,6 +239,8 @@ class Arm(Protocol):
         Whether others may move the arm while nobody commands it here. Without it that is a fault.
     kinematics : Kinematics, optional
         Of an arm that has them; then its states tell `joints`, and the stage minds their limits.
+    watchdog : float, optional
+        Seconds without commands after which the arm's own controller stops it, whatever becomes of this computer.
     agreed : str, optional
         What its controller says as the scene does (tool, payload, model), since it would not have opened
         else.

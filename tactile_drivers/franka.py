@@ -46,6 +46,7 @@ DOCUMENTED = {
     PANDA: ((1.7, 2.5), (13.0, 25.0), (6500.0, 12500.0)),
 }
 _PERIOD = 1e-3  # s, between commands
+_MISSED = 20  # of these in a row end a motion (FCI documentation, Robot limits and behavior)
 #: Of a step in a command what passes libfranka's low-pass filter (100 Hz) in a period: T / (T + 1 / 2 pi f).
 _FILTERED = _PERIOD / (_PERIOD + 1.0 / (2.0 * np.pi * 100.0))
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: end effectors that differ by less are the same
@@ -195,6 +196,11 @@ class FrankaArm:
     def drift(self) -> float:
         """By how much our clock is faster than the controller's, s/s."""
         return self._clock.drift
+
+    @property
+    def watchdog(self) -> float:
+        """Silence after which the arm stops in a reflex, s."""
+        return _MISSED * _PERIOD
 
     @property
     def agreed(self) -> str:
@@ -427,7 +433,8 @@ class FrankaArm:
         ):
             limit.set(value)
         state = _state_of(robot)
-        if self._last is None and (wrong := _why_not(state) or self._wrong(state)):
+        left = "" if _errors(state) else _why_not(state)  # errors that somebody left are cleared by `recover`
+        if self._last is None and (wrong := left or self._wrong(state)):
             raise RuntimeError(wrong)
         if settings.model == PANDA and hasattr(robot, "model_urdf"):
             raise RuntimeError("the arm is an FR3, the scene says panda")

@@ -204,6 +204,11 @@ class UrArm:
         return self._clock.drift
 
     @property
+    def watchdog(self) -> float:
+        """Silence after which the controller ends the program, s."""
+        return 1.0 / self.settings.watchdog
+
+    @property
     def agreed(self) -> str:
         """What the controller says as the scene does, in words."""
         settings = self.settings

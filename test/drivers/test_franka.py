@@ -270,6 +270,21 @@ def other(second):
     return second
 
 
+def test_an_arm_that_is_opened_in_a_reflex_is_in_fault_until_a_reset(tmp_path, other):
+    other("joint_reflex")
+    states = []
+    driver = open_arm(load_scene(scene_file(tmp_path, other.host)).arms["arm"], states.append)
+    try:
+        assert states[-1].mode is ArmMode.FAULT and "joint reflex" in states[-1].reason
+        driver.recover()
+        end = time.monotonic() + 5.0
+        while states[-1].mode is not ArmMode.RESTING and time.monotonic() < end:
+            time.sleep(0.01)
+        assert states[-1].mode is ArmMode.RESTING
+    finally:
+        driver.close()
+
+
 @pytest.mark.parametrize(
     "fault, settings, words",
     [
@@ -280,7 +295,6 @@ def other(second):
         ),
         ("mass 1.5", {}, "its end effector and load weigh 1.5 kg, the scene says 0 kg"),
         ("", {"model": "panda"}, "the arm is an FR3, the scene says panda"),
-        ("joint_reflex", {}, "joint reflex"),
         ("user_stop", {}, "the user stop is pressed"),
         ("guiding", {}, "moved by hand"),
         ("version 5", {}, "it speaks version 5 of the control interface, and this franky 10"),
