@@ -202,9 +202,8 @@ def _stop_row(arm: ArmScene, what: str, stopped: Stopped, lag: float) -> Finding
 
 def _after_reset(staged: StagedArm) -> Findings:
     """Nothing may move by itself once the emergency stop is left."""
-    stage = staged.stage
     before = staged.pose[:3, 3].copy()
-    stage.reset()
+    staged.reset()
     time.sleep(LISTEN / 2)
     way = 1e3 * float(np.linalg.norm(staged.pose[:3, 3] - before))
     verdict = OK if way < 1e3 * SLACK else FAILED
@@ -221,7 +220,7 @@ def _silence_row(arm: ArmScene, staged: StagedArm) -> Finding:
         return Finding(OK, "commands end", f"{text}, by the driver")
     staged.stage.halt("it goes on without commands")
     time.sleep(LISTEN / 2)
-    staged.stage.reset()
+    staged.reset()
     return Finding(LOOK, "commands end", "the driver goes on: only the arm's node stops it, while it runs")
 
 

@@ -84,8 +84,16 @@ class StagedArm:
         return self.states[-1][1].T_base_controlled
 
     def drive(self) -> None:
-        """Have the stage move it from now on, and wait for its first state; `RuntimeError` without one."""
+        """Have the stage move it from now on; `RuntimeError` if no state of it is believed."""
         self.stage.drive(self.driver)
+        self._wait()
+
+    def reset(self) -> None:
+        """Leave what has stopped it; `RuntimeError` says why it does not."""
+        self.stage.reset()
+        self._wait()
+
+    def _wait(self) -> None:
         end = time.monotonic() + WATCHED
         while self.stage.state is None:
             if time.monotonic() > end:

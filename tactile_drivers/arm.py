@@ -240,7 +240,7 @@ class Arm(Protocol):
     kinematics : Kinematics, optional
         Of an arm that has them; then its states tell `joints`, and the stage minds their limits.
     watchdog : float, optional
-        Seconds without commands after which the arm's own controller stops it, whatever becomes of this computer.
+        Seconds without commands after which the arm's own controller stops it, if this computer hangs, too.
     agreed : str, optional
         What its controller says as the scene does (tool, payload, model), since it would not have opened
         else.

@@ -26,6 +26,19 @@ def test_all_threads_of_a_node_have_its_priority_or_it_says_how_to_get_it(graph)
         assert "SCHED_FIFO 5 (rtprio in /etc/security/limits.conf allows it)" in graph.log(FILTER).read_text()
 
 
+def test_all_threads_of_a_node_run_on_its_cores_or_it_says_that_they_cannot(graph):
+    first = min(os.sched_getaffinity(0))
+    process = graph.start(FILTER, {"cores": [first]})
+    assert {
+        frozenset(os.sched_getaffinity(int(thread))) for thread in os.listdir(f"/proc/{process.pid}/task")
+    } == {frozenset({first})}
+
+
+def test_a_core_that_is_not_there_is_told(graph):
+    graph.start(FILTER, {"cores": [1023]})
+    assert "this user may not have the cores 1023" in graph.log(FILTER).read_text()
+
+
 @pytest.mark.parametrize("priority", [-1, 100])
 def test_a_priority_that_there_is_not_is_refused(graph, priority):
     process = graph.start(FILTER, {"priority": priority}, wait=False)

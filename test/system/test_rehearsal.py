@@ -85,6 +85,26 @@ def test_a_surface_is_followed_through_the_driver_of_a_real_arm_and_has_the_same
 
 @pytest.mark.ros
 @pytest.mark.slow
+@pytest.mark.parametrize("driver", list(NEEDS))
+def test_the_check_of_an_arm_passes_on_its_double_and_it_ends_where_it_began(launched, tmp_path, driver):
+    check = launched("arm", "check", "--scene", str(cell(tmp_path, driver)), "--rehearse", "--move")
+    assert check.end() == 0, check.output
+    said = " ".join(check.output.split())
+    for what in (
+        "direction",
+        "round trip",
+        "stop",
+        "emergency stop",
+        "reset",
+        "commands end",
+        "computer hangs",
+    ):
+        assert f"ok {what}: " in said, said
+    assert "agrees with the scene in" in said
+
+
+@pytest.mark.ros
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", ["ur", pytest.param("franka", marks=pytest.mark.asked)])
 def test_data_are_collected_through_the_driver_of_a_real_arm(launched, tmp_path, driver):
     out = tmp_path / "data"

@@ -1,0 +1,80 @@
+"""`tactile arm check`: a good arm passes, and each thing that is wrong with another is said."""
+
+import sys
+
+import pytest
+from other_package import installed
+
+from tactile_bringup import arm_check, cli
+
+pytestmark = pytest.mark.live  # it measures times
+
+CELL = """
+arms:
+  arm:
+    driver: bench_arm
+    driver_settings: {%s}
+    start: {position: [0, 0, 0.3], rotation_deg: [0, 180, 0]}
+    sensor: {in_tool: {position: [0, 0, 0.065]}}
+    %s
+"""
+BOX = "safety: {workspace_lower: [-0.2, -0.2, 0.29], workspace_upper: [0.2, 0.2, 0.4]}"
+
+
+@pytest.fixture
+def check(tmp_path, monkeypatch, capsys):
+    """Runs the command on an arm with these settings; its exit code and what it says."""
+    (tmp_path / "site").mkdir()
+    folders = installed(tmp_path / "site")
+    for folder in folders:
+        monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", ":".join([*folders, *sys.path]))
+    for name, seconds in (("LISTEN", 0.5), ("SECONDS", 0.4), ("HANGS", 0.3)):
+        monkeypatch.setattr(arm_check, name, seconds)
+
+    def run(settings="", more=BOX, *options):
+        (tmp_path / "cell.yaml").write_text(CELL % (settings, more))
+        code = cli.main(["arm", "check", "--scene", str(tmp_path / "cell.yaml"), *options])
+        out, err = capsys.readouterr()
+        return code, " ".join((out + err).split())
+
+    yield run
+    sys.modules.pop("bench_cell", None)
+
+
+def test_an_arm_that_keeps_what_it_says_passes_at_rest(check):
+    code, said = check()
+    assert code == 0, said
+    assert "ok connection: the arm answered" in said and "look stops: not measured" in said
+    assert "10 mm ahead" not in said and "10 mm from the start along the tip" in said
+
+
+def test_an_arm_that_keeps_what_it_says_passes_in_motion(check):
+    code, said = check("", BOX, "--move")
+    for what in ("direction", "round trip", "stop", "emergency stop", "reset", "computer hangs"):
+        assert f"ok {what}: " in said, said
+    # it has no watchdog of its own
+    assert "look commands end: the driver goes on: only the arm's node stops it" in said
+    assert code == 0
+
+
+@pytest.mark.parametrize(
+    "settings, more, options, words",
+    [
+        ("", "", (), "FAILED workspace: [-2.0, -2.0, -2.0] to [2.0, 2.0, 2.0] m, the default"),
+        ("", BOX.replace("0.29", "0.31"), (), "FAILED workspace: the start of tasks: "),
+        ("host: nowhere", BOX, (), "no answer from nowhere"),
+        ("states: 2", BOX, (), "FAILED states: 2 came in"),
+        ("nowhere: true", BOX, (), "FAILED place: "),
+        ("deaf: true", BOX, ("--move",), "FAILED"),
+        ("", BOX.replace("0.4]", "0.31]"), ("--move",), "FAILED room: no 25 mm to move away"),
+    ],
+)
+def test_what_is_wrong_is_said(check, settings, more, options, words):
+    code, said = check(settings, more, *options)
+    assert code in (1, 2) and words in said, said
+
+
+def test_a_simulated_arm_has_no_driver_to_check(capsys):
+    assert cli.main(["arm", "check", "--scene", "plane"]) == 2
+    assert "'arm' has no driver of its own, but 'sim'" in " ".join(capsys.readouterr().err.split())
