@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Vector3
 from rclpy.parameter import Parameter
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import Bool, ColorRGBA
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -33,13 +33,14 @@ from tactile_drivers.arm import ArmState
 from tactile_drivers.arm_distance import neighbours
 from tactile_drivers.camera import CameraFrame
 from tactile_drivers.doubles.rehearsal import DOUBLES, Double, FollowedArm, doubled, rehearsed
+from tactile_drivers.doubles.reported import ReportedDouble
 from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.motions import FIXED
 from tactile_filter import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
-from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp
-from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, transform_stamped
+from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp, transforms_from_bytes
+from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, pose_from_numbers, transform_stamped
 from tactile_ros.diagnostics import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.nodes.arm_node import ArmNode
@@ -131,6 +132,7 @@ class SimNode(ManagedNode):
         except (ValueError, OSError) as error:
             raise ConfigurationError(str(error)) from error
         self.doubles: dict[str, Double] = {}
+        self.reported: list[ReportedDouble] = []
         self.arms = {
             name: self._hosted(ArmNode, arm, name)
             for name, arm in self.scene.arms.items()
@@ -163,6 +165,7 @@ class SimNode(ManagedNode):
             for name, arm in self.scene.arms.items():
                 if self.settings.value.rehearse and doubled(arm):
                     self.doubles[name] = DOUBLES.load(arm.driver)(arm)
+            self._follow_reported()
             self._start_cell()
         except (ValueError, OSError) as error:
             raise ConfigurationError(str(error)) from error
@@ -180,6 +183,27 @@ class SimNode(ManagedNode):
         self.tf_layout = Layout(TFMessage(transforms=moving))
         self.markers_out = self.publisher(MarkerArray, topics.SIM_MARKERS.name, LATCHED)
 
+    def _follow_reported(self) -> None:
+        """Tell doubles that stand where drivers say what these say, and stop arms for them."""
+        reported = {
+            (topics.base_frame(name), topics.tool_frame(name)): double
+            for name, double in self.doubles.items()
+            if isinstance(double, ReportedDouble)
+        }
+        self.reported = list(reported.values())
+        if not reported:
+            return
+
+        def take(data: bytes) -> None:
+            for told in transforms_from_bytes(data):
+                double = reported.get((told.parent, told.child))
+                if double is not None:
+                    T = pose_from_numbers((*told.translation, *told.rotation))
+                    double.take(told.stamp_ns, T)
+
+        self.subscribe(TFMessage, topics.TF.name, take, TF, always=True, raw=True)
+        self.estop_out = self.publisher(Bool, topics.ESTOP.name, STATE)
+
     def activate(self) -> None:
         """The cell starts anew, as soon as everything else has been made ready."""
         self._start_cell(self.now_ns() + round(START_DELAY * SECOND_NS))
@@ -195,6 +219,7 @@ class SimNode(ManagedNode):
         for double in self.doubles.values():
             double.close()
         self.doubles.clear()
+        self.reported.clear()
 
     def _start_cell(self, stamp_ns: int = 0) -> None:
         followed = {
@@ -235,6 +260,11 @@ class SimNode(ManagedNode):
         for outlet in self.outlets:
             if self.cell.exposure_due(outlet.arm) and self._in_time(outlet, in_time):
                 frames.append((outlet, self.cell.expose(outlet.arm)))
+        for double in self.reported:
+            if double.stop_asked:
+                self.estop_out.publish(Bool(data=True))
+                double.stop_asked = False
+                self.warn("deep", "as after a collision, the cell stops the arm: too deep in a surface")
         time.sleep(max(0.0, (stamp_ns - self.now_ns()) / SECOND_NS))
         for outlet, frame in frames:
             outlet.publish(frame)

@@ -9,6 +9,8 @@ bench_arm = bench_cell:BenchArm
 [tactile_servoing.cameras]
 bench_camera = bench_cell:BenchCamera
 double_camera = double_camera:DoubleCamera
+[tactile_servoing.doubles]
+bench_arm = tactile_drivers.doubles.reported:ReportedDouble
 [tactile_servoing.motions]
 drift = bench_cell:Drift
 """

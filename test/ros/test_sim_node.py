@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TwistStamped
 from messages import arm_command, vector_from_twist
+from other_package import installed
 from sensor_msgs.msg import Image
+from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
 from tactile_base.config_paths import config_path
@@ -17,6 +19,7 @@ from tactile_ros.conversions import (
     matrix_from_pose,
     matrix_from_transform,
     ns_from_time,
+    transform_stamped,
 )
 
 SIM = "tactile_ros.nodes.sim_node"
@@ -176,6 +179,26 @@ def test_an_arm_with_known_kinematics_stops_before_it_is_too_near_to_another(gra
         if statuses and statuses[-1].held_back:
             break
     assert statuses[-1].held_back == "0.06 m from other"
+
+
+def test_an_arm_of_ones_own_driver_that_is_told_too_deep_in_a_surface_is_stopped(graph, tmp_path):
+    graph.import_from(installed(tmp_path))
+    (tmp_path / "mine.yaml").write_text(
+        "arms:\n  arm: {driver: bench_arm, start: {position: [0, 0, 0.03], rotation_deg: [0, 180, 0]}, "
+        f"sensor: {{}}}}\nbodies: {{table: {{shape: plane}}}}\n{IDEAL}"
+    )
+    stops = graph.collect(Bool, "/estop")
+    truths = graph.collect(ContactTruth, "sim/truth")
+    graph.start(SIM, {"scene": str(tmp_path / "mine.yaml"), "rehearse": True}, namespace="")
+    tell = graph.publisher(TFMessage, "/tf", qos.TF)
+    down, height = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0])), 0.03
+    for _ in graph.ticks(0.01):
+        height -= 0.0005  # 50 mm/s
+        down[2, 3] = height
+        tell.publish(TFMessage(transforms=[transform_stamped(graph.now_ns(), "arm/base", "arm/tool", down)]))
+        if stops:
+            break
+    assert stops[0].data and 0.004 < max(truth.depth for truth in truths) < 0.02
 
 
 def test_a_scene_with_a_typo_ends_the_process_with_file_line_and_choices(graph, tmp_path):

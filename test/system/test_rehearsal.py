@@ -1,11 +1,13 @@
 """Rehearsals: real drivers against the doubles of their controllers, all nodes, a simulated sensor."""
 
+import os
 import re
 import sys
 from pathlib import Path
 
 import pytest
 from launched import Launched
+from other_package import installed
 from ur_cell import real_time
 
 from tactile_base.config_paths import config_path
@@ -116,6 +118,30 @@ def test_data_are_collected_through_the_driver_of_a_real_arm(launched, tmp_path,
     )  # fmt: skip
     assert launch.end() == 0, launch.output
     assert len(read_dataset(out).labels) == 2
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_driver_of_ones_own_is_rehearsed_in_contact_where_it_says_that_its_arm_is(tmp_path):
+    (tmp_path / "site").mkdir()
+    folders = [*installed(tmp_path / "site"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    text = config_path("scenes/ur_example.yaml").read_text().replace("driver: ur", "driver: bench_arm")
+    text = re.sub(r"driver_settings:\n(      .*\n)+", "driver_settings: {}\n", text)
+    text = text.replace("kinematics: {description: ur5e}", "")
+    text = text.replace("camera_rate: 60", "camera_rate: 30")
+    (tmp_path / "my_cell.yaml").write_text(text + IDEAL)
+    (tmp_path / "task.yaml").write_text(TASK)
+    bag = tmp_path / "bag"
+    command = [sys.executable, "-m", "tactile_bringup.cli", "launch", str(tmp_path / "task.yaml")]
+    command += ["--scene", str(tmp_path / "my_cell.yaml"), "--rehearse", "--headless"]
+    command += ["--out", str(tmp_path / "runs"), "--record", str(bag)]
+    launch = Launched(tmp_path, command, PYTHONPATH=":".join(folders))
+    try:
+        assert launch.end() == 0, launch.output
+        values = report(read_arms(bag)["arm"])
+        assert values["succeeded"] and values["contact_fraction"] == 1.0 and values["depth_rms_mm"] <= 0.5
+    finally:
+        launch.kill()
 
 
 def test_an_arm_without_a_double_cannot_be_rehearsed(tmp_path):
