@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from tactile_base.requirements import REQUIREMENTS
 from tactile_bringup.commands.changes import refusing
-from tactile_bringup.commands.launch import add_cores_option
+from tactile_bringup.commands.launch import add_time_options, time_options
 
 if TYPE_CHECKING:
     from tactile_bringup.findings import Finding
@@ -39,8 +39,7 @@ def register(subparsers: Any) -> None:
     add("--timing", action="store_true", help="how well this machine keeps time")
     add("--scene", default="", metavar="NAME", help="with --timing: whose camera and arm are looked at, too")
     add("--arm", default="", metavar="NAME", help="which of its arms (default: the only one)")
-    add("--priority", type=int, default=0, metavar="N", help="with --timing: of the nodes")
-    add_cores_option(parser)
+    add_time_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -70,8 +69,7 @@ def _timing(arguments: argparse.Namespace) -> int:
         if arm is not None:
             yield from check_camera(arm)
             yield from check_arm_link(arm)
-        cores = ["--cores", *map(str, arguments.cores)] if arguments.cores else []
-        yield check_exposure_to_twist(["--priority", str(arguments.priority), *cores])
+        yield check_exposure_to_twist(time_options(arguments))
 
     return show(findings())
 

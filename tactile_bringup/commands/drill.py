@@ -21,7 +21,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_bringup.commands.changes import refusing
-from tactile_bringup.commands.launch import TASK_HELP, add_rehearse_option, add_task_options, graph_options
+from tactile_bringup.commands.launch import (
+    TASK_HELP,
+    add_rehearse_option,
+    add_task_options,
+    add_time_options,
+    graph_options,
+    time_options,
+)
 from tactile_bringup.commands.simulate import prepared
 
 if TYPE_CHECKING:
@@ -49,6 +56,7 @@ def register(subparsers: Any) -> None:
     add("--deepest", type=float, default=6.0, metavar="MM", help="that the tip may go (default: 6)")
     add("--fidelity", help="of simulated sensors, not live (default: the scene's)")
     add("--live", action="store_true", help="launch real nodes; processes are killed")
+    add_time_options(parser)
     add_rehearse_option(parser)
     add("--real-arms", action="store_true",
         help="with --live in place of --rehearse: the arms themselves. A person with a hand on their "
@@ -138,6 +146,7 @@ def _live(arguments: argparse.Namespace, folder: Path) -> Iterable[LiveOutcome]:
             launch += [f"--{name}", str(value)]
     launch += [word for change in arguments.changes for word in ("--set", change)]
     launch += ["--goals", *arguments.goals] if arguments.goals else []
+    launch += time_options(arguments)
     launch += ["--rehearse"] if arguments.rehearse else []
     runs = folder / time.strftime("%Y%m%d-%H%M%S")
     for arm in _arms(arguments, list(graph.arms)):

@@ -39,22 +39,28 @@ def register(subparsers: Any) -> None:
         help="fuse the contacts of all arms into one belief over the object that they touch (object/belief); "
         "NAME: one of config/objects, or a file, that says where they touch it (default: found by touch)",
     )  # fmt: skip
-    add("--priority", type=int, default=0, metavar="N",
-        help="SCHED_FIFO priority 1..99 of the nodes from exposure to motion (default: 0, as any process)",
-    )  # fmt: skip
-    add_cores_option(parser)
+    add_time_options(parser)
     add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
     add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
     parser.set_defaults(run=run)
 
 
-def add_cores_option(parser: argparse.ArgumentParser) -> None:
-    """Option of commands that start nodes which have to be in time."""
-    parser.add_argument(
-        "--cores", nargs="+", type=int, default=(), metavar="N",
-        help="of this machine, that these nodes alone run on; isolated ones, say (default: any)",
+def add_time_options(parser: argparse.ArgumentParser) -> None:
+    """Options of commands that start nodes which have to be in time."""
+    add = parser.add_argument
+    add("--priority", type=int, default=0, metavar="N",
+        help="SCHED_FIFO priority 1..99 of the nodes from exposure to motion (default: 0, as any process)",
     )  # fmt: skip
+    add("--cores", nargs="+", type=int, default=(), metavar="N",
+        help="of this machine, on which alone these nodes run; isolated ones, say (default: any)",
+    )  # fmt: skip
+
+
+def time_options(arguments: argparse.Namespace) -> list[str]:
+    """The same options, for another command line."""
+    cores = ["--cores", *map(str, arguments.cores)] if arguments.cores else []
+    return ["--priority", str(arguments.priority), *cores]
 
 
 def add_rehearse_option(parser: argparse.ArgumentParser) -> None:
