@@ -37,7 +37,6 @@ CLI = [sys.executable, "-m", "tactile_bringup.cli"]
 PATIENCE = 120.0  # s, for a launch to come to its work, and to end
 HELD_UP = 3.0  # s
 LONGEST = 1.0  # s, until an arm has to rest
-SETTLED = 0.2  # s at rest that count as rest
 OURS = ("camera", "estimator", "filter", "controller", "arm")  # nodes of an arm, in the order of a message
 DOUBLES = "tactile_drivers.doubles."
 
@@ -51,7 +50,8 @@ class LiveOutcome:
     code : int
         Exit code of the launch.
     rest : float
-        Until the arm was at rest, by what it says itself, s since the fault; inf: it never said so.
+        Until the arm came to rest, by what it says itself, s since the fault; inf: it never said so. It may
+        leave the surface after it.
     deepest : float
         Of the tip since then, m, by the cell's truth; -inf where nobody knows it.
     screen, complaints : list of str
@@ -90,7 +90,6 @@ class Saboteur(Operator):
         super().__init__(domain_id)
         self.arm, self._folder = arm, folder
         self._since: float | None = None
-        self._rests: float | None = None
         self.outcome = LiveOutcome("")
         listen = self._node.create_subscription
         listen(ArmStatus, topics.ARM_STATUS.of(arm).name, self._see_arm, STATE)
@@ -114,10 +113,8 @@ class Saboteur(Operator):
         return self.outcome
 
     def _see_arm(self, status: ArmStatus) -> None:
-        now = time.monotonic()
-        self._rests = (self._rests or now) if is_at_rest(status.twist) else None
-        if self._since is not None and self._rests is not None and now - self._rests >= SETTLED:
-            self.outcome.rest = min(self.outcome.rest, max(0.0, self._rests - self._since))
+        if self._since is not None and is_at_rest(status.twist):
+            self.outcome.rest = min(self.outcome.rest, time.monotonic() - self._since)
 
     def _see_truth(self, truth: ContactTruth) -> None:
         if self._since is not None:

@@ -14,7 +14,7 @@ from tactile_drivers.kinematics.capsules import Capsules, gaps
 from tactile_drivers.kinematics.chain import point_velocities
 from tactile_filter import se3
 
-ARMS = ["panda", "fr3", "ur5e"]
+ARMS = ["panda", "fr3", "ur3e", "ur5e", "ur10e", "ur16e", "ur20", "ur30"]
 TOOL = se3.pose_from_euler([0.02, -0.03, 0.12, 0.4, -0.9, 0.3])
 #: xyz and roll of each joint of Panda and FR3 in the makers' URDF (franka_description, kinematics.yaml)
 FRANKA = [
@@ -29,15 +29,17 @@ FRANKA = [
 FRANKA_FLANGE = 0.107
 
 
-#: a, d, alpha of the UR5e (Universal Robots, "Parameters for calculations of kinematics and dynamics")
-UR5E = [
-    (0.0, 0.1625, np.pi / 2),
-    (-0.425, 0.0, 0.0),
-    (-0.3922, 0.0, 0.0),
-    (0.0, 0.1333, np.pi / 2),
-    (0.0, 0.0997, -np.pi / 2),
-    (0.0, 0.0996, 0.0),
-]
+#: d1, a2, a3, d4, d5, d6 (m) as the maker's URDFs have them (Universal_Robots_ROS2_Description,
+#: config/*/default_kinematics.yaml: z of shoulder, x of forearm and wrist_1, z of wrist_1, -y of wrist_2,
+#: y of wrist_3), and the speeds of the joints (deg/s) of its joint_limits.yaml and the user manuals
+UR = {
+    "ur3e": ((0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921), (180, 180, 180, 360, 360, 360)),
+    "ur5e": ((0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996), (180,) * 6),
+    "ur10e": ((0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655), (120, 120, 180, 180, 180, 180)),
+    "ur16e": ((0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655), (120, 120, 180, 180, 180, 180)),
+    "ur20": ((0.2363, -0.862, -0.7287, 0.201, 0.1593, 0.1543), (120, 120, 150, 210, 210, 210)),
+    "ur30": ((0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543), (120, 120, 150, 210, 210, 210)),
+}
 
 
 def within(arm, random, count=1):
@@ -56,12 +58,22 @@ def franka_pose(q):
     return T
 
 
-def ur_pose(q):
+def ur_pose(name, q):
+    """By origins and roll, pitch, yaw of the URDF's joints, each turning about its z."""
+    d1, a2, a3, d4, d5, d6 = UR[name][0]
+    origins = [
+        ((0, 0, d1), (0, 0, 0)),
+        ((0, 0, 0), (np.pi / 2, 0, 0)),
+        ((a2, 0, 0), (0, 0, 0)),
+        ((a3, 0, d4), (0, 0, 0)),
+        ((0, -d5, 0), (np.pi / 2, 0, 0)),
+        ((0, d6, 0), (np.pi / 2, np.pi, np.pi)),
+    ]
     T = np.eye(4)
-    for (a, d, alpha), angle in zip(UR5E, q, strict=True):
+    for (xyz, rpy), angle in zip(origins, q, strict=True):
         step = np.eye(4)
-        step[:3, :3] = (Rotation.from_euler("z", angle) * Rotation.from_euler("x", alpha)).as_matrix()
-        step[:3, 3] = [a * np.cos(angle), a * np.sin(angle), d]
+        step[:3, :3] = (Rotation.from_euler("xyz", rpy) * Rotation.from_euler("z", angle)).as_matrix()
+        step[:3, 3] = xyz
         T = T @ step
     return T
 
@@ -89,11 +101,21 @@ def test_the_flange_is_where_the_makers_drawings_have_it(name, angles_deg, posit
     np.testing.assert_allclose(load_arm(name).pose(np.radians(angles_deg))[:3, 3], position, atol=1e-5)
 
 
-@pytest.mark.parametrize("name, published", [("ur5e", ur_pose), ("panda", franka_pose), ("fr3", franka_pose)])
-def test_poses_are_those_of_the_makers_numbers_at_any_joint_angles(name, published):
+@pytest.mark.parametrize("name", ARMS)
+def test_poses_are_those_of_the_makers_numbers_at_any_joint_angles(name):
     arm = load_arm(name)
     for q in within(arm, np.random.default_rng(1), 50):
-        np.testing.assert_allclose(arm.pose(q), published(q), atol=1e-12)
+        published = ur_pose(name, q) if name in UR else franka_pose(q)
+        np.testing.assert_allclose(arm.pose(q), published, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", UR)
+def test_the_joints_of_a_ur_turn_as_fast_and_as_far_as_its_maker_says(name):
+    arm = load_arm(name)
+    np.testing.assert_allclose(arm.velocity, np.radians(UR[name][1]), atol=1e-4)
+    turns = [1.0, 1.0, 0.5, 1.0, 1.0, 10.0 if name == "ur3e" else 1.0]  # wrist 3 of a UR3e has no end
+    np.testing.assert_allclose(arm.upper, 2.0 * np.pi * np.array(turns), atol=1e-3)
+    np.testing.assert_allclose(arm.lower, -arm.upper)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -126,7 +148,10 @@ def test_no_link_moves_further_than_the_spans_say(name):
         step = random.normal(scale=0.2, size=len(q))
         ways = np.linalg.norm(arm.capsules(q + step).ends - arm.capsules(q).ends, axis=-1)
         assert ways.max() <= np.abs(step) @ arm.spans
-    assert arm.spans.max() < 2.0  # as tight as the arm is long
+    assert (
+        arm.spans.max()
+        < 1.5 * np.linalg.norm(np.diff(arm.frames(0.0 * arm.ready)[:, :3, 3], axis=0), axis=1).sum()
+    )
 
 
 # ---- joints for a pose ----
