@@ -29,13 +29,14 @@ from tactile_bringup.drill import DEEPEST
 from tactile_bringup.graph import Graph, NodeProcess
 from tactile_bringup.launching.environment import free_domain_id
 from tactile_bringup.launching.operator import Operator
-from tactile_drivers.arm import is_at_rest
+from tactile_drivers.arm import AT_REST, is_at_rest
 from tactile_msgs.msg import ArmStatus, ContactTruth
 from tactile_ros.qos import IMAGE, STATE
 
 CLI = [sys.executable, "-m", "tactile_bringup.cli"]
 PATIENCE = 120.0  # s, for a launch to come to its work, and to end
 HELD_UP = 3.0  # s
+SILENCE = 0.1  # s, after which nothing is taken to have moved
 LONGEST = 1.0  # s, until an arm has to rest
 OURS = ("camera", "estimator", "filter", "controller", "arm")  # nodes of an arm, in the order of a message
 DOUBLES = "tactile_drivers.doubles."
@@ -50,8 +51,8 @@ class LiveOutcome:
     code : int
         Exit code of the launch.
     rest : float
-        Until the arm came to rest, by what it says itself, s since the fault; inf: it never said so. It may
-        leave the surface after it.
+        Until the arm came to rest, s since the fault; inf: it never did. It may leave the surface after it.
+        By the cell's truth, else by what the arm says; a cell that is held up stands still itself.
     deepest : float
         Of the tip since then, m, by the cell's truth; -inf where nobody knows it.
     screen, complaints : list of str
@@ -90,6 +91,8 @@ class Saboteur(Operator):
         super().__init__(domain_id)
         self.arm, self._folder = arm, folder
         self._since: float | None = None
+        self._elapsed = 0.0  # since then, of the cell's time
+        self._place: tuple[float, np.ndarray] | None = None  # of the true arm, and when it was heard
         self.outcome = LiveOutcome("")
         listen = self._node.create_subscription
         listen(ArmStatus, topics.ARM_STATUS.of(arm).name, self._see_arm, STATE)
@@ -113,12 +116,19 @@ class Saboteur(Operator):
         return self.outcome
 
     def _see_arm(self, status: ArmStatus) -> None:
-        if self._since is not None and is_at_rest(status.twist):
+        if self._since is not None and self._place is None and is_at_rest(status.twist):
             self.outcome.rest = min(self.outcome.rest, time.monotonic() - self._since)
 
     def _see_truth(self, truth: ContactTruth) -> None:
-        if self._since is not None:
-            self.outcome.deepest = max(self.outcome.deepest, truth.depth)
+        now, p = time.monotonic(), truth.pose.position
+        before, self._place = self._place, (now, np.array([p.x, p.y, p.z]))
+        if self._since is None or before is None:
+            return
+        passed = min(now - before[0], SILENCE)
+        self._elapsed += passed
+        self.outcome.deepest = max(self.outcome.deepest, truth.depth)
+        if np.linalg.norm(self._place[1] - before[1]) < AT_REST[0] * passed:
+            self.outcome.rest = min(self.outcome.rest, self._elapsed)
 
     # ---- harm ----
 
