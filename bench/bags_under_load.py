@@ -144,19 +144,15 @@ def main() -> None:
     folder = arguments.out.resolve()
     use_dds_profile()
     os.environ |= ros_environment(folder / "ros").variables
-    others = busy(arguments.loops)
     columns = [
         *("recorder stopped s", "exit code", "published", "seen", "in the bag", "missing", "told"),
         *("report says of the bag", "replayed to the bit", "only live"),
     ]
     print("| " + " | ".join(columns) + " |\n" + "| --- " * len(columns) + "|", flush=True)
-    try:
+    with busy(arguments.loops):
         for number in range(arguments.runs):
             stall = arguments.stalls[number % len(arguments.stalls)]
             print(measure(folder / f"{number:02d}", stall), flush=True)
-    finally:
-        for other in others:
-            other.kill()
 
 
 if __name__ == "__main__":

@@ -141,14 +141,9 @@ def main() -> None:
         pipes.append(mine)
     for pipe in pipes:
         pipe.recv()
-    others = busy(arguments.loops)
-    try:
+    with busy(arguments.loops):
         for process in processes:
             process.join()
-    finally:
-        for other in others:
-            other.kill()
-            other.wait()
 
 
 if __name__ == "__main__":

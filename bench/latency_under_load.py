@@ -11,26 +11,30 @@ import argparse
 import itertools
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from tactile_bringup.timing import LAUNCH, measured
 
 
-def busy(count: int) -> list[subprocess.Popen]:
-    """So many processes that never rest."""
-    return [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Beside so many processes that never rest."""
+    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
 
 
 def measure(loops: int, priority: int, composed: bool, task: list[str]) -> dict:
     """The report of one run; empty but for its end if there is none."""
     one = [sys.executable, str(Path(__file__).with_name("composed_nodes.py"))]
-    others = busy(loops)
-    try:
+    with busy(loops):
         return measured([*task, "--priority", str(priority)], one if composed else LAUNCH)
-    finally:
-        for other in others:
-            other.kill()
-            other.wait()
 
 
 def main() -> None:

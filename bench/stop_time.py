@@ -225,8 +225,7 @@ def main() -> None:
     what = given.task, given.scene, given.times
     print("| from | busy loops | times | median (ms) | largest (ms) |\n| --- | --- | --- | --- | --- |")
     for loops in given.loops:
-        others = busy(loops)
-        try:
+        with busy(loops):
             for way, times in (
                 ("`tactile stop`", stopped_by_command(False, *what)),
                 ("`tactile stop --ready`", stopped_by_command(True, *what)),
@@ -234,10 +233,6 @@ def main() -> None:
             ):
                 ms = 1e3 * np.array(times)
                 print(f"| {way} | {loops} | {len(ms)} | {np.median(ms):.0f} | {ms.max():.0f} |", flush=True)
-        finally:
-            for other in others:
-                other.kill()
-                other.wait()
 
 
 if __name__ == "__main__":

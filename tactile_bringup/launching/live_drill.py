@@ -115,6 +115,11 @@ class Saboteur(Operator):
         harm(self)
         return self.outcome
 
+    def conclude(self) -> None:
+        """Of a cell that has fallen silent: it stood still from then on."""
+        if self._place is not None:
+            self.outcome.rest = min(self.outcome.rest, self._elapsed)
+
     def _see_arm(self, status: ArmStatus) -> None:
         if self._since is not None and self._place is None and is_at_rest(status.twist):
             self.outcome.rest = min(self.outcome.rest, time.monotonic() - self._since)
@@ -253,6 +258,7 @@ def drill_live(
             while process.poll() is None and time.monotonic() < end:
                 person.look()
             outcome.code = process.wait(0.0) if process.poll() is not None else -1
+            person.conclude()
         except TimeoutError as error:
             raise TimeoutError(f"{error}:\n{screen.read_text()}") from error
         finally:
