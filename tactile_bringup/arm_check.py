@@ -47,12 +47,9 @@ Findings = Iterator[Finding]
 def check_scene(arm: ArmScene) -> Findings:
     """What the scene says of the arm, as far as it bears on a first contact."""
     speed = arm.limits.linear_velocity
-    where = f"limits.linear_velocity is {1e3 * speed:g} mm/s"
-    yield (
-        Finding(OK, "speed", where)
-        if speed <= FIRST_DAY
-        else Finding(LOOK, "speed", f"{where}; {1e3 * FIRST_DAY:g} until ten runs were good")
-    )
+    slow = speed <= FIRST_DAY
+    better = "" if slow else f"; {1e3 * FIRST_DAY:g} until ten runs were good"
+    yield Finding(OK if slow else LOOK, "speed", f"limits.linear_velocity is {1e3 * speed:g} mm/s{better}")
     given, default = arm.safety, SafetySettings()
     box = f"{list(given.workspace_lower)} to {list(given.workspace_upper)} m"
     if (given.workspace_lower, given.workspace_upper) == (default.workspace_lower, default.workspace_upper):
@@ -85,15 +82,12 @@ def check_connection(staged: StagedArm) -> Findings:
     host = arm.driver_settings.values.get("host", "the arm")
     yield Finding(OK, "connection", f"{host} answered after {staged.opened_in:.1f} s")
     agreed = getattr(staged.driver, "agreed", "")
-    yield (
-        Finding(OK, "controller", f"agrees with the scene in {agreed}")
+    text = (
+        f"agrees with the scene in {agreed}"
         if agreed
-        else Finding(
-            LOOK,
-            "controller",
-            "this driver compares nothing with the scene: tool, payload and base are yours",
-        )
+        else "compared with nothing: tool and payload are yours"
     )
+    yield Finding(OK if agreed else LOOK, "controller", text)
     if len(states) < 3:
         yield Finding(FAILED, "states", f"{len(states)} came in {LISTEN:g} s")
         return

@@ -115,11 +115,14 @@ class Drill:
             if not record.result["succeeded"]:
                 raise SettingError(f"{name}: fails though nothing goes wrong: {record.result['reason']}")
         for fault, make in chosen.items():
-            for arm in arms or ("",):
+            for arm in [arm for arm in arms if arm in honest] or ("",):
                 lies = make(0.0 if self.after is None else self._begins(honest, arm) + self.after, arm)
                 records = self._records(lies)
-                ends = [(truth.witness[name].position, lies.witness[name].position) for name in records]
-                yield _outcome(fault, arm, lies, records, max(math.dist(*pair) for pair in ends))
+                ends = [truth.witness[name].position - lies.witness[name].position for name in records]
+                off = float(
+                    np.nanmax(np.linalg.norm(ends, axis=1))
+                )  # of an arm without a sensor nobody knows
+                yield _outcome(fault, arm, lies, records, off)
 
     def _records(self, lies: Lies) -> dict[str, RunRecord]:
         return run_arms_offline(self.scene, self.task, replace(self.options, lies=lies))

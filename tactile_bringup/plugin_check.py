@@ -31,7 +31,8 @@ Problems = Iterator[str]
 POINTS, STEP = 400, 1e-6  # m: for derivatives
 SMOOTH = 0.97  # part of the points at which a normal has to be the gradient: edges and medial axes have none
 SPEED, TURN_RATE = 5.0, 50.0  # m/s, rad/s: a body that goes faster jumps
-CALL = 0.01  # s, that a driver's call may take
+CALL = 0.01  # s, that a step may take
+PAUSES = 3  # of so few the machine may be the reason
 
 
 def check_plugin(
@@ -234,7 +235,7 @@ def _steps(task: Any, inputs: bool) -> Problems:
     """Three seconds, then a stop, after which it has to end within a minute of its own time."""
     from tactile_control.phases import Command, StampedPose, StampedPresence, TaskInputs
 
-    now_ns, period_ns, slowest = SECOND_NS, SECOND_NS // 120, 0.0
+    now_ns, period_ns, took = SECOND_NS, SECOND_NS // 120, list[float]()
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     for number in range(360 + 60 * 120):
         if number == 360:
@@ -247,7 +248,7 @@ def _steps(task: Any, inputs: bool) -> Problems:
         )
         begun = time.perf_counter()
         command = task.step(now_ns, given)
-        slowest = max(slowest, time.perf_counter() - begun)
+        took.append(time.perf_counter() - begun)
         if not isinstance(command, Command):
             yield f"step gives a {type(command).__name__}, must be a Command"
             return
@@ -268,8 +269,9 @@ def _steps(task: Any, inputs: bool) -> Problems:
             break
     else:
         yield "it does not end within 60 s after it was asked to stop"
-    if slowest > CALL:
-        yield f"a step took {slowest * 1e3:.0f} ms; images come every 8 to 17 ms"
+    slow = [seconds for seconds in took if seconds > CALL]
+    if len(slow) >= PAUSES:
+        yield f"{len(slow)} steps took {min(slow) * 1e3:.0f} ms and more; images come every 8 to 17 ms"
 
 
 def _last_place(text: str) -> str:

@@ -199,7 +199,11 @@ class Operator(GraphClient):
     def parameters(self, node: str) -> dict[str, tuple[Any, ParameterDescriptor]]:
         """All parameters of a node, with their descriptors."""
         client = self._parameter_client(node)
-        names = sorted(self._result(client.list_parameters()).result.names)
+        return self._described(client, sorted(self._result(client.list_parameters()).result.names))
+
+    def _described(
+        self, client: AsyncParameterClient, names: list[str]
+    ) -> dict[str, tuple[Any, ParameterDescriptor]]:
         values = self._result(client.get_parameters(names)).values
         described = self._result(client.describe_parameters(names)).descriptors
         pairs = zip(map(parameter_value_to_python, values), described, strict=True)
@@ -207,11 +211,11 @@ class Operator(GraphClient):
 
     def set_parameter(self, node: str, name: str, value: Any) -> tuple[Any, Any]:
         """Set one parameter; returns its values before and after; `OperatorError` where it is refused."""
-        known = self.parameters(node)
-        if name not in known:
-            raise OperatorError(f"{node}: {unknown_name(name, list(known))}")
-        before, descriptor = known[name]
         client = self._parameter_client(node)
+        names = self._result(client.list_parameters()).result.names
+        if name not in names:
+            raise OperatorError(f"{node}: {unknown_name(name, sorted(names))}")
+        before, descriptor = self._described(client, [name])[name]
         answer = self._result(client.set_parameters([Parameter(name, value=_as_type(value, descriptor))]))
         if not answer.results[0].successful:
             raise OperatorError(f"{node} refuses {name} = {value}: {answer.results[0].reason}")

@@ -10,16 +10,20 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from tactile_base import topics
+from tactile_bringup import driver_check
 from tactile_bringup.cli import _parser
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
+from tactile_bringup.plugin_check import check_plugin
 from tactile_control.task_file import load_task
 from tactile_drivers.arm import open_arm
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import load_scene
+from tactile_drivers.sim.tactip import TacTip
 from tactile_records.runs import metrics, object_tracking, pushing
 from tactile_records.runs.report import write_numbers
 
@@ -207,6 +211,19 @@ def test_the_shape_and_the_motion_of_the_docs_run(examples: Path):
     assert record.result["succeeded"], record.result["reason"]
     working = record.working(record.pose.stamp_ns)
     assert np.ptp(record.pose.T_base_sensor[working][:, 2, 3]) == pytest.approx(0.008, abs=0.002)
+
+
+@pytest.mark.live
+def test_the_plug_ins_of_the_docs_keep_their_contracts(examples: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(driver_check, "LISTEN", 0.5)
+    lab = examples / "own_arm.md" / "my_lab"
+    monkeypatch.chdir(lab)
+    cv2.imwrite("still.png", TacTip(seed=1).image())
+    for kind, name in (("task", "rubbing"), ("shape", "bowl"), ("body motion", "swing")):
+        assert check_plugin(kind, name) == [], name
+    scene = str(lab / "my_cell.yaml")
+    assert check_plugin("arm driver", "my_arm", scene=scene, moves=True) == []
+    assert check_plugin("camera driver", "my_camera", scene=scene) == []
 
 
 def test_the_arm_driver_of_the_docs_follows_twists_and_stops(examples: Path):
