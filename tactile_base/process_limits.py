@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import resource
 from dataclasses import dataclass
+from pathlib import Path
 
 MIB = 1 << 20
 KIB = 1 << 10
 # of address space, for the buffers of OpenBLAS (41 MB measured for each of its threads, one a core)
 CORE = 40 * MIB
-OVERLOAD = 1.5  # processes for each core that wait or run, from which on latencies suffer
+OVERLOAD = 0.95  # part of all cores' time that is in use, from which on latencies suffer
 
 
 class LimitError(RuntimeError):
@@ -46,18 +47,26 @@ def address_space(needs: Needs) -> int:
     return needs.address_space + CORE * (os.cpu_count() or 1)
 
 
-def overload() -> str:
-    """What to do about a machine with more to do than its cores can; empty for others.
+def core_times(counters: Path = Path("/proc/stat")) -> tuple[float, float]:
+    """Time in which the cores did nothing, and all of it, since the machine started; zeros: not told."""
+    try:
+        user, nice, system, idle, waiting, *others = map(float, counters.read_text().split(None, 9)[1:9])
+    except (OSError, ValueError):
+        return 0.0, 0.0
+    return idle + waiting, user + nice + system + idle + waiting + sum(others)
 
-    By the processes that wanted to run in the last minute, our own among them, which want up to one core for
-    each arm and one for its simulation.
-    """
-    cores, wanted = len(os.sched_getaffinity(0)), os.getloadavg()[0]
-    if wanted < OVERLOAD * cores:
+
+_STARTED = core_times()  # before anything else was
+
+
+def overload() -> str:
+    """What to do about a machine that had no time left since this process began; empty for others."""
+    idle, total = (now - then for now, then in zip(core_times(), _STARTED, strict=True))
+    if total <= 0.0 or (used := 1.0 - idle / total) < OVERLOAD:
         return ""
     return (
-        f"the machine is overloaded: {wanted:.1f} processes at a time wanted its {cores} cores; end what "
-        "else runs (`top`), or give the nodes a real-time priority (--priority 20)"
+        f"the machine is overloaded: its cores were in use for {used:.0%} of the time; end what else runs "
+        "(`top`), or give the nodes a real-time priority (--priority 20)"
     )
 
 

@@ -10,6 +10,8 @@ TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
 REFUSED = 1.0  # s, for which an arm, at rest by then, refuses all that it is told until that is trouble
 NONE = -1.0  # what an arm that has no command in force says of its age
 UNHEARD = 1.0  # s, for which none of what it is told has come to it
+HELD_UP = 0.5  # s between two questions: who asks was held up, and so were the answers
+SILENT = 1.5  # s without a status: longer than inputs may be missing, of which the reason says more
 
 
 class ArmAttention:
@@ -23,11 +25,22 @@ class ArmAttention:
 
     def __init__(self, source: str) -> None:
         self.source, self.trouble = source, ""
+        self._seen: float | None = None
+        self._asked = 0.0
         self._since: dict[str, float] = {}
 
     def see(self, status: ArmStatus, commands: bool) -> None:
         """Take a status; `commands`: whether twists are sent all the time now."""
-        self.trouble = self._trouble(status, commands)
+        self.trouble, self._seen = self._trouble(status, commands), time.monotonic()
+
+    def silence(self) -> str:
+        """That an arm which has told of itself does so no more; '' if it does. To be asked all the time."""
+        now = time.monotonic()
+        if self._seen is not None and now - self._asked > HELD_UP:
+            self._seen = now
+        self._asked = now
+        age = 0.0 if self._seen is None else now - self._seen
+        return f"the arm's node has said nothing for {age:.1f} s: is it active?" if age > SILENT else ""
 
     def _trouble(self, status: ArmStatus, commands: bool) -> str:
         if status.mode in TROUBLE:

@@ -28,6 +28,7 @@ _NUMBER = re.compile(r"[-+]?\d[\d.e+-]*")
 _CHAIN = ("camera", "estimator", "filter", "arm")
 _NEW = 5.0  # s; what is complained about for longer has done no harm before
 _LOST = re.compile(r"\d+ lost so far")  # of single messages: no reason for an input that does not come at all
+_IDLE = ("inactive", "unconfigured")  # what a node says that was deactivated
 _SILENT = 1.2  # s; every node reports once a second
 
 
@@ -71,6 +72,8 @@ class Upstream:
                 self._hear(name, layout.texts[f"status.{index}.message"], level != DiagnosticStatus.OK)
 
     def _hear(self, name: str, message: str, complains: bool) -> None:
+        if message in _IDLE:
+            complains, message = True, f"it is {message}"
         before, kind = self._said.pop(name, None), _NUMBER.sub("", message)
         self._heard[name] = time.monotonic()
         message = "; ".join(part for part in message.split("; ") if not _LOST.search(part))

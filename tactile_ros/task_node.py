@@ -231,7 +231,11 @@ class TaskNode(ManagedNode, ABC):
         timer = self.create_timer(self.last_words, destroy, clock=self.steady)
 
     def _tick(self) -> None:
-        """The timer: a step if none was made lately."""
+        """The timer: a step if none was made lately, and a look whether the arm still says something."""
+        silence = self.attention.silence()
+        if self.run is not None and silence:
+            self.run.task.abort(silence)
+            self.step()
         running, idle = self.periods()
         period = running if self.run is not None else idle
         if self.now_ns() - self.last_step_ns > 0.75 * period * SECOND_NS:
