@@ -48,8 +48,8 @@ class Upstream:
     def cause(self) -> str:
         """The most likely reason for an input that is missing, and whose; empty where it is not known.
 
-        A node that says nothing at all any more, being held up or dead; else of complaints that are new the
-        first on the way from the image to the arm; else of all others.
+        A node that says nothing at all any more, being held up or dead, or that was deactivated; else of
+        complaints that are new the first on the way from the image to the arm; else of all others.
         """
         now = time.monotonic()
         for name, heard in self._heard.items():
@@ -57,7 +57,8 @@ class Upstream:
                 return f"{name} has not been heard of for {now - heard:.1f} s"
         found = [self._said[name] for name in self._names if name in self._said]
         new = [complaint for complaint in found if now - complaint.since_s < _NEW]
-        return next((complaint.text for complaint in new or found), "")
+        idle = [complaint for complaint in found if complaint.kind in _IDLE]
+        return next((complaint.text for complaint in idle or new or found), "")
 
     def _take(self, data: bytes) -> None:
         """Most of what arrives is of other nodes, of which nothing is read."""
@@ -72,10 +73,10 @@ class Upstream:
                 self._hear(name, layout.texts[f"status.{index}.message"], level != DiagnosticStatus.OK)
 
     def _hear(self, name: str, message: str, complains: bool) -> None:
-        if message in _IDLE:
-            complains, message = True, f"it is {message}"
         before, kind = self._said.pop(name, None), _NUMBER.sub("", message)
         self._heard[name] = time.monotonic()
+        if message in _IDLE:
+            complains, message = True, f"it is {message}"
         message = "; ".join(part for part in message.split("; ") if not _LOST.search(part))
         if complains and message:
             goes_on = before is not None and before.kind == kind

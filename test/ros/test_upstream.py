@@ -66,8 +66,8 @@ def test_a_complaint_ends_with_the_next_report_that_has_none(node, upstream):
 @pytest.mark.parametrize("state", ["inactive", "unconfigured"])
 def test_a_node_that_was_deactivated_is_named(node, upstream, state):
     say(node, "/arm/filter", "contact/presence: no message for 0.31 s")
-    say(node, "/arm/camera", state, OK)
-    assert upstream.cause == f"/arm/camera: it is {state}"
+    say(node, "/arm/arm", state, OK)
+    assert upstream.cause == f"/arm/arm: it is {state}"
 
 
 def test_other_arms_and_other_nodes_are_not_listened_to(node, upstream):
