@@ -21,6 +21,7 @@ import tempfile
 import termios
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -173,7 +174,7 @@ def stopped_by_command(ready: bool, task: str, scene: str, times: int) -> list[f
     taken: list[float] = []
     with tempfile.TemporaryDirectory() as folder, Operator(int(variables["ROS_DOMAIN_ID"])) as operator:
         nodes = Nodes(task, scene, Path(folder), variables)
-        terminal = Terminal([*CLI, "stop", "--ready"], variables) if ready else None
+        terminal = Terminal(["tactile", "stop", "--ready"], variables) if ready else None
         try:
             for _ in range(times):
                 nodes.move(operator)
@@ -186,7 +187,9 @@ def stopped_by_command(ready: bool, task: str, scene: str, times: int) -> list[f
                     wait(operator, lambda said=said: terminal.read().count("rests after") >= said)
                 else:
                     begun = time.time()
-                    with subprocess.Popen([*CLI, "stop", "--here"], env=variables, stdout=subprocess.DEVNULL):
+                    with subprocess.Popen(
+                        ["tactile", "stop", "--here"], env=variables, stdout=subprocess.DEVNULL
+                    ):
                         taken.append(until_rest(operator, begun))
                 nodes.go_on(operator)
         finally:
@@ -214,6 +217,13 @@ def stopped_by_key(task: str, scene: str, times: int) -> list[float]:
     return taken
 
 
+WAYS = {
+    "tactile stop": partial(stopped_by_command, False),
+    "tactile stop --ready": partial(stopped_by_command, True),
+    "space bar": stopped_by_key,
+}
+
+
 def main() -> None:
     """See the module's text."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -221,17 +231,14 @@ def main() -> None:
     parser.add_argument("--scene", default="two_arms")
     parser.add_argument("--loops", type=int, nargs="+", default=[0, 4])
     parser.add_argument("--times", type=int, default=20)
+    parser.add_argument("--ways", nargs="+", choices=list(WAYS), default=list(WAYS))
     given = parser.parse_args()
     what = given.task, given.scene, given.times
     print("| from | busy loops | times | median (ms) | largest (ms) |\n| --- | --- | --- | --- | --- |")
     for loops in given.loops:
         with busy(loops):
-            for way, times in (
-                ("`tactile stop`", stopped_by_command(False, *what)),
-                ("`tactile stop --ready`", stopped_by_command(True, *what)),
-                ("space bar", stopped_by_key(*what)),
-            ):
-                ms = 1e3 * np.array(times)
+            for way in given.ways:
+                ms = 1e3 * np.array(WAYS[way](*what))
                 print(f"| {way} | {loops} | {len(ms)} | {np.median(ms):.0f} | {ms.max():.0f} |", flush=True)
 
 
