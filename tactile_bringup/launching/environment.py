@@ -16,7 +16,6 @@ from tactile_ros.discovery import HERE, RANGE, asked_for_others
 DOMAINS = range(1, 101)  # above 101 the ports collide with the ephemeral ones of Linux
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST, _PORTS_PER_PARTICIPANT = 7400, 250, 10, 2
 _PARTICIPANTS = 32  # of a domain whose ports are looked at
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,6 @@ def ros_environment(log_folder: Path, base: Mapping[str, str] | None = None) -> 
     variables["RCUTILS_COLORIZED_OUTPUT"] = "0"
     variables["PYTHONUNBUFFERED"] = "1"
     variables.setdefault("PYTHONSAFEPATH", "1")  # else sources in the working folder hide what is installed
-    for name in _THREAD_VARIABLES:
-        variables.setdefault(name, "1")
     return RosEnvironment(variables, domain_id, domain_chosen=not given)
 
 

@@ -1,6 +1,8 @@
 """A node that is to run under a real-time priority."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -14,6 +16,16 @@ def may_have(priority: int) -> bool:
         return False
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     return True
+
+
+def test_a_node_computes_in_one_thread_unless_it_is_told_otherwise():
+    """Threads of OpenBLAS that wait in circles for each other, at a priority, let nothing else run."""
+    code = "import os, sys, tactile_ros.nodes; assert 'numpy' not in sys.modules; print(os.environ['%s'])"
+    for given, found in ({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2"):
+        environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")} | given
+        command = [sys.executable, "-c", code % "OPENBLAS_NUM_THREADS"]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == found
 
 
 def test_all_threads_of_a_node_have_its_priority_or_it_says_how_to_get_it(graph):
