@@ -8,6 +8,7 @@ With ROS_DOMAIN_ID set, only arms of that domain are stopped. `tactile reset` le
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
 import time
@@ -73,6 +74,13 @@ def run(arguments: argparse.Namespace) -> int:
 def _take_time() -> None:
     """What follows takes processor time that arms may need: no real-time priority for it."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def _wait_in_a_hurry() -> None:
+    """Be woken by a key before what has no real-time priority, and after nodes; where this user may."""
+    with contextlib.suppress(PermissionError):
+        lowest = os.sched_param(os.sched_get_priority_min(os.SCHED_FIFO))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, lowest)  # of this thread alone
 
 
 # ---- arms of this host ----
@@ -196,6 +204,7 @@ def _stay_ready(caller: StopCaller, here: bool) -> int:
             return 2
         if not here and caller.domain is not None:
             others.join([caller.domain])
+        _wait_in_a_hurry()
         _say(READY)
         while True:
             words = arms_here(caller.domain, LOOK)
