@@ -44,6 +44,7 @@ class World:
         self.twists = graph.collect(ArmCommand, "command/request", qos.COMMAND)
         self.statuses = graph.collect(ControllerStatus, "controller/status")
         self.state_out = graph.publisher(ContactState, "contact/state")
+        self.arm_out = graph.publisher(ArmStatus, "arm/status")
         self.client = graph.action(RunTask, "run_task")
         self.reset()
 
@@ -52,6 +53,7 @@ class World:
         self.depth = 0.003
         self.in_contact = True
         self.images = True
+        self.arm_status = ArmStatus()
         self.lie = lambda message: None
         self.last_stamp = 0
         self.twists.clear()
@@ -73,6 +75,7 @@ class World:
         if stamp_ns - ns_from_time(self.twists[-1].header.stamp) < ARM_WATCHDOG * SECOND:
             self.T = self.T @ se3.exp(self.twist() * PERIOD)
         self.arm.at(stamp_ns, self.T)
+        self.arm_out.publish(self.arm_status)
         if self.images:
             self.last_stamp = stamp_ns
             self.state_out.publish(self.state(stamp_ns))
@@ -166,13 +169,12 @@ TROUBLES = {
 @pytest.mark.parametrize("reason", TROUBLES)
 def test_an_arm_that_does_not_follow_ends_the_task_at_once_with_its_reason(world, reason):
     handle = world.following()
-    arm = world.graph.publisher(ArmStatus, "arm/status")
-    arm.publish(TROUBLES[reason])
+    world.arm_status = TROUBLES[reason]
     result = world.result(handle)
     assert not result.success and reason in result.reason
     assert not any(world.twist())
     assert reason in world.result(world.send()).reason
-    arm.publish(ArmStatus())  # and when it is over, a goal that is asked for again runs
+    world.arm_status = ArmStatus()  # and when it is over, a goal that is asked for again runs
 
     def runs() -> bool:
         ended = world.send().get_result_async()
