@@ -33,6 +33,7 @@ SMOOTH = 0.97  # part of the points at which a normal has to be the gradient: ed
 SPEED, TURN_RATE = 5.0, 50.0  # m/s, rad/s: a body that goes faster jumps
 CALL = 0.01  # s, that a step may take
 PAUSES = 3  # of so few the machine may be the reason
+COMPANIONS = ("report", "double")  # of a task and of a driver, whose names they have
 
 
 def check_plugin(
@@ -86,8 +87,12 @@ def check_plugin(
 
 
 def kind_of(plugin: str) -> str:
-    """The kind of a plug-in by its name; `SettingError` where several have it, or none."""
-    kinds = [registry.kind for registry in _registries() if plugin in registry.names()]
+    """The kind of a plug-in by its name; `SettingError` where several have it, or none.
+
+    A report has the name of its task, and a double that of its driver: the name means these.
+    """
+    named = [registry.kind for registry in _registries() if plugin in registry.names()]
+    kinds = [kind for kind in named if kind not in COMPANIONS] or named
     if len(kinds) != 1:
         known = ", ".join(registry.kind for registry in _registries())
         what = f"several have that name ({', '.join(kinds)})" if kinds else "no plug-in has that name"
