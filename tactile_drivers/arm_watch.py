@@ -26,6 +26,8 @@ _AVERAGED, _COUNTED = (
     0.02,
 )  # s, over which the lateness of states is averaged, and counted at most of each
 
+DOES_NOT_STOP = "THE ARM DOES NOT STOP"  # how the loudest reason begins
+
 
 class ArmWatch:
     """What is to be held against an arm; see the module's text.
@@ -146,7 +148,7 @@ class ArmWatch:
             return new
         if deviation.by_itself and self._stop and self._clock() - self._stop_ns > self._brakes_ns:
             self.runaway = self.runaway or (
-                f"THE ARM DOES NOT STOP, press the emergency stop that is wired to it: {deviation.text}, "
+                f"{DOES_NOT_STOP}, press the emergency stop that is wired to it: {deviation.text}, "
                 f"after a stop ({self._stop})"
             )
         what = "moves by itself" if deviation.by_itself else "does not do what it is told"

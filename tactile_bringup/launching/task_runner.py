@@ -14,6 +14,7 @@ from tactile_base.process_limits import overload
 from tactile_base.topics import RUN_TASK
 from tactile_bringup.launching.progress import Display
 from tactile_bringup.run_sequence import ArmPlan, RunSequence
+from tactile_drivers.arm_watch import DOES_NOT_STOP
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import ArmTask, GoalResult, TaskClient
@@ -99,6 +100,7 @@ class TaskRunner:
     signals: list[int]
     check: Callable[[], None] = lambda: None
     results: list[GoalResult] = field(default_factory=list)
+    _alarmed: set[str] = field(default_factory=set)
 
     @property
     def arms(self) -> list[str]:
@@ -223,8 +225,13 @@ class TaskRunner:
         return inactive | deaf
 
     def _spin(self) -> None:
-        """Handle messages, and the key that stops all arms."""
+        """Handle messages, and the key that stops all arms; an arm that does not stop is told at once."""
         self.client.spin(SPIN)
+        for arm in self.arms:
+            reason = self.client.arm(arm).progress.arm_reason
+            if reason.startswith(DOES_NOT_STOP) and arm not in self._alarmed:
+                self._alarmed.add(arm)
+                self.display.say(f"{arm}: {reason}", "red")
         if self.display.stop_wanted():
             self.client.stop_arms()
             self.display.say("a key was pressed: emergency stop of all arms", "red")

@@ -222,7 +222,9 @@ def test_an_arm_that_has_come_to_rest_in_an_emergency_stop_rests(start):
 def test_an_arm_that_moves_in_an_emergency_stop_was_not_seen_at_rest(start):
     launch = start(fault="estop_and_on", seconds=30)
     assert launch.end() == 1
-    assert "arm was not seen at rest: it is in emergency stop: emergency stop: button" in launch.output
+    told = "THE ARM DOES NOT STOP, press the emergency stop that is wired to it: emergency stop: button"
+    assert launch.output.count(f"arm: {told}") == 1  # at once, before the wait for its rest
+    assert f"arm was not seen at rest: it is in emergency stop: {told}" in launch.output
     assert "stopped: the arm did not report rest in time" in launch.output
 
 

@@ -125,6 +125,16 @@ class World:
         assert self.run_until(lambda: self.phase() == "follow" and self.twist()[1] > 0.005), self.statuses[-1]
         return handle
 
+    def recovers(self) -> bool:
+        """Whether a goal that is asked for again runs once the arm's trouble is over."""
+        self.arm_status = ArmStatus()
+
+        def runs() -> bool:
+            ended = self.send().get_result_async()
+            return self.run_until(lambda: ended.done() or self.phase() == "follow") and not ended.done()
+
+        return self.run_until(runs)
+
     def result(self, handle):
         return self.ended(handle).result
 
@@ -174,13 +184,28 @@ def test_an_arm_that_does_not_follow_ends_the_task_at_once_with_its_reason(world
     assert not result.success and reason in result.reason
     assert not any(world.twist())
     assert reason in world.result(world.send()).reason
-    world.arm_status = ArmStatus()  # and when it is over, a goal that is asked for again runs
+    assert world.recovers()
 
-    def runs() -> bool:
-        ended = world.send().get_result_async()
-        return world.run_until(lambda: ended.done() or world.phase() == "follow") and not ended.done()
 
-    assert world.run_until(runs)
+REFUSALS = {
+    # what an arm's node on another clock says of each command, and how old the last one is for it (s)
+    "its stamp is 1.7e+09 s ahead of the clock": -1.0,
+    "": 2.0,  # commands are lost on their way
+}
+
+
+@pytest.mark.parametrize("refused", REFUSALS)
+def test_a_task_whose_commands_are_refused_or_not_heard_fails_with_the_arms_words(world, refused):
+    handle = world.following()
+    me = world.twists[-1].source
+    world.arm_status = ArmStatus(
+        owner=me, refused=refused, refused_source=me if refused else "", command_age=REFUSALS[refused]
+    )
+    result = world.result(handle)
+    assert not result.success
+    told = f"the arm refuses its commands: {refused}" if refused else "the arm has heard no command for 1 s"
+    assert told in result.reason
+    assert world.recovers()
 
 
 def test_a_goal_runs_through_all_phases_to_success_with_feedback(world):

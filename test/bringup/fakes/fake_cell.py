@@ -28,6 +28,8 @@ class FakeCell(ManagedNode):
         self.seconds = declare_read_only(self, "seconds", 0.5, "duration of a goal")
         self.goal = None
         self.stopped_at = None
+        runaway = "THE ARM DOES NOT STOP, press the emergency stop that is wired to it: "
+        self.why = runaway * (self.fault == "estop_and_on") + "emergency stop: button"
 
     def configure(self):
         if self.fault == "configure":
@@ -77,7 +79,7 @@ class FakeCell(ManagedNode):
             return ArmStatus(mode=ArmStatus.MOVING if self.goal else ArmStatus.RESTING)
         brakes = time.monotonic() - self.stopped_at < 0.1 or self.fault == "estop_and_on"
         twist = [0.01 * brakes] + [0.0] * 5
-        return ArmStatus(mode=ArmStatus.ESTOP, reason="emergency stop: button", twist=twist)
+        return ArmStatus(mode=ArmStatus.ESTOP, reason=self.why, twist=twist)
 
     def end(self, failure=""):
         handle, self.goal = self.goal, None
