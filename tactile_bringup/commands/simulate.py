@@ -60,6 +60,7 @@ def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions
     """What the options of a command that runs a task in one process say."""
     from tactile_bringup.offline import OfflineOptions
     from tactile_control.task_file import default_scene, load_task, task_path
+    from tactile_drivers.doubles.rehearsal import simulated
     from tactile_drivers.scene import load_scene
     from tactile_filter.filter_settings import load_filter_settings
 
@@ -74,7 +75,7 @@ def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions
         goals=tuple(arguments.goals),
         filter=load_filter_settings(arguments.filter),
     )
-    return scene, task, options
+    return simulated(scene), task, options
 
 
 def deliver(run: Run, folder: Path) -> int:

@@ -109,6 +109,18 @@ def rehearsed(scene: Scene) -> Scene:
     return replace(scene, arms=arms)
 
 
+def simulated(scene: Scene) -> Scene:
+    """The scene with a simulated arm and camera for each that a driver or somebody else stands for.
+
+    For runs in one process, which need neither drivers nor doubles.
+    """
+    arms = {
+        name: arm if arm.driver == SIM else replace(arm, driver=SIM, sensor=_simulated(scene, arm))
+        for name, arm in scene.arms.items()
+    }
+    return replace(scene, arms=arms)
+
+
 def doubled(arm: ArmScene) -> bool:
     """Whether an arm of a rehearsed scene has a double."""
     return arm.driver != SIM and arm.driver in DOUBLES.names()
@@ -121,7 +133,7 @@ def _simulated(scene: Scene, arm: ArmScene) -> Any:
     rate, steps = arm.sensor.settings.camera_rate, scene.simulation.rate
     if steps / rate != int(steps / rate):
         raise SettingError(
-            f"{scene.path}: camera_rate = {rate:g} Hz: in a rehearsal the simulation's rate, {steps} Hz, "
+            f"{scene.path}: camera_rate = {rate:g} Hz: without the camera the simulation's rate, {steps} Hz, "
             "must be a multiple of it"
         )
     tip = scene.simulation.sensors[arm.name].tip_radius
