@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.registry import Registry, in_short, raised_at
+from tactile_base.raised import in_short, raised_at
+from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.driver_check import check_arm, check_camera, not_rigid, numbers
@@ -32,6 +33,7 @@ POINTS, STEP = 400, 1e-6  # m: for derivatives
 SMOOTH = 0.97  # part of the points at which a normal has to be the gradient: edges and medial axes have none
 SPEED, TURN_RATE = 5.0, 50.0  # m/s, rad/s: a body that goes faster jumps
 CALL = 0.01  # s, that a step may take
+NAMESAKES = ("report", "double")  # called as the task, or the driver, that they are of
 PAUSES = 3  # of so few the machine may be the reason
 
 
@@ -88,6 +90,7 @@ def check_plugin(
 def kind_of(plugin: str) -> str:
     """The kind of a plug-in by its name; `SettingError` where several have it, or none."""
     kinds = [registry.kind for registry in _registries() if plugin in registry.names()]
+    kinds = [kind for kind in kinds if kind not in NAMESAKES] or kinds
     if len(kinds) != 1:
         known = ", ".join(registry.kind for registry in _registries())
         what = f"several have that name ({', '.join(kinds)})" if kinds else "no plug-in has that name"
@@ -257,7 +260,7 @@ def _steps(task: Any, inputs: bool) -> Problems:
             yield f"in phase {command.phase} the twist is {twist!r}, must be six finite numbers"
             return
         if task.traceback:
-            yield f"in phase {command.phase}: {command.reason} ({_last_place(task.traceback)})"
+            yield f"in phase {command.phase}: {command.reason}"
             return
         if command.phase not in type(task).phases:
             yield f"phase '{command.phase}' is not among its phases"
@@ -272,12 +275,6 @@ def _steps(task: Any, inputs: bool) -> Problems:
     slow = [seconds for seconds in took if seconds > CALL]
     if len(slow) >= PAUSES:
         yield f"{len(slow)} steps took {min(slow) * 1e3:.0f} ms and more; images come every 8 to 17 ms"
-
-
-def _last_place(text: str) -> str:
-    """File and line of the last place in a traceback."""
-    places = [line.strip() for line in text.splitlines() if line.lstrip().startswith("File ")]
-    return places[-1] if places else "nobody knows where"
 
 
 def _registries() -> list[Registry[Any]]:

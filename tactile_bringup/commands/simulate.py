@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from tactile_records.runs.report import Run
 
 
+ERRORS = "errors.log"  # tracebacks, beside the results
+
+
 def register(subparsers: Any) -> None:
     """Add `tactile simulate` to the command line."""
     parser = subparsers.add_parser(
@@ -86,6 +89,10 @@ def deliver(run: Run, folder: Path) -> int:
         run[arm].save(place / "run.npz")
     for name, value, requirement in summary(run, values):
         print(f"{name:28s} {value:>14s}   {requirement}")
+    traces = {run[arm].result["traceback"] for arm in run if "traceback" in run[arm].result}
+    if traces:
+        (folder / ERRORS).write_text("\n".join(sorted(traces)))
+        print(f"where the error comes from: {folder / ERRORS}")
     for place in places(run, folder).values():
         for path in sorted(place.glob("*.*")):
             print(path)

@@ -29,6 +29,7 @@ from tactile_control.phases import (
     StampedPresence,
     TaskInputs,
 )
+from tactile_control.task_step import task_step
 from tactile_control.tasks import TASKS
 from tactile_drivers.arm import WorkspaceSettings
 from tactile_filter import se3
@@ -184,7 +185,7 @@ class ControllerNode(TaskNode):
             broken = self.run.task.traceback
             self.run.task.partner = self.partners.trouble(time.monotonic())
             self.run.task.remark = self.upstream.cause
-            command = self.run.task.step(now_ns, inputs)
+            command = task_step(self.run.task, now_ns, inputs)
             now_ns = self.send_twist(command.twist)
             if self.run.task.traceback != broken:
                 self.get_logger().error(f"{self.goal_name}: {command.reason}\n{self.run.task.traceback}")
