@@ -44,16 +44,20 @@ def register(subparsers: Any) -> None:
 @refusing("simulate", status=2)
 def _simulate(arguments: argparse.Namespace) -> int:
     from tactile_bringup.offline import run_arms_offline
+    from tactile_bringup.run_sequence import arm_plans
     from tactile_records.runs.report import FILES
 
     folder = arguments.out or Path("out") / "simulate"
     room_for_results(folder, *FILES)
     scene, task, options = prepared(arguments)
     options = replace(options, latency=arguments.latency * 1e-3, arm=arguments.arm)
+    plans = arm_plans(task, scene, options.arm, options.goals)
+    ends = {(plan.arm, goal.name): goal.goal.ends for plan in plans for goal in plan.goals}
     with Progress() as progress:
 
         def show(arm: str, goal: str, command: Command) -> None:
-            progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
+            done, total = (command.progress, 1.0) if ends[arm, goal] else (0.0, None)
+            progress.update(f"{arm} {goal}", done, total, state=command.phase)
 
         run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
     return deliver(run, folder)
