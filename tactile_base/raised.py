@@ -7,6 +7,7 @@ was given something wrong.
 
 from __future__ import annotations
 
+import sys
 import sysconfig
 import traceback
 from collections.abc import Iterator
@@ -90,28 +91,28 @@ def defined_in(kind: Any) -> str:
     code = next((c for c in map(_code, vars(kind).values()) if c is not None), None) if kind else None
     if code is not None:
         return f"{code.co_filename}:{code.co_firstlineno}"
-    return str(getattr(kind, "__module__", "somebody"))
+    module = getattr(kind, "__module__", "somebody")
+    return str(getattr(sys.modules.get(module), "__file__", None) or module)
 
 
 def plugin_of(error: BaseException) -> str:
     """What users call the plug-in that raised an error; '' where none did."""
-    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
-        if _whose(frame) == PLUGIN and (name := _name_in(frame)):
-            return name
-    return ""
+    frames = [f for f, _ in traceback.walk_tb(error.__traceback__) if _whose(f) == PLUGIN]
+    found = (name for by in (_by_object, _by_module) for f in reversed(frames) if (name := by(f)))
+    return next(found, "")
 
 
-def _name_in(frame: FrameType) -> str:
-    """By the object whose method runs, by the function, else by all that plugs in from that module."""
-    if name := plugin_name(type(frame.f_locals.get("self"))):
-        return name
-    module, names = frame.f_globals.get("__name__"), []
-    for found, name in _PLUGINS.values():
-        if _code(found) is frame.f_code:
-            return name
-        if getattr(found, "__module__", None) == module and name not in names:
-            names.append(name)
-    return " or ".join(names)
+def _by_object(frame: FrameType) -> str:
+    """By the object whose method runs, or by the function."""
+    functions = (name for found, name in _PLUGINS.values() if _code(found) is frame.f_code)
+    return plugin_name(type(frame.f_locals.get("self"))) or next(functions, "")
+
+
+def _by_module(frame: FrameType) -> str:
+    """By what was loaded from that module; from one that many were loaded from, by that module."""
+    module = frame.f_globals.get("__name__")
+    names = {name for found, name in _PLUGINS.values() if getattr(found, "__module__", None) == module}
+    return " or ".join(sorted(names)) if len(names) < 3 else f"a plug-in of {module}"
 
 
 def _code(thing: Any) -> CodeType | None:

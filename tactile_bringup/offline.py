@@ -199,7 +199,8 @@ class _OfflineLoop:
             late = arm.over_time(now_ns)
             if command.done or late:
                 arm.task, news = None, True
-                self.sequence.result(name, command.succeeded, command.reason or arm.late)
+                well = command.done and command.succeeded
+                self.sequence.result(name, well, command.reason or arm.late)
         for arm in self.arms.values():
             arm.expose()
         return news

@@ -37,6 +37,10 @@ NAMESAKES = ("report", "double")  # called as the task, or the driver, that they
 PAUSES = 3  # of so few the machine may be the reason
 
 
+class Unusable(str):
+    """A problem that keeps a plug-in from being used at all."""
+
+
 def check_plugin(
     kind: str,
     plugin: str,
@@ -103,20 +107,25 @@ def kind_of(plugin: str) -> str:
 
 def check_shape(kind: Any, values: Mapping[str, Any]) -> Problems:
     """Distances and normals at points about its surface, its grid and its mesh."""
-    shape = kind(kind.settings_class.from_mapping(values, "settings"))
+    yield from try_shape(kind(kind.settings_class.from_mapping(values, "settings")))
+
+
+def try_shape(shape: Any) -> Problems:
+    """The same of a shape that is there; `Unusable` is what no run can be made with."""
     grid = np.asarray(shape.grid(20), dtype=np.float64)
     if grid.ndim != 3 or grid.shape[2] != 3 or not np.isfinite(grid).all():
-        yield f"grid(20) has the shape {grid.shape}, must be finite points (rows, columns, 3)"
+        yield Unusable(f"grid(20) has the shape {grid.shape}, must be finite points (rows, columns, 3)")
         return
     surface, rng = grid.reshape(-1, 3), np.random.default_rng(0)
     points = surface[rng.integers(0, len(surface), POINTS)] + rng.uniform(-0.005, 0.005, (POINTS, 3))
     given = points.copy()
     distance, normal = (np.asarray(item) for item in shape.query(points))
     if (distance.shape, normal.shape) != ((POINTS,), (POINTS, 3)):
-        yield f"query of (N, 3) points gives {distance.shape} and {normal.shape}, must be (N,) and (N, 3)"
+        shapes = f"{distance.shape} and {normal.shape}"
+        yield Unusable(f"query of (N, 3) points gives {shapes}, must be (N,) and (N, 3)")
         return
     if not (np.isfinite(distance).all() and np.isfinite(normal).all()):
-        yield "query gives numbers that are not finite"
+        yield Unusable("query gives numbers that are not finite")
         return
     if not np.array_equal(points, given):
         yield "query changes the points that it is given"
@@ -185,17 +194,22 @@ def check_motion(kind: Any, values: Mapping[str, Any]) -> Problems:
         path.write_text(_SCENE)
         scene = load_scene(path)
     body = scene.bodies["body"]
-    tools = {"arm": scene.arms["arm"].T_world_start}
     settings = kind.settings_class.from_mapping(values, "settings")
-    first, second = (kind(scene, body, settings) for _ in range(2))
+    yield from try_motion(lambda: kind(scene, body, settings), scene, "body")
+
+
+def try_motion(make: Callable[[], Any], scene: Any, body: str) -> Problems:
+    """Two seconds of the motion of a body of a scene, whose arms stand still and do not touch it."""
+    tools = {name: arm.T_world_start for name, arm in scene.arms.items()}
+    first, second = make(), make()
     carriers = first.carriers
     if not isinstance(carriers, tuple) or not set(carriers) <= set(scene.arms):
-        yield f"carriers is {carriers!r}, must be a tuple of names of arms"
-    before, dt = scene.T_world_body("body"), 1.0 / 120.0
+        yield Unusable(f"carriers is {carriers!r}, must be a tuple of names of arms")
+    before, dt = scene.T_world_body(body), 1.0 / 120.0
     for number in range(240):
         T, again = (np.asarray(motion.step(dt, tools, [])) for motion in (first, second))
         if problem := not_rigid(T):
-            yield f"step {number}: {problem}"
+            yield Unusable(f"step {number}: {problem}")
             return
         if not np.array_equal(T, again):
             yield f"step {number}: two of them in the same scene go different ways"
@@ -219,12 +233,7 @@ def _apart(a: Array, b: Array) -> tuple[float, float]:
 
 
 def check_task(kind: Any, values: Mapping[str, Any], wanted: Mapping[str, Any]) -> Problems:
-    """Its phases, and its steps: without inputs, with an arm that stands still, and after a stop."""
-    from tactile_control.phases import DONE, FAILED
-
-    for name in (kind.work, DONE, FAILED):
-        if name not in kind.phases:
-            yield f"phases {list(kind.phases)} lack '{name}'"
+    """Its steps: without inputs, with an arm that stands still, and after a stop."""
     settings = kind.settings_class().merged(values, "settings")
     goal = kind.goal_class.from_mapping(wanted, "goal")
     if kind.node != "controller":  # its node gives it more than goals and settings

@@ -90,8 +90,8 @@ def refusing(command: str, *others: type[Exception], status: int = 1) -> Callabl
                 if not theirs and not isinstance(error, wrong):
                     raise
                 say(console, f"tactile {command}: {_explained(error)}", "red")
-                if theirs:
-                    say(console, "".join(traceback.format_exception(error)).rstrip())
+                if origin := next((e for e in (error, error.__cause__) if e and raised_in_plugin(e)), None):
+                    say(console, "".join(traceback.format_exception(origin)).rstrip())
                 return status
 
         return refused

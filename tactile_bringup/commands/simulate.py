@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
+from tactile_base.console import say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
@@ -45,12 +48,16 @@ def register(subparsers: Any) -> None:
 def _simulate(arguments: argparse.Namespace) -> int:
     from tactile_bringup.offline import run_arms_offline
     from tactile_bringup.run_sequence import arm_plans
+    from tactile_bringup.scene_check import check_bodies
     from tactile_records.runs.report import FILES
 
     folder = arguments.out or Path("out") / "simulate"
     room_for_results(folder, *FILES)
     scene, task, options = prepared(arguments)
     options = replace(options, latency=arguments.latency * 1e-3, arm=arguments.arm)
+    remarks = check_bodies(scene)
+    for remark in remarks:
+        say(Console(stderr=True), remark, "yellow")
     plans = arm_plans(task, scene, options.arm, options.goals)
     ends = {(plan.arm, goal.name): goal.goal.ends for plan in plans for goal in plan.goals}
     with Progress() as progress:
@@ -60,6 +67,8 @@ def _simulate(arguments: argparse.Namespace) -> int:
             progress.update(f"{arm} {goal}", done, total, state=command.phase)
 
         run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
+    for record in run.values():
+        record.result |= {"complaints": remarks} if remarks else {}
     return deliver(run, folder)
 
 

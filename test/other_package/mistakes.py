@@ -21,7 +21,7 @@ REST = np.eye(4)
 
 
 def like(base, **changes):
-    return type("Mine", (base,), changes)
+    return type("Mine", (base,), {"__module__": __name__, **changes})
 
 
 # ---- shapes ----
@@ -50,7 +50,9 @@ def fails(*given):
 SHAPES = {
     "query() is called as query(points)": like(Sphere, query=forgets_points),
     "has no settings_class": like(Sphere, settings_class=dict),
-    "must be a subclass of Surface": type("Mine", (), {"settings_class": Sphere.settings_class}),
+    "must be a subclass of Surface": type(
+        "Mine", (), {"__module__": __name__, "settings_class": Sphere.settings_class}
+    ),
     "the normal is not the gradient": query(lambda points, distance, normal: (distance, -normal)),
     "normals have lengths from 2 to 2": query(lambda points, distance, normal: (distance, 2.0 * normal)),
     "it is no distance": query(lambda points, distance, normal: (3.0 * distance, normal)),
@@ -69,14 +71,12 @@ SHAPES = {
 
 
 def motion(change):
-    """A drift whose poses are changed, given how often it was asked."""
+    """A drift whose poses are changed, given how often it was asked before."""
 
     def make():
-        count = itertools.count()
-
         def step(self, dt, tools, contacts):
-            T = bench.Drift.step(self, dt, tools, contacts)
-            return change(T.copy(), next(count) // 2)
+            self.asked = getattr(self, "asked", -1) + 1
+            return change(bench.Drift.step(self, dt, tools, contacts).copy(), self.asked)
 
         return like(bench.Drift, step=step)
 
@@ -152,7 +152,13 @@ def leaves_first(self, command):
 
 
 TASKS = {
-    "must be a subclass of PhaseMachine": type("Mine", (), {}),
+    "must be a subclass of PhaseMachine": type(
+        "Mine",
+        (),
+        {
+            "__module__": __name__,
+        },
+    ),
     "Mine(settings) is called as Mine(settings, goal, start)": like(
         SurfaceFollowing, __init__=lambda self, settings: None
     ),
