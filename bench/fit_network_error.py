@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
-from tactile_bringup.offline import network_view
+from tactile_bringup.offline_perception import network_view
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.collection import _along_surface, _Sphere
 from tactile_drivers.sim.network_error import SHIPPED, WAY, ErrorModel, NetworkError

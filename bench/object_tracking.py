@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
-from tactile_records.runs.object_tracking import numbers
+from tactile_records.runs.object_tracking import NOT_KEPT, numbers
 from tactile_records.runs.tracking import COMPONENTS
 
 PAPER, OURS = "object_tracking", "object_tracking_tuned"
@@ -57,7 +57,8 @@ def measure(
 def row(name: str, values: dict) -> list[str]:
     """One line of a table."""
     track = values["tracking"]
-    lost = "" if values["succeeded"] else f": {values['reason']}"
+    ended = values["succeeded"] or values["reason"].startswith(NOT_KEPT)  # which the numbers show
+    lost = "" if ended else f": {values['reason']}"
     return [
         name,
         f"{100.0 * values['contact_fraction']:.1f} %{lost}",

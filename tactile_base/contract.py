@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from tactile_base.raised import defined_in
 from tactile_base.settings import SettingGroups, Settings
 
 
@@ -26,6 +27,8 @@ class Contract:
         What else it has, for all of its objects.
     base : callable
         Gives what it has to be a subclass of; or an object of, where it is no class.
+    also : callable
+        What else is wrong with one that has all of this.
     """
 
     made_from: tuple[str, ...] | None = ()
@@ -33,10 +36,12 @@ class Contract:
     settings: bool = False
     attributes: tuple[str, ...] = ()
     base: Callable[[], type] | None = None
+    also: Callable[[Any], Iterator[str]] = lambda found: iter(())
 
     def objections(self, found: Any) -> list[str]:
         """What is wrong with a plug-in, with what would be right; each with its place where that is known."""
-        return [f"{text}{_place(at)}" for text, at in self._objections(found)]
+        objections = list(self._objections(found)) or [(text, found) for text in self.also(found)]
+        return [f"{text}{_place(at)}" for text, at in objections]
 
     def _objections(self, found: Any) -> Iterator[tuple[str, Any]]:
         base = None if self.base is None else self.base()
@@ -92,4 +97,5 @@ def _place(found: Any) -> str:
     try:
         return f" ({inspect.getsourcefile(found)}:{inspect.getsourcelines(found)[1]})"
     except (OSError, TypeError):
-        return ""
+        at = defined_in(found) if inspect.isclass(found) else ""
+        return f" ({at})" if at else ""

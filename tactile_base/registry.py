@@ -15,13 +15,13 @@ Another package adds an entry in its own metadata, and nothing here has to chang
 from __future__ import annotations
 
 import importlib
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
 from tactile_base.contract import Contract
+from tactile_base.raised import in_short, note_plugin, raised_in_plugin
 from tactile_base.settings import SettingError, unknown_name
 
 T = TypeVar("T")
@@ -111,8 +111,11 @@ class Registry(Generic[T]):
             for part in attribute.split("."):
                 found = getattr(found, part)
         except Exception as error:  # somebody else's module may raise anything
-            why = f"{in_short(error)} ({raised_at(error)})"
+            at = raised_in_plugin(error)
+            why = f"{in_short(error)} ({at})" if at else in_short(error)
             raise SettingError(f"{self.kind} '{name}': {place} cannot be loaded: {why}") from error
+        if place not in self._builtin.values():
+            note_plugin(found, f"{self.kind} '{name}'")
         return found
 
     def _points(self) -> list[EntryPoint]:
@@ -123,15 +126,3 @@ class Registry(Generic[T]):
             if point.name == name:
                 return point.value
         raise SettingError(f"{self.kind}: {unknown_name(name, list(self.names()))}")
-
-
-def in_short(error: BaseException) -> str:
-    """What an error says, with its kind unless that is said by its words."""
-    plain = isinstance(error, SettingError | ImportError | OSError)
-    return str(error) if plain and str(error) else f"{type(error).__name__}: {error}"
-
-
-def raised_at(error: BaseException) -> str:
-    """File and line where an error was raised."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{frame.filename}:{frame.lineno}"

@@ -69,6 +69,24 @@ def room_for_results(folder: Path, *results: str, source: Path | None = None) ->
     print(f"earlier results of {folder} are in {aside} now", file=sys.stderr)
 
 
+def room_for_files(*paths: Path) -> None:
+    """Have there be no files of these names, which belong together; earlier ones are kept beside them.
+
+    All of those that are there become NAME-1, NAME-2 and so on, with one number, which is said. `OSError` as
+    of `check_file`.
+    """
+    for path in paths:
+        check_file(path)
+    for number in itertools.count(1):
+        aside = {path: path.with_name(f"{path.stem}-{number}{path.suffix}") for path in paths}
+        if not any(kept.exists() for kept in aside.values()):
+            break
+    for path, kept in aside.items():
+        if path.exists():
+            path.rename(kept)
+            print(f"the earlier {path} is {kept} now", file=sys.stderr)
+
+
 def check_file(path: Path) -> None:
     """`OSError` unless a file can be written at `path`, in a folder that is there or can be made."""
     if path.is_dir():

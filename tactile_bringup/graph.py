@@ -34,6 +34,7 @@ from tactile_base.topics import (
     compressed,
 )
 from tactile_bringup.run_sequence import ArmPlan, arm_plans, awaited_by, waiting_for
+from tactile_bringup.scene_check import check_bodies
 from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
 from tactile_control.tasks import TASKS
 from tactile_drivers.camera import COMPRESSED, ExternalCameraSettings
@@ -299,6 +300,7 @@ def _remarks(scene: Scene, arms: Sequence[str], options: GraphOptions) -> Iterat
         shipped = options.model is None and scene.model_file(arm) is None
         if sensor is not None and sensor.camera != SIM and shipped:
             yield f"{arm}: {SIMULATED_ONLY}"
+    yield from check_bodies(scene)
 
 
 def _estimator(scene: Scene, arm: str, options: GraphOptions) -> NodeProcess:

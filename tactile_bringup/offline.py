@@ -11,43 +11,41 @@ seconds after it. The same scene, task, options and seed give the same bits::
 from __future__ import annotations
 
 import time
+import traceback
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from tactile_base.raised import plugin_name, raised_in_plugin, told
 from tactile_base.settings import SettingError
 from tactile_base.stamps import NANOSECOND, SECOND_NS
+from tactile_bringup.offline_perception import Perception, perception
 from tactile_bringup.run_sequence import ArmPlan, RunSequence, arm_plans
 from tactile_control.partners import Partners
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_file import Task, load_task, task_path
+from tactile_control.task_step import task_step
 from tactile_drivers.arm import ArmMode
 from tactile_drivers.arm_distance import neighbours
 from tactile_drivers.doubles.lies import Lies
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
-from tactile_drivers.sim.network_view import ViewSettings
-from tactile_drivers.sim.simulation import INPUT
 from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
 from tactile_perception.estimating.image import ImageError
-from tactile_perception.estimating.perceive import Perceiver, Percept
+from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.log import RunLog
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
 
-if TYPE_CHECKING:
-    from tactile_perception.estimator import Estimator
-
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 
-Perception = Callable[[Frame], Percept]
 Progress = Callable[[str, str, Command], None]
 
 
@@ -136,7 +134,7 @@ class _OfflineLoop:
                 "leads as well, or give a goal a duration"
             )
         self.sequence = RunSequence(plans)
-        seeing = {plan.arm: _perception(scene, plan.arm, options) for plan in plans}
+        seeing = {plan.arm: perception(scene, plan.arm, options.model) for plan in plans}
         views = {arm: view for arm, (_, view) in seeing.items() if view is not None}
         self.cell = Cell(scene, options.seed, START_NS, views)
         self.arms = {
@@ -148,7 +146,22 @@ class _OfflineLoop:
             arm.partners = self.sequence.partners(name)
 
     def run(self) -> dict[str, RunRecord]:
-        started = time.perf_counter()
+        started, broken, trace = time.perf_counter(), "", ""
+        try:
+            self._run_goals()
+            self._see_aftermath()
+        except Exception as error:
+            if not raised_in_plugin(error):
+                raise
+            broken, trace = told(error), traceback.format_exc()
+        wall_s = time.perf_counter() - started
+        failure = broken or self.sequence.failure
+        return {
+            name: arm.log.finish(not failure, failure, wall_s, arm.refused, trace or arm.traceback)
+            for name, arm in self.arms.items()
+        }
+
+    def _run_goals(self) -> None:
         while not self.sequence.finished:
             for plan, goal in self.sequence.start():
                 self.arms[plan.arm].begin(goal)
@@ -156,12 +169,6 @@ class _OfflineLoop:
                 self.arms[arm].end(self.sequence.failure)
             while not self._tick():
                 pass
-        self._see_aftermath()
-        wall_s = time.perf_counter() - started
-        failure = self.sequence.failure
-        return {
-            name: arm.log.finish(not failure, failure, wall_s, arm.refused) for name, arm in self.arms.items()
-        }
 
     def _see_aftermath(self) -> None:
         """What comes of a lie after the run, when nobody commands any more."""
@@ -192,7 +199,8 @@ class _OfflineLoop:
             late = arm.over_time(now_ns)
             if command.done or late:
                 arm.task, news = None, True
-                self.sequence.result(name, command.succeeded, command.reason or "took too long")
+                well = command.done and command.succeeded
+                self.sequence.result(name, well, command.reason or arm.late)
         for arm in self.arms.values():
             arm.expose()
         return news
@@ -255,7 +263,7 @@ class _OfflineArm:
         self.stepped_ns = START_NS
         self.refused = Counter[str]()
         self.remark = ""
-        self.partners = Partners()
+        self.partners, self.traceback = Partners(), ""
         self.task: PhaseMachine[TaskInputs, Command] | None = None
         self.goal = 0
         self.begun_ns = START_NS
@@ -284,6 +292,13 @@ class _OfflineArm:
         """Whether a goal that ends by itself has not done so in time."""
         limit = self.options.time_limit * SECOND_NS
         return not self.plan.role.task_type.endless and now_ns - self.begun_ns > limit
+
+    @property
+    def late(self) -> str:
+        """What is said of a goal that was over time."""
+        whose = plugin_name(self.plan.role.task_type)
+        more = f": {whose} has not ended {self.options.time_limit:g} s after it began" if whose else ""
+        return f"took too long{more}"
 
     def take_pose(self) -> None:
         """What the arm reports at this step; the controller sees it from the next one on."""
@@ -324,7 +339,8 @@ class _OfflineArm:
             return None
         self.task.remark = self.remark
         self.task.partner = self.partners.trouble(now_ns * NANOSECOND)
-        command = self.task.step(now_ns, self.inputs)
+        command = task_step(self.task, now_ns, self.inputs)
+        self.traceback = self.traceback or self.task.traceback
         self.safe.command(now_ns, command.twist, self.plan.role.name)
         self.log.command(now_ns, self.goal, command)
         return command
@@ -390,52 +406,3 @@ class _OfflineArm:
         if self.queue:
             due_ns = max(due_ns, self.queue[-1].due_ns)  # a chain of nodes keeps the order
         self.queue.append(_Event(due_ns, presence, belief))
-
-
-def network_view(estimator: Estimator) -> ViewSettings:
-    """What has to be known of a network to draw its input; `SettingError` where it cannot be drawn."""
-    settings = estimator.metadata.preprocessing
-    if settings.redraw_radius or settings.threshold_method != "mean":
-        raise SettingError(
-            f"{estimator.path}: fidelity '{INPUT}' is for networks with threshold_method mean and "
-            f"redraw_radius 0, this one has {settings.threshold_method} and {settings.redraw_radius:g}; "
-            "use image"
-        )
-    x0, y0, x1, y1 = settings.bbox
-    return ViewSettings(
-        bbox=(x0, y0, x1, y1),
-        median=settings.median,
-        block=settings.threshold_block,
-        offset=settings.threshold_offset,
-        circle=settings.circle_mask_radius,
-        size=settings.size,
-    )
-
-
-def _perception(
-    scene: Scene, arm: str, options: OfflineOptions
-) -> tuple[Perception | None, ViewSettings | None]:
-    """What makes percepts of an arm's frames, the network or the sensor itself, and how the former sees."""
-    if scene.arms[arm].sensor is None:
-        return None, None
-    if not scene.gives_images(arm):
-        return _own_answer, None
-    # here, since runs without images do without onnxruntime
-    from tactile_perception.estimating.presence import ContactPresence
-    from tactile_perception.estimator import Estimator
-
-    drawn = scene.simulation.sensors[arm].at_input
-    estimator = Estimator(options.model or scene.model_file(arm) or "")
-    perceiver = Perceiver(estimator, ContactPresence())
-
-    def perceive(frame: Frame) -> Percept:
-        assert frame.image is not None
-        return perceiver(frame.image, drawn, frame.stamp_ns)
-
-    return perceive, network_view(estimator) if drawn else None
-
-
-def _own_answer(frame: Frame) -> Percept:
-    """The percept of a sensor that gives estimates."""
-    touches = frame.estimate is not None
-    return Percept(touches, float(touches), frame.estimate)

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.registry import Registry, in_short, raised_at
+from tactile_base.raised import in_short, raised_at
+from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.driver_check import check_arm, check_camera, not_rigid, numbers
@@ -32,8 +33,13 @@ POINTS, STEP = 400, 1e-6  # m: for derivatives
 SMOOTH = 0.97  # part of the points at which a normal has to be the gradient: edges and medial axes have none
 SPEED, TURN_RATE = 5.0, 50.0  # m/s, rad/s: a body that goes faster jumps
 CALL = 0.01  # s, that a step may take
+NAMESAKES = ("report", "double")  # called as the task, or the driver, that they are of
 PAUSES = 3  # of so few the machine may be the reason
 COMPANIONS = ("report", "double")  # of a task and of a driver, whose names they have
+
+
+class Unusable(str):
+    """A problem that keeps a plug-in from being used at all."""
 
 
 def check_plugin(
@@ -87,12 +93,18 @@ def check_plugin(
 
 
 def kind_of(plugin: str) -> str:
+<<<<<<< HEAD
     """The kind of a plug-in by its name; `SettingError` where several have it, or none.
 
     A report has the name of its task, and a double that of its driver: the name means these.
     """
     named = [registry.kind for registry in _registries() if plugin in registry.names()]
     kinds = [kind for kind in named if kind not in COMPANIONS] or named
+=======
+    """The kind of a plug-in by its name; `SettingError` where several have it, or none."""
+    kinds = [registry.kind for registry in _registries() if plugin in registry.names()]
+    kinds = [kind for kind in kinds if kind not in NAMESAKES] or kinds
+>>>>>>> errors
     if len(kinds) != 1:
         known = ", ".join(registry.kind for registry in _registries())
         what = f"several have that name ({', '.join(kinds)})" if kinds else "no plug-in has that name"
@@ -105,20 +117,25 @@ def kind_of(plugin: str) -> str:
 
 def check_shape(kind: Any, values: Mapping[str, Any]) -> Problems:
     """Distances and normals at points about its surface, its grid and its mesh."""
-    shape = kind(kind.settings_class.from_mapping(values, "settings"))
+    yield from try_shape(kind(kind.settings_class.from_mapping(values, "settings")))
+
+
+def try_shape(shape: Any) -> Problems:
+    """The same of a shape that is there; `Unusable` is what no run can be made with."""
     grid = np.asarray(shape.grid(20), dtype=np.float64)
     if grid.ndim != 3 or grid.shape[2] != 3 or not np.isfinite(grid).all():
-        yield f"grid(20) has the shape {grid.shape}, must be finite points (rows, columns, 3)"
+        yield Unusable(f"grid(20) has the shape {grid.shape}, must be finite points (rows, columns, 3)")
         return
     surface, rng = grid.reshape(-1, 3), np.random.default_rng(0)
     points = surface[rng.integers(0, len(surface), POINTS)] + rng.uniform(-0.005, 0.005, (POINTS, 3))
     given = points.copy()
     distance, normal = (np.asarray(item) for item in shape.query(points))
     if (distance.shape, normal.shape) != ((POINTS,), (POINTS, 3)):
-        yield f"query of (N, 3) points gives {distance.shape} and {normal.shape}, must be (N,) and (N, 3)"
+        shapes = f"{distance.shape} and {normal.shape}"
+        yield Unusable(f"query of (N, 3) points gives {shapes}, must be (N,) and (N, 3)")
         return
     if not (np.isfinite(distance).all() and np.isfinite(normal).all()):
-        yield "query gives numbers that are not finite"
+        yield Unusable("query gives numbers that are not finite")
         return
     if not np.array_equal(points, given):
         yield "query changes the points that it is given"
@@ -187,17 +204,22 @@ def check_motion(kind: Any, values: Mapping[str, Any]) -> Problems:
         path.write_text(_SCENE)
         scene = load_scene(path)
     body = scene.bodies["body"]
-    tools = {"arm": scene.arms["arm"].T_world_start}
     settings = kind.settings_class.from_mapping(values, "settings")
-    first, second = (kind(scene, body, settings) for _ in range(2))
+    yield from try_motion(lambda: kind(scene, body, settings), scene, "body")
+
+
+def try_motion(make: Callable[[], Any], scene: Any, body: str) -> Problems:
+    """Two seconds of the motion of a body of a scene, whose arms stand still and do not touch it."""
+    tools = {name: arm.T_world_start for name, arm in scene.arms.items()}
+    first, second = make(), make()
     carriers = first.carriers
     if not isinstance(carriers, tuple) or not set(carriers) <= set(scene.arms):
-        yield f"carriers is {carriers!r}, must be a tuple of names of arms"
-    before, dt = scene.T_world_body("body"), 1.0 / 120.0
+        yield Unusable(f"carriers is {carriers!r}, must be a tuple of names of arms")
+    before, dt = scene.T_world_body(body), 1.0 / 120.0
     for number in range(240):
         T, again = (np.asarray(motion.step(dt, tools, [])) for motion in (first, second))
         if problem := not_rigid(T):
-            yield f"step {number}: {problem}"
+            yield Unusable(f"step {number}: {problem}")
             return
         if not np.array_equal(T, again):
             yield f"step {number}: two of them in the same scene go different ways"
@@ -221,12 +243,7 @@ def _apart(a: Array, b: Array) -> tuple[float, float]:
 
 
 def check_task(kind: Any, values: Mapping[str, Any], wanted: Mapping[str, Any]) -> Problems:
-    """Its phases, and its steps: without inputs, with an arm that stands still, and after a stop."""
-    from tactile_control.phases import DONE, FAILED
-
-    for name in (kind.work, DONE, FAILED):
-        if name not in kind.phases:
-            yield f"phases {list(kind.phases)} lack '{name}'"
+    """Its steps: without inputs, with an arm that stands still, and after a stop."""
     settings = kind.settings_class().merged(values, "settings")
     goal = kind.goal_class.from_mapping(wanted, "goal")
     if kind.node != "controller":  # its node gives it more than goals and settings
@@ -262,7 +279,7 @@ def _steps(task: Any, inputs: bool) -> Problems:
             yield f"in phase {command.phase} the twist is {twist!r}, must be six finite numbers"
             return
         if task.traceback:
-            yield f"in phase {command.phase}: {command.reason} ({_last_place(task.traceback)})"
+            yield f"in phase {command.phase}: {command.reason}"
             return
         if command.phase not in type(task).phases:
             yield f"phase '{command.phase}' is not among its phases"
@@ -277,12 +294,6 @@ def _steps(task: Any, inputs: bool) -> Problems:
     slow = [seconds for seconds in took if seconds > CALL]
     if len(slow) >= PAUSES:
         yield f"{len(slow)} steps took {min(slow) * 1e3:.0f} ms and more; images come every 8 to 17 ms"
-
-
-def _last_place(text: str) -> str:
-    """File and line of the last place in a traceback."""
-    places = [line.strip() for line in text.splitlines() if line.lstrip().startswith("File ")]
-    return places[-1] if places else "nobody knows where"
 
 
 def _registries() -> list[Registry[Any]]:

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeGuard, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.raised import told
 from tactile_base.settings import SettingGroups, Settings
 from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings, TwistLimiter
@@ -285,7 +286,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
 
     def _after_exception(self, error: Exception) -> Result:
         """Leave the surface if the task can still do that, else come to rest where it is."""
-        text = f"{type(error).__name__} in phase {self.phase}: {error}"
+        text = told(error, type(self), f"{type(error).__name__} in phase {self.phase}: {error}")
         again, self.traceback = bool(self.traceback), self.traceback or traceback.format_exc()
         if again or self.phase in (STOPPING, RETREAT):
             self._fail_here(text)
@@ -295,7 +296,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         try:
             return self._answer(self._wanted, "")
         except Exception as last:  # nothing of the task works any more
-            self._fail_here(f"{type(last).__name__}: {last}")
+            self._fail_here(told(last, type(self)))
             return cast(Result, self._command(self._wanted, ""))
 
     # ---- what a task fills in ----

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
+import weakref
+from dataclasses import dataclass
+
 import numpy as np
 import ruckig
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_drivers.arm import ArmLimits
 
 Array = NDArray[np.float64]
+
+
+@dataclass
+class _Ruckig:
+    """What Ruckig calculates with."""
+
+    generator: ruckig.Ruckig
+    trajectory: ruckig.Trajectory
+    input: ruckig.InputParameter
 
 
 class TwistProfile:
@@ -21,9 +34,8 @@ class TwistProfile:
     """
 
     def __init__(self, limits: ArmLimits) -> None:
-        self._generator = ruckig.Ruckig(6)
-        self._trajectory = ruckig.Trajectory(6)
-        self._input = _ruckig_input(limits)
+        self._ruckig: _Ruckig | None = _Ruckig(ruckig.Ruckig(6), ruckig.Trajectory(6), _ruckig_input(limits))
+        _LIVING.add(self)
         self.start(np.zeros(6))
 
     def start(self, twist: ArrayLike) -> None:
@@ -38,20 +50,38 @@ class TwistProfile:
         RuntimeError
             If Ruckig finds no way.
         """
-        if not (self.twist.any() or target.any() or self.acceleration.any()):
+        using = self._ruckig
+        if using is None or not (self.twist.any() or target.any() or self.acceleration.any()):
             return np.zeros(6)
-        self._input.current_velocity = self.twist
-        self._input.current_acceleration = self.acceleration
-        self._input.target_velocity = target
-        result = self._generator.calculate(self._input, self._trajectory)
+        using.input.current_velocity = self.twist
+        using.input.current_acceleration = self.acceleration
+        using.input.target_velocity = target
+        result = using.generator.calculate(using.input, using.trajectory)
         if result < 0:
             raise RuntimeError(f"Ruckig found no trajectory from {self.twist} to {target}: {result}")
-        moved, twist, acceleration = self._trajectory.at_time(dt)
-        if dt >= self._trajectory.duration:  # there, exactly: rest is rest
+        moved, twist, acceleration = using.trajectory.at_time(dt)
+        if dt >= using.trajectory.duration:  # there, exactly: rest is rest
             self.twist, self.acceleration = target.copy(), np.zeros(6)
         else:
             self.twist, self.acceleration = np.array(twist), np.array(acceleration)
         return np.array(moved)
+
+    def release(self) -> None:
+        """Let go of Ruckig's objects; it goes nowhere from now on."""
+        self._ruckig = None
+
+
+_LIVING: weakref.WeakSet[TwistProfile] = weakref.WeakSet()
+
+
+@atexit.register
+def _release_all() -> None:
+    """Before the interpreter ends: Ruckig tells of each object that outlives it, a page at the end of a log.
+
+    Threads that never end keep them, and what C holds on to, as rclpy does to callbacks of nodes.
+    """
+    for profile in list(_LIVING):
+        profile.release()
 
 
 def _ruckig_input(limits: ArmLimits) -> ruckig.InputParameter:

@@ -38,6 +38,7 @@ from rclpy.timer import Timer
 
 from tactile_base import topics
 from tactile_base.end_signals import signals_into
+from tactile_base.raised import BY_ERROR, told
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import NANOSECOND
 from tactile_filter.events import FUTURE_NS
@@ -417,7 +418,7 @@ class ManagedNode(LifecycleNode):
             self.get_logger().error(self.report.fault)
             return Result.FAILURE
         except Exception as error:
-            self.report.fault = f"cannot {what}: {type(error).__name__}: {error}"
+            self.report.fault = f"cannot {what}: {told(error)}"
             self.get_logger().error(f"{self.report.fault}\n{traceback.format_exc()}")
             return Result.ERROR
         return Result.SUCCESS
@@ -524,8 +525,8 @@ def _spin(nodes: Sequence[ManagedNode], executor: Any, signals: list[int]) -> in
     except ExternalShutdownException:
         last.stop("the context was shut down")
     except Exception as error:
-        last.report.fault = f"{type(error).__name__}: {error}"
-        last.get_logger().fatal(f"stopping after an error in a callback\n{traceback.format_exc()}")
+        last.report.fault = told(error)
+        last.get_logger().fatal(f"{BY_ERROR}{last.report.fault}\n{traceback.format_exc()}")
         last.publish_diagnostics()
         return 1
     ended = next((node for node in nodes if node.stop_reason), last)

@@ -13,6 +13,7 @@ import os
 import platform
 import secrets
 import time
+import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.duration import Duration
 
 from tactile_base import topics
+from tactile_base.raised import told
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
@@ -249,8 +251,12 @@ class TaskNode(ManagedNode, ABC):
     def _accept(self, handle: Any) -> None:
         refusal = self._refusal(handle.request)
         if not refusal:
-            self.run = self.accept(handle)
-            return
+            try:
+                self.run = self.accept(handle)
+                return
+            except Exception as error:  # a task may be somebody else's
+                refusal = told(error)
+                self.get_logger().error(f"{refusal}\n{traceback.format_exc()}")
         self.count("goals refused")
         self.warn("goal", f"goal refused: {refusal}", period=0.0)
         conclude(handle, RunTask.Result(success=False, reason=f"goal refused: {refusal}"))

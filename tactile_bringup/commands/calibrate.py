@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tactile_base.whole_file import check_file
+from tactile_base.whole_file import check_file, room_for_files
 from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
 
 
@@ -35,6 +35,9 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
 
     check_file(arguments.out)
     model, changes = trained_model(arguments.model), changed_settings(arguments.changes, "sigma_knots=3")
+    if arguments.out.resolve() == model.resolve():
+        raise ValueError(f"{arguments.out}: is the model itself; --out must name another file")
+    room_for_files(arguments.out)
     calibration, own_session = recalibrate(model, arguments.data, arguments.out, changes)
     source = "held back in training, for other sessions" if own_session else "of this session, for it"
     print(

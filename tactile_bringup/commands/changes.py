@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import functools
+import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from tactile_base.console import say
-from tactile_base.registry import raised_at
+from tactile_base.raised import LIBRARY, raised_at, raised_by, raised_in_plugin, told
 from tactile_base.settings import SettingError
 from tactile_base.yaml_file import name_and_value
 
@@ -56,20 +56,21 @@ def in_words(error: Exception) -> str:
     return str(error)
 
 
-def _place_elsewhere(error: Exception) -> str:
-    """Where a plug-in, or a library, has raised an error that was not written for the user; else ''."""
+def _explained(error: Exception) -> str:
+    """An error in words, with its place unless it was written for the user: whose plug-in, or which line."""
     if isinstance(error, SettingError | OSError):
-        return ""
-    ours = Path(__file__).resolve().parents[2]
-    place = raised_at(error)
-    return "" if place.startswith(str(ours / "tactile_")) else f" ({place})"
+        return in_words(error)
+    if raised_in_plugin(error):
+        return told(error)
+    return f"{in_words(error)} ({raised_at(error)})" if raised_by(error) == LIBRARY else in_words(error)
 
 
 def refusing(command: str, *others: type[Exception], status: int = 1) -> Callable[[Run], Run]:
     """Decorator of what runs a command: wrong input becomes a message and the exit status of that.
 
-    Wrong input is a `ValueError`, an `OSError` or one of `others`. Where a library of the extra `train` is
-    not installed, the message says how to install it, and the status is 2.
+    Wrong input is a `ValueError`, an `OSError` or one of `others`. What else a plug-in raises is told in the
+    same way, and its traceback below. Where a library of the extra `train` is not installed, the message says
+    how to install it, and the status is 2.
     """
     wrong: tuple[type[Exception], ...] = (ValueError, OSError, *others)
 
@@ -84,8 +85,13 @@ def refusing(command: str, *others: type[Exception], status: int = 1) -> Callabl
                     raise
                 say(console, f"tactile {command} needs {error.name}: pip install {' '.join(EXTRA)}")
                 return 2
-            except wrong as error:
-                say(console, f"tactile {command}: {in_words(error)}{_place_elsewhere(error)}", "red")
+            except Exception as error:
+                theirs = raised_in_plugin(error) and not isinstance(error, SettingError | OSError)
+                if not theirs and not isinstance(error, wrong):
+                    raise
+                say(console, f"tactile {command}: {_explained(error)}", "red")
+                if origin := next((e for e in (error, error.__cause__) if e and raised_in_plugin(e)), None):
+                    say(console, "".join(traceback.format_exception(origin)).rstrip())
                 return status
 
         return refused

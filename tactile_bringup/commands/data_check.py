@@ -14,7 +14,7 @@ from rich.text import Text
 
 from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
-from tactile_base.whole_file import check_folder
+from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
 from tactile_perception.estimating.labels import EULER_TITLES
 
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = Console()
     if arguments.out is not None:
-        check_folder(arguments.out)
+        room_for_results(arguments.out, "check.json", source=arguments.folder)
     folder = open_folder(arguments.folder)
     settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
     with Progress() as progress:

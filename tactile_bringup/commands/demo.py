@@ -65,5 +65,5 @@ def _deliver(bag: Path, folder: Path, outcome: Outcome, console: Console) -> int
     for record in run.values():
         if outcome.exit_code:
             record.result |= {"succeeded": False, "reason": outcome.reason.splitlines()[0]}
-    deliver(run, bag, folder, console)
-    return outcome.exit_code or (0 if all(record.result["succeeded"] for record in run.values()) else 1)
+    well = deliver(run, bag, folder, console)
+    return outcome.exit_code or (0 if well else 1)

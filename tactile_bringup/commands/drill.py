@@ -15,10 +15,10 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tactile_bringup.commands.changes import refusing
 from tactile_bringup.commands.launch import (
@@ -75,9 +75,12 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_base.whole_file import room_for_results
 
     folder = arguments.out or Path("out") / "drill"
-    rows = _live(arguments, folder) if arguments.live else _offline(arguments)
-    if not arguments.list:
-        room_for_results(folder, "drill.json")
+    drills = (_live if arguments.live else _offline)(arguments)
+    if arguments.list:
+        print("\n".join(drills.faults))
+        return 0
+    rows = drills.run(folder)
+    room_for_results(folder, "drill.json")
     outcomes, failed, console = [], 0, Console()
     for outcome in rows:
         objection = outcome.objection(arguments.deepest * 1e-3)
@@ -96,19 +99,23 @@ def _finite(values: dict[str, Any]) -> dict[str, Any]:
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
 
 
+class _Drills(NamedTuple):
+    """What is to be drilled, and how, which nothing has begun with yet."""
+
+    faults: tuple[str, ...]
+    run: Callable[[Path], Iterable[Outcome | LiveOutcome]]
+
+
 def _chosen(arguments: argparse.Namespace, faults: dict[str, Any]) -> dict[str, Any]:
-    """The faults that were asked for; with `--list` their names are printed, and there is none."""
+    """The faults that were asked for."""
     texts = [text.lower() for text in arguments.fault]
     found = {n: f for n, f in faults.items() if not texts or any(text in n.lower() for text in texts)}
     if not found:
         raise ValueError(f"--fault {' '.join(arguments.fault)}: there are {', '.join(faults)}")
-    if arguments.list:
-        print("\n".join(found))
-        return {}
     return found
 
 
-def _offline(arguments: argparse.Namespace) -> Iterable[Outcome]:
+def _offline(arguments: argparse.Namespace) -> _Drills:
     from tactile_bringup.drill import Drill, faults
 
     scene, task, options = prepared(arguments)
@@ -116,8 +123,8 @@ def _offline(arguments: argparse.Namespace) -> Iterable[Outcome]:
     images = arguments.fidelity in (None, "image") and any(map(scene.gives_images, sensing))
     options = replace(options, time_limit=LONGEST)
     drill = Drill(scene, task, options, None if arguments.at == "start" else arguments.after)
-    names = _arms(arguments, sensing)
-    return drill.run(_chosen(arguments, faults(images)), names)
+    chosen, names = _chosen(arguments, faults(images)), _arms(arguments, sensing)
+    return _Drills(tuple(chosen), lambda folder: drill.run(chosen, names))
 
 
 def _arms(arguments: argparse.Namespace, arms: list[str]) -> tuple[str, ...]:
@@ -128,7 +135,7 @@ def _arms(arguments: argparse.Namespace, arms: list[str]) -> tuple[str, ...]:
     return (arguments.arm,) if arguments.arm else tuple(arms)
 
 
-def _live(arguments: argparse.Namespace, folder: Path) -> Iterable[LiveOutcome]:
+def _live(arguments: argparse.Namespace) -> _Drills:
     from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.live_drill import drill_live, live_faults
     from tactile_drivers.scene import SIM, load_scene
@@ -136,24 +143,36 @@ def _live(arguments: argparse.Namespace, folder: Path) -> Iterable[LiveOutcome]:
     graph = load_graph(arguments.task, arguments.scene, graph_options(arguments))
     scene = load_scene(graph.scene_file)
     real = [name for name, arm in scene.arms.items() if arm.driver != SIM]
-    if real and not (arguments.rehearse or arguments.real_arms):
-        raise ValueError(f"{', '.join(real)}: of a real driver: --rehearse with doubles, or --real-arms")
     if arguments.rehearse and arguments.real_arms:
         raise ValueError("--rehearse or --real-arms, not both")
-    launch = [arguments.task, "--scene", str(graph.scene_file), "--seed", str(arguments.seed)]
+    if real and not (arguments.rehearse or arguments.real_arms or arguments.list):
+        raise ValueError(f"{', '.join(real)}: of a real driver: --rehearse with doubles, or --real-arms")
+    chosen = {
+        arm: _chosen(arguments, live_faults(graph, arm, arguments.rehearse and arm in real))
+        for arm in _arms(arguments, list(graph.arms))
+    }
+    launch = _launch_words(arguments, graph.scene_file)
+
+    def run(folder: Path) -> Iterable[LiveOutcome]:
+        runs = folder / time.strftime("%Y%m%d-%H%M%S")
+        for arm, faults in chosen.items():
+            for number, (fault, harm) in enumerate(faults.items()):
+                place = runs / f"{arm}-{number:02d}"
+                yield drill_live(f"{arm}: {fault}", harm, arm, launch, place, arguments.after)
+
+    return _Drills(tuple(dict.fromkeys(name for faults in chosen.values() for name in faults)), run)
+
+
+def _launch_words(arguments: argparse.Namespace, scene_file: Path) -> list[str]:
+    """The words of `tactile launch` that do what was asked for."""
+    launch = [arguments.task, "--scene", str(scene_file), "--seed", str(arguments.seed)]
     for name in ("model", "filter", "controller"):
         if value := getattr(arguments, name):
             launch += [f"--{name}", str(value)]
     launch += [word for change in arguments.changes for word in ("--set", change)]
     launch += ["--goals", *arguments.goals] if arguments.goals else []
     launch += time_options(arguments)
-    launch += ["--rehearse"] if arguments.rehearse else []
-    runs = folder / time.strftime("%Y%m%d-%H%M%S")
-    for arm in _arms(arguments, list(graph.arms)):
-        chosen = _chosen(arguments, live_faults(graph, arm, arguments.rehearse and arm in real))
-        for number, (fault, harm) in enumerate(chosen.items()):
-            place = runs / f"{arm}-{number:02d}"
-            yield drill_live(f"{arm}: {fault}", harm, arm, launch, place, arguments.after)
+    return [*launch, "--rehearse"] if arguments.rehearse else launch
 
 
 def _show(console: Console, outcome: Outcome | LiveOutcome, objection: str) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tactile_base.whole_file import check_file, whole_file
+from tactile_base.whole_file import check_file, room_for_files, whole_file
 from tactile_bringup.commands.changes import refusing
 
 
@@ -58,6 +58,7 @@ def run_markers(arguments: argparse.Namespace) -> int:
             f"change of density, markers per squared spacing: {change.values.min():.2f} to "
             f"{change.values.max():.2f}",
         ]
+    room_for_files(out, *filter(None, [arguments.csv]))
     out.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(out) as temporary:
         temporary.write_bytes(cv2.imencode(out.suffix, picture)[1].tobytes())

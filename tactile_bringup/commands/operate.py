@@ -170,7 +170,12 @@ def _task(status: Any) -> str:
         return ""
     goal = f" '{status.goal_name}'" if status.goal_name else ""
     why = f": {status.reason}" if status.reason else ""
-    return f"{status.task}{goal}, {status.phase}, {100 * status.progress:.0f} %{why}"
+    return f"{status.task}{goal}, {status.phase}{_done(status.progress, ', ')}{why}"
+
+
+def _done(progress: float, before: str = "") -> str:
+    """How much of a goal is done; '' of one that goes on until it is asked to end."""
+    return "" if math.isnan(progress) else f"{before}{100 * progress:.0f} %"
 
 
 def _contact(state: Any) -> str:
@@ -250,7 +255,8 @@ def _goal(arguments: argparse.Namespace, operator: Operator, console: Console) -
         text = f"{feedback.phase}{feedback.reason and ': '}{feedback.reason}"
         if text not in said[-1:]:
             said.append(text)
-            _say(console, f"{text} ({100 * feedback.progress:.0f} %)")
+            done = _done(feedback.progress)
+            _say(console, f"{text} ({done})" if done else text)
 
     result = operator.run_goal(view.name, words, hear, lambda: bool(signals))
     ended = "done" if result.success else f"failed: {result.reason}"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from tactile_base.console import number_table
-from tactile_base.whole_file import check_file, whole_file
+from tactile_base.whole_file import check_file, room_for_files, whole_file
 from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.model_metadata import QUANTIZED_NAME, trained_model
@@ -52,6 +52,7 @@ def run_quantize(arguments: argparse.Namespace) -> int:
         check_file(path)
     images = training_images(arguments.data, source, settings.images)
     out.parent.mkdir(parents=True, exist_ok=True)
+    room_for_files(out)
     quantize(source, images, out, settings)
     print(f"model: {out}")
     _compare([source, out], validation)

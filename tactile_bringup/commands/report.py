@@ -37,12 +37,14 @@ def run(arguments: argparse.Namespace) -> int:
     folder = arguments.out or arguments.bag.with_name(f"{arguments.bag.name}-report")
     room_for_results(folder, *FILES, source=arguments.bag)
     records = read_arms(arguments.bag)
-    deliver(records, arguments.bag, folder, Console())
-    return 0 if records and all(record.result["succeeded"] for record in records.values()) else 1
+    return 0 if deliver(records, arguments.bag, folder, Console()) else 1
 
 
-def deliver(records: Run, bag: Path, folder: Path, console: Console) -> None:
-    """Write report and pictures of each arm, and print what a person wants to see first."""
+def deliver(records: Run, bag: Path, folder: Path, console: Console) -> bool:
+    """Write report and pictures of each arm, and print what a person wants to see first.
+
+    Returns whether all arms have done what they were asked to, by the numbers of their reports.
+    """
     from tactile_records.runs.report import places, summary, write_reports
 
     values = write_reports(records, folder)
@@ -59,6 +61,7 @@ def deliver(records: Run, bag: Path, folder: Path, console: Console) -> None:
     files = [path for place in places(records, folder).values() for path in sorted(place.glob("*.*"))]
     for path in (*(path for path in files if path.suffix in (".json", ".png")), bag):
         say(console, _short(path))
+    return bool(values) and all(numbers["succeeded"] for numbers in values.values())
 
 
 def _short(path: Path) -> str:

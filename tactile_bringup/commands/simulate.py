@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
+from tactile_base.console import say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
@@ -19,6 +22,9 @@ if TYPE_CHECKING:
     from tactile_control.task_file import Task
     from tactile_drivers.scene import Scene
     from tactile_records.runs.report import Run
+
+
+ERRORS = "errors.log"  # tracebacks, beside the results
 
 
 def register(subparsers: Any) -> None:
@@ -41,18 +47,28 @@ def register(subparsers: Any) -> None:
 @refusing("simulate", status=2)
 def _simulate(arguments: argparse.Namespace) -> int:
     from tactile_bringup.offline import run_arms_offline
+    from tactile_bringup.run_sequence import arm_plans
+    from tactile_bringup.scene_check import check_bodies
     from tactile_records.runs.report import FILES
 
     folder = arguments.out or Path("out") / "simulate"
     room_for_results(folder, *FILES)
     scene, task, options = prepared(arguments)
     options = replace(options, latency=arguments.latency * 1e-3, arm=arguments.arm)
+    remarks = check_bodies(scene)
+    for remark in remarks:
+        say(Console(stderr=True), remark, "yellow")
+    plans = arm_plans(task, scene, options.arm, options.goals)
+    ends = {(plan.arm, goal.name): goal.goal.ends for plan in plans for goal in plan.goals}
     with Progress() as progress:
 
         def show(arm: str, goal: str, command: Command) -> None:
-            progress.update(f"{arm} {goal}", command.progress, 1.0, state=command.phase)
+            done, total = (command.progress, 1.0) if ends[arm, goal] else (0.0, None)
+            progress.update(f"{arm} {goal}", done, total, state=command.phase)
 
         run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
+    for record in run.values():
+        record.result |= {"complaints": remarks} if remarks else {}
     return deliver(run, folder)
 
 
@@ -87,6 +103,10 @@ def deliver(run: Run, folder: Path) -> int:
         run[arm].save(place / "run.npz")
     for name, value, requirement in summary(run, values):
         print(f"{name:28s} {value:>14s}   {requirement}")
+    traces = {run[arm].result["traceback"] for arm in run if "traceback" in run[arm].result}
+    if traces:
+        (folder / ERRORS).write_text("\n".join(sorted(traces)))
+        print(f"where the error comes from: {folder / ERRORS}")
     for place in places(run, folder).values():
         for path in sorted(place.glob("*.*")):
             print(path)

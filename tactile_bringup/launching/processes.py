@@ -21,6 +21,7 @@ from types import TracebackType
 from typing import IO
 
 from tactile_base.end_signals import end_with
+from tactile_base.raised import BY_ERROR, CAUSES
 from tactile_bringup.launching.keeper import signal_group
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[2]
@@ -222,8 +223,19 @@ def tail(log: Path, lines: int = TAIL_LINES) -> str:
     return "\n".join(text.splitlines()[-lines:]) if text else "(it wrote nothing)"
 
 
+def cause(log: Path) -> str:
+    """What a node says in its log of why it ended, as it begins in `CAUSES`; '' where it says nothing."""
+    try:
+        lines = log.read_text(errors="replace").splitlines()
+    except FileNotFoundError:
+        return ""
+    found = (line[line.index(words) :] for line in reversed(lines) for words in CAUSES if words in line)
+    return next(found, "").removeprefix(BY_ERROR)
+
+
 def _last_words(log: Path) -> str:
-    return f"; log: {log}\n{textwrap.indent(tail(log), '    ')}"
+    said = cause(log)
+    return f"{': ' if said else ''}{said}; log: {log}\n{textwrap.indent(tail(log), '    ')}"
 
 
 def _end_with(parent: int) -> None:

@@ -52,8 +52,8 @@ class Display(Progress):
             path = f"path {progress.travelled * MM:.1f} mm"
             text = ", ".join(part for part in (progress.reason, path, *_figures(progress)) if part)
             name, state = _name(arm, label), progress.phase
-            total = 1.0 if ends else None
-            self.update(name, progress.fraction, total, state=state, text=text, seconds_left=math.nan)
+            done, total = (progress.fraction, 1.0) if ends else (0.0, None)
+            self.update(name, done, total, state=state, text=text, seconds_left=math.nan)
 
     def conclude(self, arm: str, label: str) -> None:
         """The arm's goal of that label has ended."""

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from tactile_base.contract import Contract
 from tactile_base.registry import Registry
-from tactile_control.phases import PhaseMachine
+from tactile_control.phases import DONE, FAILED, PhaseMachine
+
+
+def _phases(kind: type[PhaseMachine[Any, Any]]) -> Iterator[str]:
+    """What its phases lack."""
+    for name in (kind.work, DONE, FAILED):
+        if name not in kind.phases:
+            yield f"phases {list(kind.phases)} lack '{name}'"
+
 
 TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
     "task",
@@ -26,5 +35,6 @@ TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
         settings=True,
         attributes=("goal_class", "phases", "work"),
         base=lambda: PhaseMachine,
+        also=_phases,
     ),
 )

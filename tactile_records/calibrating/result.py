@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactile_base.whole_file import room_for_files
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -41,11 +43,12 @@ class Result:
     draw: Callable[[], Figure]
 
     def write(self, folder: Path, name: str) -> list[Path]:
-        """Write NAME.json and NAME.png; their paths."""
+        """Write NAME.json and NAME.png, earlier ones are kept; their paths."""
         import matplotlib.pyplot as plt
 
         from tactile_records.runs.figures import style
 
+        room_for_files(folder / f"{name}.json", folder / f"{name}.png")
         folder.mkdir(parents=True, exist_ok=True)
         written = {"agrees": self.agrees, **self.numbers, "sensor": dict(self.sensor)}
         (folder / f"{name}.json").write_text(json.dumps(written, indent=2) + "\n")

@@ -69,9 +69,14 @@ class RunLog:
         self._latency.append((exposure_ns, (now_ns - exposure_ns) / SECOND_NS))
 
     def finish(
-        self, succeeded: bool, reason: str, wall_s: float, refused: Mapping[str, int] | None = None
+        self,
+        succeeded: bool,
+        reason: str,
+        wall_s: float,
+        refused: Mapping[str, int] | None = None,
+        traceback: str = "",
     ) -> RunRecord:
-        """The record with all rows; `refused` counts what perception has refused."""
+        """The record with all rows; `refused` counts what perception refused, `traceback` is an error's."""
         record = self.record
         for stream, rows in self._rows.items():
             setattr(record, stream, _series(type(getattr(record, stream)), rows))
@@ -80,6 +85,7 @@ class RunLog:
             record.lost = {COMMAND_STAGE: 0}
         record.result = {"succeeded": succeeded, "reason": reason, "wall_s": wall_s}
         record.result |= {"refused": dict(refused)} if refused else {}
+        record.result |= {"traceback": traceback} if traceback else {}
         return record
 
 

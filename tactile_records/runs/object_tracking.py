@@ -22,6 +22,7 @@ Array = NDArray[Any]
 
 POSITION_REQUIREMENT, ANGLE_REQUIREMENT = 2.0, 1.5  # mm, deg: RMS of each component
 LIMITS = {name: POSITION_REQUIREMENT if name in "xyz" else ANGLE_REQUIREMENT for name in COMPONENTS}
+NOT_KEPT = "it ended, but did not keep "  # begins the reason of a run that ended well otherwise
 LENGTH, TRIADS = 22.0, 12  # mm, and how many along each goal: axes that are drawn of a pose
 LABELS = ("x [mm]", "y [mm]", "z [mm]", "α [deg]", "β [deg]", "γ [deg]")
 
@@ -32,7 +33,7 @@ FIELDS = {
     "tracking.leader_speed_mm_s": "largest speed of the follower's place on what the leader moves",
     "tracking.leader_speed_deg_s": "its largest angular speed",
     "tracking.rms.*": "RMS error by component, in the frame of the sensor as it should be (mm, deg)",
-    "tracking.beyond": "components whose RMS error is beyond 2 mm or 1.5 deg; the task is done all the same",
+    "tracking.beyond": "components whose RMS error is beyond 2 mm or 1.5 deg; then it has not succeeded",
     "tracking.largest.*": "largest error by component (mm, deg)",
     "tracking.goals.*.rms.*": "RMS error while the leader was at this goal",
     "tracking.lag_ms": "delay of the follower's velocity, by cross-correlation",
@@ -41,8 +42,20 @@ FIELDS = {
 
 
 def numbers(record: RunRecord, run: Run) -> dict[str, Any]:
-    """All numbers of the follower."""
-    return metrics.report(record) | {"tracking": _tracking_numbers(record, run)}
+    """All numbers of the follower; it has not succeeded where it has not kept a component."""
+    values = metrics.report(record) | {"tracking": _tracking_numbers(record, run)}
+    if values["succeeded"] and (lost := values["tracking"].get("beyond")):
+        values |= {"succeeded": False, "reason": NOT_KEPT + _errors_of(lost, values["tracking"]["rms"])}
+    return values
+
+
+def _errors_of(names: list[str], errors: Mapping[str, float]) -> str:
+    """Components in words, with their RMS errors and limits: "gamma (74.1 deg RMS, must stay below 1.5)"."""
+    said = []
+    for name in names:
+        measured = text(errors[name], "mm" if name in "xyz" else "deg", 1)
+        said.append(f"{name} ({measured} RMS, must stay below {LIMITS[name]:g})")
+    return ", ".join(said)
 
 
 def _tracking_numbers(record: RunRecord, run: Run) -> dict[str, Any]:
@@ -89,7 +102,7 @@ def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """What a person wants to see first."""
     track = values["tracking"]
     task, said, wanted = task_row(values)
-    if values["succeeded"] and track.get("beyond"):
+    if track.get("beyond") and (values["succeeded"] or values["reason"].startswith(NOT_KEPT)):
         said = f"ended, but {', '.join(track['beyond'])} not kept"
     rows = [(task, said, wanted), ("contact kept", percent(values["contact_fraction"]), "100 %")]
     if track["leader"] is not None:

@@ -9,6 +9,7 @@ runs at a time: a second one is refused, a cancelled one decelerates and retreat
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -29,6 +30,7 @@ from tactile_control.phases import (
     StampedPresence,
     TaskInputs,
 )
+from tactile_control.task_step import task_step
 from tactile_control.tasks import TASKS
 from tactile_drivers.arm import WorkspaceSettings
 from tactile_filter import se3
@@ -71,10 +73,11 @@ class ControllerTimingSettings(Settings):
 
 @dataclass(kw_only=True)
 class GoalRun(Run):
-    """One accepted goal, and the message that asked for it."""
+    """One accepted goal, whether it ends by itself, and the message that asked for it."""
 
     task: PhaseMachine[TaskInputs, Command]
     message: RunTask.Goal
+    ends: bool
 
 
 class ControllerNode(TaskNode):
@@ -184,10 +187,12 @@ class ControllerNode(TaskNode):
             broken = self.run.task.traceback
             self.run.task.partner = self.partners.trouble(time.monotonic())
             self.run.task.remark = self.upstream.cause
-            command = self.run.task.step(now_ns, inputs)
+            command = task_step(self.run.task, now_ns, inputs)
             now_ns = self.send_twist(command.twist)
             if self.run.task.traceback != broken:
                 self.get_logger().error(f"{self.goal_name}: {command.reason}\n{self.run.task.traceback}")
+            if not (self.run.ends or command.over):
+                command = replace(command, progress=math.nan)  # nobody knows
             self._publish_status(now_ns, command, command.twist)
             self._after(now_ns, command)
         self.last_step_ns = now_ns
@@ -251,7 +256,8 @@ class ControllerNode(TaskNode):
         self.goals += 1
         self.last = None
         self.partners.begin()
-        return GoalRun(handle=handle, task=task, started_ns=self.now_ns(), message=message)
+        ends = named.goal.ends
+        return GoalRun(handle=handle, task=task, started_ns=self.now_ns(), message=message, ends=ends)
 
     def finish_run(self, reason: str, succeeded: bool) -> None:
         """End the run, and warn of a failure; the status tells also of one that is none of the task's."""

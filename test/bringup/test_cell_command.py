@@ -45,6 +45,8 @@ def test_a_camera_25_ms_late_is_found_written_into_the_scene_and_then_agreed_wit
     assert load_scene(path).arms["arm"].sensor.settings.time_offset == pytest.approx(-0.025, abs=0.004)
     assert "# pointing down, the tip 12 mm above the table" in path.read_text()
     assert cell("time", path, tmp_path, "--simulate", "--set", "periods=10", "--seed", "1") == 0
+    assert not json.loads((tmp_path / "out" / "time-1.json").read_text())["agrees"], "of the first one"
+    assert (tmp_path / "out" / "time-2.png").exists()
     numbers = json.loads((tmp_path / "out" / "time.json").read_text())
     assert numbers["agrees"] and numbers["time_offset_ms"] == pytest.approx(-25.0, abs=4.0)
     assert numbers["sigma_ms"] < 2.5

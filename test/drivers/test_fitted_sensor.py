@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tactile_bringup.offline import OfflineOptions, network_view, run_offline
+from tactile_bringup.offline import OfflineOptions, run_offline
+from tactile_bringup.offline_perception import network_view
 from tactile_control.task_file import load_task, task_path
 from tactile_drivers.scene import load_scene
 from tactile_drivers.shapes.plane import Plane

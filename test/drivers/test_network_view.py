@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
-from tactile_bringup.offline import network_view
+from tactile_bringup.offline_perception import network_view
 from tactile_drivers.scene import load_scene
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.shapes.sphere import Sphere, SphereSettings

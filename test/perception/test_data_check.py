@@ -221,6 +221,9 @@ def test_the_command_shows_a_table_and_writes_pictures(data, tmp_path, capsys):
     assert run(str(data), "--samples", "120", "--out", str(tmp_path / "check")) == 0
     output = capsys.readouterr().out
     assert "x (mm)" in output and "0 error" in output
+    assert run(str(data), "--samples", "120", "--out", str(tmp_path / "check")) == 0
+    assert (tmp_path / "check-1" / "check.json").exists() and (tmp_path / "check" / "check.json").exists()
+    capsys.readouterr()
     for name in ("labels.png", "rows.png", "flow.png"):
         assert (tmp_path / "check" / name).stat().st_size > 5000
     content = json.loads((tmp_path / "check" / "check.json").read_text())

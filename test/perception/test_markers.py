@@ -205,6 +205,10 @@ def test_the_command_writes_picture_and_table(tmp_path, capsys):
     assert "331 markers" in capsys.readouterr().out
     assert cv2.imread(str(out)).shape == (480, 1280, 3)
     assert len(csv.read_text().splitlines()) == 332
+    assert tactile(["markers", str(tmp_path / "rest.png"), "--out", str(out), "--csv", str(csv)]) == 0
+    assert cv2.imread(str(out.with_name("picture-1.png"))).shape == (480, 1280, 3)
+    assert len((tmp_path / "centers-1.csv").read_text().splitlines()) == 332
+    assert f"the earlier {out} is {tmp_path / 'new' / 'picture-1.png'} now" in capsys.readouterr().err
 
 
 def test_the_command_says_what_is_wrong(tmp_path, capsys):

@@ -129,6 +129,9 @@ def test_command_writes_the_model_and_compares_both(model, tmp_path, training_da
     output = capsys.readouterr().out
     for text in ("model.onnx", "model_int8.onnx", "MB", "p99", "rho_x", "phi_z"):
         assert text in output
+    first = written.read_bytes()
+    assert tactile([*arguments, "--set", "images=5"]) == 0
+    assert (tmp_path / "model_int8-1.onnx").read_bytes() == first != written.read_bytes()
 
 
 def test_command_tells_what_is_wrong(model, tmp_path, training_data, capsys):

@@ -50,6 +50,12 @@ def test_the_copy_states_the_errors_that_the_data_have(folder, constant_model, t
     np.testing.assert_allclose(sigma_of(out), rms, rtol=1e-4)
     np.testing.assert_allclose(sigma_of(model), SIGMA / 3.0, rtol=1e-4)
     assert f"calibrated on {SAMPLES} samples" in capsys.readouterr().out
+    first = out.read_bytes()
+    assert run(model, folder, out, "--set", "margin=[2, 1, 1, 1, 1, 1.5]") == 0
+    assert out.with_name("calibrated-1.onnx").read_bytes() == first != out.read_bytes()
+    before = model.read_bytes()
+    assert run(model, folder, model) == 1 and model.read_bytes() == before
+    assert "is the model itself" in " ".join(capsys.readouterr().err.split())
 
 
 def test_settings_can_be_changed(folder, constant_model, tmp_path):

@@ -1,13 +1,14 @@
 """Object tracking as whole runs without ROS: how closely, with which objects, and what makes it fail."""
 
 import dataclasses
+import re
 
 import pytest
 
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
 from tactile_records.runs import report
-from tactile_records.runs.object_tracking import numbers
+from tactile_records.runs.object_tracking import numbers, summary
 
 POSITION, ANGLE = 2.0, 1.5  # mm, deg: RMS of each component
 IDEAL = OfflineOptions(fidelity="ideal", seed=1)
@@ -69,6 +70,10 @@ def test_the_papers_gains_keep_the_contact_with_the_lag_that_they_must(flat):
     assert paper["contact_fraction"] == 1.0
     assert 1.0 < paper["tracking"]["rms"]["y"] < 6.0
     assert paper["tracking"]["rms"]["gamma"] > 5.0 * flat[1]["tracking"]["rms"]["gamma"]
+    assert not paper["succeeded"] and "gamma" in paper["tracking"]["beyond"]
+    assert re.match(r"it ended, but did not keep y \(\d.* mm RMS, must stay below 2\)", paper["reason"])
+    rows = dict(row[:2] for row in summary(paper))
+    assert rows["task"].startswith("ended, but y, ") and rows["task"].endswith("gamma not kept")
 
 
 def test_each_component_alone_is_tracked():
