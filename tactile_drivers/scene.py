@@ -22,8 +22,9 @@ from tactile_base.config_paths import named_file
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.arm import ARMS, ArmLimits, Box, ExternalArmSettings, SafetySettings
+from tactile_drivers.arm import ARMS, ArmLimits, Box, SafetySettings
 from tactile_drivers.camera import CAMERAS, ExternalCameraSettings
+from tactile_drivers.external import ExternalArmSettings
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.shapes import SHAPES
