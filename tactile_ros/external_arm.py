@@ -73,7 +73,7 @@ class ExternalArm:
         self._reason, self._stopped = "", False
         self._moved = -math.inf  # when the last twist other than zero went out, on the steady clock
         self._last: tuple[int, NDArray[np.float64]] | None = None
-        self._out = node.publisher(TwistStamped, topics.EXTERNAL_COMMAND.name, COMMAND)
+        self._out = self._opened()
         self._transforms = TransformListener(
             node,
             on_update=self._on_transform,
@@ -112,38 +112,54 @@ class ExternalArm:
             self._publish(np.zeros(6))
 
     def _publish(self, twist: ArrayLike) -> None:
-        now, frame, twist = time.monotonic(), self._controlled, np.asarray(twist, dtype=np.float64)
+        now, twist = time.monotonic(), np.asarray(twist, dtype=np.float64)
         if np.abs(twist).max() > NOTHING:
             self._moved = now
             self._servo.told()
         elif now - self._moved > self._settings.zeros:
             return
+        self._send(twist)
+
+    def _opened(self) -> Any:
+        """What commands are published by."""
+        return self._node.publisher(TwistStamped, topics.EXTERNAL_COMMAND.name, COMMAND)
+
+    def _send(self, twist: NDArray[np.float64]) -> None:
+        frame = self._controlled
         if self._settings.twist_of == TOOL:
             frame, twist = self._tool, se3.adjoint(self._T_tool_controlled) @ twist
         self._out.publish(twist_bytes(self._node.now_ns(), frame, twist))
 
+    @property
+    def _fault(self) -> str:
+        """Why the arm does not move, and is not to; '' if it does."""
+        return self._servo.fault
+
     def _on_transform(self) -> None:
-        """Report where the arm is, and the twist by which it came here."""
+        """Report where the arm is."""
         try:
             stamp_ns, T_base_tool = self._transforms.newest(self._base, self._tool)
         except TransformUnavailable:
             return  # nothing of this arm has come yet
+        self._tell(stamp_ns, T_base_tool @ self._T_tool_controlled)
+
+    def _tell(self, stamp_ns: int, T: NDArray[np.float64], joints: NDArray[np.float64] | None = None) -> None:
+        """Report a pose (4, 4) of the controlled frame that is news, and the twist by which it came there."""
         if (self._last is not None and stamp_ns <= self._last[0]) or not self._mounted(stamp_ns):
             return
-        T = T_base_tool @ self._T_tool_controlled
         twist = np.zeros(6)
         if self._last is not None:
             twist = se3.log(se3.inverse(self._last[1]) @ T) * (SECOND_NS / (stamp_ns - self._last[0]))
         self._last = stamp_ns, T
         mode = ArmMode.RESTING if np.abs(twist).max() < AT_REST else ArmMode.MOVING
-        reason, fault = self._reason, self._servo.fault
+        reason, fault = self._reason, self._fault
         if fault:
             mode, reason = ArmMode.FAULT, fault
             if not self._stopped:  # the safe stage leaves that to an arm that is in fault by itself
                 self.stop(fault)
         # how much slower servo goes it does not say: any part of what it is told is right then
         scaling = 0.0 if self._servo.remark else 1.0
-        self._report(ArmState(stamp_ns, T, twist, mode, reason, speed_scaling=scaling))
+        self._report(ArmState(stamp_ns, T, twist, mode, reason, joints, scaling))
 
     def _listen_to_servo(self, topic: str) -> None:
         """Hear what moveit_servo says; where its messages are not installed, tell that nobody does."""

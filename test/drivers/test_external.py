@@ -1,8 +1,9 @@
-"""What moveit_servo's status means for an arm, and from when on."""
+"""An arm of somebody else's nodes: what its scene may say, and what moveit_servo's status means."""
 
 import pytest
 
-from tactile_drivers.external import ServoWatch, servo_trouble
+from tactile_drivers.external import ExternalArmSettings, ServoWatch, servo_trouble
+from tactile_drivers.scene import SceneError, load_scene
 
 CLOSER = "Moving closer to a singularity, decelerating"
 HALT = "Very close to a singularity, emergency stop"
@@ -83,3 +84,46 @@ def test_a_remark_is_one_of_now(clock):
     clock.now += 0.2  # nobody moves it any more
     watch.hear(4, "Close to a collision, decelerating")
     assert not watch.remark
+
+
+CELL = """\
+arms:
+  arm:
+    driver: external
+    driver_settings: {joint_velocities: /velocity/commands, publish_tool: true}
+    kinematics: {description: ur5e}
+    start: {}
+"""
+
+
+def test_joints_of_a_velocity_controller_are_found_by_their_names_in_its_order():
+    settings = ExternalArmSettings(joint_velocities="/v", joints=["a_c", "a_a", "a_b"], joint_prefix="a_")
+    assert settings.joint_order(["a", "b", "c"]) == [2, 0, 1]
+    assert ExternalArmSettings(joint_velocities="/v").joint_order(["a", "b", "c"]) == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ("    kinematics: {description: ur5e}\n", "", "joint_velocities: needs the arm's `kinematics`"),
+        ("joint_velocities: /velocity/commands, ", "", "publish_tool: needs joint_velocities"),
+        ("publish_tool: true", "zeros: 0.0", "zeros = 0 s: must be at least 0.2 s with joint_velocities"),
+        (
+            "publish_tool: true",
+            "joint_prefix: left_, joints: [left_elbow_joint]",
+            "left_shoulder_pan_joint, left",
+        ),
+        ("publish_tool: true", "joints: [1]", "joints"),
+    ],
+)
+def test_settings_of_a_velocity_controller_that_do_not_fit_are_refused_with_the_line(
+    tmp_path, right, wrong, message
+):
+    path = tmp_path / "cell.yaml"
+    path.write_text(CELL)
+    assert load_scene(path).arms["arm"].kinematics is not None
+    assert right in CELL
+    path.write_text(CELL.replace(right, wrong))
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert message in str(caught.value) and str(caught.value).startswith(f"{path}:4: ")
