@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 ENCLAVE = "--enclave"  # whose keys both processes have, where DDS security is on
 MOVES, RESTS = b"m", b"r"
-READY = b"+"  # what it says once it can send
-LONGEST_START = 20.0  # s
+READY = b"+"  # what it says once it has found the controller
+LOOKS = 0.05  # s between two looks for it
 LATER = 0.1  # s, after commands may be apart no longer, that it waits for the node's own stop
-REPEATS, REPEAT = 40, 0.05  # of zeros after the node's end, and s between two
+REPEATS, REPEAT = 10, 0.05  # of zeros after the node's end, and s between two
 LONGEST_END = 2.0  # s, that it may take to end
 
 
@@ -60,7 +60,6 @@ class LastZeros:
         self._start()
 
     def _start(self) -> None:
-        """Start it, and wait until it can send; `RuntimeError` if it cannot."""
         # a session of its own: what ends the node's whole group leaves it the time to send zeros
         self._process = subprocess.Popen(
             self._command,
@@ -71,10 +70,15 @@ class LastZeros:
         )
         assert self._process.stdin is not None and self._process.stdout is not None
         os.set_blocking(self._process.stdin.fileno(), False)
-        with self._process.stdout as said:
-            if not select.select([said], [], [], LONGEST_START)[0] or said.read(1) != READY:
-                self._process.kill()
-                raise RuntimeError("the process that stops the arm if this one dies does not start")
+        self._found = False
+
+    @property
+    def ready(self) -> bool:
+        """Whether it has found the controller, without which it could not stop the arm."""
+        said = self._process.stdout
+        if not self._found and said is not None and select.select([said], [], [], 0.0)[0]:
+            self._found = os.read(said.fileno(), 1) == READY
+        return self._found
 
     @property
     def fault(self) -> str:
@@ -96,8 +100,9 @@ class LastZeros:
 
     def close(self) -> None:
         """End it."""
-        assert self._process.stdin is not None
+        assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.close()
+        self._process.stdout.close()
         try:
             self._process.wait(LONGEST_END)
         except subprocess.TimeoutExpired:
@@ -114,7 +119,6 @@ def main() -> int:
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(LAST_ZEROS, enable_rosout=False, start_parameter_services=False)
     out = node.create_publisher(Float64MultiArray, topic, COMMAND)
-    os.write(sys.stdout.fileno(), READY)
     if _listen(out, Float64MultiArray(data=[0.0] * joints), silence):
         out.wait_for_all_acked(Duration(seconds=1))
     node.destroy_node()
@@ -124,9 +128,12 @@ def main() -> int:
 
 def _listen(out: Publisher, zeros: Float64MultiArray, silence: float) -> bool:
     """Send zeros whenever the node falls silent, until it ends; whether it ended while the arm moved."""
-    moves = False
+    moves = found = False
     while True:
-        heard = select.select([sys.stdin], [], [], silence if moves else None)[0]
+        if not found and out.get_subscription_count() > 0:
+            found = os.write(sys.stdout.fileno(), READY) > 0
+        timeout = silence if moves else None if found else LOOKS
+        heard = select.select([sys.stdin], [], [], timeout)[0]
         words = os.read(sys.stdin.fileno(), 4096) if heard else b""
         if words:
             moves = words[-1:] == MOVES

@@ -1,5 +1,8 @@
 """An arm of somebody else's nodes: what its scene may say, and what moveit_servo's status means."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from tactile_drivers.external import ExternalArmSettings, ServoWatch, servo_trouble
@@ -94,6 +97,16 @@ arms:
     kinematics: {description: ur5e}
     start: {}
 """
+
+
+def test_the_scene_of_the_documentation_has_the_joints_of_its_controller(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "own_arm.md").read_text()
+    path = tmp_path / "cell.yaml"
+    path.write_text(re.search(r"```yaml\n# my_velocity_cell.yaml\n(.*?)```", page, re.S)[1])
+    arm = load_scene(path).arms["arm"]
+    given = arm.driver_settings
+    settings = given.checked(ExternalArmSettings, given.values)
+    assert settings.joint_order(arm.kinematics.names) == list(range(6)) and settings.publish_tool
 
 
 def test_joints_of_a_velocity_controller_are_found_by_their_names_in_its_order():

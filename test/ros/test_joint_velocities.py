@@ -2,8 +2,8 @@
 
 import os
 import signal
-import subprocess
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter import se3
@@ -129,8 +130,8 @@ def node_pid(graph) -> int:
 
 
 def guard_pid(graph) -> int:
-    done = subprocess.run(["pgrep", "-P", str(node_pid(graph))], capture_output=True, text=True, check=True)
-    return int(done.stdout)
+    pid = node_pid(graph)
+    return int(Path(f"/proc/{pid}/task/{pid}/children").read_text())
 
 
 def test_twists_become_velocities_of_the_joints_in_the_controllers_order_and_end_with_zeros(graph, bench):
@@ -229,6 +230,8 @@ def test_without_the_process_that_outlives_the_node_the_arm_is_in_fault(graph, b
     go_on(graph, controller, lambda: not controller.rates.any(), ask)
     go_on(graph, controller, lambda: statuses[-1].mode == ArmStatus.FAULT, ask)
     assert "the process that stops the arm if this one dies has ended" in statuses[-1].reason
+    assert graph.call(Trigger, "arm/reset", Trigger.Request()).success  # which starts another one
+    go_on(graph, controller, lambda: np.abs(controller.rates).max() > 0.005, ask)
 
 
 def test_no_joint_is_faster_than_it_may_be_and_towards_a_singularity_the_arm_slows_down(graph, bench):
@@ -274,8 +277,11 @@ def test_joints_that_are_not_finite_are_refused_and_those_of_others_passed_over(
     assert report.values["/joint_states messages refused"] == "1"
 
 
-def test_where_there_is_no_controller_the_arm_says_so(graph, bench):
-    controller, statuses, _ = bench(commands="/somewhere/commands")
-    go_on(
-        graph, controller, lambda: statuses and statuses[-1].remark == "nobody listens to /somewhere/commands"
-    )
+def test_where_there_is_no_controller_the_arm_has_no_state_which_is_told(graph, bench):
+    controller, statuses, ask = bench(commands="/somewhere/commands")
+    complaint = "nobody listens to /somewhere/commands: nothing is told of the arm"
+    told = lambda: any(complaint in report.message for report in graph.reports("arm"))  # noqa: E731
+    go_on(graph, controller, told, ask)
+    assert not statuses
+    graph.collect(Float64MultiArray, "/somewhere/commands", qos.COMMAND)
+    go_on(graph, controller, lambda: bool(statuses))
