@@ -19,6 +19,8 @@ NODE_SERVICES = (*_PARAMETERS, *_SET, *_LIFECYCLE, GET_STATE)
 #: Who starts a task (`tactile launch`, `tactile run`): a plain node, which hears what arms do.
 CLIENT = "/tactile_launch"
 LAUNCH_LOG = "tactile_launch"  # what it is called in /rosout
+ARM = "arm"
+LAST_ZEROS = "last_zeros"  # a plain node beside that of an arm which moves by joint velocities
 TRANSITION_EVENT = "transition_event"  # below the node's name
 
 
@@ -55,9 +57,10 @@ EVERY_NODE = Part(
     publishes=(topics.ROSOUT, topics.DIAGNOSTICS, topics.PARAMETER_EVENTS), hears_all=(topics.COMMAND,)
 )
 
-#: By the node's name. A recorder hears the topics that its parameters name.
+#: By the node's name. A recorder hears the topics that its parameters name; the node of an external arm says
+#: and hears what the scene's `driver_settings` name besides.
 NODES: dict[str, Part] = {
-    "arm": Part(
+    ARM: Part(
         publishes=(
             topics.ARM_POSE,
             topics.ARM_STATUS,

@@ -15,9 +15,11 @@ from xml.etree import ElementTree as Xml
 
 from tactile_base import topics
 from tactile_base.node_topics import (
+    ARM,
     CLIENT,
     EVERY_NODE,
     GET_STATE,
+    LAST_ZEROS,
     NODE_SERVICES,
     NODES,
     TRANSITION_EVENT,
@@ -25,7 +27,8 @@ from tactile_base.node_topics import (
 )
 from tactile_base.topics import Topic
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
-from tactile_drivers.scene import SIM, Scene
+from tactile_drivers.external import ExternalArmSettings
+from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene
 
 OPERATOR = "/operator"  # who stops arms by hand, and looks at all that is said
 _ACTION = ("send_goal", "cancel_goal", "get_result")
@@ -166,6 +169,9 @@ def governance(domain: int) -> Xml.Element:
 def _process(process: NodeProcess, graph: Graph, scene: Scene) -> list[Profile]:
     """The nodes of a process; the simulated cell has an arm and a camera for each simulated one, too."""
     found = [_profile(process.namespace, process.name, scene)]
+    arm = scene.arms.get(process.namespace.strip("/"))
+    if process.name == ARM and arm is not None and arm.driver == EXTERNAL:
+        found += _external(found[0], arm)
     if process.name == RECORDER:
         images = (topics.IMAGE, topics.compressed(topics.IMAGE))
         found[0].subscribe |= {topic.name for topic in graph.topics} | _names(images, scene.arms)
@@ -176,6 +182,25 @@ def _process(process: NodeProcess, graph: Graph, scene: Scene) -> list[Profile]:
             if arm.simulated_sensor:
                 found.append(_profile(f"/{arm.name}", "camera", scene))
     return found
+
+
+def _external(profile: Profile, arm: ArmScene) -> list[Profile]:
+    """Let the node of an external arm say and hear what the scene names; who stops it should the node die."""
+    settings = arm.driver_settings.checked(ExternalArmSettings, arm.driver_settings.values)
+    if settings.servo_status:
+        profile.subscribe.add(_absolute(settings.servo_status, profile.namespace))
+    if not settings.joint_velocities:
+        return []
+    commands = _absolute(settings.joint_velocities, profile.namespace)
+    profile.publish.add(commands)
+    profile.subscribe.add(_absolute(settings.joint_states, profile.namespace))
+    last = Profile(profile.namespace, LAST_ZEROS, publish={commands, topics.PARAMETER_EVENTS.name})
+    last.reply = {f"{_full(last)}/{service}" for service in NODE_SERVICES}
+    return [last]
+
+
+def _absolute(topic: str, namespace: str) -> str:
+    return topic if topic.startswith("/") else f"{namespace}/{topic}"
 
 
 def _profile(namespace: str, name: str, scene: Scene) -> Profile:

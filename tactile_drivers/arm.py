@@ -268,26 +268,6 @@ class Arm(Protocol):
         """Stop, and let go of the arm; no state is reported after it returns."""
 
 
-SENSOR, TOOL = "sensor", "tool"
-
-
-@dataclass(frozen=True)
-class ExternalArmSettings(Settings):
-    """What a scene says of an arm whose nodes run already."""
-
-    twist_of: str = setting(
-        SENSOR, choices=(SENSOR, TOOL),
-        doc="whose twist they follow, in its own frame: the controlled frame's, or the tool's (moveit_servo)",
-    )  # fmt: skip
-    publish_mount: bool = setting(
-        False, doc="whether tool -> sensor is published here, as in_tool says; else it must agree with that"
-    )
-    zeros: float = setting(
-        0.5, lower=0.0, upper=3600.0, unit="s",
-        doc="after the last other one, twists of zero go out for so long, and then none",
-    )  # fmt: skip
-
-
 class ArmDriver(Protocol):
     """What an entry of `ARMS` is.
 

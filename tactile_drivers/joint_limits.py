@@ -50,6 +50,12 @@ def joint_rates(kinematics: Kinematics, q: Array, twist: Array) -> Array:
     return np.asarray(np.linalg.lstsq(kinematics.jacobian(q), twist, rcond=None)[0])
 
 
+def limited_rates(kinematics: Kinematics, q: Array, twist: Array) -> Array:
+    """As `joint_rates`, all of them less by the same part where one would be faster than it may be."""
+    rates = joint_rates(kinematics, q, twist)
+    return rates / max(1.0, float((np.abs(rates) / kinematics.velocity).max()))
+
+
 def allowed_part(
     kinematics: Kinematics, q: Array, rates: Array, delay: float, slow: float, stop: float
 ) -> tuple[float, str]:

@@ -22,8 +22,9 @@ from tactile_base.config_paths import named_file
 from tactile_base.registry import Registry
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_drivers.arm import ARMS, ArmLimits, Box, ExternalArmSettings, SafetySettings
+from tactile_drivers.arm import ARMS, ArmLimits, Box, SafetySettings
 from tactile_drivers.camera import CAMERAS, ExternalCameraSettings
+from tactile_drivers.external import check_external
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.shapes import SHAPES
@@ -324,16 +325,17 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
     section.allow(*_ARM_KEYS)
     section.value("start")  # an arm has to start somewhere: there is no default
     driver = _registered(section, "driver", ARMS, (SIM, EXTERNAL), SIM)
-    if driver == EXTERNAL:
-        section.settings("driver_settings", ExternalArmSettings)
-    else:
-        _check_no_settings(section, "driver", driver)
+    _check_no_settings(section, "driver", driver)
     safety = section.settings("safety", SafetySettings)
     if not np.less(safety.workspace_lower, safety.workspace_upper).all():
         section.fail(f"{section.name}.safety: workspace_lower must be below workspace_upper", "safety")
     if not safety.singularity_stop < safety.singularity_slow:
         section.fail(f"{section.name}.safety: singularity_stop must be below singularity_slow", "safety")
     sensor = _sensor(section.section("sensor"), name, driver, bodies) if "sensor" in section.values else None
+    known = "kinematics" in section.values
+    kinematics = _kinematics(section.section("kinematics"), sensor) if known else None
+    if driver == EXTERNAL:
+        check_external(section, None if kinematics is None else kinematics.names)
     return ArmScene(
         name=name,
         driver=driver,
@@ -345,9 +347,7 @@ def _arm(name: str, section: Section, bodies: Mapping[str, BodyScene]) -> ArmSce
         tracking=section.settings("tracking", TrackingSettings),
         keep_out=tuple(_box(name, box) for name, box in section.sections("keep_out").items()),
         sensor=sensor,
-        kinematics=_kinematics(section.section("kinematics"), sensor)
-        if "kinematics" in section.values
-        else None,
+        kinematics=kinematics,
     )
 
 

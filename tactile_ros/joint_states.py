@@ -6,6 +6,7 @@ Links of a URDF are frames `<namespace>/urdf/<link>`, so that none has the name 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,19 +77,52 @@ class JointPublisher:
 
 
 class JointListener:
-    """The newest joints of another arm, by their names; `state` is None before the first."""
+    """The newest joints of an arm, by their names.
 
-    def __init__(self, node: ManagedNode, topic: str, chain: Chain) -> None:
+    Parameters
+    ----------
+    names : sequence of str
+        Of its joints in the messages, in the order of the kinematics.
+    on_update : callable, optional
+        Called after each message that has them.
+
+    Attributes
+    ----------
+    state : ArmState or None
+        With stamp and `joints`; None before the first.
+    rates : ndarray (n,) or None
+        Speeds of the joints, rad/s, where the message tells them.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        topic: str,
+        names: Sequence[str],
+        on_update: Callable[[], None] | None = None,
+    ) -> None:
         self.state: ArmState | None = None
-        self._names = chain.names
+        self.rates: Array | None = None
+        self._node, self._names, self._on_update = node, names, on_update
         node.subscribe(JointState, topic, self._take, STATE)
 
     def _take(self, message: JointState) -> None:
         """Keep the joints; `MessageError` where they are not those of the arm."""
-        at = dict(zip(message.name, message.position, strict=False))
-        missing = [name for name in self._names if not math.isfinite(at.get(name, math.nan))]
+        if not set(self._names) & set(message.name):
+            return  # a gripper, or another arm on the same topic
+        joints = self._of(message.name, message.position)
+        missing = [name for name, angle in zip(self._names, joints, strict=True) if not math.isfinite(angle)]
         if missing:
             raise MessageError(f"no position of {', '.join(missing)}")
-        joints = np.array([at[name] for name in self._names])
         stamp_ns = ns_from_time(message.header.stamp)
+        self._node.check_stamp(stamp_ns)
+        rates = self._of(message.name, message.velocity)
+        self.rates = rates if np.isfinite(rates).all() else None
         self.state = ArmState(stamp_ns, np.eye(4), np.zeros(6), ArmMode.RESTING, joints=joints)
+        if self._on_update is not None:
+            self._on_update()
+
+    def _of(self, names: Sequence[str], values: Sequence[float]) -> Array:
+        """The values of the arm's joints, NaN where there is none."""
+        at = dict(zip(names, values, strict=False))
+        return np.array([at.get(name, math.nan) for name in self._names])

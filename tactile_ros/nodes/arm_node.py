@@ -37,6 +37,7 @@ from tactile_base.stop_line import StopLine, arms_here
 from tactile_drivers.arm import Arm, ArmMode, ArmState, is_at_rest, open_arm
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
+from tactile_drivers.external import ExternalArmSettings
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter import se3
@@ -55,6 +56,7 @@ from tactile_ros.cdr import (
 from tactile_ros.conversions import MessageError, header, numbers_from_pose, transform_stamped
 from tactile_ros.external_arm import ExternalArm, external_settings
 from tactile_ros.joint_states import JointListener, JointPublisher
+from tactile_ros.joint_velocity_arm import JointVelocityArm
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
@@ -117,11 +119,12 @@ class ArmNode(ManagedNode):
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
         mount = transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled)
         stand = transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)
-        theirs = scene.driver == EXTERNAL
-        self.static = [] if theirs else [stand]
-        if scene.sensor is not None and (not theirs or external_settings(scene).publish_mount):
+        theirs = external_settings(scene) if scene.driver == EXTERNAL else None
+        self.tells_tool = theirs is None or theirs.publish_tool
+        self.static = [stand] if theirs is None else []
+        if scene.sensor is not None and (theirs is None or theirs.publish_mount):
             self.static.append(mount)
-        chain = None if theirs else scene.kinematics
+        chain = scene.kinematics if theirs is None or self._tells_joints(theirs) else None
         self.joints = JointPublisher(self, chain) if chain is not None else None
         self.static += self.joints.static if self.joints is not None else []
         self.tf_static_out = self.publisher(TFMessage, topics.TF_STATIC.name, TF_STATIC)
@@ -146,6 +149,11 @@ class ArmNode(ManagedNode):
         else:  # a simulated arm watches its commands itself, and every timer costs the cell time
             self.timer(self.settings.value.state_timeout / 2, self._watch)
 
+    def _tells_joints(self, theirs: ExternalArmSettings) -> bool:
+        """Whether an external arm's joints are told here, too: not where its own nodes tell them."""
+        own, given = map(self.resolve_topic_name, (topics.JOINT_STATES.name, theirs.joint_states))
+        return bool(theirs.joint_velocities) and own != given
+
     def activate(self) -> None:
         """Tell what never moves; commands are followed from now on."""
         self._forget()
@@ -168,9 +176,10 @@ class ArmNode(ManagedNode):
 
     def _open(self, scene: ArmScene) -> Arm:
         """The driver that the scene names."""
-        if scene.driver == EXTERNAL:
-            return ExternalArm(self, scene, self.take_state)
         try:
+            if scene.driver == EXTERNAL:
+                moves_joints = external_settings(scene).joint_velocities
+                return (JointVelocityArm if moves_joints else ExternalArm)(self, scene, self.take_state)
             return open_arm(scene, self.take_state)
         except (OSError, RuntimeError) as error:
             raise ConfigurationError(f"arm driver '{scene.driver}': {error}") from error
@@ -182,7 +191,8 @@ class ArmNode(ManagedNode):
         for name in minded(cell, self.arm):
             chain = cell.arms[name].kinematics
             assert chain is not None
-            listeners[name] = JointListener(self, f"{beside}/{name}/{topics.JOINT_STATES.name}", chain)
+            topic = f"{beside}/{name}/{topics.JOINT_STATES.name}"
+            listeners[name] = JointListener(self, topic, chain.names)
         return neighbours(cell, self.arm, lambda name: listeners[name].state, listeners)
 
     def _scene(self) -> tuple[ArmScene, Scene]:
@@ -212,7 +222,7 @@ class ArmNode(ManagedNode):
         complete = self.checked(state)
         if complete is None:
             return
-        if self.active and self.scene.driver != EXTERNAL:  # whose own driver publishes /tf
+        if self.active and self.tells_tool:
             self.tf_out.publish(self.tf_layout.pack(*self.transform_numbers(complete)))
         self.publish_status(complete)
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactile_drivers.joint_limits import allowed_part, joint_rates, smallest_singular_value
+from tactile_drivers.joint_limits import allowed_part, joint_rates, limited_rates, smallest_singular_value
 from tactile_drivers.kinematics.arm_file import load_arm
+from tactile_filter import se3
 
 ARM = replace(load_arm("ur5e"), velocity=np.full(6, 2.0), acceleration=np.full(6, 10.0))
 READY = np.array([0.0, -1.6, 1.8, -1.8, -1.57, 0.0])
@@ -39,6 +40,19 @@ def test_no_joint_is_faster_than_it_may_be():
     part, reason = allowed(READY, twist)
     rates = np.linalg.solve(ARM.jacobian(READY), part * twist)
     assert np.abs(rates).max() == pytest.approx(2.0) and reason == "joint 6"
+
+
+@pytest.mark.parametrize("speed", [0.01, 3.0])
+def test_speeds_of_the_joints_make_the_twist_or_the_largest_part_of_it_that_they_may(speed):
+    twist = speed * np.array([0.3, -0.2, 0.1, 0.5, 0.4, -1.0])
+    whole = np.linalg.solve(ARM.jacobian(READY), twist)
+    part = min(1.0, 2.0 / np.abs(whole).max())
+    rates = limited_rates(ARM, READY, twist)
+    np.testing.assert_allclose(rates, part * whole, rtol=1e-9)
+    assert np.abs(rates).max() <= 2.0 and (part < 1.0) == (speed > 1.0)
+    step = 1e-6  # what the pose becomes in a moment
+    moved = se3.log(se3.inverse(ARM.pose(READY)) @ ARM.pose(READY + step * rates)) / step
+    np.testing.assert_allclose(moved, part * twist, atol=1e-5 * speed)
 
 
 def test_a_joint_comes_to_rest_before_the_end_of_its_range_and_may_go_back():

@@ -24,6 +24,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python  # noqa: E402
 from rclpy.qos import QoSProfile  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
+from tactile_base.node_topics import LAST_ZEROS  # noqa: E402
 from tactile_bringup.launching import shared_memory  # noqa: E402
 from tactile_bringup.launching.environment import ros_environment  # noqa: E402
 from tactile_bringup.launching.processes import ProcessGroup, tail  # noqa: E402
@@ -148,7 +149,8 @@ class Graph:
 
         def seen() -> list[str]:
             found = self.node.get_node_names_and_namespaces()
-            return [f"{space.rstrip('/')}/{name}" for name, space in found if name != "test"]
+            others = ("test", LAST_ZEROS)  # which have no state
+            return [f"{space.rstrip('/')}/{name}" for name, space in found if name not in others]
 
         def running() -> int:
             return sum(child.process.poll() is None for child in self.processes.children.values())

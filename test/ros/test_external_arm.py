@@ -1,16 +1,25 @@
-"""The arm node before moveit_servo: a stand-in with its rules, on the scene of the documentation."""
+"""The arm node before moveit_servo: a stand-in with its rules, on the scene of the documentation.
 
+Its status is moveit_msgs' ServoStatus where that is installed, which `make` does not, else one with its
+fields that is built here.
+"""
+
+import ctypes
+import importlib.util
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 from messages import arm_command, vector_from_twist
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from tactile_filter import se3
-from tactile_msgs.msg import ArmCommand
+from tactile_msgs.msg import ArmCommand, ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import matrix_from_transform, ns_from_time, transform_stamped
 
@@ -37,13 +46,16 @@ class Servo:
         self.commands = graph.collect(TwistStamped, "/servo_node/delta_twist_cmds", qos.COMMAND)
         self.taken = len(self.commands)
         self.tf = graph.publisher(TFMessage, "/tf", qos.TF)
+        self.part = 1.0  # of what it is told that it does
+        self.say = lambda: None  # its status
 
     def step(self) -> None:
         now_ns = self.graph.now_ns()
         for command in self.commands[self.taken :]:
             self.discarded += now_ns - ns_from_time(command.header.stamp) > TIMEOUT * 1e9
         self.taken = len(self.commands)
-        self.T = self.T @ se3.exp(self._velocity(now_ns) * (now_ns - self.last_ns) * 1e-9)
+        self.T = self.T @ se3.exp(self.part * self._velocity(now_ns) * (now_ns - self.last_ns) * 1e-9)
+        self.say()
         self.last_ns = now_ns
         elbow = se3.pose_from_euler([0.0, 0.0, 0.333, 0.0, 0.0, now_ns % 10**9 * 1e-10])
         links = ("base_link", "link1", elbow), ("link1", "tool0", se3.inverse(elbow) @ self.T)
@@ -67,15 +79,74 @@ class Servo:
         return float(np.linalg.norm(se3.log(se3.inverse(START) @ self.T)[3:]))
 
 
+INSTALLED = importlib.util.find_spec("moveit_msgs") is not None
+MESSAGES = {
+    "msg/ServoStatus.msg": "int8 code\nstring message\n",
+    "package.xml": """\
+<package format="3">
+  <name>moveit_msgs</name> <version>0.0.0</version> <description>For a test.</description>
+  <maintainer email="tactile-servoing@example.com">The tactile_servoing developers</maintainer>
+  <license>Apache-2.0</license>
+  <buildtool_depend>rosidl_default_generators</buildtool_depend>
+  <member_of_group>rosidl_interface_packages</member_of_group>
+</package>
+""",
+    "CMakeLists.txt": """\
+cmake_minimum_required(VERSION 3.12)
+project(moveit_msgs C CXX)
+find_package(ament_cmake REQUIRED)
+find_package(rosidl_default_generators REQUIRED)
+rosidl_generate_interfaces(moveit_msgs "msg/ServoStatus.msg")
+ament_package()
+""",
+}
+
+
+@pytest.fixture(scope="module")
+def messages(tmp_path_factory):
+    """A folder with a package moveit_msgs that has ServoStatus alone, built in some six seconds."""
+    folder = tmp_path_factory.mktemp("moveit_msgs")
+    for name, text in MESSAGES.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    build, install = folder / "build", folder / "install"
+    where = [f"-DCMAKE_INSTALL_PREFIX={install}", f"-DCMAKE_INSTALL_RPATH={install}/lib"]
+    options = [*where, f"-DPython3_EXECUTABLE={sys.executable}", "-DCMAKE_UNITY_BUILD=ON"]
+    for command in (["-S", folder, "-B", build, *options], ["--build", build, "-t", "install"]):
+        subprocess.run(["cmake", *command], check=True, capture_output=True)
+    return install
+
+
 @pytest.fixture
-def servo(graph, tmp_path):
+def status_type(graph, request, monkeypatch):
+    """ServoStatus, here and in nodes that are started from now on."""
+    if INSTALLED:
+        return importlib.import_module("moveit_msgs.msg").ServoStatus
+    messages = request.getfixturevalue("messages")
+    (site,) = messages.glob("lib/python3*/site-packages")
+    libraries = f"{messages / 'lib'}:{graph.variables.get('LD_LIBRARY_PATH', '')}"
+    graph.variables["LD_LIBRARY_PATH"] = libraries
+    graph.import_from([str(site)])
+    monkeypatch.syspath_prepend(site)
+    for library in sorted((messages / "lib").glob("*.so")):
+        ctypes.CDLL(str(library))  # this process's own search path is that of its start
+    return importlib.import_module("moveit_msgs.msg").ServoStatus
+
+
+def start(graph) -> Servo:
     """The node on the page's scene, and the stand-in."""
-    scene = tmp_path / "my_moveit_cell.yaml"
+    scene = graph.folder / "my_moveit_cell.yaml"
     scene.write_text(re.search(r"```yaml\n# my_moveit_cell.yaml\n(.*?)```", PAGE.read_text(), re.S)[1])
     remap = "import sys; sys.argv += ['-r', 'command/twist:=/servo_node/delta_twist_cmds']; "
     code = f"{remap}from {ARM_NODE} import main; sys.exit(main())"
     graph.start_code(ARM_NODE, code, {"scene": str(scene), "feels": False, **FRAMES})
     return Servo(graph)
+
+
+@pytest.fixture
+def servo(graph):
+    """Where there is no moveit_msgs."""
+    return start(graph)
 
 
 def test_moveit_servo_turns_the_tool_about_the_tip_and_rests_when_commands_end(graph, servo):
@@ -143,3 +214,64 @@ def test_an_arm_whose_sensor_is_mounted_elsewhere_than_the_scene_says_is_not_fol
             break
     report = graph.wait_for_count("arm", "commands refused")
     assert "the arm has no state yet" in report.message
+
+
+@pytest.fixture
+def outspoken(graph, status_type):
+    """A stand-in that tells its status, and what the arm's node says."""
+    servo = start(graph)
+    out = graph.publisher(status_type, "/servo_node/status")
+    servo.status = 0, "No warnings"
+    servo.say = lambda: out.publish(status_type(code=servo.status[0], message=servo.status[1]))
+    return servo, graph.collect(ArmStatus, "arm/status"), graph.commands("tactip")
+
+
+def go_on(graph, servo, ask, until, twist=TURN) -> None:
+    for _ in graph.ticks(0.01):
+        servo.step()
+        ask(twist)
+        if until():
+            return
+    raise AssertionError("it never held")
+
+
+def test_what_moveit_servo_halts_for_is_the_arms_fault_and_a_reset_gives_it_another_chance(graph, outspoken):
+    servo, statuses, ask = outspoken
+    go_on(graph, servo, ask, lambda: servo.turned() > 0.05)
+    assert statuses[-1].mode == ArmStatus.MOVING and not statuses[-1].remark
+    servo.part, servo.status = 0.0, (2, "Very close to a singularity, emergency stop")
+    reason = "moveit_servo: Very close to a singularity, emergency stop"
+    go_on(graph, servo, ask, lambda: statuses[-1].mode == ArmStatus.FAULT)
+    assert statuses[-1].reason == reason
+    go_on(graph, servo, ask, lambda: f"fault: {reason}; arm/reset leaves it" in statuses[-1].refused)
+    graph.wait_for_report("arm", lambda report: reason in report.message)
+    assert not vector_from_twist(servo.commands[-1].twist).any()
+    servo.part, servo.status = 1.0, (0, "No warnings")
+    assert graph.call(Trigger, "arm/reset", Trigger.Request()).success
+    turned = servo.turned()
+    go_on(graph, servo, ask, lambda: servo.turned() < turned - 0.03, -TURN)
+    assert statuses[-1].mode == ArmStatus.MOVING
+
+
+def test_an_arm_that_moveit_servo_slows_down_says_why_and_is_not_taken_for_one_that_does_not_obey(
+    graph, outspoken
+):
+    servo, statuses, ask = outspoken
+    go_on(graph, servo, ask, lambda: servo.turned() > 0.05)
+    servo.part, servo.status = 0.02, (4, "Close to a collision, decelerating")
+    remark = "moveit_servo: Close to a collision, decelerating"
+    go_on(graph, servo, ask, lambda: statuses[-1].remark == remark)
+    begun = graph.now_ns()
+    go_on(graph, servo, ask, lambda: graph.now_ns() - begun > 2e9)  # of which 0.4 s would be a fault
+    assert statuses[-1].mode == ArmStatus.MOVING and statuses[-1].remark == remark
+    graph.wait_for_report("arm", lambda report: remark in report.message)
+    servo.say = lambda: None  # servo's word is no excuse for longer than it says it
+    go_on(graph, servo, ask, lambda: "does not do what it is told" in statuses[-1].reason)
+
+
+@pytest.mark.skipif(INSTALLED, reason="moveit_msgs is installed")
+def test_without_its_messages_nobody_hears_moveit_servo_which_is_said_once(graph, servo):
+    go_on(graph, servo, graph.commands("tactip"), lambda: servo.turned() > 0.05)
+    log = graph.log(ARM_NODE).read_text()
+    missing = "moveit_msgs/msg/ServoStatus is not installed: what moveit_servo says on /servo_node/status"
+    assert log.count(missing) == 1

@@ -54,3 +54,30 @@ def test_no_node_says_or_hears_what_its_permissions_do_not_allow(graph, task, tm
             assert read <= profile.heard(), (full, read - profile.heard())
             compared += 1
     assert compared == len(graph.nodes())
+
+
+VELOCITIES = """\
+arms:
+  arm:
+    driver: external
+    driver_settings: {joint_velocities: /velocity/commands, publish_tool: true, publish_mount: true}
+    kinematics: {description: ur5e}
+    start: {position: [0.4, 0.0, 0.3]}
+    sensor: {camera: external}
+"""
+
+
+def test_an_arm_that_moves_by_joint_velocities_and_who_stops_it_have_what_the_scene_names(graph, tmp_path):
+    scene = tmp_path / "cell.yaml"
+    scene.write_text(VELOCITIES)
+    described = load_graph("surface_following", str(scene))
+    arm, last = enclaves(described, load_scene(scene))["/arm/arm"]
+    graph.start("tactile_ros.nodes.arm_node", {"scene": str(scene)})
+    for profile in (arm, last):
+        full = profile.namespace, profile.node
+        assert graph.wait(lambda full=full: "rt/velocity/commands" in dds_names(graph, *full)[0]), full
+        graph.spin(0.2)
+        written, read = dds_names(graph, *full)
+        assert written <= profile.published(), (full, written - profile.published())
+        assert read <= profile.heard(), (full, read - profile.heard())
+    assert "rt/joint_states" in read | dds_names(graph, "/arm", "arm")[1]
