@@ -35,7 +35,6 @@ SPEED, TURN_RATE = 5.0, 50.0  # m/s, rad/s: a body that goes faster jumps
 CALL = 0.01  # s, that a step may take
 NAMESAKES = ("report", "double")  # called as the task, or the driver, that they are of
 PAUSES = 3  # of so few the machine may be the reason
-COMPANIONS = ("report", "double")  # of a task and of a driver, whose names they have
 
 
 class Unusable(str):
@@ -93,18 +92,12 @@ def check_plugin(
 
 
 def kind_of(plugin: str) -> str:
-<<<<<<< HEAD
     """The kind of a plug-in by its name; `SettingError` where several have it, or none.
 
     A report has the name of its task, and a double that of its driver: the name means these.
     """
     named = [registry.kind for registry in _registries() if plugin in registry.names()]
-    kinds = [kind for kind in named if kind not in COMPANIONS] or named
-=======
-    """The kind of a plug-in by its name; `SettingError` where several have it, or none."""
-    kinds = [registry.kind for registry in _registries() if plugin in registry.names()]
-    kinds = [kind for kind in kinds if kind not in NAMESAKES] or kinds
->>>>>>> errors
+    kinds = [kind for kind in named if kind not in NAMESAKES] or named
     if len(kinds) != 1:
         known = ", ".join(registry.kind for registry in _registries())
         what = f"several have that name ({', '.join(kinds)})" if kinds else "no plug-in has that name"
