@@ -93,22 +93,18 @@ def test_what_cannot_be_drilled_is_refused(arguments, words, capsys, tmp_path):
     assert words in " ".join(capsys.readouterr().err.split())
 
 
-<<<<<<< HEAD
 def test_a_scene_of_a_real_arm_is_drilled_with_a_simulated_one_in_its_place(tmp_path, capsys):
     words = ["drill", "--scene", "ur_example", "--fidelity", "ideal", "--fault", "arm: servo_off"]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
     assert "1 of 1 passed" in capsys.readouterr().out
 
 
-def test_faults_are_listed(capsys):
-=======
 def test_faults_are_listed_and_nothing_is_done(capsys, monkeypatch, tmp_path):
     def runs(*given):
         raise AssertionError("a simulation was run")
 
     monkeypatch.setattr("tactile_bringup.drill.run_arms_offline", runs)
     monkeypatch.chdir(tmp_path)
->>>>>>> errors
     assert cli.main(["drill", *SHORT, "--list"]) == 0
     assert "estimates: z flipped" in capsys.readouterr().out.splitlines()
     assert cli.main(["drill", "--scene", "ur_example", "--live", "--rehearse", "--list"]) == 0
