@@ -5,24 +5,24 @@ Names, versions and requirements stand in setup.cfg.
 
 import os
 import sys
+from glob import glob
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
 
 PACKAGE = "tactile_servoing"
 
-# Extension module -> folder with its C sources; all of them go into the one module.
-C_MODULES = {
-    "tactile_filter._fusion": "tactile_filter/_csrc",
-    "tactile_drivers._native": "tactile_drivers/_csrc",
-    "tactile_drivers.sim._contact": "tactile_drivers/sim/_csrc",
-    "tactile_control._laws": "tactile_control/_csrc",
-    "tactile_perception._image": "tactile_perception/_csrc",
-}
+GEOMETRY = "tactile_geometry/_csrc"  # its headers are for all modules, with the functions of se3.c
 
-# Of another module's folder: headers for all, and sources that a module takes besides its own.
-SHARED = "tactile_filter/_csrc"
-SHARED_SOURCES = {"tactile_drivers.sim._contact": ["se3.c"]}
+# Extension module -> its C sources
+C_MODULES = {
+    "tactile_geometry._se3": [f"{GEOMETRY}/*.c"],
+    "tactile_filter._fusion": ["tactile_filter/_csrc/*.c", f"{GEOMETRY}/se3.c"],
+    "tactile_drivers._native": ["tactile_drivers/_csrc/*.c"],
+    "tactile_drivers.sim._contact": ["tactile_drivers/sim/_csrc/*.c", f"{GEOMETRY}/se3.c"],
+    "tactile_control._laws": ["tactile_control/_csrc/*.c"],
+    "tactile_perception._image": ["tactile_perception/_csrc/*.c"],
+}
 
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.
 NODES = {
@@ -49,16 +49,16 @@ def require_messages() -> None:
         )
 
 
-def extension(name: str, folder: str) -> Extension:
+def extension(name: str, patterns: list[str]) -> Extension:
     """A C module without fast-math and without -march: what an instruction set adds is chosen at runtime."""
     import numpy
 
-    shared = SHARED_SOURCES.get(name, [])
+    folder = str(Path(patterns[0]).parent)
     return Extension(
         name,
-        sources=sorted(map(str, [*Path(folder).glob("*.c"), *(Path(SHARED) / each for each in shared)])),
-        depends=sorted(map(str, [*Path(folder).glob("*.h"), *Path(SHARED).glob("*.h")])),
-        include_dirs=[numpy.get_include(), folder, SHARED],
+        sources=sorted(path for pattern in patterns for path in glob(pattern)),
+        depends=sorted(glob(f"{folder}/*.h") + glob(f"{GEOMETRY}/*.h")),
+        include_dirs=[numpy.get_include(), folder, GEOMETRY],
         define_macros=[("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")],
         # Python's own -fwrapv would keep loops over x + 1 with an int x from being vectorized
         extra_compile_args=["-O3", "-std=c99", "-Wall", "-Wextra", "-ffp-contract=off", "-fno-wrapv"],
@@ -80,7 +80,7 @@ if {"install", "develop"} & set(sys.argv):  # as colcon does; pip builds a wheel
 setup(
     packages=find_packages(include=["tactile_*"], exclude=["tactile_msgs", "tactile_msgs.*"]),
     package_data={"": ["py.typed", "*.pyi", "*.yaml", "data/*", "models/*"]},
-    ext_modules=[extension(name, folder) for name, folder in C_MODULES.items()],
+    ext_modules=[extension(name, patterns) for name, patterns in C_MODULES.items()],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -32,7 +32,7 @@ from tactile_drivers.kinematics.capsules import gaps
 from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.scene import load_scene
 from tactile_drivers.sim.pushing_scene import pushing_scene
-from tactile_filter import se3
+from tactile_geometry import se3
 
 START, TARGET, HEIGHT = np.array([0.100, -0.250]), np.array([0.375, 0.0]), 0.045
 TIP = 0.017  # m from the sensor's frame to the object: a tip of 20 mm pressed 3 mm deep

@@ -16,7 +16,7 @@ import numpy as np
 
 from tactile_drivers.scene import Scene, load_scene
 from tactile_drivers.sim.cell import Cell
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SPEED = 0.010  # m/s along the surface
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from tactile_bringup.cell_touching import simulated
 from tactile_drivers.scene import Scene, load_scene
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.calibrating import mounting, time_offset, tip
 from tactile_records.calibrating.touches import touches_of
 

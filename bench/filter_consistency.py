@@ -14,12 +14,12 @@ import numpy as np
 
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_filter import se3
 from tactile_filter.bayes_filter import Belief, ContactFilter
 from tactile_filter.consistency import nees
 from tactile_filter.filter_settings import load_filter_settings
-from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.transform_buffer import TransformBuffer
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
+from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_records.runs.record import BeliefSeries, GaussianSeries, RunRecord, TruthSeries
 
 

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, nees
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

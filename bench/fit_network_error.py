@@ -24,7 +24,7 @@ from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.collection import _along_surface, _Sphere
 from tactile_drivers.sim.network_error import SHIPPED, WAY, ErrorModel, NetworkError
 from tactile_drivers.sim.tactip import ContactTruth, TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_perception.estimating.presence import ContactPresence
 from tactile_perception.estimator import Estimator
 

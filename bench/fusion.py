@@ -29,8 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "filter
 
 from fusion_reference import fuse_exact, fuse_fixed
 
-from tactile_filter import se3
 from tactile_filter.fusion import MODES, fuse
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array, Array, Array]

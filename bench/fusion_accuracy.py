@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "filter
 
 import se3_reference
 
-from tactile_filter import se3
 from tactile_filter.fusion import fuse
+from tactile_geometry import se3
 
 
 def print_fusions() -> None:

@@ -1,7 +1,7 @@
 """Writes coefficients.h: the power series of se3_exact.h, each coefficient as the sum of two doubles, and the
 polynomials of fusion_lanes.h.
 
-python bench/fusion_coefficients.py > tactile_filter/_csrc/coefficients.h
+python bench/fusion_coefficients.py > tactile_geometry/_csrc/coefficients.h
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
 from tactile_filter.fusion import FusionResult, FusionStatus, fuse
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array, Array, Array]

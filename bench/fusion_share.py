@@ -25,10 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from filter_step import PERIOD_NS, SIGMA, inputs
 
-from tactile_filter import bayes_filter, se3
+from tactile_filter import bayes_filter
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.fusion import FusionResult, fuse
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 COUNT = 4000
 MODES = ("paper", "fast")

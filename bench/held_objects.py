@@ -12,7 +12,7 @@ from tactile_drivers.scene import load_scene
 from tactile_drivers.shapes import make_surface
 from tactile_drivers.sim.held import GRAVITY, HeldObject, HeldSettings
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 
 DEPTHS = np.arange(1.0, 9.0)  # mm
 SHEAR = 0.3  # mm

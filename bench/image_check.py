@@ -14,7 +14,7 @@ import numpy as np
 
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence

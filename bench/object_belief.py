@@ -17,12 +17,12 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
 from tactile_filter.consistency import nees
-from tactile_filter.gaussian import PoseGaussian, ros_from_left
 from tactile_filter.object.belief import SplitGaussian
 from tactile_filter.object.settings import TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian, ros_from_left
 
 Array = NDArray[np.float64]
 Steps = Iterator[Mapping[str, ContactUpdate | None]]

@@ -26,11 +26,11 @@ from tactile_base.config_paths import config_path
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_drivers.scene import Scene, load_scene
-from tactile_filter import se3
 from tactile_filter.consistency import nees
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.settings import TrackerSettings, load_object
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.from_bag import (
     arms_of,

@@ -16,7 +16,7 @@ from tactile_drivers.sim.collection import CollectionSettings, generate, press_t
 from tactile_drivers.sim.settings import ContactSettings, TacTipSettings
 from tactile_drivers.sim.skin import load_skin
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # mm
 STEP = 0.1  # mm a step

@@ -26,7 +26,7 @@ from tactile_bringup.staged_arm import StagedArm, Stopped
 from tactile_drivers.arm import ArmMode, ArmState, SafetySettings, open_arm
 from tactile_drivers.doubles.rehearsal import rehearsed
 from tactile_drivers.scene import ArmScene, load_scene
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from tactile_control.phases import (
     StampedPresence,
     TaskInputs,
 )
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

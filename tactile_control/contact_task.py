@@ -37,9 +37,9 @@ from tactile_control.phases import (
 )
 from tactile_control.servoing import ServoingController, ServoingOutput
 from tactile_control.surface_check import SurfaceCheck
-from tactile_filter import se3
 from tactile_filter.prediction import ContactPredictor
-from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformBuffer, TransformUnavailable
 
 Array = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from tactile_control.phases import (
     newer,
 )
 from tactile_control.watchdog import WatchdogSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

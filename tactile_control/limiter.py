@@ -11,7 +11,7 @@ from tactile_base.settings import Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_control import _laws
 from tactile_control.pid import CHANNELS
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from tactile_base.stamps import NANOSECOND
 from tactile_control.limiter import LimiterSettings, TwistLimiter
 from tactile_control.motion import TravelSettings, Waypoint, twist_towards, way_to_start
 from tactile_control.watchdog import Watchdog, WatchdogSettings
-from tactile_filter import se3
-from tactile_filter.se3 import PoseError
+from tactile_geometry import se3
+from tactile_geometry.se3 import PoseError
 
 Array = NDArray[np.float64]
 

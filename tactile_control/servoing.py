@@ -25,7 +25,7 @@ from tactile_control.pid import (
     tangent_error,
     to_local,
 )
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_control.pose_steering import curvature, largest_curvature
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from tactile_base.settings import SettingError, SettingGroups, unknown_name
 from tactile_base.yaml_file import Section, name_and_value, read_yaml
 from tactile_control.phases import Goal, PhaseMachine
 from tactile_control.tasks import TASKS
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 OTHER = "other"  # among a task's scenes: those that it does not name

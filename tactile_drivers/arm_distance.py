@@ -20,7 +20,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmState
 from tactile_drivers.kinematics.capsules import gaps
 from tactile_drivers.kinematics.chain import point_velocities
-from tactile_filter import se3
+from tactile_geometry import se3
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene, Scene

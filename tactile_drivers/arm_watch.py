@@ -16,7 +16,7 @@ from tactile_drivers import _native
 from tactile_drivers.arm import ArmLimits, ArmState, SafetySettings
 from tactile_drivers.joint_limits import Kinematics
 from tactile_drivers.tracking import Deviation, TrackingMonitor, TrackingSettings, in_base
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, is_at_rest
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, vector_of
 from tactile_drivers.scene import ArmScene
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

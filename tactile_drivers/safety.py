@@ -33,8 +33,8 @@ from tactile_drivers.motion_bounds import MotionBounds
 from tactile_drivers.ownership import Commander, Ownership
 from tactile_drivers.sender import CallTimer, Sender
 from tactile_drivers.twist_profile import TwistProfile
-from tactile_filter import se3
-from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformBuffer, TransformUnavailable
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import ArmScene

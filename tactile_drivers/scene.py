@@ -32,7 +32,7 @@ from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.motions import CARRIED, FIXED, MOTIONS
 from tactile_drivers.sim.simulation import Simulation, read_simulation
 from tactile_drivers.tracking import TrackingSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""SE(3) geometry, fusion of Gaussians, and the Bayesian filter over surface contact poses."""
+"""Fusion of Gaussians over poses, and the Bayesian filter over surface contact poses."""
 
 try:
     from tactile_filter import _fusion as _fusion

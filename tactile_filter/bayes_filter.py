@@ -17,15 +17,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag, invalid_belief
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.filter_settings import FilterSettings, Tuning, gate_threshold
 from tactile_filter.fusion import FusionError, FusionStatus, check_gaussian, fuse
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.history import Entry, History, Key
-from tactile_filter.propagation import Innovation, innovation, predict, usable_pose
+from tactile_filter.propagation import Innovation, innovation, predict
 from tactile_filter.robust import Spectrum, huber_inflation, student_t_inflation
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
+from tactile_geometry.se3 import usable_pose
 
 __all__ = ["Belief", "BeliefFlag", "ContactFilter", "FilterSettings", "gate_threshold"]
 

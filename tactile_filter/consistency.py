@@ -23,8 +23,8 @@ from scipy.special import chdtri
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

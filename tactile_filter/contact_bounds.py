@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_filter import _fusion, se3
-from tactile_filter.transform_buffer import MotionLimits
+from tactile_filter import _fusion
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import MotionLimits
 
 Array = NDArray[np.float64]
 

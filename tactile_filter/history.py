@@ -11,7 +11,7 @@ import bisect
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry.gaussian import PoseGaussian
 
 # However long the history may be in time, it never holds more inputs than these (about 3 MB).
 CAPACITY = 2048

@@ -57,8 +57,3 @@ def innovation(mean_1: ArrayLike, cov_1: ArrayLike, mean_2: ArrayLike, cov_2: Ar
     Raises `ValueError` if an argument has the wrong shape or is not finite, or a mean is no pose matrix.
     """
     return Innovation(*_fusion.innovation(mean_1, cov_1, mean_2, cov_2))
-
-
-def usable_pose(T: object) -> Array | None:
-    """T as an orthonormal pose (4, 4), as it is if one to rounding; None if it is none, or is 1e9 m away."""
-    return _fusion.usable_pose(T)

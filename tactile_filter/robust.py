@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dsygv
 
-from tactile_filter import se3
 from tactile_filter.fusion import FusionError
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

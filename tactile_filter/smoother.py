@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
-from tactile_filter import se3
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_filter.filter_settings import FilterSettings, Tuning
 from tactile_filter.propagation import predict
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

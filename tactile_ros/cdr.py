@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import serialize_message
 
 from tactile_base.stamps import SECOND_NS
-from tactile_filter.gaussian import ros_from_left
-from tactile_filter.pose_numbers import numbers_from_pose
+from tactile_geometry.gaussian import ros_from_left
+from tactile_geometry.pose_numbers import numbers_from_pose
 from tactile_msgs.msg import ContactState
 from tactile_perception.estimating.encodings import decompressed
 from tactile_perception.estimating.image import ImageError

@@ -18,10 +18,10 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from tactile_base.stamps import ns_from_parts, parts_from_ns
-from tactile_filter.pose_numbers import MessageError as MessageError
-from tactile_filter.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
-from tactile_filter.pose_numbers import numbers_from_pose as numbers_from_pose
-from tactile_filter.pose_numbers import pose_from_numbers as pose_from_numbers
+from tactile_geometry.pose_numbers import MessageError as MessageError
+from tactile_geometry.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
+from tactile_geometry.pose_numbers import numbers_from_pose as numbers_from_pose
+from tactile_geometry.pose_numbers import pose_from_numbers as pose_from_numbers
 from tactile_perception.estimating.encodings import MONO8 as MONO8
 from tactile_perception.estimating.encodings import gray_of
 from tactile_perception.estimating.image import ImageError

@@ -26,8 +26,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.external import TOOL, ExternalArmSettings, ServoWatch
 from tactile_drivers.scene import ArmScene
-from tactile_filter import se3
-from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_ros.cdr import twist_bytes
 from tactile_ros.qos import COMMAND, STATE
 from tactile_ros.transforms import TransformListener

@@ -42,7 +42,7 @@ from tactile_base.raised import BY_ERROR, told
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import NANOSECOND
 from tactile_filter.events import FUTURE_NS
-from tactile_filter.pose_numbers import MessageError
+from tactile_geometry.pose_numbers import MessageError
 from tactile_ros.cdr import header_of
 from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.discovery import use_dds_profile

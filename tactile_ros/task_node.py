@@ -28,7 +28,7 @@ from tactile_base import topics
 from tactile_base.raised import told
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
-from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
+from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
 from tactile_ros.arm_attention import ArmAttention

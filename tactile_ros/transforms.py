@@ -20,7 +20,7 @@ from tactile_base import topics
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.events import JUMP_NS, Event, EventJoin
-from tactile_filter.transform_buffer import (
+from tactile_geometry.transform_buffer import (
     MotionLimits,
     TransformBuffer,
     TransformInPast,

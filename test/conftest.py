@@ -5,13 +5,10 @@ first ten.
 """
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
-
-sys.path.insert(0, str(Path(__file__).parent))  # tests import `launched`, `ur_cell`
 
 os.environ.pop("ROS_DOMAIN_ID", None)  # each launch chooses one where nobody is, no arm of the user's either
 

@@ -111,7 +111,7 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     from tactile_drivers.doubles.rehearsal import rehearsed
     from tactile_drivers.sampling import VALIDATION_START
     from tactile_drivers.scene import load_scene
-    from tactile_filter import se3
+    from tactile_geometry import se3
     from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
     from tactile_records.collecting.parameters import check_same_run
 

@@ -24,7 +24,12 @@ if TYPE_CHECKING:
     from tactile_bringup.findings import Finding
 
 PACKAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnostic_msgs", "lifecycle_msgs")
-COMPILED = ("tactile_filter._fusion", "tactile_drivers.sim._contact", "tactile_perception._image")
+COMPILED = (
+    "tactile_geometry._se3",
+    "tactile_filter._fusion",
+    "tactile_drivers.sim._contact",
+    "tactile_perception._image",
+)
 SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
 
 

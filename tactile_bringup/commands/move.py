@@ -88,7 +88,7 @@ def make_graph(arguments: argparse.Namespace) -> Graph:
 def chosen_goal(arguments: argparse.Namespace, arm: ArmScene) -> MoveGoal:
     """Where to; `ValueError` for what is no pose, or one that known joints do not reach."""
     from tactile_control.tasks.move import MoveGoal
-    from tactile_filter import se3
+    from tactile_geometry import se3
 
     if arguments.start:
         numbers = se3.euler_from_pose(arm.T_base_start)

@@ -52,7 +52,7 @@ from tactile_control.phases import (
     newer,
 )
 from tactile_control.touch_off import TouchFailed, TouchOff, at
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from tactile_base.stamps import NANOSECOND
 from tactile_control.free_task import FreeTask, FreeTaskSettings
 from tactile_control.motion import pose_difference
 from tactile_control.phases import DONE, Goal, TaskInputs
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

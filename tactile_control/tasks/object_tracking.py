@@ -14,7 +14,7 @@ from tactile_control.contact_task import ContactTask
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal
 from tactile_control.surface_check import SurfaceSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal, StampedPose
 from tactile_control.steering import SteeringController, SteeringSettings
 from tactile_control.surface_check import SurfaceSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_control.free_task import MOVE, FreeTask, FreeTaskSettings
 from tactile_control.phases import DONE, Command, Goal
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

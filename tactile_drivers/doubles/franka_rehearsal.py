@@ -10,7 +10,7 @@ from tactile_drivers.doubles.double_process import STATE_TIMEOUT, DoubleProcess
 from tactile_drivers.franka import FrankaSettings
 from tactile_drivers.rotation_vectors import vector_of
 from tactile_drivers.scene import ArmScene
-from tactile_filter import se3
+from tactile_geometry import se3
 
 _TOLERANCE = 5.0  # a machine that simulates a cell besides is no real-time machine
 

@@ -25,7 +25,7 @@ from tactile_base.settings import Settings, setting
 from tactile_drivers.franka import DOCUMENTED, FR3
 from tactile_drivers.kinematics.arm_file import load_arm
 from tactile_drivers.rotation_vectors import pose_of, vector_of
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

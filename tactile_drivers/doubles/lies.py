@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_filter import se3
+from tactile_geometry import se3
 
 if TYPE_CHECKING:
     from tactile_drivers.sim.arm import SimArm
     from tactile_drivers.sim.cell import Cell
-    from tactile_filter.gaussian import PoseGaussian
+    from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from tactile_base.settings import unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmState
 from tactile_drivers.doubles.lies import Lies
-from tactile_filter import se3
+from tactile_geometry import se3
 
 if TYPE_CHECKING:
     from tactile_drivers.sim.arm import SimArm

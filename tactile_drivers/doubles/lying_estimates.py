@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import NANOSECOND
 from tactile_drivers.doubles.lies import Lies
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers.arm import ArmMode
 from tactile_drivers.scene import SIM, ArmScene, Scene
 from tactile_drivers.sim.arm import SimArm
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

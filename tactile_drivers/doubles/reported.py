@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers.scene import ArmScene
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from tactile_drivers.doubles.ur_robot import UrRobotSettings
 from tactile_drivers.rotation_vectors import vector_of
 from tactile_drivers.scene import ArmScene
 from tactile_drivers.ur import CB3, UrSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 _WATCHDOG = 2.0  # Hz
 _VERSIONS = {CB3: (3, 15, 0, 0)}

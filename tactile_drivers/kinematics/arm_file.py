@@ -16,7 +16,7 @@ from tactile_base.yaml_file import Section, read_yaml
 from tactile_drivers.kinematics.capsules import Capsules
 from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.kinematics.urdf import UrdfError, read_urdf
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_drivers.joint_limits import LENGTH
 from tactile_drivers.kinematics.capsules import Capsules
 from tactile_drivers.kinematics.urdf import Description
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from tactile_drivers import _native
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
 from tactile_drivers.kinematics.chain import Chain
 from tactile_drivers.twist_profile import TwistProfile
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -33,9 +33,9 @@ from tactile_drivers.sim.fitted_sensor import FittedSensor
 from tactile_drivers.sim.ideal_sensor import IdealSensor, IdealTruth
 from tactile_drivers.sim.motions import FIXED, BodyContact, Motion, make_motion
 from tactile_drivers.sim.settings import FittedSensorSettings, SkinSettings, TacTipSettings
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.transform_buffer import TransformBuffer
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
+from tactile_geometry.transform_buffer import TransformBuffer
 
 if TYPE_CHECKING:
     from tactile_drivers.sim.network_view import ViewSettings

@@ -36,7 +36,7 @@ from tactile_drivers.sim.settings import TacTipSettings
 from tactile_drivers.sim.simulation import read_sensor_groups
 from tactile_drivers.sim.tactip import ContactTruth, TacTip
 from tactile_drivers.sim.variation import VariationSettings, varied
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 R = TypeVar("R")

@@ -9,8 +9,8 @@ from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.ideal_sensor import IdealSensor
 from tactile_drivers.sim.network_error import NetworkError, load_error_model
 from tactile_drivers.sim.settings import FittedSensorSettings
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_drivers.sim.skin_force import SkinForces
-from tactile_filter import se3
+from tactile_geometry import se3
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import BodyScene, Scene

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from tactile_drivers.shapes.surface import ContactGeometry, Surface, contact_pose
 from tactile_drivers.sim import _contact
 from tactile_drivers.sim.settings import IdealSensorSettings
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

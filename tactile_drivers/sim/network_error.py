@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

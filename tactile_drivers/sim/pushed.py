@@ -35,7 +35,7 @@ from tactile_drivers.sim.held import GRAVITY
 from tactile_drivers.sim.limit_surface import Foot
 from tactile_drivers.sim.skin_force import SkinForces
 from tactile_drivers.sim.toppling import Tipping, Touch
-from tactile_filter import se3
+from tactile_geometry import se3
 
 if TYPE_CHECKING:
     from tactile_drivers.scene import BodyScene, Scene

@@ -24,7 +24,7 @@ from tactile_drivers.scene import ArmScene, BodyScene, Scene
 from tactile_drivers.shapes import SHAPES
 from tactile_drivers.shapes.surface import Surface
 from tactile_drivers.sim.pushed import PushedSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 

@@ -23,8 +23,8 @@ from tactile_drivers.sim.markers import Markers
 from tactile_drivers.sim.network_view import NetworkView, ViewSettings
 from tactile_drivers.sim.settings import TacTipSettings
 from tactile_drivers.sim.skin import Skin, load_skin
-from tactile_filter import se3
-from tactile_filter.se3 import PoseError
+from tactile_geometry import se3
+from tactile_geometry.se3 import PoseError
 
 Array = NDArray[np.float64]
 _FREE, _STICK, _SLIP = 0, 1, 2

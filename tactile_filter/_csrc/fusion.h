@@ -3,8 +3,10 @@
 #ifndef TACTILE_FUSION_H_
 #define TACTILE_FUSION_H_
 
-// order of the inverse Jacobian's series; EXACT is the closed form, TO_CONVERGENCE that and the mode "exact"
-enum { TO_CONVERGENCE = -1, JACOBIAN_EXACT = 0, JACOBIAN_ORDER_2 = 2, JACOBIAN_ORDER_4 = 4 };
+#include "se3.h"
+
+// an order (se3.h) that is none: the exact Jacobian, and the mode "exact"
+enum { TO_CONVERGENCE = -1 };
 
 // how a fusion ended (FusionStatus in fusion.py)
 enum { FUSION_CONVERGED = 0, FUSION_NOT_CONVERGED = 1, FUSION_STALLED = 2 };
@@ -17,12 +19,10 @@ enum {
   FUSION_OUT_OF_RANGE = 6    // of `check` alone: what is made of it may overflow
 };
 
-// as in fusion.py and se3.py
+// as in fusion.py
 #define CONVERGED_STEP 1e-3
-#define ROTATION_TOLERANCE 1e-6
 
-// what a filter takes: far more than any arm reaches, and all that is made of it stays finite (m, m^2, rad^2)
-#define LARGEST_POSITION 1e9
+// what a filter takes, beside LARGEST_POSITION of se3.h: all that is made of it stays finite (m^2, rad^2)
 #define LARGEST_VARIANCE 1e18
 #define SMALLEST_VARIANCE 1e-30
 

@@ -7,13 +7,6 @@
 typedef struct {
   const char* name;  // of the instruction set
 
-  // se3_exact.h
-  void (*exp)(double res[16], const double xi[6]);
-  int (*log)(double res[6], const double mat[16]);
-  void (*adjoint)(double res[36], const double mat[16]);
-  void (*left_jacobian)(double res[36], const double xi[6]);
-  void (*inverse_left_jacobian)(double res[36], const double xi[6]);
-
   // one fusion; returns 0 or a fault. `order` is a Jacobian's or TO_CONVERGENCE, with `iterations` at most
   int (*fuse)(FusionOutput* res, const FusionInput input[2], int iterations, int order);
 

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 
-from tactile_filter import se3
 from tactile_filter.filter_settings import gate_threshold
 from tactile_filter.fusion import FusionError, fuse
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import innovation
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
 

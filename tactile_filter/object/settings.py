@@ -18,9 +18,9 @@ import numpy as np
 
 from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, Settings, setting, unknown_name
 from tactile_base.yaml_file import Section, read_yaml
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.belief import moved_covariance
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,7 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import unknown_name
 from tactile_base.stamps import SECOND_NS
-from tactile_filter import se3
 from tactile_filter.fusion import FusionError, check_gaussian
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.belief import (
     Contact,
     ObjectBelief,
@@ -45,7 +43,9 @@ from tactile_filter.object.belief import (
     object_from_contact,
 )
 from tactile_filter.object.settings import TrackerSettings
-from tactile_filter.propagation import usable_pose
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
+from tactile_geometry.se3 import usable_pose
 
 Array = NDArray[np.float64]
 

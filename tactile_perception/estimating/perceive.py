@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import NDArray
 
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.image_check import SIDE, ImageCheck
 from tactile_perception.estimating.labels import EstimateError

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from tactile_base.whole_file import write_csv
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating import labels
 from tactile_perception.estimating.labels import EULER_COLUMNS, NETWORK_COLUMNS, network_row
 from tactile_perception.estimating.perceive import Perceiver

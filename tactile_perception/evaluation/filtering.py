@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.fusion import fuse
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import predict
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.labels import pose_gaussian, surface_contact_pose, tangent_gaussian
 from tactile_perception.estimating.sources import Frame
 from tactile_perception.evaluation.evaluate import EvaluationData

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter.pose_numbers import MessageError as MessageError
+from tactile_geometry.pose_numbers import MessageError as MessageError
 from tactile_records.bags.message_definitions import type_fields
 
 Array = NDArray[Any]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_drivers.scene import SensorScene
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.calibrating import mounting as mountings
 from tactile_records.calibrating import time_offset
 from tactile_records.calibrating import tip as tips

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json, read_text
 from tactile_control.collection import Capture
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_perception.datasets.layout import AXES, DatasetError
 from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.labels import euler_from_pose

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_base.topics import ESTIMATE, PRESENCE, TF, TF_STATIC, contact_frame
-from tactile_filter.transform_buffer import MotionLimits
+from tactile_geometry.transform_buffer import MotionLimits
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.replay.settings import recorded_group
 from tactile_records.replay.topics import (

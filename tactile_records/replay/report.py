@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.replay.run import Agreement
 from tactile_records.runs.euler_poses import euler_poses, euler_sigmas
 from tactile_records.runs.metrics import inverses

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import BELIEF, STATE
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.gaussian import UNUSABLE, ros_from_left
-from tactile_filter.pose_numbers import numbers_from_pose
 from tactile_filter.smoother import smooth
+from tactile_geometry.gaussian import UNUSABLE, ros_from_left
+from tactile_geometry.pose_numbers import numbers_from_pose
 from tactile_records.bags.cdr import Layout, blank_layout
 from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.replay.settings import Change

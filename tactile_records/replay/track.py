@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.topics import ARM_POSE, ESTIMATE, PRESENCE, STATE, TRUTH
-from tactile_filter import se3
 from tactile_filter.contact_bounds import TACTIP, ContactBounds
 from tactile_filter.filter_settings import FilterSettings
-from tactile_filter.gaussian import UNUSABLE, PoseGaussian
-from tactile_filter.pose_numbers import gaussians_from_numbers
-from tactile_filter.transform_buffer import TransformUnavailable
+from tactile_geometry import se3
+from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
+from tactile_geometry.pose_numbers import gaussians_from_numbers
+from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_records.replay.settings import (
     Change,
     commanded_resets,

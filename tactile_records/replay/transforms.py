@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND
 from tactile_base.topics import TF, TF_STATIC
-from tactile_filter.pose_numbers import are_poses, pose_from_numbers
-from tactile_filter.transform_buffer import STAMP_SLACK, MotionLimits, TransformBuffer, TransformUnavailable
+from tactile_geometry.pose_numbers import are_poses, pose_from_numbers
+from tactile_geometry.transform_buffer import STAMP_SLACK, MotionLimits, TransformBuffer, TransformUnavailable
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import (
     ColumnReader,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.runs.metrics import inverses
 from tactile_records.runs.record import GaussianSeries
 

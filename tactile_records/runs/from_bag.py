@@ -13,8 +13,8 @@ from tactile_base.stamps import ns_from_parts
 from tactile_base.topics import TF, body_frame
 from tactile_control.tasks import TASKS
 from tactile_drivers.scene import SceneError, load_scene
-from tactile_filter import se3
-from tactile_filter.gaussian import left_from_ros
+from tactile_geometry import se3
+from tactile_geometry.gaussian import left_from_ros
 from tactile_records.bags.contents import noted
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.ending import ending

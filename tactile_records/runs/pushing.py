@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.runs import metrics
 from tactile_records.runs.figures import BELIEF, CONTACT_PICTURES, REFERENCE, SURFACE, TRUTH, message
 from tactile_records.runs.metrics import depth_of, inverses, largest, loop_rows, percent, rms, task_row, text

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.runs.record import PoseSeries, RunRecord
 
 Array = NDArray[Any]

@@ -40,8 +40,8 @@ from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.external import ExternalArmSettings
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
-from tactile_filter import se3
 from tactile_filter.contact_bounds import ContactBounds
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
 from tactile_ros.cdr import (
     STATE_FLAGS,

@@ -32,8 +32,8 @@ from tactile_control.collection import (
 from tactile_control.phases import StampedPose
 from tactile_control.tasks.data_collection import DataCollection
 from tactile_drivers.sampling import SamplingSettings, pose_of
-from tactile_filter import se3
-from tactile_filter.transform_buffer import TransformInFuture, TransformUnavailable
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformInFuture, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_perception.datasets.layout import DatasetError
 from tactile_perception.datasets.writer import IMAGE_KINDS

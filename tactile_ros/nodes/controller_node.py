@@ -33,8 +33,8 @@ from tactile_control.phases import (
 from tactile_control.task_step import task_step
 from tactile_control.tasks import TASKS
 from tactile_drivers.arm import WorkspaceSettings
-from tactile_filter import se3
 from tactile_filter.contact_bounds import ContactBounds
+from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import STATE_FLAGS, STATE_XI, read_state

@@ -24,8 +24,8 @@ from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.events import Event, measurement_join, says_no_contact
-from tactile_filter.gaussian import UNUSABLE, PoseGaussian
-from tactile_filter.transform_buffer import MotionLimits, TransformUnavailable
+from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
+from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.conversions import MessageError, gaussian_from_numbers

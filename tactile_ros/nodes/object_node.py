@@ -27,11 +27,11 @@ from tactile_base.settings import SettingError, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_filter.events import JUMP_NS, Event, measurement_join, says_no_contact
-from tactile_filter.gaussian import ros_from_left
 from tactile_filter.object.merge import EventGroup, EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, TrackedObject
-from tactile_filter.transform_buffer import MotionLimits
+from tactile_geometry.gaussian import ros_from_left
+from tactile_geometry.transform_buffer import MotionLimits
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import STATE_FLAGS, gaussian_bytes, read_gaussian, read_state
 from tactile_ros.conversions import MessageError, gaussian_from_numbers

@@ -37,7 +37,7 @@ from tactile_drivers.doubles.reported import ReportedDouble
 from tactile_drivers.scene import SIM, Scene, load_scene
 from tactile_drivers.sim.cell import Cell, Frame
 from tactile_drivers.sim.motions import FIXED
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
 from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp, transforms_from_bytes
 from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, pose_from_numbers, transform_stamped

@@ -7,11 +7,11 @@ import pytest
 
 from tactile_base import raised
 from tactile_base.raised import LIBRARY, PLUGIN, raised_at, raised_by, raised_in_plugin, told
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SOURCE = """
 import numpy as np
-from tactile_filter import se3
+from tactile_geometry import se3
 
 
 class Bowl:

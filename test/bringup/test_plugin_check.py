@@ -3,17 +3,14 @@
 import sys
 from types import SimpleNamespace
 
+import mistakes
 import pytest
-from other_package import FOLDER, installed
+from other_package import installed
 
 from tactile_base.settings import SettingError
 from tactile_bringup import cli, driver_check
 from tactile_bringup.commands.plugins import registries
 from tactile_bringup.plugin_check import check_plugin
-
-sys.path.insert(0, str(FOLDER))  # where mistakes finds bench_cell
-
-import mistakes
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 
 from tactile_control.phases import StampedPose, StampedPresence, TaskInputs
-from tactile_filter import se3
+from tactile_geometry import se3
 
 MS = 1_000_000
 PERIOD = 1.0 / 60.0

@@ -6,7 +6,7 @@ import pytest
 from tactile_base.settings import SettingError
 from tactile_control.alignment import AlignmentController, AlignmentSettings, Bearing, target_bearing
 from tactile_control.pid import ControlInputError
-from tactile_filter import se3
+from tactile_geometry import se3
 
 STEP = 16_000_000
 DT = STEP * 1e-9

@@ -19,7 +19,7 @@ from tactile_control.collection import (
 from tactile_control.collection_geometry import contact_frame
 from tactile_control.phases import StampedPose
 from tactile_control.tasks.data_collection import DataCollection
-from tactile_filter import se3
+from tactile_geometry import se3
 
 START = pointing_down((0.3, 0.1, TIP_RADIUS + 0.012))
 POSES = [

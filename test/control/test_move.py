@@ -12,7 +12,7 @@ from tactile_base.settings import SettingError
 from tactile_control.free_task import MOVE
 from tactile_control.phases import DONE, FAILED, GO_TO_START
 from tactile_control.tasks.move import Move, MoveGoal, MoveTaskSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 START = pointing_down((0.3, 0.1, 0.2))
 THERE = (0.32, 0.07, 0.23)

@@ -11,7 +11,7 @@ from tactile_control.tasks.surface_following import (
     SurfaceFollowing,
     SurfaceFollowingSettings,
 )
-from tactile_filter import se3
+from tactile_geometry import se3
 
 MS = 1_000_000
 STEP = 10 * MS

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tactile_base.settings import SettingError
 from tactile_control.pid import ControlInputError, PidSettings, TangentPid, tangent_error, to_global, to_local
-from tactile_filter import se3
+from tactile_geometry import se3
 
 STEP = 16_000_000
 DT = STEP * 1e-9

@@ -5,7 +5,7 @@ import pytest
 
 from tactile_control.pid import PidSettings
 from tactile_control.servoing import ServoingController, ServoingSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 KP = PidSettings(kp=[2.0] * 6)
 DEPTH_3MM = ServoingSettings(reference=[0.0, 0.0, 0.003, 0.0, 0.0, 0.0])

@@ -12,7 +12,7 @@ from tactile_base.settings import SettingError
 from tactile_control.steering import SteeringController, SteeringSettings, TurningModel
 from tactile_control.task_file import load_controller
 from tactile_control.tasks.pushing import Pushing, PushingGoal, PushingSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 DOWN = np.array([0.0, 0.0, -1.0])
 STEP = 1.0 / 60.0

@@ -8,7 +8,7 @@ from tactile_control.phases import StampedPose, TaskInputs
 from tactile_control.surface_check import SurfaceCheck, SurfaceSettings
 from tactile_control.tasks.pushing import PushingSettings
 from tactile_control.tasks.surface_following import FollowingGoal, SurfaceFollowing, SurfaceFollowingSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 FRAME = 1 / 60
 MS = 1_000_000

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tactile_base.settings import SettingError
 from tactile_control.phases import DONE, FAILED, GO_TO_START, STOPPING, StampedPose, TaskInputs
 from tactile_control.tasks.trajectory import MOVE, Trajectory, TrajectoryGoal, TrajectoryTaskSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 START = pointing_down((0.3, 0.1, 0.2))
 MM = 1e-3

@@ -6,7 +6,7 @@ import pytest
 from tactile_base.settings import SettingError
 from tactile_drivers.arm import ArmLimits, ArmMode, shortened
 from tactile_drivers.sim.arm import SimArm
-from tactile_filter import se3
+from tactile_geometry import se3
 
 MS = 1_000_000
 TASK_TWIST = np.array([0.0, 0.010, 0.0, 0.05, 0.0, 0.0])  # the paper's 10 mm/s, with some turning

@@ -9,7 +9,7 @@ from other_package import installed
 from tactile_drivers.arm import ArmMode
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_drivers.sim.cell import Cell
-from tactile_filter import se3
+from tactile_geometry import se3
 
 EXACT = "ideal: {sigma_position: [0, 0, 0], sigma_rotation: [0, 0, 0]}"
 SCENE = """\

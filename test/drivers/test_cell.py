@@ -13,7 +13,7 @@ from tactile_drivers.shapes.surface import contact_pose
 from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.ideal_sensor import IdealSensor
 from tactile_drivers.sim.settings import IdealSensorSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 NS = 1_000_000_000
 EXACT = {"sigma_position": (0.0, 0.0, 0.0), "sigma_rotation": (0.0, 0.0, 0.0)}

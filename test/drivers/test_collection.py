@@ -7,7 +7,7 @@ from tactile_base.settings import SettingError
 from tactile_drivers.sampling import SamplingSettings, pose_of, sample_pose
 from tactile_drivers.sim.collection import CollectionSettings, Sample, collect, generate
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from tactile_drivers.sim.collection import CollectionSettings, generate, press_then_shear
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 
 POSE = np.array([5e-4, -3e-4, 4e-3, 0.1, -0.2, 0.02])
 

@@ -8,7 +8,7 @@ from tactile_base.settings import SettingError
 from tactile_drivers.scene import load_scene
 from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.held import HeldObject, HeldSettings, HeldState
-from tactile_filter import se3
+from tactile_geometry import se3
 
 G = 9.81
 DT = 1 / 60

@@ -7,7 +7,7 @@ import pytest
 
 from tactile_drivers.joint_limits import allowed_part, joint_rates, limited_rates, smallest_singular_value
 from tactile_drivers.kinematics.arm_file import load_arm
-from tactile_filter import se3
+from tactile_geometry import se3
 
 ARM = replace(load_arm("ur5e"), velocity=np.full(6, 2.0), acceleration=np.full(6, 10.0))
 READY = np.array([0.0, -1.6, 1.8, -1.8, -1.57, 0.0])

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tactile_drivers.kinematics.arm_file import ArmFileError, load_arm
 from tactile_drivers.kinematics.capsules import Capsules, gaps
 from tactile_drivers.kinematics.chain import point_velocities
-from tactile_filter import se3
+from tactile_geometry import se3
 
 ARMS = ["panda", "fr3", "ur3e", "ur5e", "ur10e", "ur16e", "ur20", "ur30"]
 TOOL = se3.pose_from_euler([0.02, -0.03, 0.12, 0.4, -0.9, 0.3])

@@ -11,7 +11,7 @@ from tactile_drivers.arm_distance import Neighbour, neighbours
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_drivers.sim.cell import Cell
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SCENE = """
 arms:

@@ -14,7 +14,7 @@ from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import load_scene
 from tactile_drivers.sender import Sender
 from tactile_drivers.sim.arm import SimArm
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SECOND = 1_000_000_000
 ME = "/arm/controller"

@@ -15,8 +15,8 @@ from tactile_drivers.doubles.lying_estimates import (
     Scaled,
     Turned,
 )
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 SECOND = 10**9
 EULER = np.array([1e-3, 2e-3, 3e-3, 0.1, -0.2, 0.05])

@@ -13,7 +13,7 @@ from tactile_drivers.sim.ideal_sensor import IdealSensor
 from tactile_drivers.sim.pushed import PushedSettings, PushedState
 from tactile_drivers.sim.pushing_scene import PushVariation, pushing_scene, read_profiles
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SPEED = 0.01  # m/s
 SHORT = ("blue_square", "blue_circle", "red_square", "yellow_hexagon")

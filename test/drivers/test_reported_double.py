@@ -9,7 +9,7 @@ from tactile_drivers.doubles.rehearsal import FollowedArm
 from tactile_drivers.doubles.reported import ReportedDouble
 from tactile_drivers.scene import load_scene
 from tactile_drivers.sim.cell import Cell
-from tactile_filter import se3
+from tactile_geometry import se3
 
 MS = 1_000_000
 TWIST = np.array([0.01, 0.0, -0.02, 0.0, 0.1, 0.0])

@@ -12,7 +12,7 @@ from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import SceneError, load_scene
 from tactile_drivers.sim.arm import SimArm
 from tactile_drivers.tracking import TrackingSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 
 MS = 1_000_000
 ME, OTHER = "/arm/controller", "/joystick"

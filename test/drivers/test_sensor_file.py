@@ -16,7 +16,7 @@ from tactile_drivers.sim.collection import (
 from tactile_drivers.sim.settings import TacTipSettings
 from tactile_drivers.sim.tactip import TacTip
 from tactile_drivers.sim.variation import VariationSettings
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_perception.markers.detection import detect
 
 

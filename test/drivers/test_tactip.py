@@ -10,7 +10,7 @@ from tactile_drivers.sim.collection import press_then_shear
 from tactile_drivers.sim.settings import CameraSettings, ContactSettings, SkinSettings, TacTipSettings
 from tactile_drivers.sim.skin import Skin, build_skin, load_skin
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 
 RADIUS = SkinSettings().radius
 FACING_DOWN = se3.pose_from_euler([0.0, 0.0, RADIUS, np.pi, 0.0, 0.0])  # {f} over the plane z = 0

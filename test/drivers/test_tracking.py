@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
 from tactile_drivers.tracking import TrackingMonitor, TrackingSettings, in_base
 from tactile_drivers.twist_profile import TwistProfile
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SECOND = 1_000_000_000
 ALONG = np.array([0.0, 0.03, 0.0, 0.0, 0.0, 0.0])

@@ -18,7 +18,7 @@ from tactile_drivers.arm import open_arm
 from tactile_drivers.rotation_vectors import pose_of, vector_of
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import load_scene
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SCENE = """
 arms:

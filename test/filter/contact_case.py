@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tactile_filter import se3
+from tactile_geometry import se3
 
 SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])  # m, rad
 COV = np.diag(SIGMA**2)

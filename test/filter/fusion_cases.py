@@ -5,7 +5,7 @@ import numpy as np
 import se3_oracle as oracle
 from contact_case import SIGMA
 
-from tactile_filter import se3
+from tactile_geometry import se3
 
 UNIT = np.ones(6)
 

@@ -15,8 +15,8 @@ import numpy as np
 import se3_reference as plain
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter import se3
 from tactile_filter.fusion import CONVERGED_STEP, FusionResult, FusionStatus
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 Factors = list[tuple[Array, Array]]

@@ -3,7 +3,7 @@
 import numpy as np
 import se3_reference
 
-from tactile_filter import se3
+from tactile_geometry import se3
 
 
 def predict(mean, cov, T_before, T_now, variances):

@@ -11,7 +11,6 @@ from fusion_cases import extreme_covariance, extreme_mean
 from scipy.stats import chi2
 
 from tactile_base.settings import SettingError
-from tactile_filter import se3
 from tactile_filter.bayes_filter import (
     BeliefFlag,
     ContactFilter,
@@ -20,8 +19,9 @@ from tactile_filter.bayes_filter import (
 )
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.fusion import MODES, fuse
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import innovation
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 MS = 1_000_000
 PERIOD = 16 * MS

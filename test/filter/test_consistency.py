@@ -5,12 +5,12 @@ import pytest
 from contact_case import CONTACT, SIGMA
 from scipy.stats import chi2
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings, nees
 from tactile_filter.fusion import MODES
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 PERIOD = 8_000_000
 NOISE = np.repeat((2e-4, 4e-3), 3)

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_base.settings import SettingError
-from tactile_filter import se3
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.contact_bounds import TACTIP, ContactBounds
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 PERIOD = 16_000_000
 SOUND = [0.004, -0.003, 0.003, 0.2, -0.1, 0.05]

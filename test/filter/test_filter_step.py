@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings, gate_threshold
 from tactile_filter.fusion import MODES
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.propagation import innovation
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 PERIOD = 8_000_000
 UNGATED = FilterSettings(gate_probability=1.0)

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_triangular
 
-from tactile_filter import _fusion, se3
+from tactile_filter import _fusion
 from tactile_filter.fusion import MODES, FusionError, FusionStatus, check_gaussian, fuse
+from tactile_geometry import se3
 
 
 def reference(pair, mode):

@@ -7,8 +7,8 @@ import se3_oracle as oracle
 from fusion_cases import as_exact, cases, exact_error, rotated, seen_from, tolerance, turned
 from fusion_reference import fuse_exact
 
-from tactile_filter import se3
 from tactile_filter.fusion import MODES, FusionError, FusionStatus, fuse
+from tactile_geometry import se3
 
 CASES = [(name, seed) for seed in (0, 1) for name in cases(0) if seed == 0 or "degrees" not in name]
 

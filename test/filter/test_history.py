@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_base.settings import SettingError
-from tactile_filter import history, se3
+from tactile_filter import history
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 MS = 1_000_000
 PERIOD = 8 * MS

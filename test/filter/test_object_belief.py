@@ -7,10 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from tactile_filter import se3
 from tactile_filter.consistency import nees
 from tactile_filter.fusion import FusionError, fuse
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.belief import (
     Contact,
     SplitGaussian,
@@ -20,6 +18,8 @@ from tactile_filter.object.belief import (
     intersection_weight,
     object_from_contact,
 )
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])
 COV = np.diag(SIGMA**2)

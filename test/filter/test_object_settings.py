@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
-from tactile_filter import se3
 from tactile_filter.object.settings import TrackerSettings, load_object
+from tactile_geometry import se3
 
 ARMS = ["left", "right"]
 

@@ -6,14 +6,14 @@ from fusion_cases import extreme_covariance, extreme_mean
 from scipy.stats import chi2
 
 from tactile_base.settings import SettingError
-from tactile_filter import se3
 from tactile_filter.consistency import nees
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.belief import Contact, fuse_contacts, object_from_contact
 from tactile_filter.object.merge import EventMerge
 from tactile_filter.object.settings import PlaceSettings, TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker, may_slide, shear_ratio
 from tactile_filter.propagation import predict
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 MS = 1_000_000
 STEP = 16 * MS

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from contact_case import CONTACT
 
-from tactile_filter import se3
 from tactile_filter.prediction import ContactPredictor, PredictionSettings
+from tactile_geometry import se3
 
 PERIOD = 16_000_000
 START = se3.exp([0.4, 0.1, 0.2, 0.0, 3.0, 0.0])

@@ -7,8 +7,9 @@ import pytest
 import se3_reference
 import step_reference as reference
 
-from tactile_filter import se3
-from tactile_filter.propagation import innovation, predict, usable_pose
+from tactile_filter.propagation import innovation, predict
+from tactile_geometry import se3
+from tactile_geometry.se3 import usable_pose
 
 
 def random_case(seed):

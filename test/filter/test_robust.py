@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.robust import Spectrum, huber_inflation, student_t_inflation
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 PERIOD = 8_000_000
 seeds = st.integers(0, 2**32 - 1)

@@ -6,10 +6,10 @@ from contact_case import CONTACT, COV, SIGMA
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import BeliefFlag, ContactFilter, FilterSettings
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.smoother import smooth
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 
 PERIOD = 8_000_000
 NOISE = np.repeat((1e-4, 2e-3), 3)

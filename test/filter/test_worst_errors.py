@@ -9,7 +9,8 @@ import se3_oracle as oracle
 import se3_reference
 import worst_errors
 
-from tactile_filter import _fusion, se3
+from tactile_filter import _fusion
+from tactile_geometry import se3
 
 
 def test_worst_errors_are_within_their_tolerances():

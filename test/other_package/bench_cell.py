@@ -11,7 +11,7 @@ import numpy as np
 from tactile_base.settings import Settings, setting
 from tactile_drivers.arm import ArmMode, ArmState
 from tactile_drivers.camera import CameraFrame
-from tactile_filter import se3
+from tactile_geometry import se3
 
 PERIOD = 0.008  # s
 

@@ -12,6 +12,7 @@ import pytest
 
 PACKAGES = (
     "tactile_base",
+    "tactile_geometry",
     "tactile_filter",
     "tactile_perception",
     "tactile_control",
@@ -74,6 +75,7 @@ def test_the_data_of_the_packages_is_installed(root: Path):
 @pytest.mark.parametrize(
     "module",
     [
+        "tactile_geometry._se3",
         "tactile_filter._fusion",
         "tactile_control._laws",
         "tactile_drivers._native",

@@ -14,6 +14,7 @@ from tactile_base.requirements import REQUIREMENTS
 # Each package imports only those above it here; the three in SIDE_BY_SIDE do not know each other.
 ORDER = (
     "tactile_base",
+    "tactile_geometry",
     "tactile_filter",
     "tactile_perception",
     "tactile_control",

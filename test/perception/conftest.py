@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import write_folder
 
 from tactile_perception.estimating.model_metadata import FRAMES, ModelMetadata, summed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
-
-sys.path.insert(0, str(Path(__file__).parent))  # the helpers beside the tests
-
-from folders import write_folder
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from folders import write_folder
 
 from tactile_bringup.commands import estimate as commands
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.labels import (

@@ -6,7 +6,7 @@ import pytest
 from tactile_drivers.doubles.lying_camera import LYING_CAMERAS
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.layout import Layout, LayoutError
 from tactile_perception.estimating.perceive import Perceiver

@@ -7,7 +7,7 @@ import pytest
 from tactile_base.settings import SettingError
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_perception import _image
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings

@@ -10,9 +10,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tactile_base.topics import Topic
-from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
-from tactile_filter.gaussian import PoseGaussian, left_from_ros, ros_from_left
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian, left_from_ros, ros_from_left
 from tactile_records.bags.contents import Gap
 from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.writer import BagWriter

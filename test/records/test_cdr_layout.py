@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from replay_bags import ESTIMATE, PRESENCE, START_NS, TRANSFORMS, header, make, pose, serialized, transform
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.bags.cdr import MessageReader, blank_layout
 
 T = se3.exp(np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6]))

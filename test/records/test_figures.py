@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.runs import figures
 from tactile_records.runs.euler_poses import euler_sigmas
 from tactile_records.runs.metrics import report

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.runs.metrics import (
     REPORT_FIELDS,
     depth_sigma,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_drivers.scene import load_scene
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.runs import pushing
 from tactile_records.runs.record import (
     BeliefSeries,

@@ -9,9 +9,9 @@ import pytest
 from replay_bags import START_NS, STEP_NS, STORE, header, make, recording
 
 from tactile_bringup.cli import main
-from tactile_filter import se3
 from tactile_filter.bayes_filter import FilterSettings
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.labels import EstimateError
 from tactile_perception.estimating.presence import PresenceSettings
 from tactile_perception.estimator import ModelError

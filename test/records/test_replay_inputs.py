@@ -22,10 +22,10 @@ from replay_bags import (
 )
 from rosbags.rosbag2 import StoragePlugin
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
-from tactile_filter.gaussian import PoseGaussian
-from tactile_filter.transform_buffer import TransformBuffer
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
+from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_records.bags.message_columns import ColumnReader
 from tactile_records.bags.message_definitions import type_fields
 from tactile_records.replay.inputs import read_inputs

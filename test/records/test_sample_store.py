@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_control.collection import Capture
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_perception.datasets.dataset import DatasetError, read_dataset
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_records.collecting.sample_store import EXTRA_COLUMNS, SURFACE_NAME, SampleStore

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tactile_control.tasks.touching import TouchingGoal
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_records.calibrating import tip
 from tactile_records.calibrating.result import CalibrationError
 from tactile_records.calibrating.touches import touches_of

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # tests import `messages`
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not in this environment: make, then . scripts/env.sh")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402

@@ -6,7 +6,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovariance, PoseWithCovarianceStamped, Twist, TwistStamped, Vector3
 from sensor_msgs.msg import Image
 
-from tactile_filter.gaussian import PoseGaussian, ros_from_left
+from tactile_geometry.gaussian import PoseGaussian, ros_from_left
 from tactile_msgs.msg import ArmCommand
 from tactile_ros.conversions import MONO8, gaussian_from_numbers, header, pose_from_matrix
 

@@ -10,7 +10,7 @@ from messages import arm_command
 from other_package import installed
 from std_srvs.srv import Trigger
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
 from tactile_ros import qos
 from tactile_ros.conversions import matrix_from_pose

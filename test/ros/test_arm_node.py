@@ -11,7 +11,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, StageLatency
 from tactile_ros import qos
 from tactile_ros.conversions import array_from_image, matrix_from_pose, matrix_from_transform, ns_from_time

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactState, ContactTruth, ControllerStatus
 from tactile_records.bags.cdr import MessageError
 from tactile_ros.cdr import (

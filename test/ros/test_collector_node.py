@@ -13,7 +13,7 @@ from sensor_msgs.msg import Image
 
 from tactile_control.collection_geometry import contact_frame
 from tactile_drivers.scene import load_scene
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ContactTruth, ControllerStatus
 from tactile_perception.datasets.dataset import read_dataset

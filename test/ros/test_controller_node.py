@@ -10,7 +10,7 @@ from geometry_msgs.msg import Pose, Quaternion
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState, ControllerStatus
 from tactile_ros import qos

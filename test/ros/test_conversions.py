@@ -12,7 +12,7 @@ from messages import arm_command, image_message
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_ros.cdr import (
     HeadedReader,
     bytes_from_array,

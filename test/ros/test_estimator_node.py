@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from tactile_drivers.doubles.lying_camera import LYING_CAMERAS
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ContactPresence, StageLatency
 from tactile_perception.estimating.model_metadata import INPUT_NAME, INVERSE_SIGMA, MEAN, ModelMetadata
 from tactile_perception.estimating.preprocessing import PreprocessingSettings

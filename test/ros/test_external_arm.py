@@ -18,7 +18,7 @@ from messages import arm_command, vector_from_twist
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import matrix_from_transform, ns_from_time, transform_stamped

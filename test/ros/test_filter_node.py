@@ -12,9 +12,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
-from tactile_filter.gaussian import PoseGaussian
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_msgs.msg import ContactPresence, ContactState
 from tactile_msgs.srv import ResetFilter
 from tactile_ros import qos

@@ -11,8 +11,8 @@ from tf2_msgs.msg import TFMessage
 
 from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.scene import load_scene
-from tactile_filter import se3
-from tactile_filter.transform_buffer import TransformBuffer
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import matrix_from_transform, ns_from_time

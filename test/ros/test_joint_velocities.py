@@ -14,8 +14,8 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
-from tactile_filter.transform_buffer import TransformBuffer
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import header, matrix_from_pose, matrix_from_transform, transform_stamped

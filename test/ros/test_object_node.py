@@ -9,10 +9,10 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from messages import gaussian_from_message, gaussian_message
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian
 from tactile_filter.object.settings import TrackerSettings
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian
 from tactile_msgs.msg import ContactState, StageLatency
 from tactile_msgs.srv import ResetFilter
 from tactile_ros import qos

@@ -14,7 +14,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactPresence, ContactState
 from tactile_ros import qos
 from tactile_ros.conversions import header, transform_stamped

@@ -14,7 +14,7 @@ from tf2_msgs.msg import TFMessage
 
 from tactile_bringup.servoing import Place, load_servoing_graph
 from tactile_drivers.sim.tactip import TacTip
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time, time_from_ns, transform_stamped

@@ -11,7 +11,7 @@ from tf2_msgs.msg import TFMessage
 
 from tactile_base.config_paths import config_path
 from tactile_drivers.scene import load_scene
-from tactile_filter import se3
+from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactPresence, ContactTruth
 from tactile_ros import qos
 from tactile_ros.conversions import (

@@ -12,9 +12,9 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 
-from tactile_filter import se3
 from tactile_filter.events import EventJoin
-from tactile_filter.transform_buffer import TransformInFuture, TransformInPast
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformInFuture, TransformInPast
 from tactile_ros.conversions import matrix_from_transform, transform_stamped
 from tactile_ros.transforms import TransformGate, TransformListener
 

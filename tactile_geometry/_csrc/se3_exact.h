@@ -2,13 +2,12 @@
 // bit at all angles: the arithmetic is done with twice the precision and rounded once at the end.
 //
 // Poses are homogeneous matrices mat[16], row-major; tangent vectors are xi[6] = [rho, phi].
-// Included once by each instruction set (routines.h), hence all static.
+// Included once by each instruction set , hence all static.
 #ifndef TACTILE_SE3_EXACT_H_
 #define TACTILE_SE3_EXACT_H_
 
 #include "coefficients.h"
 #include "dd.h"
-#include "fusion.h"
 #include "se3.h"
 
 // beyond this t^2, a little over a full turn, the series are left for trigonometric functions
@@ -29,7 +28,7 @@ typedef struct {
 
 
 // how many terms reach 1e-20 at x = t^2
-static Argument argument(const Dd phi[3]) {
+static inline Argument argument(const Dd phi[3]) {
   Argument res = {dd_dot3(phi, phi), 12, MOST_TERMS};
   double x = res.x.hi;
   if (x <= 1e-12) {
@@ -46,7 +45,7 @@ static Argument argument(const Dd phi[3]) {
 
 
 // sum of coef[k]*x^k: the small terms in double, the first ones in twice the precision
-static Dd series(const Dd* coef, const Argument* arg) {
+static inline Dd series(const Dd* coef, const Argument* arg) {
   double tail = 0;
   for (int k = arg->double_ - 1; k >= arg->full; k--) {
     tail = tail*arg->x.hi + coef[k].hi;
@@ -60,7 +59,7 @@ static Dd series(const Dd* coef, const Argument* arg) {
 
 
 // twice the derivative of a series by x: that by t, over t
-static Dd slope(const Dd* coef, const Argument* arg) {
+static inline Dd slope(const Dd* coef, const Argument* arg) {
   Dd scaled[MOST_TERMS] = {{0, 0}};
   for (int k = 0; k < arg->double_; k++) {
     scaled[k] = dd_mul(dd_from(2*(k + 1)), coef[k+1]);
@@ -69,7 +68,7 @@ static Dd slope(const Dd* coef, const Argument* arg) {
 }
 
 
-static void to_dd3(Dd res[3], const double vec[3]) {
+static inline void to_dd3(Dd res[3], const double vec[3]) {
   for (int i = 0; i < 3; i++) {
     res[i] = dd_from(vec[i]);
   }
@@ -77,7 +76,7 @@ static void to_dd3(Dd res[3], const double vec[3]) {
 
 
 // angles beyond a full turn: the axis apart from the angle, so that nothing overflows
-static void exp_beyond(double res[16], const double xi[6]) {
+static inline void exp_beyond(double res[16], const double xi[6]) {
   double t = hypot(hypot(xi[3], xi[4]), xi[5]);
   double axis[3] = {xi[3]/t, xi[4]/t, xi[5]/t};
   double sine = sin(t), half = sin(0.5*t), one_cos = 2*half*half;
@@ -96,7 +95,7 @@ static void exp_beyond(double res[16], const double xi[6]) {
 
 // rotation and translation of exp([rho, phi]), for angles within the series
 // (t - sin t)/t^3 is the series of sin(t)/t from its second term on, negated
-static void exact_exp(Dd rot[9], Dd pos[3], const Dd rho[3], const Dd phi[3], const Argument* arg) {
+static inline void exact_exp(Dd rot[9], Dd pos[3], const Dd rho[3], const Dd phi[3], const Argument* arg) {
   Dd a = series(SIN, arg), b = series(COS, arg), c = dd_neg(series(SIN + 1, arg)), turned[3], twice[3];
 
   // rotation: I + a phi^ + b phi^ phi^
@@ -118,7 +117,7 @@ static void exact_exp(Dd rot[9], Dd pos[3], const Dd rho[3], const Dd phi[3], co
 }
 
 
-static void round_pose(double res[16], const Dd rot[9], const Dd pos[3]) {
+static inline void round_pose(double res[16], const Dd rot[9], const Dd pos[3]) {
   Pose pose;
   for (int i = 0; i < 9; i++) {
     pose.rot[i] = dd_round(rot[i]);
@@ -130,7 +129,7 @@ static void round_pose(double res[16], const Dd rot[9], const Dd pos[3]) {
 }
 
 
-static void se3_exact_exp(double res[16], const double xi[6]) {
+static inline void se3_exact_exp(double res[16], const double xi[6]) {
   Dd rot[9], pos[3], rho[3], phi[3];
   to_dd3(rho, xi);
   to_dd3(phi, xi + 3);
@@ -147,7 +146,7 @@ static void se3_exact_exp(double res[16], const double xi[6]) {
 
 
 // quaternion (x, y, z, w), not normalized, that has its largest component computed without cancellation
-static void quaternion(Dd res[4], const Dd rot[9]) {
+static inline void quaternion(Dd res[4], const Dd rot[9]) {
   Dd trace = dd_add(dd_add(rot[0], rot[4]), rot[8]);
   int i = rot[4].hi > rot[0].hi;
   i = rot[8].hi > rot[4*i].hi ? 2 : i;
@@ -167,7 +166,7 @@ static void quaternion(Dd res[4], const Dd rot[9]) {
 
 
 // q and -q are one rotation: w >= 0, at w = 0 the first other component that is not zero is positive
-static void normalize_sign(Dd q[4]) {
+static inline void normalize_sign(Dd q[4]) {
   double largest = fmax(fmax(fabs(q[0].hi), fabs(q[1].hi)), fmax(fabs(q[2].hi), fabs(q[3].hi)));
   static const int order[4] = {3, 0, 1, 2};
   for (int n = 0; n < 4; n++) {
@@ -183,7 +182,7 @@ static void normalize_sign(Dd q[4]) {
 
 
 // atan(s/w), s >= 0, w >= 0: the double result with one step of Newton's method
-static Dd arctangent(Dd s, Dd w) {
+static inline Dd arctangent(Dd s, Dd w) {
   Dd angle[3] = {dd_from(atan2(s.hi, w.hi)), dd_from(0), dd_from(0)};
   Argument arg = argument(angle);
   Dd sine = dd_mul(angle[0], series(SIN, &arg));
@@ -195,7 +194,7 @@ static Dd arctangent(Dd s, Dd w) {
 
 
 // rotation vector; returns 0 if the matrix has no direction
-static int rotation_vector(Dd res[3], const Dd rot[9]) {
+static inline int rotation_vector(Dd res[3], const Dd rot[9]) {
   Dd q[4], scale;
   quaternion(q, rot);
   normalize_sign(q);
@@ -220,7 +219,7 @@ static int rotation_vector(Dd res[3], const Dd rot[9]) {
 
 
 // e = (1 - (t/2) cot(t/2)) / t^2 and, unless it is null, (de/dt)/t of t^2 = x
-static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
+static inline void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
   double x = arg->x.hi;
   if (!(x <= SERIES_LIMIT)) {
     double t = sqrt(x), sine = sin(0.5*t), c = 0.5*t*cos(0.5*t)/sine;
@@ -242,7 +241,7 @@ static void inverse_coefficients(Dd* e, Dd* de, const Argument* arg) {
 
 
 // logarithm [rho, phi] of a rotation and a position; returns 0 if the matrix is no rotation at all
-static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
+static inline int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
   Dd turned[3], twice[3], e;
   if (!rotation_vector(phi, rot)) {
     return 0;
@@ -262,7 +261,7 @@ static int exact_log(Dd rho[3], Dd phi[3], const Dd rot[9], const Dd pos[3]) {
 
 // |phi| <= pi; at a half turn the first component of phi that is not zero is positive; returns 0 if the
 // matrix is no rotation at all
-static int se3_exact_log(double res[6], const double mat[16]) {
+static inline int se3_exact_log(double res[6], const double mat[16]) {
   Dd rot[9], pos[3], rho[3], phi[3];
   Pose pose;
   se3_from_matrix(&pose, mat);
@@ -286,7 +285,7 @@ static int se3_exact_log(double res[6], const double mat[16]) {
 
 
 // res = [[diag, corner], [0, diag]]
-static void fill_blocks(double res[36], const Dd diag[9], const Dd corner[9]) {
+static inline void fill_blocks(double res[36], const Dd diag[9], const Dd corner[9]) {
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
       res[6*i+j] = res[6*(3+i)+3+j] = dd_round(diag[3*i+j]);
@@ -297,7 +296,7 @@ static void fill_blocks(double res[36], const Dd diag[9], const Dd corner[9]) {
 }
 
 
-static void se3_exact_adjoint(double res[36], const double mat[16]) {
+static inline void se3_exact_adjoint(double res[36], const double mat[16]) {
   Dd diag[9], corner[9];
   for (int j = 0; j < 3; j++) {
     Dd pos[3], column[3], turned[3];
@@ -316,7 +315,7 @@ static void se3_exact_adjoint(double res[36], const double mat[16]) {
 
 // I + b ad + c ad^2 with ad the curly hat of xi; db and dc are (db/dt)/t and (dc/dt)/t: the upper right block
 // is the derivative of the others along rho
-static void polynomial_of_ad(Dd diag[9], Dd corner[9], const Dd rho[3], const Dd phi[3], Dd x,
+static inline void polynomial_of_ad(Dd diag[9], Dd corner[9], const Dd rho[3], const Dd phi[3], Dd x,
                              const Dd coef[4]) {
   Dd b = coef[0], c = coef[1], db = coef[2], dc = coef[3];
   Dd along = dd_dot3(phi, rho);
@@ -346,7 +345,7 @@ static void polynomial_of_ad(Dd diag[9], Dd corner[9], const Dd rho[3], const Dd
 }
 
 
-static void se3_exact_left_jacobian(double res[36], const double xi[6]) {
+static inline void se3_exact_left_jacobian(double res[36], const double xi[6]) {
   Dd rho[3], phi[3], coef[4], diag[9], corner[9];
   to_dd3(rho, xi);
   to_dd3(phi, xi + 3);
@@ -368,8 +367,8 @@ static void se3_exact_left_jacobian(double res[36], const double xi[6]) {
 }
 
 
-// blocks of the inverse left Jacobian [[diag, corner], [0, diag]]; `order` as of the fusion
-static void exact_inverse_jacobian(Dd diag[9], Dd corner[9], const Dd rho[3], const Dd phi[3], int order) {
+// blocks of the inverse left Jacobian [[diag, corner], [0, diag]]; `order` as in se3.h
+static inline void exact_inverse_jacobian(Dd diag[9], Dd corner[9], const Dd rho[3], const Dd phi[3], int order) {
   static const Dd twelfth = {0.08333333333333333, 4.625929269271485e-18};
   Argument arg = argument(phi);
   Dd coef[4] = {{-0.5, 0}, twelfth, {0, 0}, {0, 0}};
@@ -384,7 +383,7 @@ static void exact_inverse_jacobian(Dd diag[9], Dd corner[9], const Dd rho[3], co
 
 
 // not at |phi| = 2 pi n, n > 0
-static void se3_exact_inverse_left_jacobian(double res[36], const double xi[6]) {
+static inline void se3_exact_inverse_left_jacobian(double res[36], const double xi[6]) {
   Dd rho[3], phi[3], diag[9], corner[9];
   to_dd3(rho, xi);
   to_dd3(phi, xi + 3);

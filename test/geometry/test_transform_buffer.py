@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation, Slerp
 
-from tactile_filter import se3
-from tactile_filter.transform_buffer import (
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import (
     MotionLimits,
     TransformBuffer,
     TransformDisconnected,

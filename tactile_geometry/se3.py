@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter import _fusion
+from tactile_geometry import _se3
 
 Array = NDArray[np.float64]
 Vector = Sequence[float]
@@ -40,7 +40,7 @@ class PoseError(ValueError):
 
 def exp(xi: ArrayLike) -> Array:
     """Pose (4, 4) = exp(xi^) of a tangent vector (6,), in closed form (paper's exponential map)."""
-    return _fusion.exp(xi)
+    return _se3.exp(xi)
 
 
 def log(T: ArrayLike) -> Array:
@@ -50,42 +50,42 @@ def log(T: ArrayLike) -> Array:
     A rotation that is off by more than rounding, and by no more than `ROTATION_TOLERANCE`, counts as the
     nearest one; that it is no further off is not checked.
     """
-    return _fusion.log(T)
+    return _se3.log(T)
 
 
 def inverse(T: ArrayLike) -> Array:
     """Inverse of a pose (4, 4), from the transpose of its rotation."""
-    return _fusion.inverse(T)
+    return _se3.inverse(T)
 
 
 def compose(A: ArrayLike, B: ArrayLike) -> Array:
     """Product A B (4, 4) of two poses; a third of the time that `A @ B` takes."""
-    return _fusion.compose(A, B)
+    return _se3.compose(A, B)
 
 
 def between(A: ArrayLike, B: ArrayLike) -> Array:
     """Pose A^-1 B (4, 4) of B in the frame that A leads to."""
-    return _fusion.between(A, B)
+    return _se3.between(A, B)
 
 
 def adjoint(T: ArrayLike) -> Array:
     """Ad(T) (6, 6) = [[C, r^ C], [0, C]], so that exp((Ad(T) xi)^) = T exp(xi^) T^-1 (paper's adjoint)."""
-    return _fusion.adjoint(T)
+    return _se3.adjoint(T)
 
 
 def carry(T: ArrayLike, xi: ArrayLike) -> Array:
     """Ad(T) xi (6,): a twist or tangent vector (6,) of the frame that T leads to, in the frame it is in."""
-    return _fusion.carry(T, xi)
+    return _se3.carry(T, xi)
 
 
 def point_in(T: ArrayLike, point: ArrayLike) -> Array:
     """A point (3,) in the coordinates (3,) of the frame that T (4, 4) leads to."""
-    return _fusion.point_in(T, point)
+    return _se3.point_in(T, point)
 
 
 def left_jacobian(xi: ArrayLike) -> Array:
     """Left Jacobian J (6, 6): exp((xi + d)^) = exp((J d)^) exp(xi^) to first order in d. Closed form."""
-    return _fusion.left_jacobian(xi)
+    return _se3.left_jacobian(xi)
 
 
 def inverse_left_jacobian(xi: ArrayLike) -> Array:
@@ -94,12 +94,12 @@ def inverse_left_jacobian(xi: ArrayLike) -> Array:
     With ad the curly hat of xi it equals I - ad/2 + (e + theta^2 d) ad^2 + d ad^4, where
     e = (1 - (theta/2) cot(theta/2)) / theta^2 and d = -(de/dtheta) / (2 theta).
     """
-    return _fusion.inverse_left_jacobian(xi)
+    return _se3.inverse_left_jacobian(xi)
 
 
 def interpolate(T0: ArrayLike, T1: ArrayLike, s: float) -> Array:
     """Pose (4, 4) at the fraction s of the screw motion from T0 to T1; exactly T0 at 0 and T1 at 1."""
-    return _fusion.interpolate(T0, T1, s)
+    return _se3.interpolate(T0, T1, s)
 
 
 def orthonormalized(T: ArrayLike) -> Array:
@@ -107,7 +107,7 @@ def orthonormalized(T: ArrayLike) -> Array:
 
     Raises `ValueError` if the upper left block is further than `ROTATION_TOLERANCE` from a rotation.
     """
-    return _fusion.orthonormalized(T)
+    return _se3.orthonormalized(T)
 
 
 def norm(vector: Array) -> float:
@@ -118,7 +118,7 @@ def norm(vector: Array) -> float:
 def checked_pose(name: str, value: ArrayLike) -> Array:
     """The value as a (4, 4) float array; `PoseError` with the name where it is no finite rigid transform."""
     T = np.asarray(value, dtype=np.float64)
-    if _fusion.is_pose(T):
+    if _se3.is_pose(T):
         return T
     if T.shape != (4, 4):
         raise PoseError(f"{name}: shape {T.shape}, must be (4, 4)")
@@ -134,12 +134,17 @@ def checked_pose(name: str, value: ArrayLike) -> Array:
     return T
 
 
+def usable_pose(T: object) -> Array | None:
+    """T as an orthonormal pose (4, 4), as it is if one to rounding; None if it is none, or is 1e9 m away."""
+    return _se3.usable_pose(T)
+
+
 def pose_from_euler(pose6: ArrayLike) -> Array:
     """Poses (..., 4, 4) of (x, y, z, alpha, beta, gamma) (..., 6): turns (rad) about fixed x, y, z in turn.
 
     This is 'sxyz' of transforms3d and 'xyz' of SciPy: R = Rz(gamma) Ry(beta) Rx(alpha).
     """
-    return _fusion.pose_from_euler(pose6)
+    return _se3.pose_from_euler(pose6)
 
 
 def euler_from_pose(T: ArrayLike) -> Array:
@@ -147,7 +152,7 @@ def euler_from_pose(T: ArrayLike) -> Array:
 
     At |beta| = pi/2, where only alpha and gamma together are defined, gamma is 0.
     """
-    return _fusion.euler_from_pose(T)
+    return _se3.euler_from_pose(T)
 
 
 def quaternion_from_rotation(R: ArrayLike) -> Array:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tactile_filter import se3
+from tactile_geometry import se3
 
 # From nothing over where series and closed forms meet to a half turn.
 ANGLES = [0.0, 1e-300, 1e-160, 1e-12, 1e-9, 1e-7, 1e-4, 0.01, 0.3, 1.0, 1.7, 2.5, 3.0]

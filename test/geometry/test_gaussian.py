@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactile_filter import se3
-from tactile_filter.gaussian import PoseGaussian, left_from_ros, ros_from_left
+from tactile_geometry import se3
+from tactile_geometry.gaussian import PoseGaussian, left_from_ros, ros_from_left
 
 
 def covariance(seed):

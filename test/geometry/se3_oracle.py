@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 
-from tactile_filter import se3
+from tactile_geometry import se3
 
 mp.mp.dps = 60
 

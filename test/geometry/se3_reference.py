@@ -1,4 +1,4 @@
-"""exp, log, adjoint, left Jacobian and its inverse in plain NumPy, to be read; `tactile_filter.se3` is in C.
+"""exp, log, adjoint, left Jacobian and inverse in plain NumPy, to be read; `tactile_geometry.se3` is in C.
 
 The C functions work with twice the precision and round once; these are as good as doubles allow by forms in
 which nothing cancels, so that they hold their accuracy from angle 0 to pi (the Jacobians to 2 pi):
@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter.se3 import quaternion_from_rotation
+from tactile_geometry.se3 import quaternion_from_rotation
 
 Array = NDArray[np.float64]
 Vector = Sequence[float]

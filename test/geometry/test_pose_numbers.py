@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactile_filter import se3
-from tactile_filter.gaussian import UNUSABLE, left_from_ros, ros_from_left
-from tactile_filter.pose_numbers import (
+from tactile_geometry import se3
+from tactile_geometry.gaussian import UNUSABLE, left_from_ros, ros_from_left
+from tactile_geometry.pose_numbers import (
     MessageError,
     are_poses,
     gaussian_from_numbers,

@@ -1,7 +1,16 @@
 // SE(3): a pose is rot[9] (row-major) and pos[3], a tangent vector xi[6] = [rho, phi].
-// Accurate at all angles up to pi; tactile_filter/se3.py says how.
+// Accurate at all angles up to pi; tactile_geometry/se3.py says how.
 #ifndef TACTILE_SE3_H_
 #define TACTILE_SE3_H_
+
+// largest element of R^T R - I for R to count as a rotation, as in se3.py
+#define ROTATION_TOLERANCE 1e-6
+
+// m; far more than any arm reaches, and all that is made of it stays finite
+#define LARGEST_POSITION 1e9
+
+// order of the inverse left Jacobian's series; EXACT is the closed form
+enum { JACOBIAN_EXACT = 0, JACOBIAN_ORDER_2 = 2, JACOBIAN_ORDER_4 = 4 };
 
 typedef struct {
   double rot[9];

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_filter import se3
-from tactile_filter.gaussian import UNUSABLE, PoseGaussian, left_from_ros
+from tactile_geometry import se3
+from tactile_geometry.gaussian import UNUSABLE, PoseGaussian, left_from_ros
 
 Array = NDArray[np.float64]
 
