@@ -64,9 +64,10 @@ def build(module_name: str, folder: Path) -> Path:
     runtime.write_text(RUNTIME)
     flags = {name: module.extra_compile_args for name in module.sources if "module" not in Path(name).name}
     flags[str(runtime)] = ["-O1", "-fno-builtin"]  # without -O zig instruments for undefined behaviour
+    headers = [f"-I{path}" for path in module.include_dirs if "numpy" not in path]
     for source, options in flags.items():
         output = str(folder / f"{Path(source).stem}.o")
-        subprocess.run([*ZIG, "cc", *TARGET, *options, "-c", source, "-o", output], check=True)
+        subprocess.run([*ZIG, "cc", *TARGET, *headers, *options, "-c", source, "-o", output], check=True)
     objects = sorted(map(str, folder.glob("*.o")))
     subprocess.run([*ZIG, "ld.lld", "-static", "-e", "memcpy", *objects, "-o", str(image)], check=True)
     return image

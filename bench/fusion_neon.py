@@ -1,11 +1,12 @@
-"""The fusion's C on NEON: its own tests on an emulated aarch64 processor, and its bits beside x86-64's.
+"""The C of SE(3) and of fusion on NEON: its tests on an emulated aarch64 processor, its bits beside x86-64's.
 
 python bench/fusion_neon.py [options of pytest]     needs: pip install ziglang unicorn, and the extra `test`
 
-What the module has without Python is compiled for aarch64 by `zig cc` (clang) with the flags of setup.py, and
-executed by `unicorn` as a Cortex-A53, which knows no more than every aarch64 has. `Emulated` takes the place
-of `tactile_filter._fusion`: the fusion's tests, with their bounds against 60 digits, run on what the emulated
-processor answers, and each answer is compared with that of this machine's best instruction set.
+What the modules have without Python is compiled for aarch64 by `zig cc` (clang) with the flags of setup.py,
+and executed by `unicorn` as a Cortex-A53, which knows no more than every aarch64 has. `Emulated` takes the
+place of `tactile_geometry._se3` and `tactile_filter._fusion`: their tests, with their bounds against 60
+digits, run on what the emulated processor answers, and each answer is compared with that of this machine's
+best instruction set.
 
 It proves that NEON's arithmetic and data movement are right, and counts instructions. It says nothing about
 speed, about the code that GCC makes of the same source, and about the arguments' way from Python; sin, cos,
@@ -33,7 +34,9 @@ sys.path.insert(0, str(ROOT / "bench"))
 
 from aarch64 import Machine, build  # noqa: E402
 
-TESTS = ["se3", "worst_errors", "fusion", "fusion_exact", "propagation"]
+TESTS = ["geometry/test_se3"] + [
+    f"filter/test_{name}" for name in ("worst_errors", "fusion", "fusion_exact", "propagation")
+]
 STATISTICS = "errors_of_fused_poses"  # 60000 fusions for a property of the method, whatever the processor
 NUMBERS = [("step", "f8"), ("iterations", "i4"), ("status", "i4")]
 OUTPUT = np.dtype([("mean", "f8", (4, 4)), ("cov", "f8", (6, 6)), ("factor", "f8", (6, 6)), *NUMBERS])
@@ -58,15 +61,25 @@ def as_matrix(pose: np.ndarray) -> np.ndarray:
 
 
 class Emulated:
-    """In the place of `tactile_filter._fusion`: that checks the arguments, the emulated processor answers.
+    """In the place of a module: that checks the arguments, the emulated processor answers.
 
-    Both answers are compared. `inverse`, `interpolate` and `usable_pose` are the module's own.
+    Both answers are compared. What stands in no table of routines, and is added by no subclass, is the
+    module's own.
+
+    Parameters
+    ----------
+    header : str
+        Where the table is declared.
+    routines : str
+        How the names of the tables begin.
     """
 
-    def __init__(self, native: ModuleType, machine: Machine) -> None:
-        self.native, self.machine = native, machine
-        members = re.findall(r"\(\*(\w+)\)\(", (ROOT / "tactile_filter/_csrc/routines.h").read_text())
-        table = machine.read(machine.symbols["routines_base"] + 8, 8 * len(members))
+    def __init__(self, native: ModuleType, header: str, routines: str) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            machine = Machine(build(native.__name__, Path(folder)))
+        self.native, self.machine, self.select = native, machine, f"{routines}_select"
+        members = re.findall(r"\(\*(\w+)\)\(", (ROOT / header).read_text())
+        table = machine.read(machine.symbols[f"{routines}_base"] + 8, 8 * len(members))
         self.routines = dict(zip(members, struct.unpack(f"<{len(members)}Q", table), strict=True))
         self.calls: Counter[str] = Counter()
         self.others: defaultdict[str, list[float]] = defaultdict(list)
@@ -88,6 +101,21 @@ class Emulated:
         if worst:
             self.others[name].append(worst)
 
+    def instruction_set(self, name: str = "base", /) -> str:
+        """What the emulated processor has."""
+        if not self.machine.run(self.machine.symbols[self.select], name.encode() + b"\0"):
+            raise ValueError(f"instruction set '{name}': this machine does not have it")
+        return name
+
+    def table(self) -> str:
+        """How many calls had other bits, and by how much these were off."""
+        beside = f"{self.native.__name__} beside {self.native.instruction_set()}"
+        lines = [f"{beside:46}{'calls':>8}{'other bits':>12}{'at most':>10}"]
+        for name, count in sorted(self.calls.items()):
+            off = self.others[name]
+            lines.append(f"{name:46}{count:8}{len(off):12}" + (f"{max(off):10.1e}" if off else ""))
+        return "\n".join(lines)
+
     def _map(self, name: str, argument: Any, /) -> np.ndarray:
         """exp, log, adjoint or one of the Jacobians."""
         expected = getattr(self.native, name)(argument)
@@ -96,11 +124,19 @@ class Emulated:
         self.compare(name, (expected, found))
         return found
 
+
+class EmulatedSe3(Emulated):
+    """`tactile_geometry._se3`."""
+
     def orthonormalized(self, T: Any, /) -> np.ndarray:
         expected, pose = self.native.orthonormalized(T), as_pose(T)
         self.machine.run(self.machine.symbols["se3_orthonormalize"], pose, outputs=[pose])
         self.compare("orthonormalized", (expected, as_matrix(pose)))
         return as_matrix(pose)
+
+
+class EmulatedFusion(Emulated):
+    """`tactile_filter._fusion`."""
 
     def predict(self, mean: Any, cov: Any, T_before: Any, T_now: Any, variances: Any, /) -> tuple:
         expected = self.native.predict(mean, cov, T_before, T_now, variances)
@@ -152,21 +188,6 @@ class Emulated:
         numbers = {"step": found["step"].item(), "iterations": found["iterations"].item()}
         return expected._replace(**{**found, **numbers, "status": self.statuses[found["status"]]})
 
-    def instruction_set(self, name: str = "base", /) -> str:
-        """What the emulated processor has."""
-        if not self.machine.run(self.machine.symbols["routines_select"], name.encode() + b"\0"):
-            raise ValueError(f"instruction set '{name}': this machine does not have it")
-        return name
-
-    def table(self) -> str:
-        """How many calls had other bits, and by how much these were off."""
-        beside = f"beside {self.native.instruction_set()}"
-        lines = [f"{beside:46}{'calls':>8}{'other bits':>12}{'at most':>10}"]
-        for name, count in sorted(self.calls.items()):
-            off = self.others[name]
-            lines.append(f"{name:46}{count:8}{len(off):12}" + (f"{max(off):10.1e}" if off else ""))
-        return "\n".join(lines)
-
 
 def run_extremes(fusion: ModuleType) -> None:
     """Every extreme case of the tests in every mode."""
@@ -190,24 +211,26 @@ def print_instructions(machine: Machine, fusion: ModuleType) -> None:
 def main() -> int:
     """Build, test, compare, count."""
     os.chdir(ROOT)
-    sys.path[:0] = [str(ROOT), str(ROOT / "test/filter")]
+    sys.path[:0] = [str(ROOT), str(ROOT / "test/filter"), str(ROOT / "test/geometry")]
     import pytest
 
-    from tactile_filter import _fusion as native
+    from tactile_geometry import _se3
 
-    with tempfile.TemporaryDirectory() as folder:
-        machine = Machine(build("tactile_filter._fusion", Path(folder)))
-    emulated = Emulated(native, machine)
-    sys.modules[native.__name__] = sys.modules["tactile_filter"]._fusion = emulated
-    files = [f"test/filter/test_{name}.py" for name in TESTS]
+    emulated_se3 = EmulatedSe3(_se3, "tactile_geometry/_csrc/se3_routines.h", "se3_routines")
+    sys.modules[_se3.__name__] = sys.modules["tactile_geometry"]._se3 = emulated_se3
+    from tactile_filter import _fusion
+
+    emulated = EmulatedFusion(_fusion, "tactile_filter/_csrc/routines.h", "routines")
+    sys.modules[_fusion.__name__] = sys.modules["tactile_filter"]._fusion = emulated
+    files = [f"test/{name}.py" for name in TESTS]
     failed = pytest.main([*files, "-q", "-o", "timeout=0", "-k", f"not {STATISTICS}", *sys.argv[1:]])
 
     from tactile_filter import fusion
 
     run_extremes(fusion)
-    print(f"\n{emulated.table()}")
-    print_instructions(machine, fusion)
-    return int(failed or any(emulated.others.values()))
+    print(f"\n{emulated_se3.table()}\n\n{emulated.table()}")
+    print_instructions(emulated.machine, fusion)
+    return int(failed or any(emulated_se3.others.values()) or any(emulated.others.values()))
 
 
 if __name__ == "__main__":
