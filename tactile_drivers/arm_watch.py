@@ -89,10 +89,14 @@ class ArmWatch:
 
     def objection(self, state: ArmState, kinematics: Kinematics | None, others: bool) -> str:
         """Why a state cannot be true; '' if it can. `others`: whether somebody else may move the arm now."""
+        if not isinstance(state, ArmState):
+            return f"it is a {type(state).__name__}, must be an ArmState"
         try:
             se3.checked_pose("pose", state.T_base_controlled)
         except se3.PoseError as error:
             return str(error)
+        if np.shape(state.twist) != (6,):
+            return f"twist has the shape {np.shape(state.twist)}, must be (6,)"
         if not _native.finite(state.twist):
             return f"twist is not finite: {np.asarray(state.twist).tolist()}"
         if state.joints is not None and not np.isfinite(state.joints).all():

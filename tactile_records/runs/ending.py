@@ -55,10 +55,10 @@ def _end(bag: Bag, arm: str, missed: int) -> _End:
         if goal == missed and phase != IDLE:
             since_ns = last[2] if last is not None and reason and reason == last[1] else heard_ns
             last = phase, reason, since_ns
-    if last is None:
-        return _End("it was not begun", heard_ns)
-    phase, reason, since_ns = last
     launcher = _launcher_said(bag)
+    if last is None:
+        return _End(f"it was not begun{': ' if launcher else ''}{launcher}", heard_ns)
+    phase, reason, since_ns = last
     if launcher and reason in ("", CANCELLED):
         return _End(launcher, since_ns)
     silence = (bag.messages[-1].received_ns - heard_ns) / SECOND_NS

@@ -31,10 +31,11 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from tactile_base import topics
+from tactile_base.raised import defined_in
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_base.stop_line import StopLine, arms_here
-from tactile_drivers.arm import Arm, ArmMode, ArmState, is_at_rest, open_arm
+from tactile_drivers.arm import ARMS, Arm, ArmMode, ArmState, is_at_rest, open_arm
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.external import ExternalArmSettings
@@ -102,7 +103,7 @@ class ArmNode(ManagedNode):
             self, ArmNodeSettings(), read_only=("scene", "status_rate", "rehearse", "feels")
         )
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
-        self.hosted = hosted
+        self.hosted, self.whose = hosted, ""
         self.estop = ""  # why; it outlives a deactivation
 
     # ---- lifecycle ----
@@ -176,6 +177,8 @@ class ArmNode(ManagedNode):
 
     def _open(self, scene: ArmScene) -> Arm:
         """The driver that the scene names."""
+        if scene.driver != EXTERNAL:
+            self.whose = f" (arm driver '{scene.driver}', {defined_in(ARMS.load(scene.driver))})"
         try:
             if scene.driver == EXTERNAL:
                 moves_joints = external_settings(scene).joint_velocities
@@ -230,14 +233,14 @@ class ArmNode(ManagedNode):
         """The state as the safe command stage completes it; None, told and counted, if it cannot be true."""
         complete = self.safe.take_state(state)
         self._tell_alarm()
-        if self.safe.neighbours and state.joints is None:
-            others = ", ".join(neighbour.name for neighbour in self.safe.neighbours)
-            self.warn("joints", f"the driver tells no joints: no distance is kept from {others}", period=60.0)
         if complete is None:
             self.count("states refused")
-            self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}")
+            self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}{self.whose}")
             if self._state is None or self.safe.alarm:
                 self._tell_unbelieved()
+        elif self.safe.neighbours and state.joints is None:
+            others = ", ".join(neighbour.name for neighbour in self.safe.neighbours)
+            self.warn("joints", f"the driver tells no joints: no distance is kept from {others}", period=60.0)
         return complete
 
     def _tell_alarm(self) -> None:
@@ -257,7 +260,8 @@ class ArmNode(ManagedNode):
         self._status_due_ns = now_ns + int(SECOND_NS / self.settings.value.status_rate)
         status = ArmStatus(header=header(now_ns, self.base_frame), mode=ArmStatus.FAULT, command_age=-1.0)
         status.twist = np.full(6, np.nan)  # nobody knows whether it rests
-        status.reason = self.safe.alarm or f"what it says of itself is not believed: {self.safe.bad_state}"
+        unbelieved = f"what it says of itself is not believed: {self.safe.bad_state}{self.whose}"
+        status.reason = self.safe.alarm or unbelieved
         self.status_out.publish(status)
 
     def moving_transform(self) -> TransformStamped:

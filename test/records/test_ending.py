@@ -82,6 +82,8 @@ def test_the_launch_says_what_no_node_could_know():
     rows = (0.0, "follow", 0, ""), (6.5, "retreat", 0, "cancelled")
     reason = end_of(*rows, said=[(ROSOUT.name, 6.5, note)])["reason"]
     assert reason == "goal first was not reached: node /arm/filter was killed by SIGKILL"
+    reason = end_of((0.0, "idle", 0, ""), said=[(ROSOUT.name, 6.5, note)])["reason"]
+    assert reason.endswith("it was not begun: node /arm/filter was killed by SIGKILL")
 
 
 @pytest.mark.parametrize(
