@@ -30,6 +30,7 @@ ENCLAVE = "/operator"
 ANSWER = 10.0  # s, for a service to answer
 RESET_ANSWER = 30.0  # s; to leave a fault of an arm takes its time
 SETTLED = 1.0  # s without anything new after which all that is there counts as found
+MOST_NODES = 1000  # that are told of
 REPORT = 3.0  # s, for a node to report in /diagnostics
 SPIN = 0.01  # s
 
@@ -145,8 +146,9 @@ class Operator(GraphClient):
     def _on_report(self, message: DiagnosticArray) -> None:
         for status in message.status:
             level = status.level if isinstance(status.level, int) else status.level[0]
-            values = {pair.key: pair.value for pair in status.values}
-            self.nodes[status.name] = NodeView(level, status.message, values)
+            values = {pair.key: pair.value for pair in status.values if pair.key in BOUNDS}
+            if status.name in self.nodes or len(self.nodes) < MOST_NODES:  # strangers may invent names
+                self.nodes[status.name] = NodeView(level, status.message, values)
 
     def limits(self, arm: str) -> dict[str, str]:
         """The limits in force, in words by the names of `BOUNDS`, once the arm's node has told them."""
