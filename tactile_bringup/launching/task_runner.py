@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from tactile_base.end_signals import signals_into
-from tactile_base.process_limits import overload
+from tactile_base.process_limits import CoreWatch
 from tactile_base.topics import RUN_TASK
 from tactile_bringup.launching.progress import Display
 from tactile_bringup.run_sequence import ArmPlan, RunSequence
@@ -90,6 +90,8 @@ class TaskRunner:
         Called often; raises to end the run.
     results : list of GoalResult
         Of the goals that have ended.
+    cores : CoreWatch
+        Whether the machine is overloaded.
     """
 
     client: TaskClient
@@ -99,6 +101,7 @@ class TaskRunner:
     signals: list[int]
     check: Callable[[], None] = lambda: None
     results: list[GoalResult] = field(default_factory=list)
+    cores: CoreWatch = field(default_factory=CoreWatch)
 
     @property
     def arms(self) -> list[str]:
@@ -131,7 +134,7 @@ class TaskRunner:
             if all(self.client.arm(arm).regular_for > REGULAR for arm in self.arms):
                 return
             self._turn()
-        why = overload() or "is the machine busy with something else?"
+        why = self.cores.overload() or "is the machine busy with something else?"
         self.display.say(f"the arms do not report regularly: {why}", "yellow")
 
     def run(self) -> None:
@@ -225,6 +228,7 @@ class TaskRunner:
     def _spin(self) -> None:
         """Handle messages, and the key that stops all arms."""
         self.client.spin(SPIN)
+        self.cores.look()
         if self.display.stop_wanted():
             self.client.stop_arms()
             self.display.say("a key was pressed: emergency stop of all arms", "red")
