@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 
 AT_REST = np.repeat([1e-3, 5e-3], 3)  # m/s, rad/s: what speeds say of an arm that does not move
 LONGEST_CALL = 0.01  # s, that `command` and `stop` of a driver may take
+HELD_UP = "machine or line to the arm is held up: end what else runs, or use --priority"  # of late states
 
 
 class ArmMode(IntEnum):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers import _native
-from tactile_drivers.arm import ArmLimits, ArmState, SafetySettings
+from tactile_drivers.arm import HELD_UP, ArmLimits, ArmState, SafetySettings
 from tactile_drivers.joint_limits import Kinematics
 from tactile_drivers.tracking import Deviation, TrackingMonitor, TrackingSettings, in_base
 from tactile_filter import se3
@@ -182,7 +182,8 @@ class ArmWatch:
         self._heard_ns = now_ns
 
     def _late_by(self) -> str:
-        return f"states of the arm come {self._lateness:.3f} s late (limit {self._safety.state_age:g} s)"
+        late, limit = self._lateness, self._safety.state_age
+        return f"states of the arm come {late:.3f} s late (limit {limit:g} s): {HELD_UP}"
 
 
 def another_arm(state: ArmState, kinematics: Kinematics | None) -> str:

@@ -39,6 +39,7 @@ from tactile_drivers.arm import ARMS, Arm, ArmMode, ArmState, is_at_rest, open_a
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.external import ExternalArmSettings
+from tactile_drivers.motion_bounds import bounds_in_words
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter import se3
@@ -117,6 +118,7 @@ class ArmNode(ManagedNode):
         self.safe.neighbours = self._neighbours(cell) if cell is not None else ()
         self.frame = self.frame_of(scene.controlled_frame)
         self.limits = scene.limits
+        self.report.values |= bounds_in_words(scene, self.settings.value.feels)
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
         mount = transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled)
         stand = transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)
