@@ -10,6 +10,7 @@ seconds after it. The same scene, task, options and seed give the same bits::
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -65,6 +66,7 @@ class OfflineOptions:
     arm : only this arm runs; None: all that have a role
     goals : names of the goals to run; empty: all
     time_limit : a goal that takes longer than this on the cell's clock is given up, s
+    work_time : so long after the last arm has come to its work all are asked to finish, s
     sensor : settings of the sensor's model that replace the scene's
     lies : what does not tell the truth; None: nothing
     """
@@ -78,6 +80,7 @@ class OfflineOptions:
     arm: str | None = None
     goals: tuple[str, ...] = ()
     time_limit: float = 180.0
+    work_time: float = math.inf
     filter: FilterSettings = field(default_factory=load_filter_settings)
     sensor: dict[str, Any] = field(default_factory=dict)
     lies: Lies | None = None
@@ -146,6 +149,7 @@ class _OfflineLoop:
 
         for name, arm in self.arms.items():
             arm.partners = self.sequence.partners(name)
+        self.work_ns: int | None = None  # since when all arms are at their work
 
     def run(self) -> dict[str, RunRecord]:
         started = time.perf_counter()
@@ -195,7 +199,16 @@ class _OfflineLoop:
                 self.sequence.result(name, command.succeeded, command.reason or "took too long")
         for arm in self.arms.values():
             arm.expose()
-        return news
+        return self._worked_enough(now_ns) or news
+
+    def _worked_enough(self, now_ns: int) -> bool:
+        """Whether `work_time` is over now, which ends the run."""
+        if self.work_ns is None and self.sequence.at_work:
+            self.work_ns = now_ns
+        if self.sequence.ended or self.work_ns is None:
+            return False
+        self.sequence.ended = now_ns - self.work_ns >= self.options.work_time * SECOND_NS
+        return self.sequence.ended
 
 
 @dataclass(frozen=True)
