@@ -92,7 +92,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Drill:
-    """A task, where it is drilled, and when faults begin. All runs end `AFTERWARDS` after that, if not before.
+    """A task, where it is drilled, and when faults begin; runs end `AFTERWARDS` after that, if not before.
 
     Attributes
     ----------
