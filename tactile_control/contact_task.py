@@ -80,7 +80,7 @@ class ContactTask(ContactPhases):
         self.goal = goal
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
-        self.check = SurfaceCheck(settings.surface)
+        self.check = SurfaceCheck(settings.surface, settings.servoing.reference[2])
         self._needs = {
             LEAVE: ("pose", "presence"),
             GO_TO_START: ("pose", "presence"),
@@ -110,7 +110,7 @@ class ContactTask(ContactPhases):
         self.limiter.configure(settings.limiter)
         self.watchdog.configure(settings.watchdog)
         self.predictor.configure(settings.prediction)
-        self.check.configure(settings.surface)
+        self.check.configure(settings.surface, settings.servoing.reference[2])
         self._odometer.step = settings.contact.pose_step
 
     # ---- what a task fills in ----

@@ -91,9 +91,10 @@ class SurfaceSettings(Settings):
     twist_error: float = setting(
         0.3, lower=1e-2, upper=2.0, unit="rad", doc="and turns so far against its own twist"
     )
-    largest_depth: float = setting(
-        0.015, lower=0.001, upper=0.1, unit="m",
-        doc="a contact that is believed deeper has something in its way: the task fails",
+    depth_margin: float = setting(
+        0.002, lower=0.0005, upper=0.1, unit="m",
+        doc="a contact that is believed deeper than the reference (servoing.reference) by more has something "
+        "in its way: the task fails",
     )  # fmt: skip
     refused_share: float = setting(
         0.5, lower=0.05, upper=1.0,
@@ -116,6 +117,11 @@ class SurfaceSettings(Settings):
 class SurfaceCheck:
     """Compares the latest beliefs of one contact with the earlier ones; see the module's text.
 
+    Parameters
+    ----------
+    reference : float
+        How deep the contact is to be, m.
+
     Attributes
     ----------
     doubt : float
@@ -124,14 +130,21 @@ class SurfaceCheck:
         What contradicts what, with numbers; '' as long as nothing does. It lasts until `begin`.
     """
 
-    def __init__(self, settings: SurfaceSettings) -> None:
+    def __init__(self, settings: SurfaceSettings, reference: float = 0.003) -> None:
         self._bins: Array = np.zeros((0, _COLUMNS))
         self._count = self._next = 0  # bins that are filled, and which is the next
+        self._reference = reference
         self.begin()
         self.configure(settings)
 
-    def configure(self, settings: SurfaceSettings) -> None:
-        """Replace what is known of the surface; what the beliefs said so far stays."""
+    def configure(self, settings: SurfaceSettings, reference: float | None = None) -> None:
+        """Replace what is known of the surface; what the beliefs said so far stays.
+
+        A `reference` (m; None: as it was) that is less deep than before leaves time to come up to it.
+        """
+        reference = self._reference if reference is None else reference
+        self._above = max(0.0, self._above + self._reference - reference)
+        self._reference = reference
         rows = max(2, math.ceil(settings.memory / BIN))
         if len(self._bins) != rows:
             kept = self._bins[: self._count]
@@ -147,6 +160,7 @@ class SurfaceCheck:
         self._count = self._next = 0
         self._last: tuple[list[float], list[float]] | None = None  # centre and normal
         self._into = self._slid = self._offset = self._refused = 0.0
+        self._above = 0.0  # how far the contact may still be from a reference that was less deep, m
         self._stamp_ns = 0
         self._begin_ns = 0
         self._gathered: list[float] = [0.0] * 4
@@ -251,13 +265,16 @@ class SurfaceCheck:
         now = np.array(row)
         self._number = 0
         self._compare(now)
-        depth = now[_OFFSET] + now[_INTO]
-        if depth > self.settings.largest_depth and not self.contradiction:
-            limit = self.settings.largest_depth * 1e3
-            self.contradiction = f"the contact is {depth * 1e3:.1f} mm deep, which is over {limit:g} mm"
+        self._look_at_depth(now[_OFFSET] + now[_INTO])
         self._bins[self._next] = now
         self._next = (self._next + 1) % len(self._bins)
         self._count = min(self._count + 1, len(self._bins))
+
+    def _look_at_depth(self, depth: float) -> None:
+        self._above = min(self._above, max(0.0, depth - self._reference))
+        limit = self._reference + self._above + self.settings.depth_margin
+        if depth > limit and not self.contradiction:
+            self.contradiction = f"the contact is {depth * 1e3:.1f} mm deep, which is over {limit * 1e3:g} mm"
 
     def _compare(self, now: Array) -> None:
         """Each of the kept beliefs against that of now: the worst is the doubt."""

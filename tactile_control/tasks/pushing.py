@@ -59,7 +59,7 @@ class PushingSettings(ContactTaskSettings):
     )
     surface: SurfaceSettings = field(
         default_factory=lambda: SurfaceSettings(
-            speed=0.03, turn_rate=0.5, yields=0.005, largest_depth=0.007, still_way=0.06
+            speed=0.03, turn_rate=0.5, yields=0.005, depth_margin=0.007, still_way=0.06
         )
     )
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
