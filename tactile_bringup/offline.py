@@ -282,6 +282,7 @@ class _OfflineArm:
         role, named = self.plan.role, self.plan.goals[index]
         make: Any = role.task_type
         self.task = make(role.settings, named.goal, named.start)
+        self.task.T_world_base = self.log.record.T_world_base
         self.goal, self.begun_ns = index, self.cell.stamp_ns
         self.partners.begin()
 
@@ -337,6 +338,7 @@ class _OfflineArm:
             return None
         self.task.remark = self.remark
         self.task.partner = self.partners.trouble(now_ns * NANOSECOND)
+        self.task.partner_hold = self.partners.hold
         command = self.task.step(now_ns, self.inputs)
         self.safe.command(now_ns, command.twist, self.plan.role.name)
         self.log.command(now_ns, self.goal, command)

@@ -36,7 +36,8 @@ from tactile_control.phases import (
     newer,
 )
 from tactile_control.servoing import ServoingController, ServoingOutput
-from tactile_control.surface_check import SurfaceCheck
+from tactile_control.surface_check import Check, SurfaceCheck
+from tactile_control.width_check import WidthCheck
 from tactile_filter import se3
 from tactile_filter.prediction import ContactPredictor
 from tactile_filter.transform_buffer import TransformBuffer, TransformUnavailable
@@ -91,6 +92,8 @@ class ContactTask(ContactPhases):
             self.work: ("pose", "presence", "belief"),
             RETREAT: ("pose",),
         }
+        self.width = WidthCheck(settings.surface)
+        self._hold: StampedPose | None = None
         self._odometer = Odometer(settings.contact.pose_step)
         self._track = TransformBuffer(TRACK_NS)
         self._belief: StampedPose | None = None
@@ -111,6 +114,7 @@ class ContactTask(ContactPhases):
         self.watchdog.configure(settings.watchdog)
         self.predictor.configure(settings.prediction)
         self.check.configure(settings.surface, settings.servoing.reference[2])
+        self.width.configure(settings.surface)
         self._odometer.step = settings.contact.pose_step
 
     # ---- what a task fills in ----
@@ -165,6 +169,10 @@ class ContactTask(ContactPhases):
             self.predictor.update(stamp_ns, X_sf, T_base_sensor)
         if self.phase in (SETTLE, self.work) and stamp_ns >= self._touch_ns:
             self.check.add(stamp_ns, X_sf, T_base_sensor)
+        if self.phase == self.work and self.T_world_base is not None:
+            self._hold = StampedPose(stamp_ns, self.T_world_base @ se3.compose(T_base_sensor, X_sf))
+            self.width.hear(self.partner_hold)
+            self.width.add(self._hold)
 
     def _stamps(self) -> dict[str, int | None]:
         latest = {"pose": self._pose, "presence": self._presence, "belief": self._belief}
@@ -192,13 +200,16 @@ class ContactTask(ContactPhases):
 
     def _believed(self, twist: Array, waiting: str) -> tuple[Array, str]:
         """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
-        self._pace = self.check.pace()
+        check: Check = max(self.check, self.width, key=lambda check: check.doubt)
+        self._pace = min(self.check.pace(), self.width.pace())
         if self._pace == 0.0:
-            self._wanted = self._fail(self.check.contradiction)
+            self._wanted = self._fail(self.check.contradiction or self.width.contradiction)
             return self._wanted, ""
         if self._pace < 1.0 and not waiting:
-            waiting = f"slower: what is believed of the contact nears a limit ({self.check.doubt:.0%} of it)"
-        return self._pace * twist, waiting
+            waiting = f"slower: what is believed of the contact nears a limit ({check.doubt:.0%} of it)"
+        slowed = self._pace * twist
+        slowed[2] = min(slowed[2], twist[2])  # the way out, -z of the sensor, is no slower
+        return slowed, waiting
 
     def _settle(self, now_ns: int) -> Array:
         settings = self.settings.contact
@@ -280,6 +291,7 @@ class ContactTask(ContactPhases):
         self._settled_ns = None
         if phase == SETTLE:
             self.check.begin()
+            self.width.begin()
         elif phase == self.work:
             self.check.work()
 
@@ -296,7 +308,12 @@ class ContactTask(ContactPhases):
                 "exposure_ns": self._belief.stamp_ns,
             }
         command = self._command(
-            wanted, waiting, progress=self._advance_progress(), travelled=self._odometer.length, **shown
+            wanted,
+            waiting,
+            progress=self._advance_progress(),
+            travelled=self._odometer.length,
+            hold=self._hold if self.phase == self.work else None,
+            **shown,
         )
         self._limited = "speed" in command.limited or self._pace < 1.0
         return command

@@ -96,6 +96,11 @@ class SurfaceSettings(Settings):
         doc="a contact that is believed deeper than the reference (servoing.reference) by more has something "
         "in its way: the task fails",
     )  # fmt: skip
+    width_error: float = setting(
+        0.0, lower=0.0, upper=0.05, unit="m",
+        doc="where another arm holds the object, too: it becomes thinner by at most so much in between, more "
+        "if it gives way; 0: any",
+    )  # fmt: skip
     refused_share: float = setting(
         0.5, lower=0.05, upper=1.0,
         doc="of the latest ten images, about: more of them than this, in contact, gave nothing to believe",
@@ -114,13 +119,8 @@ class SurfaceSettings(Settings):
     )  # fmt: skip
 
 
-class SurfaceCheck:
-    """Compares the latest beliefs of one contact with the earlier ones; see the module's text.
-
-    Parameters
-    ----------
-    reference : float
-        How deep the contact is to be, m.
+class Check:
+    """What a check of beliefs says.
 
     Attributes
     ----------
@@ -130,10 +130,34 @@ class SurfaceCheck:
         What contradicts what, with numbers; '' as long as nothing does. It lasts until `begin`.
     """
 
+    settings: SurfaceSettings
+    doubt = 0.0
+    contradiction = ""
+
+    def pace(self) -> float:
+        """How much of a twist is to be followed: 1 while all fits, less in doubt, 0 for a contradiction."""
+        slow_from = self.settings.slow_from
+        if self.contradiction:
+            return 0.0
+        if self.doubt <= slow_from or slow_from >= 1.0:
+            return 1.0
+        return 1.0 - (1.0 - SLOWEST) * (self.doubt - slow_from) / (1.0 - slow_from)
+
+
+class SurfaceCheck(Check):
+    """Compares the latest beliefs of one contact with the earlier ones; see the module's text.
+
+    Parameters
+    ----------
+    reference : float
+        How deep the contact is to be, m.
+    """
+
     def __init__(self, settings: SurfaceSettings, reference: float = 0.003) -> None:
         self._bins: Array = np.zeros((0, _COLUMNS))
         self._count = self._next = 0  # bins that are filled, and which is the next
-        self._reference = reference
+        # m: how deep the contact is to be, and how much deeper it may still be since that was changed
+        self._reference, self._above = reference, 0.0
         self.begin()
         self.configure(settings)
 
@@ -160,7 +184,7 @@ class SurfaceCheck:
         self._count = self._next = 0
         self._last: tuple[list[float], list[float]] | None = None  # centre and normal
         self._into = self._slid = self._offset = self._refused = 0.0
-        self._above = 0.0  # how far the contact may still be from a reference that was less deep, m
+        self._above = 0.0
         self._stamp_ns = 0
         self._begin_ns = 0
         self._gathered: list[float] = [0.0] * 4
@@ -174,15 +198,6 @@ class SurfaceCheck:
     def work(self) -> None:
         """The task's own phase begins: from now on the surface may move, if it may at all."""
         self.moves = True
-
-    def pace(self) -> float:
-        """How much of a twist is to be followed: 1 while all fits, less in doubt, 0 for a contradiction."""
-        slow_from = self.settings.slow_from
-        if self.contradiction:
-            return 0.0
-        if self.doubt <= slow_from or slow_from >= 1.0:
-            return 1.0
-        return 1.0 - (1.0 - SLOWEST) * (self.doubt - slow_from) / (1.0 - slow_from)
 
     def see(self, believed: bool, still: bool = False) -> None:
         """Take notice of an image that shows contact: whether it gave something to believe.

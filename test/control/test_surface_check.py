@@ -272,3 +272,13 @@ def test_images_that_give_no_belief_any_more_bring_the_arm_to_rest_and_off_the_s
     rest = next(now for now, c, _, _ in commands if now >= silent_ns and np.abs(c.twist).max() < 1e-6)
     assert rest - silent_ns <= 200 * MS
     assert commands[-1][2] < -0.005
+
+
+def test_in_doubt_an_arm_goes_slower_but_for_the_way_out():
+    """The task is asked for its twist alone."""
+    task = SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.1))
+    task.check.doubt = 1.0
+    for z, slowed in ((0.02, 0.005), (-0.02, -0.02)):
+        twist, said = task._believed(np.array([0.0, 0.01, z, 0.1, 0.0, 0.0]), "")
+        np.testing.assert_allclose(twist, [0.0, 0.0025, slowed, 0.025, 0.0, 0.0])
+        assert said.startswith("slower: ")
