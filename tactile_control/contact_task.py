@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND, SECOND_NS
+from tactile_control.carried_check import CarriedCheck
 from tactile_control.contact_phases import APPROACH, LEAVE, LIFT, SETTLE, TOUCH, ContactPhases
 from tactile_control.contact_settings import ContactTaskSettings
 from tactile_control.motion import Odometer
@@ -93,6 +94,7 @@ class ContactTask(ContactPhases):
             RETREAT: ("pose",),
         }
         self.width = WidthCheck(settings.surface)
+        self.carried = CarriedCheck(settings.surface)
         self._hold: StampedPose | None = None
         self._odometer = Odometer(settings.contact.pose_step)
         self._track = TransformBuffer(TRACK_NS)
@@ -115,6 +117,7 @@ class ContactTask(ContactPhases):
         self.predictor.configure(settings.prediction)
         self.check.configure(settings.surface, settings.servoing.reference[2])
         self.width.configure(settings.surface)
+        self.carried.configure(settings.surface)
         self._odometer.step = settings.contact.pose_step
 
     # ---- what a task fills in ----
@@ -170,9 +173,12 @@ class ContactTask(ContactPhases):
         if self.phase in (SETTLE, self.work) and stamp_ns >= self._touch_ns:
             self.check.add(stamp_ns, X_sf, T_base_sensor)
         if self.phase == self.work and self.T_world_base is not None:
-            self._hold = StampedPose(stamp_ns, self.T_world_base @ se3.compose(T_base_sensor, X_sf))
+            T_world_sensor = se3.compose(self.T_world_base, T_base_sensor)
+            self._hold = StampedPose(stamp_ns, se3.compose(T_world_sensor, X_sf))
             self.width.hear(self.partner_hold)
             self.width.add(self._hold)
+            self.carried.hear(self.partner_hold)
+            self.carried.add(stamp_ns, X_sf, T_world_sensor)
 
     def _stamps(self) -> dict[str, int | None]:
         latest = {"pose": self._pose, "presence": self._presence, "belief": self._belief}
@@ -200,10 +206,11 @@ class ContactTask(ContactPhases):
 
     def _believed(self, twist: Array, waiting: str) -> tuple[Array, str]:
         """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
-        check: Check = max(self.check, self.width, key=lambda check: check.doubt)
-        self._pace = min(self.check.pace(), self.width.pace())
+        checks: tuple[Check, ...] = (self.check, self.width, self.carried)
+        check = min(checks, key=lambda check: (check.pace(), -check.doubt))
+        self._pace = check.pace()
         if self._pace == 0.0:
-            self._wanted = self._fail(self.check.contradiction or self.width.contradiction)
+            self._wanted = self._fail(check.contradiction)
             return self._wanted, ""
         if self._pace < 1.0 and not waiting:
             waiting = f"slower: what is believed of the contact nears a limit ({check.doubt:.0%} of it)"
@@ -292,6 +299,7 @@ class ContactTask(ContactPhases):
         if phase == SETTLE:
             self.check.begin()
             self.width.begin()
+            self.carried.begin()
         elif phase == self.work:
             self.check.work()
 

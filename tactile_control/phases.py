@@ -121,7 +121,8 @@ class Command:
     at_work : bool
         Its own phase (`PhaseMachine.work`) has begun, and it is not over.
     hold : StampedPose or None
-        Where it holds what it works at, in the world: the believed feature, T_world_feature.
+        Where it holds what it works at, in the world: the believed feature, T_world_feature; of an arm that
+        feels nothing the controlled frame, T_world_tool.
     trouble : str
         Why it does not go on with what it is for, to those who work together with it: something that it
         needs is missing or too old, or it ends before it has done it. '' also where it rests because of them.

@@ -101,6 +101,19 @@ class SurfaceSettings(Settings):
         doc="where another arm holds the object, too: it becomes thinner by at most so much in between, more "
         "if it gives way; 0: any",
     )  # fmt: skip
+    carried: bool = setting(
+        False,
+        doc="an arm that waits for this task and feels nothing carries what is touched: its tool says how "
+        "that moves, and the depth is held against this arm's way into it",
+    )
+    carried_error: float = setting(
+        0.0016, lower=1e-5, upper=0.05, unit="m",
+        doc="depth_error of that, which holds the errors of both arms' poses as well",
+    )  # fmt: skip
+    carried_yields: float = setting(
+        0.0, lower=0.0, upper=0.1, unit="m",
+        doc="yields of that: how far what is carried gives way in its grip, and in itself",
+    )  # fmt: skip
     refused_share: float = setting(
         0.5, lower=0.05, upper=1.0,
         doc="of the latest ten images, about: more of them than this, in contact, gave nothing to believe",
