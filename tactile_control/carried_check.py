@@ -2,7 +2,7 @@
 
 On a surface that may move, a depth that drifts slower than it does contradicts nothing. Where another arm
 carries the object, that arm's tool says how it moves: seen from there the surface stands still, and the depth
-can be held against the way of the one arm into the other's object, as on a surface that stands still
+and the normal can be held against this arm's way over it, as on a surface that stands still
 (`surface_check`). That of the tool is heard of a little later, so beliefs wait for it::
 
     check = CarriedCheck(SurfaceSettings(carried=True))
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 MOST = 60  # beliefs that wait for the tool's pose
 #: What a grip gives way in besides: of an honest follower the contact turns 19 degrees against its own twist.
-DEPTH_ALONE = {"angle_error": 1.0, "curvature": 1000.0, "shear_error": 0.05, "twist_error": 2.0}
+IN_A_GRIP = {"shear_error": 0.05, "twist_error": 2.0}
 
 
 class CarriedCheck(Check):
@@ -47,7 +47,7 @@ class CarriedCheck(Check):
             yields=settings.carried_yields,
             depth_error=settings.carried_error,
             depth_margin=0.1,
-            **DEPTH_ALONE,
+            **IN_A_GRIP,
         )
         if hasattr(self, "_check"):
             self._check.configure(still)
