@@ -84,10 +84,14 @@ class Launcher:
         Shows progress, and how it ended.
     command : str
         What the user has called, for messages.
+    waits : bool
+        Whether it runs no goal, but waits for its end while they come from elsewhere.
     """
 
-    def __init__(self, graph: Graph, folder: Path, display: Display, command: str = "launch") -> None:
-        self.graph, self.display, self.command = graph, display, command
+    def __init__(
+        self, graph: Graph, folder: Path, display: Display, command: str = "launch", waits: bool = False
+    ) -> None:
+        self.graph, self.display, self.command, self.waits = graph, display, command, waits
         self.logs = folder / "logs"
         self._parameters = folder / "parameters"
         self._signals: list[int] = []
@@ -156,6 +160,8 @@ class Launcher:
         self._runner = self._connect(group)
         self._runner.wait_until_active()
         self._worked = True
+        if self.waits:
+            self._runner.wait()
         self._runner.run()
 
     def _wait_for_namesakes(self, group: ProcessGroup) -> None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from tactile_base.end_signals import signals_into
 from tactile_base.process_limits import CoreWatch
@@ -138,6 +138,12 @@ class TaskRunner:
             self._turn()
         why = self.cores.overload() or "is the machine busy with something else?"
         self.display.say(f"the arms do not report regularly: {why}", "yellow")
+
+    def wait(self) -> NoReturn:
+        """Run no goal: they come from elsewhere, until somebody ends it."""
+        self.display.say("waiting for goals of others, as `tactile goal` and `tactile run` send; Ctrl-C ends")
+        while True:
+            self._turn()
 
     def run(self) -> None:
         """Run all goals as `RunSequence` has it; raises `GoalFailed` if one is not reached."""
