@@ -155,7 +155,7 @@ def test_tracking_an_object_whose_leader_is_known_is_held_against_its_motion(lie
 
 @pytest.mark.parametrize("seed", range(3))
 def test_an_estimate_that_stays_but_for_noise_ends_tracking_before_the_arms_own_stop(seed):
-    """With seed 0 the tip slides over the plate meanwhile, where a normal that is off a little leaves room."""
+    """With seed 0 the tip slides over the plate meanwhile, and the way that it slides leaves room."""
     records, begin_ns = lied_to("tracking_flat", "frozen with noise", seed=seed)
     assert depth_mm(records["follower"], begin_ns).max() <= (8.5 if seed == 0 else DEEP)
     assert "protective stop" not in records["follower"].result["reason"]
