@@ -35,24 +35,14 @@ class CarriedCheck(Check):
     """See the module's text; without `carried` it takes in nothing."""
 
     def __init__(self, settings: SurfaceSettings) -> None:
-        self.configure(settings)
+        self.settings = settings
+        self._check = SurfaceCheck(_still(settings))
         self.begin()
 
     def configure(self, settings: SurfaceSettings) -> None:
         """Replace what is known of the surface; what the beliefs said so far stays."""
         self.settings = settings
-        still = settings.replaced(
-            speed=0.0,
-            turn_rate=0.0,
-            yields=settings.carried_yields,
-            depth_error=settings.carried_error,
-            depth_margin=0.1,
-            **IN_A_GRIP,
-        )
-        if hasattr(self, "_check"):
-            self._check.configure(still)
-        else:
-            self._check = SurfaceCheck(still)
+        self._check.configure(_still(settings))
 
     def begin(self) -> None:
         """A new contact: nothing is known of it."""
@@ -83,3 +73,15 @@ class CarriedCheck(Check):
         self.doubt = self._check.doubt
         if self._check.contradiction:
             self.contradiction = f"{self._check.contradiction}, seen from the arm that carries the object"
+
+
+def _still(settings: SurfaceSettings) -> SurfaceSettings:
+    """What the surface is and does as seen from the tool; how deep it may be is said elsewhere."""
+    return settings.replaced(
+        speed=0.0,
+        turn_rate=0.0,
+        yields=settings.carried_yields,
+        depth_error=settings.carried_error,
+        depth_margin=0.1,
+        **IN_A_GRIP,
+    )

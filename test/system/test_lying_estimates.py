@@ -147,9 +147,7 @@ def test_of_two_arms_that_hold_an_object_both_rest_and_do_not_crush_it(arm, lie,
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize(
-    "lie, known_s", [("z drifts down", 3.0), ("alpha drifts down", 10.0), ("beta drifts up", 10.0)]
-)
+@pytest.mark.parametrize("lie, known_s", [("z drifts down", 3.0), ("alpha drifts down", 10.0)])
 def test_tracking_an_object_whose_leader_is_known_is_held_against_its_motion(lie, known_s, seed):
     """By itself the follower would believe that the plate moves as slowly as its depth drifts."""
     check(*lied_to("tracking_flat", lie, seed=seed), known_s, "seen from the arm that carries the object")
@@ -157,7 +155,7 @@ def test_tracking_an_object_whose_leader_is_known_is_held_against_its_motion(lie
 
 @pytest.mark.parametrize("seed", range(3))
 def test_an_estimate_that_stays_but_for_noise_ends_tracking_before_the_arms_own_stop(seed):
-    """With seed 0 the tip slides over the plate meanwhile, where a normal that is off a little leaves room."""
+    """With seed 0 the tip slides over the plate meanwhile, and the way that it slides leaves room."""
     records, begin_ns = lied_to("tracking_flat", "frozen with noise", seed=seed)
     assert depth_mm(records["follower"], begin_ns).max() <= (8.5 if seed == 0 else DEEP)
     assert "protective stop" not in records["follower"].result["reason"]
