@@ -157,6 +157,17 @@ def test_torch_of_the_command_line_stands_in_for_that_of_the_package(scripts: Pa
     assert [line for line in lines if line.startswith("torch")] == ["torch==2.13.0+cpu"]
 
 
+def test_the_command_of_an_environment_runs_its_python_activated_or_not(scripts: Path, tmp_path: Path):
+    command = Path(shutil.copy(scripts / "tactile", tmp_path / "tactile"))
+    (tmp_path / "python3").write_text('#!/bin/sh\necho "the one beside it: $*"\n')
+    (tmp_path / "python3").chmod(0o755)
+    link = tmp_path / "elsewhere"
+    link.symlink_to(command)
+    for called in (command, link):
+        said = run(called, "simulate", "--help", cwd=Path("/"))
+        assert said.stdout == f"the one beside it: {called} simulate --help\n", said.stderr
+
+
 @pytest.fixture
 def without_gpu(scripts: Path, tmp_path: Path):
     """`cpu_torch.py` on a machine without GPU, with an index of its own; says what it would install."""
