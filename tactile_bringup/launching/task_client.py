@@ -170,7 +170,7 @@ class ArmTask:
         self.arm = arm
         self.progress = Progress()
         self._client: Any = ActionClient(node, RunTask, f"/{arm}/{topics.RUN_TASK}")
-        self._canceller = node.create_client(CancelGoal, f"/{arm}/{topics.RUN_TASK}/_action/cancel_goal")
+        self._canceller: Any = node.create_client(CancelGoal, f"/{arm}/{topics.RUN_TASK}/_action/cancel_goal")
         self._goal: _Goal | None = None
         self._heard_s = self._moved_s = -math.inf
         self._regular_s = math.inf
