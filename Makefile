@@ -7,11 +7,10 @@
 # make lock    renew the exact versions that all of these install (scripts/constraints.txt, scripts/lowest.txt)
 # make clean   remove what was built    (make distclean: .venv and out as well)
 #
-# PYTHON=python3.12 chooses the interpreter for .venv. TORCH is what the tests of the training install; a smaller
-# one without CUDA: make test TORCH=torch==2.13.0+cpu PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
+# PYTHON=python3.12 chooses the interpreter for .venv. TORCH=torch==2.9.1 chooses what the tests of the training install,
+# as it is; left out, it is the version of scripts/requirements.py, without CUDA where there is no NVIDIA GPU.
 
 SHELL := bash
-TORCH ?= torch==2.13.0
 ARGS ?=
 TASK ?= surface_following
 export PYTHON TORCH

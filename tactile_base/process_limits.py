@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import resource
+import time
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +18,8 @@ KIB = 1 << 10
 # of address space, for the buffers of OpenBLAS (41 MB measured for each of its threads, one a core)
 CORE = 40 * MIB
 OVERLOAD = 0.95  # part of all cores' time that is in use, from which on latencies suffer
+OVERLOADED = "the machine is overloaded"  # what is said of it begins so
+LATELY, AT_LEAST, LOOK = 6.0, 2.0, 0.5  # s: how long ago, and for how long, it is told; between two looks
 
 
 class LimitError(RuntimeError):
@@ -56,18 +60,39 @@ def core_times(counters: Path = Path("/proc/stat")) -> tuple[float, float]:
     return idle + waiting, user + nice + system + idle + waiting + sum(others)
 
 
-_STARTED = core_times()  # before anything else was
+class CoreWatch:
+    """Whether the machine has had no time left, for somebody who looks now and then."""
 
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, float, float]] = deque()  # when (s), and `core_times`
+        self.look()
 
-def overload() -> str:
-    """What to do about a machine that had no time left since this process began; empty for others."""
-    idle, total = (now - then for now, then in zip(core_times(), _STARTED, strict=True))
-    if total <= 0.0 or (used := 1.0 - idle / total) < OVERLOAD:
-        return ""
-    return (
-        f"the machine is overloaded: its cores were in use for {used:.0%} of the time; end what else runs "
-        "(`top`), or give the nodes a real-time priority (--priority 20)"
-    )
+    def look(self) -> None:
+        """Note how busy the cores are, at most every `LOOK` (s)."""
+        now = time.monotonic()
+        if self._seen and now - self._seen[-1][0] < LOOK:
+            return
+        while self._seen and now - self._seen[0][0] > LATELY:
+            self._seen.popleft()
+        self._seen.append((now, *core_times()))
+
+    def overload(self) -> str:
+        """What to do about a machine that was overloaded for `AT_LEAST` of the last seconds; else empty."""
+        self._seen.append((time.monotonic(), *core_times()))
+        seen = list(self._seen)
+        spans = [
+            (1.0 - (end[1] - begin[1]) / (end[2] - begin[2]), end[0] - begin[0])
+            for number, begin in enumerate(seen)
+            for end in seen[number + 1 :]
+            if end[0] - begin[0] >= AT_LEAST and end[2] > begin[2]
+        ]
+        used, seconds = max(spans, default=(0.0, 0.0))
+        if used < OVERLOAD:
+            return ""
+        return (
+            f"{OVERLOADED}: its cores were in use for {used:.0%} of {seconds:.0f} s lately; end what "
+            "else runs (`top`), or give the nodes a real-time priority (--priority 20)"
+        )
 
 
 def require(needs: Needs, what: str) -> None:

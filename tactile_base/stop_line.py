@@ -18,14 +18,14 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 # Whoever stops an arm waits for what is imported here: no dataclasses, no pathlib.
 
 STOP, ASK, _END = b"stop", b"ask", b"end"
 LOOK = 0.005  # s between two looks at an arm that somebody waits for
-LONGEST = 4096  # bytes of an answer
+LONGEST = 4096  # bytes of a call, and of an answer
 _NAME = re.compile(r"(\d+)-(\d+)-(\d+)")  # domain, process, number
 
 
@@ -110,13 +110,14 @@ class StopLine:
     def _serve(self) -> None:
         while True:
             if select.select([self._socket], [], [], LOOK if self._waiting else None)[0]:
-                asked, sender = self._socket.recvfrom(64)
+                asked, sender = self._socket.recvfrom(LONGEST)
                 if asked == _END:
                     return
-                if asked == STOP:
+                what, _, names = asked.partition(b" ")
+                if what == STOP and (not names or self.arm.encode() in names.split()):
                     self._stop("asked for by `tactile stop`")
                     self._waiting.add(sender)
-                if asked in (STOP, ASK):
+                if what in (STOP, ASK):
                     self._answer(sender)
             if self._waiting and self._look()[0]:
                 for sender in self._waiting:
@@ -126,7 +127,7 @@ class StopLine:
     def _answer(self, sender: bytes | str) -> None:
         rests, text = self._look()
         word = {"arm": self.arm, "domain": self.domain, "pid": os.getpid(), "rests": rests, "text": text}
-        with contextlib.suppress(OSError):  # whoever asked has gone
+        with contextlib.suppress(OSError, TypeError):  # whoever asked has gone, or has no address
             self._socket.sendto(json.dumps(word).encode()[:LONGEST], socket.MSG_DONTWAIT, sender)
 
 
@@ -145,9 +146,13 @@ class StopCaller:
     def __exit__(self, *exception: object) -> None:
         self._socket.close()
 
-    def call(self, what: bytes) -> int:
-        """Tell every arm to STOP, or ASK it; returns how many there are."""
-        return sum(self._send(what, path) for path in self._lines())
+    def call(self, what: bytes, arms: Iterable[str] = ()) -> int:
+        """Tell arms to STOP, or ASK them; returns how many answer: all that there are.
+
+        With the names of `arms`, only these stop: each line knows whose it is, which nobody asks first.
+        """
+        call = b" ".join([what, *map(os.fsencode, arms)])
+        return sum(self._send(call, path) for path in self._lines())
 
     def words(self, timeout_s: float) -> Iterator[Word]:
         """What the arms answer, as it comes, for so long."""

@@ -8,7 +8,9 @@ controller.
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
 import os
 import signal
 import subprocess
@@ -23,9 +25,9 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.findings import FAILED, LOOK, OK, Finding
 from tactile_bringup.staged_arm import StagedArm, Stopped
-from tactile_drivers.arm import ArmMode, ArmState, SafetySettings, open_arm
+from tactile_drivers.arm import ARMS, ArmMode, ArmState, SafetySettings, open_arm
 from tactile_drivers.doubles.rehearsal import rehearsed
-from tactile_drivers.scene import ArmScene, load_scene
+from tactile_drivers.scene import ArmScene, Scene, load_scene
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
@@ -34,7 +36,9 @@ SPEED = 0.01  # m/s, of what is measured
 SECONDS = 1.0  # of each motion
 ROOM = 0.025  # m, that the motions need
 LISTEN = 2.0  # s
-FIRST_DAY = 0.02  # m/s
+FIRST_DAY, FIRST_TURN = 0.02, 0.2  # m/s, rad/s
+START = (0.005, 0.015)  # m between the tip and the surface: an approach goes 15 mm
+UPRIGHT = math.radians(10.0)
 SLACK = 0.0005  # m: of a way that is measured from states
 STATE_WAY = 0.002  # m at `SPEED`, for states that were under way, and a process that freezes late
 HANGS = 1.0  # s, for which the process that moves the arm is frozen
@@ -46,10 +50,10 @@ Findings = Iterator[Finding]
 
 def check_scene(arm: ArmScene) -> Findings:
     """What the scene says of the arm, as far as it bears on a first contact."""
-    speed = arm.limits.linear_velocity
-    slow = speed <= FIRST_DAY
-    better = "" if slow else f"; {1e3 * FIRST_DAY:g} until ten runs were good"
-    yield Finding(OK if slow else LOOK, "speed", f"limits.linear_velocity is {1e3 * speed:g} mm/s{better}")
+    speed, turn = arm.limits.linear_velocity, arm.limits.angular_velocity
+    slow = speed <= FIRST_DAY and turn <= FIRST_TURN
+    better = "" if slow else f"; {1e3 * FIRST_DAY:g} and {FIRST_TURN:g} until ten runs were good"
+    yield Finding(OK if slow else LOOK, "speed", f"limits are {1e3 * speed:g} mm/s, {turn:g} rad/s{better}")
     given, default = arm.safety, SafetySettings()
     box = f"{list(given.workspace_lower)} to {list(given.workspace_upper)} m"
     if (given.workspace_lower, given.workspace_upper) == (default.workspace_lower, default.workspace_upper):
@@ -65,6 +69,36 @@ def check_scene(arm: ArmScene) -> Findings:
     if arm.sensor is not None:
         in_tool = np.round(1e3 * arm.T_tool_controlled[:3, 3], 1).tolist()
         yield Finding(LOOK, "sensor", f"its dome's centre is {in_tool} mm from the tool: by the ruler, too?")
+
+
+def check_start(scene: Scene, arm: ArmScene) -> Findings:
+    """Where tasks begin: how far above which surface, and how the sensor is turned against that."""
+    gaps = []
+    for name, body in scene.bodies_of(arm.name).items():
+        T = se3.inverse(scene.T_base_body(arm.name, name)) @ arm.T_base_start
+        distance, normal = body.make().query(T[None, :3, 3])
+        gaps.append((float(distance[0]), -float(normal[0] @ T[:3, 2]), name))
+    if arm.sensor is None or not gaps:
+        return
+    distance, ahead, name = min(gaps)
+    gap, tilt = distance - arm.sensor.settings.tip_radius, math.acos(min(1.0, max(-1.0, ahead)))
+    text = f"{1e3 * gap:.1f} mm above '{name}', {math.degrees(tilt):.1f} deg from its normal"
+    if gap < 0.0:
+        yield Finding(FAILED, "start", f"tasks would begin {-1e3 * gap:.1f} mm inside of '{name}'")
+    elif START[0] <= gap <= START[1] and tilt < UPRIGHT:
+        yield Finding(LOOK, "start", f"tasks begin {text}: does the surface stand there, by the ruler?")
+    else:
+        yield Finding(LOOK, "start", f"tasks begin {text}; the first one better 5 to 15 mm above, upright")
+
+
+def check_force(arm: ArmScene) -> Findings:
+    """What force ends a contact when all else fails: that of the arm's own controller."""
+    fields = {item.name for item in dataclasses.fields(ARMS.load(arm.driver).settings_class)}
+    what = "the force at which it stops itself is set at its controller"
+    if "collision_force" in fields:
+        given = arm.driver_settings.values.get("collision_force", "the driver's default")
+        what = f"driver_settings.collision_force is {given}"
+    yield Finding(LOOK, "force", f"{what}: is it the lowest with which the arm moves freely?")
 
 
 def _room_below(arm: ArmScene) -> float:

@@ -29,6 +29,7 @@ Fault = Callable[[float, str], Lies]
 
 DEEPEST = 0.006  # m: twice what tasks ask for, far from the depth at which the simulated tip gives up
 OFF = 0.005  # m, between the ends of a run that ended well all the same and of the honest one
+AFTERWARDS = 30.0  # s at work after a fault has begun: a drift of 1 mm/s is through with any depth by then
 #: What no software stops: an arm that does as it likes. It has to be told.
 UNSTOPPABLE = ("arm: ignores_stop", "arm: moves_by_itself")
 
@@ -59,6 +60,8 @@ class Outcome:
     known, rest : float
         From its beginning until a task stopped or failed, and until all arms were at rest for good, s; inf:
         never.
+    fastest : float
+        Largest speed of a controlled frame since then, m/s.
     way, deepest, deeper : float
         Of the tip since then, m: its path, its depth, and how much more that is than before.
     off : float
@@ -71,6 +74,7 @@ class Outcome:
     arm: str
     known: float
     rest: float
+    fastest: float
     way: float
     deepest: float
     deeper: float
@@ -88,7 +92,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Drill:
-    """A task, where it is drilled, and when faults begin.
+    """A task, where it is drilled, and when faults begin; runs end `AFTERWARDS` after that, if not before.
 
     Attributes
     ----------
@@ -125,7 +129,8 @@ class Drill:
                 yield _outcome(fault, arm, lies, records, off)
 
     def _records(self, lies: Lies) -> dict[str, RunRecord]:
-        return run_arms_offline(self.scene, self.task, replace(self.options, lies=lies))
+        work_time = (self.after or 0.0) + AFTERWARDS
+        return run_arms_offline(self.scene, self.task, replace(self.options, lies=lies, work_time=work_time))
 
     def _begins(self, honest: Mapping[str, RunRecord], arm: str) -> float:
         """When the arm's task came to its own work, s of the cell's clock; of all arms, the last."""
@@ -147,6 +152,7 @@ def _outcome(fault: str, arm: str, lies: Lies, records: Mapping[str, RunRecord],
         arm,
         known,
         max(one.rests_since for one in seen),
+        max(one.fastest for one in seen),
         max(one.way for one in seen),
         max(one.deepest for one in seen),
         max(np.subtract(deepest, before)),

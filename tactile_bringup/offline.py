@@ -10,6 +10,7 @@ seconds after it. The same scene, task, options and seed give the same bits::
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections import Counter, deque
@@ -63,6 +64,7 @@ class OfflineOptions:
     arm : only this arm runs; None: all that have a role
     goals : names of the goals to run; empty: all
     time_limit : a goal that takes longer than this on the cell's clock is given up, s
+    work_time : so long after the last arm has come to its work all are asked to finish, s
     sensor : settings of the sensor's model that replace the scene's
     lies : what does not tell the truth; None: nothing
     """
@@ -76,6 +78,7 @@ class OfflineOptions:
     arm: str | None = None
     goals: tuple[str, ...] = ()
     time_limit: float = 180.0
+    work_time: float = math.inf
     filter: FilterSettings = field(default_factory=load_filter_settings)
     sensor: dict[str, Any] = field(default_factory=dict)
     lies: Lies | None = None
@@ -144,6 +147,7 @@ class _OfflineLoop:
 
         for name, arm in self.arms.items():
             arm.partners = self.sequence.partners(name)
+        self.work_ns: int | None = None  # since when all arms are at their work
 
     def run(self) -> dict[str, RunRecord]:
         started, broken, trace = time.perf_counter(), "", ""
@@ -203,7 +207,16 @@ class _OfflineLoop:
                 self.sequence.result(name, well, command.reason or arm.late)
         for arm in self.arms.values():
             arm.expose()
-        return news
+        return self._worked_enough(now_ns) or news
+
+    def _worked_enough(self, now_ns: int) -> bool:
+        """Whether `work_time` is over now, which ends the run."""
+        if self.work_ns is None and self.sequence.at_work:
+            self.work_ns = now_ns
+        if self.sequence.ended or self.work_ns is None:
+            return False
+        self.sequence.ended = now_ns - self.work_ns >= self.options.work_time * SECOND_NS
+        return self.sequence.ended
 
 
 @dataclass(frozen=True)
@@ -277,6 +290,7 @@ class _OfflineArm:
         role, named = self.plan.role, self.plan.goals[index]
         make: Any = role.task_type
         self.task = make(role.settings, named.goal, named.start)
+        self.task.T_world_base = self.log.record.T_world_base
         self.goal, self.begun_ns = index, self.cell.stamp_ns
         self.partners.begin()
 
@@ -339,6 +353,7 @@ class _OfflineArm:
             return None
         self.task.remark = self.remark
         self.task.partner = self.partners.trouble(now_ns * NANOSECOND)
+        self.task.partner_hold = self.partners.hold
         command = task_step(self.task, now_ns, self.inputs)
         self.traceback = self.traceback or self.task.traceback
         self.safe.command(now_ns, command.twist, self.plan.role.name)

@@ -160,6 +160,7 @@ class RunSequence:
     Attributes
     ----------
     failure : why the run failed; '' as long as it has not
+    ended : set it to have all arms finish what they do, whatever is left of their goals
     """
 
     def __init__(self, plans: Sequence[ArmPlan]) -> None:
@@ -169,11 +170,12 @@ class RunSequence:
         lasting = [state for state in self._arms.values() if not state.plan.role.task_type.endless]
         self._ending = ending or lasting or list(self._arms.values())
         self.failure = ""
+        self.ended = False
 
     @property
     def over(self) -> bool:
         """Whether no further goal starts."""
-        if self.failure or any(state.failing for state in self._arms.values()):
+        if self.ended or self.failure or any(state.failing for state in self._arms.values()):
             return True
         return all(state.through for state in self._ending)
 
@@ -181,6 +183,11 @@ class RunSequence:
     def finished(self) -> bool:
         """Whether all arms are done."""
         return self.over and not any(state.running for state in self._arms.values())
+
+    @property
+    def at_work(self) -> bool:
+        """Whether every arm has come to the phase in which it does what it is for."""
+        return all(state.plan.role.task_type.work in state.phases for state in self._arms.values())
 
     def running(self, arm: str) -> bool:
         """Whether a goal of the arm is under way."""

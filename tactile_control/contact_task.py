@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND, SECOND_NS
+from tactile_control.carried_check import CarriedCheck
 from tactile_control.contact_phases import APPROACH, LEAVE, LIFT, SETTLE, TOUCH, ContactPhases
 from tactile_control.contact_settings import ContactTaskSettings
 from tactile_control.motion import Odometer
@@ -36,7 +37,8 @@ from tactile_control.phases import (
     newer,
 )
 from tactile_control.servoing import ServoingController, ServoingOutput
-from tactile_control.surface_check import SurfaceCheck
+from tactile_control.surface_check import Check, SurfaceCheck
+from tactile_control.width_check import WidthCheck
 from tactile_filter.prediction import ContactPredictor
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformBuffer, TransformUnavailable
@@ -80,7 +82,7 @@ class ContactTask(ContactPhases):
         self.goal = goal
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
-        self.check = SurfaceCheck(settings.surface)
+        self.check = SurfaceCheck(settings.surface, settings.servoing.reference[2])
         self._needs = {
             LEAVE: ("pose", "presence"),
             GO_TO_START: ("pose", "presence"),
@@ -91,6 +93,9 @@ class ContactTask(ContactPhases):
             self.work: ("pose", "presence", "belief"),
             RETREAT: ("pose",),
         }
+        self.width = WidthCheck(settings.surface)
+        self.carried = CarriedCheck(settings.surface)
+        self._hold: StampedPose | None = None
         self._odometer = Odometer(settings.contact.pose_step)
         self._track = TransformBuffer(TRACK_NS)
         self._belief: StampedPose | None = None
@@ -110,7 +115,9 @@ class ContactTask(ContactPhases):
         self.limiter.configure(settings.limiter)
         self.watchdog.configure(settings.watchdog)
         self.predictor.configure(settings.prediction)
-        self.check.configure(settings.surface)
+        self.check.configure(settings.surface, settings.servoing.reference[2])
+        self.width.configure(settings.surface)
+        self.carried.configure(settings.surface)
         self._odometer.step = settings.contact.pose_step
 
     # ---- what a task fills in ----
@@ -165,6 +172,13 @@ class ContactTask(ContactPhases):
             self.predictor.update(stamp_ns, X_sf, T_base_sensor)
         if self.phase in (SETTLE, self.work) and stamp_ns >= self._touch_ns:
             self.check.add(stamp_ns, X_sf, T_base_sensor)
+        if self.phase == self.work and self.T_world_base is not None:
+            T_world_sensor = se3.compose(self.T_world_base, T_base_sensor)
+            self._hold = StampedPose(stamp_ns, se3.compose(T_world_sensor, X_sf))
+            self.width.hear(self.partner_hold)
+            self.width.add(self._hold)
+            self.carried.hear(self.partner_hold)
+            self.carried.add(stamp_ns, X_sf, T_world_sensor)
 
     def _stamps(self) -> dict[str, int | None]:
         latest = {"pose": self._pose, "presence": self._presence, "belief": self._belief}
@@ -192,13 +206,17 @@ class ContactTask(ContactPhases):
 
     def _believed(self, twist: Array, waiting: str) -> tuple[Array, str]:
         """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
-        self._pace = self.check.pace()
+        checks: tuple[Check, ...] = (self.check, self.width, self.carried)
+        check = min(checks, key=lambda check: (check.pace(), -check.doubt))
+        self._pace = check.pace()
         if self._pace == 0.0:
-            self._wanted = self._fail(self.check.contradiction)
+            self._wanted = self._fail(check.contradiction)
             return self._wanted, ""
         if self._pace < 1.0 and not waiting:
-            waiting = f"slower: what is believed of the contact nears a limit ({self.check.doubt:.0%} of it)"
-        return self._pace * twist, waiting
+            waiting = f"slower: what is believed of the contact nears a limit ({check.doubt:.0%} of it)"
+        slowed = self._pace * twist
+        slowed[2] = min(slowed[2], twist[2])  # the way out, -z of the sensor, is no slower
+        return slowed, waiting
 
     def _settle(self, now_ns: int) -> Array:
         settings = self.settings.contact
@@ -280,6 +298,8 @@ class ContactTask(ContactPhases):
         self._settled_ns = None
         if phase == SETTLE:
             self.check.begin()
+            self.width.begin()
+            self.carried.begin()
         elif phase == self.work:
             self.check.work()
 
@@ -296,7 +316,12 @@ class ContactTask(ContactPhases):
                 "exposure_ns": self._belief.stamp_ns,
             }
         command = self._command(
-            wanted, waiting, progress=self._advance_progress(), travelled=self._odometer.length, **shown
+            wanted,
+            waiting,
+            progress=self._advance_progress(),
+            travelled=self._odometer.length,
+            hold=self._hold if self.phase == self.work else None,
+            **shown,
         )
         self._limited = "speed" in command.limited or self._pace < 1.0
         return command

@@ -20,6 +20,7 @@ from tactile_control.phases import (
     Command,
     Goal,
     PhaseMachine,
+    StampedPose,
     TaskInputs,
     newer,
 )
@@ -104,4 +105,7 @@ class FreeTask(PhaseMachine[TaskInputs, Command]):
     def _answer(self, wanted: Array, waiting: str) -> Command:
         common = vars(self._command(wanted, waiting))
         progress = 1.0 if self.phase == DONE else self._fraction()
-        return Command(**common | {"progress": progress, "travelled": self._odometer.length})
+        held = None
+        if self._pose is not None and self.T_world_base is not None:
+            held = StampedPose(self._pose.stamp_ns, se3.compose(self.T_world_base, self._pose.T))
+        return Command(**common | {"progress": progress, "travelled": self._odometer.length, "hold": held})

@@ -18,6 +18,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
+from tactile_control.phases import StampedPose
+
 
 class Word(Protocol):
     """What an arm's task says of itself to those who work together with it."""
@@ -33,6 +35,10 @@ class Word(Protocol):
     @property
     def trouble(self) -> str:
         """Why it does not go on with what it is for, whatever others do; '' where it does."""
+
+    @property
+    def hold(self) -> StampedPose | None:
+        """Where it holds the object, in the world (`Command.hold`); None: not known."""
 
 
 @dataclass
@@ -92,6 +98,13 @@ class Partners:
         """Take what an arm says now (s); it is of no concern unless it is one of `arms`."""
         if arm in self._partners:
             self._partners[arm].hear(now, word)
+
+    @property
+    def hold(self) -> StampedPose | None:
+        """Where the partner holds the object now; None where that is not known, or several do."""
+        words = [partner.word for partner in self._partners.values() if partner.word is not None]
+        holds = [word.hold for word in words if word.hold is not None]
+        return holds[0] if len(holds) == 1 else None
 
     def trouble(self, now: float) -> str:
         """Who of them does not go on, and why; '' where all do."""

@@ -121,6 +121,9 @@ class Command:
         Stamp of the belief that the twist is based on, 0 for none.
     at_work : bool
         Its own phase (`PhaseMachine.work`) has begun, and it is not over.
+    hold : StampedPose or None
+        Where it holds what it works at, in the world: the believed feature, T_world_feature; of an arm that
+        feels nothing the controlled frame, T_world_tool.
     trouble : str
         Why it does not go on with what it is for, to those who work together with it: something that it
         needs is missing or too old, or it ends before it has done it. '' also where it rests because of them.
@@ -141,6 +144,7 @@ class Command:
     exposure_ns: int = 0
     at_work: bool = False
     trouble: str = ""
+    hold: StampedPose | None = None
 
     @property
     def over(self) -> bool:
@@ -200,6 +204,10 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         Where an exception in the task came from; '' for none.
     remark : str
         What whoever calls knows of inputs that do not come; it is told where one is missing or too old.
+    T_world_base : ndarray (4, 4) or None
+        Where the arm's base stands; None: not known.
+    partner_hold : StampedPose or None
+        The newest `Command.hold` of another arm that works on the same object.
     partner : str
         Why another arm that works on the same object does not go on (`partners`); as long as it says so this
         one rests too, as when an input is missing. It does not keep the task from leaving the surface.
@@ -233,6 +241,8 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         self._refused = self._lacks = ""
         self._begun = False
         self.remark = self.partner = ""
+        self.T_world_base: Array | None = None
+        self.partner_hold: StampedPose | None = None
         self._waypoints: list[Waypoint] | None = None
 
     # ---- what the owner calls ----

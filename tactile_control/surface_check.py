@@ -91,9 +91,28 @@ class SurfaceSettings(Settings):
     twist_error: float = setting(
         0.3, lower=1e-2, upper=2.0, unit="rad", doc="and turns so far against its own twist"
     )
-    largest_depth: float = setting(
-        0.015, lower=0.001, upper=0.1, unit="m",
-        doc="a contact that is believed deeper has something in its way: the task fails",
+    depth_margin: float = setting(
+        0.002, lower=0.0005, upper=0.1, unit="m",
+        doc="a contact that is believed deeper than the reference (servoing.reference) by more has something "
+        "in its way: the task fails",
+    )  # fmt: skip
+    width_error: float = setting(
+        0.0, lower=0.0, upper=0.05, unit="m",
+        doc="where another arm holds the object, too: it becomes thinner by at most so much in between, more "
+        "if it gives way; 0: any",
+    )  # fmt: skip
+    carried: bool = setting(
+        False,
+        doc="an arm that waits for this task and feels nothing carries what is touched: its tool says how "
+        "that moves, and the depth is held against this arm's way into it",
+    )
+    carried_error: float = setting(
+        0.0016, lower=1e-5, upper=0.05, unit="m",
+        doc="depth_error of that, which holds the errors of both arms' poses as well",
+    )  # fmt: skip
+    carried_yields: float = setting(
+        0.0, lower=0.0, upper=0.1, unit="m",
+        doc="yields of that: how far what is carried gives way in its grip, and in itself",
     )  # fmt: skip
     refused_share: float = setting(
         0.5, lower=0.05, upper=1.0,
@@ -113,8 +132,8 @@ class SurfaceSettings(Settings):
     )  # fmt: skip
 
 
-class SurfaceCheck:
-    """Compares the latest beliefs of one contact with the earlier ones; see the module's text.
+class Check:
+    """What a check of beliefs says.
 
     Attributes
     ----------
@@ -124,14 +143,45 @@ class SurfaceCheck:
         What contradicts what, with numbers; '' as long as nothing does. It lasts until `begin`.
     """
 
-    def __init__(self, settings: SurfaceSettings) -> None:
+    settings: SurfaceSettings
+    doubt = 0.0
+    contradiction = ""
+
+    def pace(self) -> float:
+        """How much of a twist is to be followed: 1 while all fits, less in doubt, 0 for a contradiction."""
+        slow_from = self.settings.slow_from
+        if self.contradiction:
+            return 0.0
+        if self.doubt <= slow_from or slow_from >= 1.0:
+            return 1.0
+        return 1.0 - (1.0 - SLOWEST) * (self.doubt - slow_from) / (1.0 - slow_from)
+
+
+class SurfaceCheck(Check):
+    """Compares the latest beliefs of one contact with the earlier ones; see the module's text.
+
+    Parameters
+    ----------
+    reference : float
+        How deep the contact is to be, m.
+    """
+
+    def __init__(self, settings: SurfaceSettings, reference: float = 0.003) -> None:
         self._bins: Array = np.zeros((0, _COLUMNS))
         self._count = self._next = 0  # bins that are filled, and which is the next
+        # m: how deep the contact is to be, and how much deeper it may still be since that was changed
+        self._reference, self._above = reference, 0.0
         self.begin()
         self.configure(settings)
 
-    def configure(self, settings: SurfaceSettings) -> None:
-        """Replace what is known of the surface; what the beliefs said so far stays."""
+    def configure(self, settings: SurfaceSettings, reference: float | None = None) -> None:
+        """Replace what is known of the surface; what the beliefs said so far stays.
+
+        A `reference` (m; None: as it was) that is less deep than before leaves time to come up to it.
+        """
+        reference = self._reference if reference is None else reference
+        self._above = max(0.0, self._above + self._reference - reference)
+        self._reference = reference
         rows = max(2, math.ceil(settings.memory / BIN))
         if len(self._bins) != rows:
             kept = self._bins[: self._count]
@@ -147,6 +197,7 @@ class SurfaceCheck:
         self._count = self._next = 0
         self._last: tuple[list[float], list[float]] | None = None  # centre and normal
         self._into = self._slid = self._offset = self._refused = 0.0
+        self._above = 0.0
         self._stamp_ns = 0
         self._begin_ns = 0
         self._gathered: list[float] = [0.0] * 4
@@ -160,15 +211,6 @@ class SurfaceCheck:
     def work(self) -> None:
         """The task's own phase begins: from now on the surface may move, if it may at all."""
         self.moves = True
-
-    def pace(self) -> float:
-        """How much of a twist is to be followed: 1 while all fits, less in doubt, 0 for a contradiction."""
-        slow_from = self.settings.slow_from
-        if self.contradiction:
-            return 0.0
-        if self.doubt <= slow_from or slow_from >= 1.0:
-            return 1.0
-        return 1.0 - (1.0 - SLOWEST) * (self.doubt - slow_from) / (1.0 - slow_from)
 
     def see(self, believed: bool, still: bool = False) -> None:
         """Take notice of an image that shows contact: whether it gave something to believe.
@@ -251,13 +293,16 @@ class SurfaceCheck:
         now = np.array(row)
         self._number = 0
         self._compare(now)
-        depth = now[_OFFSET] + now[_INTO]
-        if depth > self.settings.largest_depth and not self.contradiction:
-            limit = self.settings.largest_depth * 1e3
-            self.contradiction = f"the contact is {depth * 1e3:.1f} mm deep, which is over {limit:g} mm"
+        self._look_at_depth(now[_OFFSET] + now[_INTO])
         self._bins[self._next] = now
         self._next = (self._next + 1) % len(self._bins)
         self._count = min(self._count + 1, len(self._bins))
+
+    def _look_at_depth(self, depth: float) -> None:
+        self._above = min(self._above, max(0.0, depth - self._reference))
+        limit = self._reference + self._above + self.settings.depth_margin
+        if depth > limit and not self.contradiction:
+            self.contradiction = f"the contact is {depth * 1e3:.1f} mm deep, which is over {limit * 1e3:g} mm"
 
     def _compare(self, now: Array) -> None:
         """Each of the kept beliefs against that of now: the worst is the doubt."""

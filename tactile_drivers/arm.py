@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.contract import Contract
+from tactile_base.raised import defined_in
 from tactile_base.registry import Registry
-from tactile_base.settings import Settings, setting
+from tactile_base.settings import SettingError, Settings, setting
 from tactile_drivers import _native
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ Array = NDArray[np.float64]
 
 AT_REST = np.repeat([1e-3, 5e-3], 3)  # m/s, rad/s: what speeds say of an arm that does not move
 LONGEST_CALL = 0.01  # s, that `command` and `stop` of a driver may take
+HELD_UP = "machine or line to the arm is held up: end what else runs, or use --priority"  # of late states
 
 
 class ArmMode(IntEnum):
@@ -299,13 +301,18 @@ def open_arm(arm: ArmScene, report: Callable[[ArmState], None]) -> Arm:
     Raises
     ------
     SettingError
-        If there is no such driver, or `driver_settings` hold something that it does not know.
+        If there is no such driver, it has no `keeps_limits`, or `driver_settings` hold what it does not know.
     OSError, RuntimeError
         If the driver cannot have the arm.
     """
     driver = ARMS.load(arm.driver)
     given = arm.driver_settings
-    return driver(arm, given.checked(driver.settings_class, given.values), report)
+    opened = driver(arm, given.checked(driver.settings_class, given.values), report)
+    if not isinstance(getattr(opened, "keeps_limits", None), bool):
+        opened.close()
+        where = defined_in(driver)
+        raise SettingError(f"arm driver '{arm.driver}': has no keeps_limits, must be True or False ({where})")
+    return opened
 
 
 def shortened(twist: Array, limits: ArmLimits) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers import _native
-from tactile_drivers.arm import ArmLimits, ArmState, SafetySettings
+from tactile_drivers.arm import HELD_UP, ArmLimits, ArmState, SafetySettings
 from tactile_drivers.joint_limits import Kinematics
 from tactile_drivers.tracking import Deviation, TrackingMonitor, TrackingSettings, in_base
 from tactile_geometry import se3
@@ -89,10 +89,14 @@ class ArmWatch:
 
     def objection(self, state: ArmState, kinematics: Kinematics | None, others: bool) -> str:
         """Why a state cannot be true; '' if it can. `others`: whether somebody else may move the arm now."""
+        if not isinstance(state, ArmState):
+            return f"it is a {type(state).__name__}, must be an ArmState"
         try:
             se3.checked_pose("pose", state.T_base_controlled)
         except se3.PoseError as error:
             return str(error)
+        if np.shape(state.twist) != (6,):
+            return f"twist has the shape {np.shape(state.twist)}, must be (6,)"
         if not _native.finite(state.twist):
             return f"twist is not finite: {np.asarray(state.twist).tolist()}"
         if state.joints is not None and not np.isfinite(state.joints).all():
@@ -178,7 +182,8 @@ class ArmWatch:
         self._heard_ns = now_ns
 
     def _late_by(self) -> str:
-        return f"states of the arm come {self._lateness:.3f} s late (limit {self._safety.state_age:g} s)"
+        late, limit = self._lateness, self._safety.state_age
+        return f"states of the arm come {late:.3f} s late (limit {limit:g} s): {HELD_UP}"
 
 
 def another_arm(state: ArmState, kinematics: Kinematics | None) -> str:

@@ -137,7 +137,8 @@ def open_camera(arm: ArmScene, report: Callable[[CameraFrame], None]) -> Camera:
     shift_ns = round(arm.sensor.settings.time_offset * SECOND_NS)
 
     def shifted(frame: CameraFrame) -> None:
-        report(replace(frame, stamp_ns=frame.stamp_ns + shift_ns))
+        there = isinstance(frame, CameraFrame)  # else whoever takes it refuses it
+        report(replace(frame, stamp_ns=frame.stamp_ns + shift_ns) if there else frame)
 
     settings = given.checked(driver.settings_class, given.values)
     return driver(arm, settings, shifted if shift_ns else report)

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, is_at_rest
+from tactile_drivers.arm import HELD_UP, ArmLimits, ArmMode, ArmState, is_at_rest
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, vector_of
 from tactile_drivers.scene import ArmScene
@@ -350,7 +350,7 @@ class FrankaArm:
         late = (now_ns - stamp_ns) / SECOND_NS
         fault = fault or _why_not(state) or self._too_fast(state)
         if not fault and late > self._patience:
-            fault = f"states of the arm come {late:.3f} s late (limit {self._patience:g} s)"
+            fault = f"states of the arm come {late:.3f} s late (limit {self._patience:g} s): {HELD_UP}"
         self._report(self._told(state, stamp_ns, fault))
 
     def _told(self, state: Any, stamp_ns: int, fault: str) -> ArmState:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _AXES = "xyz"
+#: What `bounds_in_words` tells: limits of speed, acceleration and jerk, where the arm may go, what it feels.
+BOUNDS = ("limits", "workspace", "touch limits")
 
 
 class MotionBounds:
@@ -106,6 +109,25 @@ class MotionBounds:
             apart, other = neighbour.allowed_part(state, part * twist, part * rates, self.delay)
             part, reason = (part * apart, other) if apart < 1.0 else (part, reason)
         return part, reason
+
+
+def bounds_in_words(arm: ArmScene, feels: bool) -> dict[str, str]:
+    """What bounds the arm's motion, for a person, by the names of `BOUNDS`; `feels` as of `SafeArm`."""
+    limits, safety = arm.limits, arm.safety
+    corners = zip(_AXES, safety.workspace_lower, safety.workspace_upper, strict=True)
+    box = ", ".join(f"{axis} {1e3 * lower:g} to {1e3 * upper:g}" for axis, lower, upper in corners)
+    words = [
+        f"{1e3 * limits.linear_velocity:g} mm/s, {math.degrees(limits.angular_velocity):.3g} deg/s; "
+        f"{limits.linear_acceleration:g} m/s^2, {limits.angular_acceleration:g} rad/s^2; "
+        f"{limits.linear_jerk:g} m/s^3, {limits.angular_jerk:g} rad/s^3",
+        f"{box} mm, in the base" + "".join(f"; not in {each.name}" for each in arm.keep_out),
+    ]
+    if arm.sensor is not None:
+        depth, shear = arm.sensor.settings.protective_depth, safety.largest_shear
+        crawl = f"; {1e3 * safety.crawl_speed:g} mm/s without news of the contact"
+        felt = f"{1e3 * depth:g} mm deep, {1e3 * shear:g} mm of shear{crawl}"
+        words.append(felt if feels else "none: nobody tells what the sensor feels")
+    return dict(zip(BOUNDS, words, strict=False))
 
 
 def _delay(limits: ArmLimits, safety: SafetySettings) -> float:

@@ -257,7 +257,7 @@ class SafeArm:
         with self._lock:
             self.bad_state = self._watch.objection(state, self._kinematics, self._is_others)
             if self.bad_state:
-                if self._watch.alarm:
+                if self._watch.alarm and isinstance(state, ArmState):
                     self._insist(state.stamp_ns)
                 return None
             dt = (state.stamp_ns - self.state.stamp_ns) / SECOND_NS if self.state is not None else 0.0

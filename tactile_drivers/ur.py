@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers import ur_link
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, is_at_rest
+from tactile_drivers.arm import HELD_UP, ArmLimits, ArmMode, ArmState, is_at_rest
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, tool_speed
 from tactile_drivers.scene import ArmScene
@@ -260,7 +260,7 @@ class UrArm:
         late = (time.time_ns() - stamp_ns) / SECOND_NS
         fault = self._why_fault(state)
         if not fault and late > self._patience:
-            fault = f"states of the arm come {late:.3f} s late (limit {self._patience:g} s)"
+            fault = f"states of the arm come {late:.3f} s late (limit {self._patience:g} s): {HELD_UP}"
         T = pose_of(state.pose) @ self._T_tcp_controlled
         twist = controlled_twist(T, self._T_tcp_controlled, state.speed)
         joints = state.joints if self.kinematics is not None else None

@@ -23,6 +23,8 @@ from tactile_geometry import se3
 Array = NDArray[np.float64]
 
 STAMP_SLACK = 0.005  # s; by how much the time between two stamps may be off the time that passed
+#: Links, characters of a frame's name, and transforms of all links together that are kept: more are no cell.
+MOST_LINKS, LONGEST_FRAME, MOST_TRANSFORMS = 2000, 200, 500_000
 CONFIRMED_BY = 5  # transforms, at least, that make a new place credible
 
 
@@ -133,6 +135,7 @@ class TransformBuffer:
         self._frames = tuple(frames)
         self._between: set[str] | None = None  # the children that lookups depend on, see `concerns`
         self._links: dict[str, _Link] = {}
+        self._count = 0  # of all transforms; no less than there are
         self._paths: dict[tuple[str, str], tuple[list[str], list[str]]] = {}  # of this tree, see _chains
 
     def set_transform(
@@ -166,6 +169,8 @@ class TransformBuffer:
             if link is not None and self.limits is not None and self.concerns(child):
                 kind = "does not move" if link.static else "moves"
                 raise TransformJump(f"'{parent}' -> '{child}': it hangs below '{link.parent}' and {kind}")
+            if child not in self._links and len(self._links) >= MOST_LINKS:
+                raise ValueError(f"{len(self._links)} frames are known already, more are not taken")
             link = self._links[child] = _Link(parent, static)
             self._forget_paths()
         fault = self._fault(link, child, stamp_ns, T)
@@ -240,6 +245,8 @@ class TransformBuffer:
     def _checked(self, parent: str, child: str, T_parent_child: ArrayLike) -> Array:
         if not parent or not child:
             raise ValueError(f"transform '{parent}' -> '{child}': a frame's name must not be empty")
+        if (longest := max(len(parent), len(child))) > LONGEST_FRAME:
+            raise ValueError(f"a frame's name has {longest} characters, may have {LONGEST_FRAME}")
         known = self._links.get(child)
         if (known is None or known.parent != parent) and child in self._ancestors(parent):
             raise ValueError(f"transform '{parent}' -> '{child}': would close a loop")
@@ -284,12 +291,24 @@ class TransformBuffer:
         if at < len(link.stamps) and link.stamps[at] == stamp_ns:
             link.transforms[at] = T
             return
+        self._count += 1
+        if self._count > MOST_TRANSFORMS:
+            self._make_room()
         link.stamps.insert(at, stamp_ns)
         link.transforms.insert(at, T)
         oldest_ns = link.stamps[-1] - self.history_ns
         if link.stamps[0] < oldest_ns:
             kept = bisect.bisect_left(link.stamps, oldest_ns)
             del link.stamps[:kept], link.transforms[:kept]
+            self._count -= kept
+
+    def _make_room(self) -> None:
+        """Forget the older half of each link that lookups do not need; where all are needed, of all."""
+        others = [link for child, link in self._links.items() if self._frames and not self.concerns(child)]
+        for link in others or self._links.values():
+            half = len(link.stamps) // 2
+            del link.stamps[:half], link.transforms[:half]
+        self._count = 1 + sum(len(link.stamps) for link in self._links.values())
 
     def _forget_paths(self) -> None:
         """The tree has changed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 import time
 from dataclasses import dataclass
@@ -11,8 +12,10 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from tactile_base import topics
+from tactile_base.stamps import SECOND_NS
 from tactile_control.partners import Partners
-from tactile_control.phases import DONE, FAILED
+from tactile_control.phases import DONE, FAILED, StampedPose
+from tactile_geometry import se3
 from tactile_msgs.msg import ControllerStatus
 from tactile_records.bags.cdr import MessageReader, layout_of
 from tactile_records.bags.message_definitions import type_fields
@@ -100,6 +103,7 @@ class StatusWord:
     over: bool
     at_work: bool
     trouble: str
+    hold: StampedPose | None = None
 
 
 def listen_to_partners(node: ManagedNode, partners: Partners) -> None:
@@ -110,7 +114,12 @@ def listen_to_partners(node: ManagedNode, partners: Partners) -> None:
         layout, numbers = read(data)
         over = layout.texts["phase"] in (IDLE, DONE, FAILED)
         at_work = bool(numbers[layout.place("at_work").start])
-        partners.hear(arm, time.monotonic(), StatusWord(over, at_work, layout.texts["trouble"]))
+        hold = numbers[layout.place("hold")]
+        seconds, nanoseconds = map(int, numbers[layout.place("hold_stamp")])
+        stamp_ns, place = seconds * SECOND_NS + nanoseconds, None
+        if stamp_ns and all(map(math.isfinite, hold)):
+            place = StampedPose(stamp_ns, se3.exp(hold))
+        partners.hear(arm, time.monotonic(), StatusWord(over, at_work, layout.texts["trouble"], place))
 
     for arm in partners.arms:
         topic = topics.CONTROLLER_STATUS.of(arm).name

@@ -19,6 +19,7 @@ from tactile_ros.managed_node import TOO_FAST, ManagedNode, lost_counter
 from tactile_ros.qos import IMAGE
 
 Received = ReceivedImage | ReceivedCompressed
+LARGEST_IMAGE = 1 << 26  # bytes: 4096x4096 in colour, and some more
 SEGMENT = 512 * 1024  # bytes of shared memory that a process has to publish in, without a profile of Fast DDS
 
 
@@ -61,8 +62,9 @@ def subscribe_images(
 
     kind = CompressedImage if packed else Image
     watch = node.subscribe(
-        kind, topic.name, take, IMAGE, age_limit, raw=True, stamped=stamped, why_lost=why_lost
-    )
+        kind, topic.name, take, IMAGE, age_limit, raw=True, stamped=stamped, why_lost=why_lost,
+        largest=LARGEST_IMAGE,
+    )  # fmt: skip
 
 
 def too_large(size: int) -> str:

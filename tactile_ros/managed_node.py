@@ -43,7 +43,7 @@ from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import NANOSECOND
 from tactile_filter.events import FUTURE_NS
 from tactile_geometry.pose_numbers import MessageError
-from tactile_ros.cdr import header_of
+from tactile_ros.cdr import LONGEST_SAID, header_of
 from tactile_ros.diagnostics import Diagnostics, InputWatch
 from tactile_ros.discovery import use_dds_profile
 from tactile_ros.ending import Commander, Ending
@@ -63,6 +63,7 @@ DIAGNOSTIC_PERIOD = 1.0  # s
 NEWS_PERIOD = 0.2  # s, within which others, as a task that fails for it, know what is wrong
 CONTROLLED_FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and one without, is controlled by
 LARGEST_PRIORITY = 99  # of SCHED_FIFO
+LARGEST = 1 << 18  # bytes of a raw message that is no image; one that is read takes no more than 0.1 s then
 TOO_FAST = "messages came too fast"
 SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
@@ -215,19 +216,23 @@ class ManagedNode(LifecycleNode):
         stamped: bool = False,
         frame: str = "",
         why_lost: Callable[[], str] = lambda: TOO_FAST,
+        largest: int = LARGEST,
     ) -> InputWatch | None:
         """Call `callback` with each message while the node is active (or whenever configured, with `always`).
 
         With an `age_limit` (s) the input's silence is told in /diagnostics; 0 watches without limit.
         With `raw` the callback gets the serialized message; if it raises `MessageError`, because the bytes
-        are no such message, that message is refused. With `stamped`, so is one from the future, and with
-        `frame` one of another frame as well (both of `raw` messages that start with a header). What is
-        refused is counted as `refused_counter(topic)` and told. Messages that the middleware could not keep
-        for this node, because it was held up, are counted as `lost_counter(topic)`, and told with `why_lost`.
+        are no such message, that message is refused, as is one of more than the `largest` number of bytes.
+        With `stamped`, so is one from the future, and with `frame` one of another frame as well (both of
+        `raw` messages that start with a header). What is refused is counted as `refused_counter(topic)` and
+        told. Messages that the middleware could not keep for this node, because it was held up, are counted
+        as `lost_counter(topic)`, and told with `why_lost`.
         """
         watch = None if age_limit is None else self.report.watch(topic, age_limit)
 
         def take(message: Any) -> None:
+            if raw and len(message) > largest:
+                raise MessageError(f"has {len(message)} bytes, must have no more than {largest}")
             if stamped or frame:
                 stamp_ns, found = header_of(message)
                 self.check_stamp(stamp_ns)
@@ -303,6 +308,7 @@ class ManagedNode(LifecycleNode):
 
     def warn(self, key: str, message: str, period: float = 1.0) -> None:
         """Tell a warning in /diagnostics, and log it at most once a `period` (s) for each `key`."""
+        message = message[:LONGEST_SAID]  # it may quote what a stranger sent
         self.report.complain(key, message)
         self._log_warning(key, message, period)
 

@@ -1,14 +1,23 @@
-"""Quality of service by kind of topic, so that both ends of a topic always agree."""
+"""Quality of service by kind of topic, so that both ends of a topic always agree.
+
+A depth bounds what a reader keeps in messages, not in bytes: the middleware takes messages of any size where
+a type has strings or sequences, as all of ours have by their header. While a node keeps up, few are waiting,
+and it drops what is larger than `managed_node.LARGEST` (256 KiB; images 64 MiB, a recorder 4 MiB) unread.
+While it is held up, depth times size may wait of what a stranger has sent: for `STATE` and `TF` 100 messages
+(26 MB at 256 KiB each, 1 GB at 10 MB), for a recorder up to 20 000 of a topic. docs/safety.md says so, too.
+"""
 
 from __future__ import annotations
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from tactile_base.topics import DIAGNOSTICS as DIAGNOSTICS_TOPIC
+from tactile_base.topics import ESTOP, PARAMETER_EVENTS, ROSOUT, SENSOR, Topic
 from tactile_base.topics import IMAGE as IMAGE_TOPIC
 from tactile_base.topics import LATCHED as LATCHED_KIND
-from tactile_base.topics import SENSOR, Topic
 
 RECORDED = 20_000  # messages of 30 s at 600 Hz, which is more than any of our topics has
+RECORDED_SLOW = 2000  # the same of what nodes say now and then: ten of them, five times a second
 
 
 def _profile(depth: int, reliable: bool = True, latched: bool = False) -> QoSProfile:
@@ -52,5 +61,6 @@ def writer_profile(profile: QoSProfile) -> QoSProfile:
 
 def recorder_profile(topic: Topic) -> QoSProfile:
     """How a recorder reads a topic. Images are too large to wait."""
-    depth = IMAGE.depth if topic.type == IMAGE_TOPIC.type else RECORDED
+    slow = topic.name in (DIAGNOSTICS_TOPIC.name, ESTOP.name, PARAMETER_EVENTS.name, ROSOUT.name)
+    depth = IMAGE.depth if topic.type == IMAGE_TOPIC.type else RECORDED_SLOW if slow else RECORDED
     return _profile(depth, reliable=topic.qos != SENSOR, latched=topic.qos == LATCHED_KIND)

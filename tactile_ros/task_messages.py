@@ -13,6 +13,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_base.yaml_file import text_of, values_of
 from tactile_control.phases import Command, Goal, PhaseMachine
 from tactile_control.task_file import NamedGoal
+from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
 from tactile_ros.cdr import LONGEST_NAME, headed_bytes, split_stamp
@@ -82,6 +83,7 @@ def status_bytes(
     phase, reason = (command.phase, command.reason) if command else (IDLE, "")
     number, name = goal
     unlimited = command.unlimited if command and running else _ZERO
+    hold = command.hold if command and running else None
     return headed_bytes(
         ControllerStatus,
         now_ns,
@@ -89,6 +91,8 @@ def status_bytes(
         *split_stamp(command.exposure_ns if command and running else 0),
         number,
         bool(command and running and command.at_work),
+        *split_stamp(hold.stamp_ns if hold else 0),
+        *(se3.log(hold.T) if hold else _UNKNOWN).tolist(),
         *(command.error if command else _UNKNOWN).tolist(),
         *(command.reference if command else _UNKNOWN).tolist(),
         *(command.feedforward if command else _ZERO).tolist(),

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.duration import Duration
 
 from tactile_base import topics
@@ -35,7 +35,7 @@ from tactile_ros.arm_attention import ArmAttention
 from tactile_ros.cdr import headed_bytes
 from tactile_ros.colleagues import Upstream
 from tactile_ros.conversions import duration_from_ns
-from tactile_ros.managed_node import CONTROLLED_FRAMES, ManagedNode
+from tactile_ros.managed_node import CONTROLLED_FRAMES, LARGEST, ManagedNode
 from tactile_ros.parameters import declare_read_only, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, writer_profile
 from tactile_ros.transforms import TransformListener
@@ -148,6 +148,7 @@ class TaskNode(ManagedNode, ABC):
             RunTask,
             topics.RUN_TASK,
             execute_callback=_nothing_to_execute,
+            goal_callback=_sensible,
             handle_accepted_callback=self._accept,
             cancel_callback=self._cancel,
             feedback_pub_qos_profile=writer_profile(STATE),
@@ -289,6 +290,12 @@ def conclude(handle: Any, result: RunTask.Result) -> None:
         return result
 
     handle.execute(execute)
+
+
+def _sensible(request: RunTask.Goal) -> GoalResponse:
+    """Whether a goal is looked at: what is not is forgotten at once, a goal's reason is kept for a while."""
+    texts = (request.task, request.name, request.goal, request.settings)
+    return GoalResponse.REJECT if sum(map(len, texts)) > LARGEST else GoalResponse.ACCEPT
 
 
 def _nothing_to_execute(handle: Any) -> RunTask.Result:

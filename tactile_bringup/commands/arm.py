@@ -55,6 +55,8 @@ def _findings(arguments: argparse.Namespace) -> Iterator[Finding]:
     if arm.driver in (SIM, EXTERNAL):
         raise ValueError(f"{arguments.scene}: '{arm.name}' has no driver of its own, but '{arm.driver}'")
     yield from arm_check.check_scene(arm)
+    yield from arm_check.check_start(scene, arm)
+    yield from arm_check.check_force(arm)
     with ExitStack() as stack:
         if arguments.rehearse:
             double = DOUBLES.load(arm.driver)

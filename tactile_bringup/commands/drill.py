@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from tactile_bringup.drill import Outcome
     from tactile_bringup.launching.live_drill import LiveOutcome
 
-LONGEST = 60.0  # s on the cell's clock, of a goal in a drill
+LONGEST = 60.0  # s on the cell's clock, of a goal that ends by itself and does not
 
 
 def register(subparsers: Any) -> None:
@@ -182,6 +182,8 @@ def _show(console: Console, outcome: Outcome | LiveOutcome, objection: str) -> N
     numbers = f"at rest after {outcome.rest:.2f} s" if math.isfinite(outcome.rest) else "never at rest"
     if math.isfinite(outcome.deepest):
         numbers += f", {1e3 * outcome.deepest:.1f} mm deep"
+    if fastest := getattr(outcome, "fastest", 0.0):
+        numbers += f", {1e3 * fastest:.0f} mm/s"
     arm = getattr(outcome, "arm", "")
     what = f"{outcome.fault}{f' ({arm})' if arm else ''}: {numbers}: {outcome.reason or 'done'}"
     say(

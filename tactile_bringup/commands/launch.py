@@ -32,6 +32,9 @@ def register(subparsers: Any) -> None:
     add = parser.add_argument
     add("task", help=TASK_HELP)
     add_scene_options(parser)
+    add("--nodes-only", action="store_true",
+        help="run no goal: they come by `tactile goal` or `tactile run` from another terminal, until Ctrl-C",
+    )  # fmt: skip
     add("--record", type=Path, metavar="BAG", help="write a bag (MCAP) to this new folder")
     add("--record-images", action="store_true", help="with images, compressed without loss")
     add("--marker-view", action="store_true", help="publish a picture of the markers (tactile/marker_view)")
@@ -114,7 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
     options = graph_options(arguments, object_belief=place is not None, object_file=place or FOUND)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = lasting_console()
-    outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
+    headless, waits = arguments.headless, arguments.nodes_only
+    outcome = launch(arguments.task, arguments.scene, options, folder, console, headless, waits)
     if outcome is None:
         return 2
     if options.record is not None and options.record.exists():
@@ -123,9 +127,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def launch(
-    task: str, scene: str | None, options: GraphOptions, folder: Path, console: Console, headless: bool
+    task: str,
+    scene: str | None,
+    options: GraphOptions,
+    folder: Path,
+    console: Console,
+    headless: bool,
+    waits: bool = False,
 ) -> Outcome | None:
-    """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong."""
+    """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong.
+
+    `waits`: whether goals come from elsewhere, until somebody ends it.
+    """
     from tactile_base.settings import SettingError
     from tactile_base.whole_file import check_folder
     from tactile_bringup.graph import check_options, load_graph
@@ -137,11 +150,11 @@ def launch(
     except (SettingError, ValueError, OSError) as error:
         _refuse(str(error))
         return None
-    return launch_graph(graph, folder, console, headless)
+    return launch_graph(graph, folder, console, headless, waits=waits)
 
 
 def launch_graph(
-    graph: Graph, folder: Path, console: Console, headless: bool, command: str = "launch"
+    graph: Graph, folder: Path, console: Console, headless: bool, command: str = "launch", waits: bool = False
 ) -> Outcome:
     """Launch a graph that was loaded before, for a command of that name."""
     from tactile_bringup.launching.launcher import Launcher
@@ -151,7 +164,7 @@ def launch_graph(
     write_view(graph, folder)
     live = console.is_terminal and not headless
     with Display(console, live) as display:
-        return Launcher(graph, folder.absolute(), display, command).run()
+        return Launcher(graph, folder.absolute(), display, command, waits).run()
 
 
 def _refuse(message: str) -> int:

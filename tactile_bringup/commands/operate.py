@@ -1,4 +1,4 @@
-"""`tactile reset`, `status`, `get`, `set`, `goal`, `cancel`: what a person does beside a graph that runs.
+"""`tactile reset`, `status`, `reference`, `get`, `set`, `goal`, `cancel`: by hand beside a graph.
 
 They speak to the nodes of the ROS domain that ROS_DOMAIN_ID names; where it is not set, to that of the arms
 which run on this host, as their stop lines tell.
@@ -33,6 +33,8 @@ def register(subparsers: Any) -> None:
     status = _add(subparsers, "status", _status, "what each arm does, who commands it, and what is wrong")
     status.add_argument("arms", nargs="*", metavar="ARM", help="(default: all)")
     status.add_argument("--watch", action="store_true", help="again every second, until Ctrl-C")
+    reference = _add(subparsers, "reference", _reference, "take new images without contact: lift sensors off")
+    reference.add_argument("arms", nargs="*", metavar="ARM", help="(default: all that have an estimator)")
     get = _add(subparsers, "get", _get, "parameters of a node, with range and meaning")
     get.add_argument("node", nargs="?", metavar="NODE", help="as /arm/controller (default: list the nodes)")
     get.add_argument("name", nargs="?", metavar="NAME", default="", help="one, or all that begin so")
@@ -101,6 +103,17 @@ def _reset(arguments: argparse.Namespace, operator: Operator, console: Console) 
     return failed
 
 
+def _reference(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
+    views = _arms(arguments.arms, operator)
+    if not arguments.arms:
+        views = [view for view in views if f"/{view.name}/estimator" in operator.node_names()]
+    for view in views:
+        _say(console, f"/{view.name}: {operator.capture_reference(view.name)}")
+    if not views:
+        _say(console, "no arm has an estimator")
+    return int(not views)
+
+
 def _cancel(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
     _find_controllers(operator)
     for view in operator.chosen(arguments.arms):
@@ -123,7 +136,7 @@ def _arms(names: list[str], operator: Operator) -> list[ArmView]:
 def _status(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
     views = _arms(arguments.arms, operator)
     while True:
-        bad = [_show(view, console) for view in views]
+        bad = [_show(view, operator, console) for view in views]
         for trouble in operator.troubles():
             _say(console, trouble, "yellow")
         if not arguments.watch:
@@ -134,7 +147,7 @@ def _status(arguments: argparse.Namespace, operator: Operator, console: Console)
         _say(console, "")
 
 
-def _show(view: ArmView, console: Console) -> bool:
+def _show(view: ArmView, operator: Operator, console: Console) -> bool:
     """Print what is known of an arm; returns whether something is wrong with it."""
     status, task, contact = view.status, view.controller, view.contact
     if status is None or view.age > 1.0:
@@ -153,6 +166,7 @@ def _show(view: ArmView, console: Console) -> bool:
         "remark": status.remark,
         "task": _task(task),
         "contact": _contact(contact),
+        **operator.limits(view.name),
     }
     for name, text in lines.items():
         if text:

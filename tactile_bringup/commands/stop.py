@@ -3,6 +3,9 @@
 Arms that were started on this host are reached by their stop lines within milliseconds; then /estop is
 published for what listens on other hosts or belongs to other users, which ROS takes a few seconds to find.
 With ROS_DOMAIN_ID set, only arms of that domain are stopped. `tactile reset` lets them move again.
+
+With names, only these arms of this host are stopped, and no /estop is published. A name that none of them has
+stops all arms, as without names, and the exit code is 1: a stop too many is safer than one too few.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tactile_base.stop_line import STOP, StopCaller, arms_here
@@ -45,6 +48,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def _add_options(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    parser.add_argument("arms", nargs="*", metavar="ARM", help="(default, and for an unknown name: all)")
     parser.add_argument("--ready", action="store_true", help="find all arms now, and stop them by a key")
     parser.add_argument("--here", action="store_true", help="only arms that this user started on this host")
     parser.set_defaults(run=run)
@@ -52,23 +56,38 @@ def _add_options(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; 0: arms were found, and every one was seen at rest."""
+    """Run the command; 0: arms were found, every one that was named, and every one was seen at rest."""
+    if arguments.ready and arguments.arms:
+        print("tactile stop: --ready stops all arms: leave the names out", file=sys.stderr)
+        return 2
+    wanted = {f"/{name.strip('/')}" for name in arguments.arms}
     given = os.environ.get("ROS_DOMAIN_ID", "")
     domain = int(given) if given.isdigit() else None
     arms: Arms = {}
+    unknown = wanted
     try:
         with StopCaller(domain) as caller:
             if arguments.ready:
                 _take_time()
                 return _stay_ready(caller, arguments.here)
-            arms = _stop_here(caller)
+            arms = _stop_here(caller, wanted)
+            unknown = wanted.difference(name for _, name in arms)
+            if unknown:
+                arms = _stop_here(caller)
     except OSError as error:  # of the folder: then there is ROS
         print(f"tactile stop: {error}", file=sys.stderr)
     _take_time()
-    if not arguments.here:
+    if not arguments.here and (unknown or not wanted):
         domains = {found for found, _ in arms} if domain is None else {domain}
         _stop_elsewhere(domains or {0}, arms)
-    return _judge(arms)
+    if unknown:
+        found = ", ".join(sorted({name for _, name in arms})) or "none"
+        print(
+            f"tactile stop: no arm of this host is called {', '.join(sorted(unknown))}; all that were found "
+            f"were told to stop: {found}",
+            file=sys.stderr,
+        )
+    return max(_judge(arms), bool(unknown))
 
 
 def _take_time() -> None:
@@ -86,22 +105,27 @@ def _wait_in_a_hurry() -> None:
 # ---- arms of this host ----
 
 
-def _stop_here(caller: StopCaller) -> Arms:
-    """Stop what has a stop line; tells of each arm when it rests."""
+def _stop_here(caller: StopCaller, wanted: Collection[str] = ()) -> Arms:
+    """Stop what has a stop line, or of these the arms that are wanted; tells of each when it rests."""
     begun = time.monotonic()
-    count = caller.call(STOP)
+    count = caller.call(STOP, wanted)
     arms: Arms = {}
+    others: set[tuple[int, str]] = set()
     for word in caller.words(BRAKES) if count else ():
         key, ms = (word.domain, word.arm), 1e3 * (time.monotonic() - begun)
-        if key not in arms:
-            _say(f"{word.arm} was told to stop after {ms:.0f} ms (ROS domain {word.domain})")
-        if word.rests and arms.get(key) != "":
-            _say(f"{word.arm} rests after {ms:.0f} ms")
-        arms[key] = "" if word.rests else word.text
-        if list(arms.values()).count("") == count:
+        if wanted and word.arm not in wanted:
+            others.add(key)
+        else:
+            if key not in arms:
+                _say(f"{word.arm} was told to stop after {ms:.0f} ms (ROS domain {word.domain})")
+            if word.rests and arms.get(key) != "":
+                _say(f"{word.arm} rests after {ms:.0f} ms")
+            arms[key] = "" if word.rests else word.text
+        if list(arms.values()).count("") + len(others) == count:
             break
-    if len(arms) < count:
-        arms[-1, f"{count - len(arms)} of {count} arms"] = "no answer: their nodes are held up"
+    silent = count - len(arms) - len(others)
+    if silent and not any(name in wanted for _, name in arms):
+        arms[-1, f"{silent} of {count} arms"] = "no answer: their nodes are held up"
     return arms
 
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tactile_base.process_limits import overload
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
 from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import ros_environment
@@ -55,6 +54,8 @@ class Outcome:
         Those that ended.
     logs : Path
         Folder with one log a node.
+    overload : str
+        What to do about a machine that was overloaded shortly before the end; empty for others.
     at_rest : bool or None
         Whether every arm reported rest before its driver was stopped; None where none had reported at all.
     escalated : list of str
@@ -64,6 +65,7 @@ class Outcome:
     exit_code: int
     reason: str
     logs: Path
+    overload: str = ""
     goals: list[GoalResult] = field(default_factory=list)
     at_rest: bool | None = None
     escalated: list[str] = field(default_factory=list)
@@ -82,10 +84,14 @@ class Launcher:
         Shows progress, and how it ended.
     command : str
         What the user has called, for messages.
+    waits : bool
+        Whether it runs no goal, but waits for its end while they come from elsewhere.
     """
 
-    def __init__(self, graph: Graph, folder: Path, display: Display, command: str = "launch") -> None:
-        self.graph, self.display, self.command = graph, display, command
+    def __init__(
+        self, graph: Graph, folder: Path, display: Display, command: str = "launch", waits: bool = False
+    ) -> None:
+        self.graph, self.display, self.command, self.waits = graph, display, command, waits
         self.logs = folder / "logs"
         self._parameters = folder / "parameters"
         self._signals: list[int] = []
@@ -122,11 +128,18 @@ class Launcher:
                 if isinstance(end, Interrupted):
                     self.display.say(f"{end}: bringing the arm to rest (again to hurry)", "yellow")
             finally:
-                if self._runner is not None and outcome.reason:
-                    self._runner.client.note(outcome.reason)
+                if self._runner is not None:
+                    self._note(self._runner, outcome)
                 reports = self._stop(group, outcome)
             self._judge([report for report in reports if report.name != dead], outcome)
         shared_memory.remove_orphans(started_ns)
+
+    def _note(self, runner: TaskRunner, outcome: Outcome) -> None:
+        """Have the recording know what the nodes do not; their start alone keeps all cores busy."""
+        if self._worked or outcome.exit_code == NotReady.exit_code:
+            outcome.overload = runner.cores.overload()
+        for text in filter(None, (outcome.overload, outcome.reason)):
+            runner.client.note(text)
 
     def _run_task(self, group: ProcessGroup) -> None:
         environment = self._environment
@@ -147,6 +160,8 @@ class Launcher:
         self._runner = self._connect(group)
         self._runner.wait_until_active()
         self._worked = True
+        if self.waits:
+            self._runner.wait()
         self._runner.run()
 
     def _wait_for_namesakes(self, group: ProcessGroup) -> None:
@@ -222,8 +237,8 @@ class Launcher:
         outcome.reason = "\n".join([outcome.reason, *disorder])
 
     def _tell(self, outcome: Outcome) -> None:
-        if self._worked and (overloaded := overload()):
-            self.display.say(f"note: {overloaded}", "yellow")
+        if outcome.overload:
+            self.display.say(f"note: {outcome.overload}", "yellow")
         if outcome.reason:
             self.display.say(f"tactile {self.command}: {outcome.reason}", "red")
         refused = outcome.exit_code == EXIT_REFUSED

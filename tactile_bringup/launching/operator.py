@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from action_msgs.srv import CancelGoal
@@ -21,6 +21,7 @@ from tactile_base import topics
 from tactile_base.settings import unknown_name
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_drivers.arm import is_at_rest
+from tactile_drivers.motion_bounds import BOUNDS
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
 from tactile_ros.qos import DIAGNOSTICS, STATE
@@ -29,6 +30,8 @@ ENCLAVE = "/operator"
 ANSWER = 10.0  # s, for a service to answer
 RESET_ANSWER = 30.0  # s; to leave a fault of an arm takes its time
 SETTLED = 1.0  # s without anything new after which all that is there counts as found
+MOST_NODES = 1000  # that are told of
+REPORT = 3.0  # s, for a node to report in /diagnostics
 SPIN = 0.01  # s
 
 
@@ -65,6 +68,7 @@ class NodeView:
 
     level: int = 0
     message: str = ""
+    values: dict[str, str] = field(default_factory=dict)
 
 
 class Operator(GraphClient):
@@ -142,7 +146,17 @@ class Operator(GraphClient):
     def _on_report(self, message: DiagnosticArray) -> None:
         for status in message.status:
             level = status.level if isinstance(status.level, int) else status.level[0]
-            self.nodes[status.name] = NodeView(level, status.message)
+            values = {pair.key: pair.value for pair in status.values if pair.key in BOUNDS}
+            if status.name in self.nodes or len(self.nodes) < MOST_NODES:  # strangers may invent names
+                self.nodes[status.name] = NodeView(level, status.message, values)
+
+    def limits(self, arm: str) -> dict[str, str]:
+        """The limits in force, in words by the names of `BOUNDS`, once the arm's node has told them."""
+        node, end = f"/{arm}/arm", time.monotonic() + REPORT
+        while node not in self.nodes and time.monotonic() < end:
+            self.look()
+        told = self.nodes.get(node, NodeView()).values
+        return {name: told[name] for name in BOUNDS if name in told} or {"limits": f"{node} does not tell"}
 
     def troubles(self) -> list[str]:
         """What nodes complain about, each with its node."""
@@ -163,8 +177,14 @@ class Operator(GraphClient):
 
     def reset(self, arm: str) -> str:
         """Let an arm move again; returns what it answers, raises `OperatorError` with why it does not."""
-        service = f"/{arm}/arm/reset"
-        answer = self._ask(Trigger, service, Trigger.Request(), RESET_ANSWER)
+        return self._trigger(f"/{arm}/arm/reset", RESET_ANSWER)
+
+    def capture_reference(self, arm: str) -> str:
+        """Have an arm's estimator take a new image without contact; as `reset`."""
+        return self._trigger(f"/{arm}/estimator/capture_reference", ANSWER)
+
+    def _trigger(self, service: str, timeout_s: float) -> str:
+        answer = self._ask(Trigger, service, Trigger.Request(), timeout_s)
         if not answer.success:
             raise OperatorError(str(answer.message))
         return str(answer.message)

@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from action_msgs.srv import CancelGoal
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import Log
@@ -169,6 +170,7 @@ class ArmTask:
         self.arm = arm
         self.progress = Progress()
         self._client: Any = ActionClient(node, RunTask, f"/{arm}/{topics.RUN_TASK}")
+        self._canceller: Any = node.create_client(CancelGoal, f"/{arm}/{topics.RUN_TASK}/_action/cancel_goal")
         self._goal: _Goal | None = None
         self._heard_s = self._moved_s = -math.inf
         self._regular_s = math.inf
@@ -225,9 +227,8 @@ class ArmTask:
         self._goal.sent = self._client.send_goal_async(goal_message(task, goal), self._on_feedback)
 
     def cancel(self) -> None:
-        """Ask the controller to end the goal under way: it stops, and leaves the surface."""
-        if self._goal is not None and self._goal.handle is not None:
-            self._goal.handle.cancel_goal_async()
+        """Ask the controller to end the goal under way, whoever sent it: it stops, and leaves the surface."""
+        self._canceller.call_async(CancelGoal.Request())  # of no goal and no time: all
 
     def result(self) -> GoalResult | None:
         """The result of the goal under way, once; None until there is one."""

@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from tactile_base.end_signals import signals_into
-from tactile_base.process_limits import overload
+from tactile_base.process_limits import CoreWatch
 from tactile_base.topics import RUN_TASK
 from tactile_bringup.launching.progress import Display
 from tactile_bringup.run_sequence import ArmPlan, RunSequence
@@ -91,6 +91,8 @@ class TaskRunner:
         Called often; raises to end the run.
     results : list of GoalResult
         Of the goals that have ended.
+    cores : CoreWatch
+        Whether the machine is overloaded.
     """
 
     client: TaskClient
@@ -101,6 +103,7 @@ class TaskRunner:
     check: Callable[[], None] = lambda: None
     results: list[GoalResult] = field(default_factory=list)
     _alarmed: set[str] = field(default_factory=set)
+    cores: CoreWatch = field(default_factory=CoreWatch)
 
     @property
     def arms(self) -> list[str]:
@@ -133,8 +136,14 @@ class TaskRunner:
             if all(self.client.arm(arm).regular_for > REGULAR for arm in self.arms):
                 return
             self._turn()
-        why = overload() or "is the machine busy with something else?"
+        why = self.cores.overload() or "is the machine busy with something else?"
         self.display.say(f"the arms do not report regularly: {why}", "yellow")
+
+    def wait(self) -> NoReturn:
+        """Run no goal: they come from elsewhere, until somebody ends it."""
+        self.display.say("waiting for goals of others, as `tactile goal` and `tactile run` send; Ctrl-C ends")
+        while True:
+            self._turn()
 
     def run(self) -> None:
         """Run all goals as `RunSequence` has it; raises `GoalFailed` if one is not reached."""
@@ -232,6 +241,7 @@ class TaskRunner:
             if reason.startswith(DOES_NOT_STOP) and arm not in self._alarmed:
                 self._alarmed.add(arm)
                 self.display.say(f"{arm}: {reason}", "red")
+        self.cores.look()
         if self.display.stop_wanted():
             self.client.stop_arms()
             self.display.say("a key was pressed: emergency stop of all arms", "red")

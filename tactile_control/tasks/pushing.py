@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 PUSH = "push"
 FRAMES = ("base", "world")
+BACK, STUCK = -0.5, 0.25  # parts of the speed: of a push that goes back, of one that goes on
 OUT_OF_PLANE = 0.1  # of a direction: further out of the plane of pushing it is refused
 
 
@@ -48,6 +49,29 @@ class PushSettings(Settings):
         doc="radius of the sensor's tip: nearer to the target than this the sensor's centre has arrived",
     )
     timeout: float = setting(180.0, lower=0.1, upper=3600.0, unit="s", doc="longest push")
+    slow_depth: float = setting(
+        0.0055, lower=0.0, upper=0.1, unit="m", doc="from this believed depth on the push goes slower"
+    )
+    stop_depth: float = setting(
+        0.0059, lower=0.0, upper=0.1, unit="m",
+        doc="and from this one on it goes back, at up to half the speed: more than slow_depth",
+    )  # fmt: skip
+
+    stuck_time: float = setting(
+        2.0, lower=0.1, upper=60.0, unit="s",
+        doc="a push that its depth holds up for so long fails: it topples, or something is in its way",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stop_depth <= self.slow_depth:
+            raise SettingError(
+                f"stop_depth: must be more than slow_depth ({self.slow_depth:g} m), is {self.stop_depth:g}"
+            )
+
+    def pace(self, depth: float) -> float:
+        """How much of the speed is left at a believed depth (m): 1, less from `slow_depth` on, -0.5."""
+        return min(max((self.stop_depth - depth) / (self.stop_depth - self.slow_depth), BACK), 1.0)
 
 
 @dataclass(frozen=True)
@@ -59,7 +83,12 @@ class PushingSettings(ContactTaskSettings):
     )
     surface: SurfaceSettings = field(
         default_factory=lambda: SurfaceSettings(
-            speed=0.03, turn_rate=0.5, yields=0.005, largest_depth=0.007, still_way=0.06
+            speed=0.03,
+            turn_rate=0.5,
+            yields=0.005,
+            depth_margin=0.007,
+            width_error=0.0014,
+            still_way=0.06,
         )
     )
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
@@ -124,7 +153,7 @@ class Pushing(ContactTask):
         self._target = np.array(goal.target)
         self._sideways = np.zeros(6)
         self._steered_ns = 0
-        self._way = 0.0
+        self._went_on = self._way = 0.0
         self._checked = False
 
     def configure(self, settings: ContactTaskSettings) -> None:
@@ -134,15 +163,18 @@ class Pushing(ContactTask):
         self.steering.configure(self.settings.steering)
 
     def reference_velocity(self, elapsed: float) -> Array:
-        """Into the surface, and sideways as target alignment says."""
-        ramp = smooth_ramp(elapsed, self.settings.task.ramp_time)
-        speed = self.settings.task.speed * ramp
+        """Into the surface, and sideways as target alignment says; slower in all where it is too deep."""
         assert self._belief is not None
+        settings = self.settings.task
+        ramp = smooth_ramp(elapsed, settings.ramp_time)
         if self._belief.stamp_ns > self._steered_ns:
             self._steered_ns = self._belief.stamp_ns
-            self._sideways = self._steer(self._belief, speed)
-        velocity = ramp * self._sideways
-        velocity[2] += speed
+            self._sideways = self._steer(self._belief, ramp * settings.speed)
+        pace = ramp * settings.pace(se3.inverse(self._belief.T)[2, 3])
+        if pace > STUCK or ramp < 1.0:
+            self._went_on = elapsed
+        velocity = max(pace, 0.0) * self._sideways
+        velocity[2] += pace * settings.speed
         return velocity
 
     def _steer(self, belief: StampedPose, speed: float) -> Array:
@@ -162,13 +194,18 @@ class Pushing(ContactTask):
         return self._distance(self._sensor_pose()) < self.settings.task.tip_radius
 
     def failure(self, elapsed: float) -> str:
-        """The target was passed, or the push takes too long."""
+        """The target was passed, the object does not go on, or the push takes too long."""
         bearing = target_bearing(self._target, self._reference_frame())
         if bearing.position[2] < 0.0:
             beside = abs(bearing.position[1]) * 1e3
             return f"the target was passed {beside:.1f} mm beside the contact: it cannot be reached any more"
         if elapsed > self.settings.task.timeout:
             return f"the push was not done within {self.settings.task.timeout:g} s"
+        if (stuck := elapsed - self._went_on) > self.settings.task.stuck_time:
+            return (
+                f"the object has not gone on for {stuck:.1f} s: any further the contact would be deeper than "
+                f"{self.settings.task.stop_depth * 1e3:g} mm; it topples, or something is in its way"
+            )
         return ""
 
     def fraction(self) -> float:

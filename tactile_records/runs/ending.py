@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from tactile_base.node_topics import LAUNCH_LOG
+from tactile_base.process_limits import OVERLOADED
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import CONTROLLER_STATUS, DIAGNOSTICS, ROSOUT
 from tactile_records.bags.contents import Bag
@@ -30,7 +31,8 @@ def ending(bag: Bag, record: RunRecord) -> dict[str, Any]:
     """The result of a run (`RunRecord.result`), as far as the bag knows.
 
     The reason is what the controller said, or the launch, or that neither said anything. `complaints` are
-    those of all nodes about the end of the goal that was not reached, each once, in their order.
+    those of all nodes about the end of the goal that was not reached, each once, in their order, then that
+    the machine was overloaded, by the launch.
     """
     result: dict[str, Any] = {"bag_complete": bag.complete, "complaints": [], "reason": ""}
     if not bag.complete:
@@ -44,7 +46,8 @@ def ending(bag: Bag, record: RunRecord) -> dict[str, Any]:
         missed = reached.index(False)
         end = _end(bag, record.arm, missed)
         result["reason"] = f"goal {record.goals[missed]} was not reached: {end.why}"
-        result["complaints"] = _complaints(bag, end.since_ns)
+        overloads = [text for text in _launcher_said(bag) if text.startswith(OVERLOADED)]
+        result["complaints"] = _complaints(bag, end.since_ns) + overloads[-1:]
     return result
 
 
@@ -55,22 +58,22 @@ def _end(bag: Bag, arm: str, missed: int) -> _End:
         if goal == missed and phase != IDLE:
             since_ns = last[2] if last is not None and reason and reason == last[1] else heard_ns
             last = phase, reason, since_ns
+    launcher = [text for text in _launcher_said(bag) if not text.startswith(OVERLOADED)]
     if last is None:
-        return _End("it was not begun", heard_ns)
+        return _End(": ".join(["it was not begun", *launcher[-1:]]), heard_ns)
     phase, reason, since_ns = last
-    launcher = _launcher_said(bag)
     if launcher and reason in ("", CANCELLED):
-        return _End(launcher, since_ns)
+        return _End(launcher[-1], since_ns)
     silence = (bag.messages[-1].received_ns - heard_ns) / SECOND_NS
     if not reason and silence > SILENT:
         return _End(f"nothing was heard of its controller for the last {silence:.1f} s", since_ns)
     return _End(reason or f"the recording ends in its phase '{phase}'", since_ns)
 
 
-def _launcher_said(bag: Bag) -> str:
-    """Why the launch ended, where nodes did not know it: one of them died, or somebody pressed Ctrl-C."""
+def _launcher_said(bag: Bag) -> list[str]:
+    """What nodes did not know of the end: one of them died, somebody pressed Ctrl-C, too little time."""
     said = [text for _, name, text in _fields(bag, ROSOUT.name, "name", "msg") if name == LAUNCH_LOG]
-    return str(said[-1]).splitlines()[0] if said and said[-1] else ""
+    return [str(text).splitlines()[0] for text in said if text]
 
 
 def _complaints(bag: Bag, end_ns: int) -> list[str]:

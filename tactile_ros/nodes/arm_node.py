@@ -31,13 +31,15 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from tactile_base import topics
+from tactile_base.raised import defined_in
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_base.stop_line import StopLine, arms_here
-from tactile_drivers.arm import Arm, ArmMode, ArmState, is_at_rest, open_arm
+from tactile_drivers.arm import ARMS, Arm, ArmMode, ArmState, is_at_rest, open_arm
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
 from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.external import ExternalArmSettings
+from tactile_drivers.motion_bounds import bounds_in_words
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter.contact_bounds import ContactBounds
@@ -102,7 +104,7 @@ class ArmNode(ManagedNode):
             self, ArmNodeSettings(), read_only=("scene", "status_rate", "rehearse", "feels")
         )
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
-        self.hosted = hosted
+        self.hosted, self.whose = hosted, ""
         self.estop = ""  # why; it outlives a deactivation
 
     # ---- lifecycle ----
@@ -116,6 +118,7 @@ class ArmNode(ManagedNode):
         self.safe.neighbours = self._neighbours(cell) if cell is not None else ()
         self.frame = self.frame_of(scene.controlled_frame)
         self.limits = scene.limits
+        self.report.values |= bounds_in_words(scene, self.settings.value.feels)
         self.T_controlled_tool = se3.inverse(scene.T_tool_controlled)
         mount = transform_stamped(0, self.tool_frame, self.frame, scene.T_tool_controlled)
         stand = transform_stamped(0, topics.WORLD, self.base_frame, scene.T_world_base)
@@ -176,6 +179,8 @@ class ArmNode(ManagedNode):
 
     def _open(self, scene: ArmScene) -> Arm:
         """The driver that the scene names."""
+        if scene.driver != EXTERNAL:
+            self.whose = f" (arm driver '{scene.driver}', {defined_in(ARMS.load(scene.driver))})"
         try:
             if scene.driver == EXTERNAL:
                 moves_joints = external_settings(scene).joint_velocities
@@ -230,14 +235,14 @@ class ArmNode(ManagedNode):
         """The state as the safe command stage completes it; None, told and counted, if it cannot be true."""
         complete = self.safe.take_state(state)
         self._tell_alarm()
-        if self.safe.neighbours and state.joints is None:
-            others = ", ".join(neighbour.name for neighbour in self.safe.neighbours)
-            self.warn("joints", f"the driver tells no joints: no distance is kept from {others}", period=60.0)
         if complete is None:
             self.count("states refused")
-            self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}")
+            self.warn("state", f"{self.arm}: state of the arm refused: {self.safe.bad_state}{self.whose}")
             if self._state is None or self.safe.alarm:
                 self._tell_unbelieved()
+        elif self.safe.neighbours and state.joints is None:
+            others = ", ".join(neighbour.name for neighbour in self.safe.neighbours)
+            self.warn("joints", f"the driver tells no joints: no distance is kept from {others}", period=60.0)
         return complete
 
     def _tell_alarm(self) -> None:
@@ -257,7 +262,8 @@ class ArmNode(ManagedNode):
         self._status_due_ns = now_ns + int(SECOND_NS / self.settings.value.status_rate)
         status = ArmStatus(header=header(now_ns, self.base_frame), mode=ArmStatus.FAULT, command_age=-1.0)
         status.twist = np.full(6, np.nan)  # nobody knows whether it rests
-        status.reason = self.safe.alarm or f"what it says of itself is not believed: {self.safe.bad_state}"
+        unbelieved = f"what it says of itself is not believed: {self.safe.bad_state}{self.whose}"
+        status.reason = self.safe.alarm or unbelieved
         self.status_out.publish(status)
 
     def moving_transform(self) -> TransformStamped:

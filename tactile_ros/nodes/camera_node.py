@@ -13,9 +13,10 @@ from typing import Any
 
 from sensor_msgs.msg import Image
 
+from tactile_base.raised import defined_in
 from tactile_base.settings import Settings, setting
 from tactile_base.topics import IMAGE as IMAGE_TOPIC
-from tactile_drivers.camera import Camera, CameraFrame, CameraStatus, open_camera
+from tactile_drivers.camera import CAMERAS, Camera, CameraFrame, CameraStatus, open_camera
 from tactile_drivers.scene import EXTERNAL, SIM, ArmScene
 from tactile_ros.cdr import bytes_from_array
 from tactile_ros.conversions import MessageError
@@ -44,7 +45,7 @@ class CameraNode(ManagedNode):
     def __init__(self, hosted: bool = False, **kwargs: Any) -> None:
         super().__init__("camera", **kwargs)
         self.settings = SettingsParameters(self, CameraNodeSettings(), read_only=("scene",))
-        self.hosted = hosted
+        self.hosted, self.whose = hosted, ""
         self.camera: Camera | None = None
 
     def configure(self) -> None:
@@ -56,6 +57,8 @@ class CameraNode(ManagedNode):
         if self.hosted:
             return
         arm = self._scene()
+        assert arm.sensor is not None
+        self.whose = f" (camera driver '{arm.sensor.camera}', {defined_in(CAMERAS.load(arm.sensor.camera))})"
         try:
             self.camera = open_camera(arm, self.take_frame)
         except (OSError, RuntimeError) as error:
@@ -74,10 +77,12 @@ class CameraNode(ManagedNode):
         if not self.active:
             return
         try:
+            if not isinstance(frame, CameraFrame):
+                raise MessageError(f"is a {type(frame).__name__}, must be a CameraFrame")
             data = bytes_from_array(frame.stamp_ns, self.sensor_frame, frame.image)
         except MessageError as error:
             self.count("frames refused")
-            self.warn("frame", f"{self.arm}: frame of the camera refused: {error}")
+            self.warn("frame", f"{self.arm}: frame of the camera refused: {error}{self.whose}")
             return
         self.image_out.publish(data)
         self.count("frames")

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import STATE as STATE_TOPIC
+from tactile_base.topics import WORLD
 from tactile_control.partners import Partners
 from tactile_control.phases import (
     FAILED,
@@ -35,6 +36,7 @@ from tactile_control.tasks import TASKS
 from tactile_drivers.arm import WorkspaceSettings
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import STATE_FLAGS, STATE_XI, read_state
@@ -186,6 +188,8 @@ class ControllerNode(TaskNode):
             inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None)
             broken = self.run.task.traceback
             self.run.task.partner = self.partners.trouble(time.monotonic())
+            self.run.task.partner_hold = self.partners.hold
+            self.run.task.T_world_base = self._place() if self.partners.arms else None
             self.run.task.remark = self.upstream.cause
             command = task_step(self.run.task, now_ns, inputs)
             now_ns = self.send_twist(command.twist)
@@ -196,6 +200,13 @@ class ControllerNode(TaskNode):
             self._publish_status(now_ns, command, command.twist)
             self._after(now_ns, command)
         self.last_step_ns = now_ns
+
+    def _place(self) -> NDArray[np.float64] | None:
+        """Where the base stands in the world; None where nobody says so."""
+        try:
+            return self.transforms.lookup(WORLD, self.base_frame, 0)
+        except TransformUnavailable:
+            return None
 
     def travelled(self) -> float:
         """See `TaskNode`."""

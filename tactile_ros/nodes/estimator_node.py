@@ -171,13 +171,9 @@ class EstimatorNode(ManagedNode):
     def _tell_reference(self, refused: str) -> None:
         if refused:
             outlook = "the last one stays" if self.presence.ready else "nothing is published without one"
-            text = (
-                f"reference of the contact presence refused: {refused}; {outlook}. Set that right, with the "
-            )
-            self._refuse(
-                "references refused",
-                f"{text}sensor off the surface, and call {self.get_name()}/capture_reference",
-            )
+            remedy = f"Lift the sensor off and type: tactile reference {self.get_namespace().strip('/')}"
+            text = f"reference of the contact presence refused: {refused}; {outlook}. {remedy}"
+            self._refuse("references refused", text)
         elif self.presence.ready:
             self.get_logger().info(
                 "reference of the contact presence taken: nothing may have touched the sensor"

@@ -32,13 +32,14 @@ from tactile_records.bags.losses import Losses
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MONO8, MessageError, array_from_image
-from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, run
+from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, refused_counter, run
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
 HELD_UP = 1.0  # s longer than that without anything to do: the recorder was held up
 QUIET, CATCH_UP = 1.0, 4.0  # s; at the end it waits for what is on its way until none comes, but no longer
+LARGEST = 1 << 22  # bytes of a message; the surfaces of a scene have 1 MB
 PNG_FAST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
@@ -115,6 +116,10 @@ class RecorderNode(ManagedNode):
 
     def _record(self, topic: Topic) -> None:
         def write(data: Any, published_ns: int) -> None:
+            if len(data) > LARGEST:
+                self.count(refused_counter(topic.name))
+                self.warn(f"{topic.name} refused", f"{topic.name} refused: {len(data)} bytes are too many")
+                return
             self._write(topic.name, data, published_ns)
 
         self._listen(topic, _message_type(topic.type), write, raw=True)

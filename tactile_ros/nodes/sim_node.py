@@ -293,7 +293,8 @@ class SimNode(ManagedNode):
         self.warn(
             "rate",
             f"cannot hold {self.scene.simulation.rate} steps a second: more than {limit * 1e3:.0f} ms behind "
-            f"real time, {outlet.lost} exposures of {outlet.arm} left out so far",
+            f"real time, {outlet.lost} exposures of {outlet.arm} left out so far; the machine is busy or too "
+            "slow: end what else runs (`top`), or launch with a lower --rate",
         )
         return False
 

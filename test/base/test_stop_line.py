@@ -54,6 +54,15 @@ def test_a_stop_reaches_every_arm_and_is_answered_again_when_the_arm_rests(make)
             assert (word.arm, word.domain, word.pid, word.rests) == (name, 7, os.getpid(), True)
 
 
+def test_a_stop_of_one_leaves_others_alone_which_answer_all_the_same(make):
+    arms = {"/left": make("/left"), "/left_2": make("/left_2")}
+    with StopCaller() as caller:
+        assert caller.call(STOP, ["/left", "/nobody"]) == 2
+        words = caller.words(10.0)
+        assert {next(words).arm, next(words).arm} == set(arms)
+    assert arms["/left"].reasons and not arms["/left_2"].reasons
+
+
 def test_asking_stops_nothing(make):
     arm = make("/arm")
     with StopCaller() as caller:

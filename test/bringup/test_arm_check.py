@@ -49,6 +49,38 @@ def test_an_arm_that_keeps_what_it_says_passes_at_rest(check):
     assert "10 mm ahead" not in said and "10 mm from the start along the tip" in said
 
 
+BODY = "bodies: {table: {shape: plane, pose: {position: [0, 0, %g], rotation_deg: [%g, 0, 0]}}}"
+
+
+@pytest.mark.parametrize(
+    "height, tilt, code, words",
+    [
+        (
+            0.268,
+            0,
+            0,
+            "look start: tasks begin 12.0 mm above 'table', 0.0 deg from its normal: does the surface",
+        ),
+        (0.268, 12, 0, "12.0 deg from its normal; the first one better 5 to 15 mm above, upright"),
+        (0.2, 0, 0, "80.0 mm above 'table', 0.0 deg from its normal; the first one better"),
+        (0.285, 0, 1, "FAILED start: tasks would begin 5.0 mm inside of 'table'"),
+    ],
+)
+def test_where_tasks_begin_is_told_by_the_surface_below(check, height, tilt, code, words):
+    found, said = check("", f"{BOX}\n{BODY % (height, tilt)}")
+    assert found == code and words in said, said
+
+
+def test_first_days_are_slow_and_the_arms_own_limit_of_force_is_asked_for(check):
+    assert (
+        "ok speed: limits are 20 mm/s, 0.2 rad/s"
+        in check("", BOX + "\n    limits: {linear_velocity: 0.02, angular_velocity: 0.2}")[1]
+    )
+    said = check()[1]
+    assert "20 and 0.2 until ten runs were good" in said
+    assert "look force: the force at which it stops itself is set at its controller" in said
+
+
 def test_an_arm_that_keeps_what_it_says_passes_in_motion(check):
     code, said = check("", BOX, "--move")
     for what in ("direction", "round trip", "stop", "emergency stop", "reset", "computer hangs"):

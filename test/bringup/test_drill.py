@@ -9,8 +9,9 @@ import pytest
 from tactile_base.settings import SettingError
 from tactile_bringup import cli
 from tactile_bringup.drill import Drill, Outcome, faults
-from tactile_bringup.offline import OfflineOptions
+from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
+from tactile_drivers.doubles.lies import Lies
 from tactile_drivers.scene import load_scene
 
 SHORT = ("--scene", "plane", "--fidelity", "ideal")
@@ -26,8 +27,28 @@ def test_what_lies_in_mid_task_is_known_stopped_and_passed(name):
     (outcome,) = drill().run({name: faults(images=False)[name]})
     assert outcome.known < 1.0 and outcome.rest < 2.0
     assert 0.002 < outcome.deepest < 0.005 and outcome.deeper < 0.001
+    assert 0.009 < outcome.fastest < 0.04  # 10 mm/s along the plane, 30 mm/s off it
     assert outcome.reason.startswith("arm: plane: ") and math.isinf(outcome.off)
     assert outcome.objection() == ""
+
+
+def test_a_task_of_more_than_a_minute_is_drilled_and_ended_well_a_while_after_the_fault():
+    task = load_task(task_path("object_tracking"), "tracking_flat")
+    tracking = Drill(load_scene("tracking_flat"), task, OfflineOptions(fidelity="ideal", time_limit=60.0))
+    chosen = {"nothing": Lies, "half as large": faults(images=False)["estimates: half as large"]}
+    nothing, half = tracking.run(chosen, ("follower",))
+    assert nothing.objection() == nothing.reason == "" and nothing.off == 0.0
+    assert 0.03 < nothing.fastest < 0.06  # the plate is carried at up to 27 mm/s, and turned
+    assert half.known < 0.1 and half.reason.startswith("leader: follower: track: within ")
+
+
+def test_runs_end_so_long_after_all_arms_have_come_to_their_work():
+    """The goal of the leader would go on for 90 s."""
+    records = run_arms_offline("tracking_flat", "object_tracking", OfflineOptions("ideal", work_time=2.0))
+    for record in records.values():
+        command = record.command
+        at_work = command.stamp_ns[command.phase == record.work]
+        assert record.result["succeeded"] and 1.9e9 < at_work[-1] - at_work[0] < 3.1e9
 
 
 def test_an_arm_that_cannot_be_stopped_has_to_be_told():
@@ -42,7 +63,7 @@ def test_a_task_that_fails_by_itself_is_no_drill():
         list(drill(time_limit=2.0).run(faults(images=False)))
 
 
-GOOD = Outcome("camera: black", "arm", 0.1, 0.2, 0.003, 0.003, 0.0, math.inf, "no image of the sensor")
+GOOD = Outcome("camera: black", "arm", 0.1, 0.2, 0.03, 0.003, 0.003, 0.0, math.inf, "no image of the sensor")
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,7 @@ def test_nodes_that_do_not_become_active_are_named(start):
     launch = start(fault="never_active")
     assert launch.end() == 4
     assert "not active after 3 s: /arm/cell (not there yet)" in launch.output
+    assert "note: the machine is overloaded: its cores were in use for 100% of" in launch.output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

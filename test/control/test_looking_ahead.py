@@ -41,7 +41,7 @@ def followed(delay_steps, **changes):
 def test_with_latency_high_gains_never_settle_unless_the_belief_is_carried_on():
     high = {"pid__kp": (0.0, 0.0, 16.0, 16.0, 16.0, 0.0)}  # 1/s, at 83 ms of latency
     plant = Plant(SURFACE, above(), delay_steps=5)
-    once = settings(contact__lost_contact="fail", **high)
+    once = settings(contact__lost_contact="fail", surface__depth_margin=0.1, **high)
     plain = run(SurfaceFollowing(once, FollowingGoal(length=0.05)), plant)
     assert plain[-1][1].reason == "contact was lost in phase settle", "it swings out of the surface"
     tilts, depths, last = followed(5, prediction__enabled=True, **high)

@@ -7,7 +7,7 @@ import pytest
 from kinematic_plant import PERIOD, Plane, Plant, freeze_after, pointing_down
 
 from tactile_control.partners import Partners
-from tactile_control.phases import FAILED
+from tactile_control.phases import FAILED, StampedPose
 from tactile_control.tasks.surface_following import (
     FollowingGoal,
     SurfaceFollowing,
@@ -24,6 +24,7 @@ class Says:
     at_work: bool = True
     trouble: str = ""
     over: bool = False
+    hold: StampedPose | None = None
 
 
 ENDED_BADLY = Says(at_work=False, trouble="target passed", over=True)
@@ -54,6 +55,18 @@ def test_one_that_waits_for_this_arm_is_minded_from_its_own_work_on():
     assert partners.trouble(9.3) == "leader: nothing is heard of its controller"
     partners.hear("leader", 9.4, BLIND)
     assert partners.trouble(9.4) == "leader: presence is 120 ms old"
+
+
+def test_where_the_partner_holds_the_object_is_known_while_one_alone_says_so():
+    partners = Partners(awaited=["follower"], waiting=["leader"], age_limit=0.2)
+    here, there = StampedPose(1, np.eye(4)), StampedPose(2, np.eye(4))
+    assert partners.hold is None
+    partners.hear("follower", 1.0, Says(hold=here))
+    assert partners.hold is here
+    partners.hear("leader", 1.0, Says(hold=there))
+    assert partners.hold is None
+    partners.hear("follower", 1.1, Says())
+    assert partners.hold is there
 
 
 def test_one_that_waits_may_end_well_and_begin_again_but_its_failure_counts_until_the_next_goal():

@@ -233,3 +233,23 @@ def test_of_two_arms_the_leader_waits_for_the_follower_and_has_the_papers_settin
     tall = 0.0005 if scene == "dual_pushing_tall" else 0.0
     assert leader.settings.servoing.reference[0] == tall
     assert task.role("follower").settings.servoing.reference == (-tall, 0, 0.003, 0, 0, 0)
+
+
+# ---- no deeper than is allowed ----
+
+
+def test_a_push_goes_slower_at_a_depth_that_comes_near_to_the_limit_and_back_beyond_it():
+    pace = PushingSettings().task.pace
+    assert [pace(depth) for depth in (0.0, 0.003, 0.0055)] == pytest.approx([1.0, 1.0, 1.0])
+    assert [pace(depth) for depth in (0.0057, 0.0059, 0.006, 0.02)] == pytest.approx([0.5, 0.0, -0.25, -0.5])
+    with pytest.raises(SettingError, match=r"stop_depth: must be more than slow_depth \(0.0055 m\)"):
+        PushingSettings().replaced(task__stop_depth=0.005)
+
+
+def test_an_object_that_does_not_go_on_is_pressed_no_deeper_and_the_push_fails(settings):
+    """As one that has come to a wall."""
+    plant, depths = plant_with(depth=0.05), []
+    _, commands = pushed(settings, plant, each=lambda k, command: depths.append(plant.depth))
+    last = commands[-1][1]
+    assert last.phase == FAILED and "the object has not gone on for 2.0 s" in last.reason
+    assert 0.0055 < max(depths) < 0.006 and plant.depth < 0.0

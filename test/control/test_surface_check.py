@@ -46,6 +46,7 @@ def check():
 @pytest.mark.parametrize("seed", range(3))
 def test_whatever_an_arm_does_on_a_still_surface_fits(check, surface, seed):
     """Wandering, tilting, and going in and out, with the noise that estimates have."""
+    check.configure(SurfaceSettings(depth_margin=0.01))
     rng = np.random.default_rng(seed)
     T = pointing_down(np.add(surface.top(), [0.0, 0.0, 0.017]))
     speeds = np.array([0.015, 0.015, 0.003, 0.1, 0.1, 0.1])
@@ -142,9 +143,26 @@ def test_a_belief_that_jumps_is_a_contradiction_at_once(check):
 
 
 def test_a_contact_deeper_than_expected_ends_it_though_the_arm_went_there():
-    check = SurfaceCheck(SurfaceSettings(largest_depth=0.006))
+    check = SurfaceCheck(SurfaceSettings(depth_margin=0.003), reference=0.003)
     when = fed(check, 2.0, lambda t: euler_pose(z=0.003 + 0.005 * t), lambda t: at(down=0.005 * t))
     assert 0.6 <= when <= 0.8 and check.contradiction.endswith("mm deep, which is over 6 mm")
+
+
+def test_the_limit_of_depth_goes_with_the_reference_and_leaves_time_to_come_up_to_a_new_one():
+    depth = {3: 0.003, 6: 0.006}
+    settings = SurfaceSettings(depth_margin=0.001)
+    sinking = lambda t: 0.006 - 0.003 * min(t, 1.0)  # noqa: E731
+    for reference, fits in ((6, True), (3, False)):
+        check = SurfaceCheck(settings, reference=depth[reference])
+        assert (fed(check, 1.0, lambda t: euler_pose(z=0.006), lambda t: at(down=0.006)) is None) == fits
+    check = SurfaceCheck(settings, reference=depth[6])
+    assert fed(check, 1.0, lambda t: euler_pose(z=0.006), lambda t: at(down=0.006)) is None
+    check.configure(settings, reference=depth[3])
+    up = lambda t: at(down=sinking(t))  # noqa: E731
+    assert fed(check, 2.0, lambda t: euler_pose(z=sinking(t)), up, begins=1.0) is None
+    back = lambda t: 0.003 + 0.003 * min(t, 1.0)  # noqa: E731
+    when = fed(check, 2.0, lambda t: euler_pose(z=back(t)), lambda t: at(down=back(t)), begins=3.0)
+    assert when is not None and check.contradiction.endswith("which is over 4 mm")
 
 
 def test_images_that_show_contact_and_give_no_belief_end_it_after_seven(check):
@@ -254,3 +272,13 @@ def test_images_that_give_no_belief_any_more_bring_the_arm_to_rest_and_off_the_s
     rest = next(now for now, c, _, _ in commands if now >= silent_ns and np.abs(c.twist).max() < 1e-6)
     assert rest - silent_ns <= 200 * MS
     assert commands[-1][2] < -0.005
+
+
+def test_in_doubt_an_arm_goes_slower_but_for_the_way_out():
+    """The task is asked for its twist alone."""
+    task = SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.1))
+    task.check.doubt = 1.0
+    for z, slowed in ((0.02, 0.005), (-0.02, -0.02)):
+        twist, said = task._believed(np.array([0.0, 0.01, z, 0.1, 0.0, 0.0]), "")
+        np.testing.assert_allclose(twist, [0.0, 0.0025, slowed, 0.025, 0.0, 0.0])
+        assert said.startswith("slower: ")

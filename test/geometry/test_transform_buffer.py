@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation, Slerp
 
-from tactile_geometry import se3
+from tactile_geometry import se3, transform_buffer
 from tactile_geometry.transform_buffer import (
     MotionLimits,
     TransformBuffer,
@@ -297,3 +297,20 @@ def test_a_static_transform_may_be_corrected_but_not_jump():
     with pytest.raises(TransformJump):
         buffer.set_transform("tool", "sensor", 0, MOUNT @ moved(20), static=True)
     assert not buffer.set_transform("tool", "sensor", 0, MOUNT @ moved(2), static=True)
+
+
+def test_frames_that_a_stranger_invents_are_not_all_kept_and_ours_go_on(monkeypatch):
+    monkeypatch.setattr(transform_buffer, "MOST_LINKS", 10)
+    monkeypatch.setattr(transform_buffer, "MOST_TRANSFORMS", 100)
+    buffer = guarded()
+    for number in range(8):
+        buffer.set_transform("base", f"invented {number}", 0, np.eye(4))
+    with pytest.raises(ValueError, match="10 frames are known already"):
+        buffer.set_transform("base", "one more", 0, np.eye(4))
+    with pytest.raises(ValueError, match="has 5000 characters"):
+        buffer.set_transform("base", "x" * 5000, 0, np.eye(4))
+    for number in range(1000):
+        buffer.set_transform("base", "invented 0", number, np.eye(4))
+        assert len(buffer.stamps("invented 0")) <= 100
+    assert len(buffer.stamps("tool")) == 10
+    np.testing.assert_allclose(buffer.lookup("base", "sensor", 90 * MS), moved(9) @ MOUNT, atol=1e-12)

@@ -1,11 +1,15 @@
 """The scripts behind the Makefile say clearly what is wrong, and repair the wheels once."""
 
 import ast
+import functools
+import http.server
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -151,6 +155,65 @@ def test_torch_of_the_command_line_stands_in_for_that_of_the_package(scripts: Pa
     command = (sys.executable, "scripts/requirements.py", "train")
     lines = run(*command, cwd=scripts.parent, TORCH="torch==2.13.0+cpu").stdout.splitlines()
     assert [line for line in lines if line.startswith("torch")] == ["torch==2.13.0+cpu"]
+
+
+def test_the_command_of_an_environment_runs_its_python_activated_or_not(scripts: Path, tmp_path: Path):
+    command = Path(shutil.copy(scripts / "tactile", tmp_path / "tactile"))
+    (tmp_path / "python3").write_text('#!/bin/sh\necho "the one beside it: $*"\n')
+    (tmp_path / "python3").chmod(0o755)
+    link = tmp_path / "elsewhere"
+    link.symlink_to(command)
+    for called in (command, link):
+        said = run(called, "simulate", "--help", cwd=Path("/"))
+        assert said.stdout == f"the one beside it: {called} simulate --help\n", said.stderr
+
+
+@pytest.fixture
+def without_gpu(scripts: Path, tmp_path: Path):
+    """`cpu_torch.py` on a machine without GPU, with an index of its own; says what it would install."""
+    index = tmp_path / "index" / "torch"
+    index.mkdir(parents=True)
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=index.parent)
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    script = scripts / "cpu_torch.py"
+    text = script.read_text().replace('Path("/dev")', f'Path("{tmp_path}")').replace('"nvidia-smi"', '"none"')
+    script.write_text(
+        text.replace("https://download.pytorch.org/whl/cpu", f"http://127.0.0.1:{server.server_port}")
+    )
+    (scripts / "install.py").write_text("import sys; print(sys.argv[1:])")
+
+    def choose(*listed: str, **environment: str) -> str:
+        (index / "index.html").write_text("".join(f'<a href="/{name}">' for name in listed))
+        command = (
+            sys.executable,
+            "-S",
+            script,
+            "torch==2.13.0",
+        )  # without the site's packages, PyTorch among them
+        result = run(*command, cwd=tmp_path, **environment)
+        assert result.returncode == 0, result.stderr
+        return result.stdout + result.stderr
+
+    yield choose
+    server.shutdown()
+
+
+def test_without_a_gpu_pytorch_is_installed_without_cuda_where_its_index_has_it(without_gpu, tmp_path: Path):
+    wheel = f"torch-2.13.0%2Bcpu-cp3{sys.version_info.minor}-cp3{sys.version_info.minor}-linux.whl"
+    said = without_gpu(wheel)
+    assert "'--no-deps', '--index-url', 'http://127.0.0.1" in said and "'torch==2.13.0+cpu'" in said
+    assert "perhaps with gigabytes of CUDA: http://127" in without_gpu("torch-2.13.0%2Bcpu-cp27-cp27.whl")
+    assert without_gpu(wheel, TORCH="torch==2.9.1") == ""
+    (tmp_path / "nvidia0").touch()
+    assert without_gpu(wheel) == ""
+
+
+def test_an_index_that_does_not_answer_is_told_and_fails_nothing(without_gpu, scripts: Path):
+    script = scripts / "cpu_torch.py"
+    script.write_text(re.sub(r"127\.0\.0\.1:\d+", "127.0.0.1:9", script.read_text()))
+    said = without_gpu()
+    assert "PyTorch is taken as found" in said and "does not answer" in said
 
 
 def test_repair_rewrites_stale_paths_once(scripts: Path):

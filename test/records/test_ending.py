@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_base.node_topics import LAUNCH_LOG
+from tactile_base.process_limits import OVERLOADED
 from tactile_base.topics import CONTROLLER_STATUS, DIAGNOSTICS, ROSOUT
 from tactile_records.runs.ending import ending
 from tactile_records.runs.record import CommandSeries, RunRecord
@@ -82,6 +83,18 @@ def test_the_launch_says_what_no_node_could_know():
     rows = (0.0, "follow", 0, ""), (6.5, "retreat", 0, "cancelled")
     reason = end_of(*rows, said=[(ROSOUT.name, 6.5, note)])["reason"]
     assert reason == "goal first was not reached: node /arm/filter was killed by SIGKILL"
+    reason = end_of((0.0, "idle", 0, ""), said=[(ROSOUT.name, 6.5, note)])["reason"]
+    assert reason.endswith("it was not begun: node /arm/filter was killed by SIGKILL")
+
+
+def test_that_the_machine_was_overloaded_is_a_complaint_and_no_reason():
+    said = f"{OVERLOADED}: its cores were in use for 98% of 3 s lately"
+    note = SimpleNamespace(name=LAUNCH_LOG, msg=said)
+    rows = (0.0, "follow", 0, ""), (6.5, "failed", 0, "pose is 143 ms old")
+    complaint = report(6.4, ("/arm/filter", "late", 1))
+    result = end_of(*rows, said=[complaint, (ROSOUT.name, 7.5, note)])
+    assert result["reason"] == "goal first was not reached: pose is 143 ms old"
+    assert result["complaints"] == ["/arm/filter: late", said]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Pose, Quaternion
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from tf2_msgs.msg import TFMessage
 
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
@@ -17,6 +18,8 @@ from tactile_ros import qos
 from tactile_ros.conversions import (
     header,
     ns_from_time,
+    time_from_ns,
+    transform_stamped,
 )
 
 CONTROLLER = "tactile_ros.nodes.controller_node"
@@ -260,8 +263,8 @@ def test_a_task_that_fails_for_want_of_an_input_says_first_why_that_does_not_com
 class Beside:
     """A controller that works beside another arm's, of which this test says what it says."""
 
-    def __init__(self, graph, role: str) -> None:
-        graph.start(CONTROLLER, {**FAST, role: ["other"]})
+    def __init__(self, graph, role: str, **parameters: float) -> None:
+        graph.start(CONTROLLER, {**FAST, role: ["other"], **parameters})
         self.world = World(graph)
         self.partner = graph.publisher(ControllerStatus, "/other/controller/status")
         assert graph.wait(lambda: bool(self.world.twists) and bool(self.world.statuses))
@@ -318,6 +321,30 @@ def test_the_task_minds_the_arm_that_waited_for_it_once_that_is_at_work_and_lets
     ended, since = ControllerStatus(phase="done"), len(world.statuses)
     assert until(lambda: len(world.statuses) > since + 60, ended)
     assert moving() and not any(status.reason for status in world.statuses[since + 5 :])
+
+
+def test_an_object_that_becomes_thinner_between_two_arms_ends_the_task(graph):
+    """The other one says that it goes in by 2 mm/s, and this one, which keeps its depth, feels nothing."""
+    beside = Beside(graph, "awaited", **{"surface.width_error": 0.0014})
+    static = graph.publisher(TFMessage, "/tf_static", qos.TF_STATIC)
+    static.publish(TFMessage(transforms=[transform_stamped(0, "world", "arm/base", np.eye(4))]))
+    world, since_ns = beside.world, graph.now_ns()
+
+    def facing(rate: float) -> ControllerStatus:
+        stamp_ns = graph.now_ns()
+        z = 0.12 - rate * (stamp_ns - since_ns) / SECOND
+        hold = se3.log(se3.pose_from_euler([0.0, 0.0, z, np.pi, 0.0, 0.0])).tolist()
+        return ControllerStatus(phase="track", at_work=True, hold_stamp=time_from_ns(stamp_ns), hold=hold)
+
+    def turn(rate: float, condition) -> bool:
+        beside.partner.publish(facing(rate))
+        return condition()
+
+    assert world.run_until(lambda: turn(0.0, beside.moving)), world.statuses[-1]
+    assert se3.exp(world.statuses[-1].hold)[2, 3] == pytest.approx(world.T[2, 3] - world.depth, abs=1e-4)
+    since_ns = graph.now_ns()
+    assert world.run_until(lambda: turn(0.002, lambda: world.phase() in ("stopping", "failed")))
+    assert beside.says("the object between both arms became 1."), world.statuses[-1]
 
 
 def test_twists_decrease_smoothly_while_the_watchdog_stops(world):

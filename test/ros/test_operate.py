@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import fcntl
+import math
 import os
 import pty
 import signal
@@ -12,7 +13,9 @@ import termios
 
 import pytest
 from ramp_cell import CONTROLLER, SIM, Cell
+from std_srvs.srv import Trigger
 
+from tactile_drivers.scene import load_scene
 from tactile_msgs.msg import ArmStatus
 
 
@@ -61,7 +64,37 @@ def test_a_stop_brings_the_arm_to_rest_fails_the_goal_and_lasts_until_a_reset(ta
     said = tactile("status", code=1)
     assert "/arm: estop" in said and "emergency stop: asked for by `tactile stop`" in said
     assert "the arm moves again once" in tactile("reset")
-    assert "/arm: resting" in tactile("status")
+    said = tactile("status")
+    assert "/arm: resting" in said
+    limits = load_scene("ramp").arms["arm"].limits
+    speeds = f"{1e3 * limits.linear_velocity:g} mm/s, {math.degrees(limits.angular_velocity):.3g} deg/s"
+    assert f"limits:       {speeds}; {limits.linear_acceleration:g} m/s^2" in said
+    assert "workspace:    x " in said and "touch limits: 10 mm deep" in said
+
+
+def test_one_arm_is_stopped_by_name_and_an_unknown_name_stops_all(tactile):
+    tactile("stop", "arm")
+    assert tactile.graph.wait(tactile.stopped)
+    tactile("reset")
+    said = tactile("stop", "arn", "--here", code=1)
+    assert "no arm of this host is called /arn; all that were found were told to stop: /arm" in said
+    assert tactile.graph.wait(tactile.stopped)
+    tactile("reset")
+    assert "leave the names out" in tactile("stop", "arm", "--ready", code=2)
+
+
+def test_a_new_reference_is_asked_of_the_arms_estimator(tactile):
+    assert tactile("reference", code=1) == "no arm has an estimator\n"
+
+    def answer(request, response):
+        response.success, response.message = True, "the next images become the reference"
+        return response
+
+    service = tactile.graph.node.create_service(Trigger, "/arm/estimator/capture_reference", answer)
+    try:
+        assert tactile("reference", "arm") == "/arm: the next images become the reference\n"
+    finally:
+        tactile.graph.node.destroy_service(service)
 
 
 def test_an_arm_that_only_ros_finds_is_stopped_by_the_topic(tactile, tmp_path):

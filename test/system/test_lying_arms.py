@@ -47,10 +47,10 @@ def test_a_push_on_an_arm_that_lies_ends_and_presses_no_deeper(name):
 
 
 @pytest.mark.parametrize("liar", ["leader", "follower"])
-@pytest.mark.parametrize("name", ["moves_sideways", "servo_off", "frozen_pose"])
+@pytest.mark.parametrize("name", ["moves_sideways", "servo_off", "loses_commands", "frozen_pose"])
 def test_where_two_arms_hold_an_object_both_rest_and_it_is_not_crushed(name, liar):
     lies = LyingArm(name, begins=9.0, arm=liar)
     records = run_arms_offline("dual_pushing", "dual_pushing", OfflineOptions(fidelity="ideal", lies=lies))
     assert not records[liar].result["succeeded"]
     assert all(truth.rests_since < 4.0 for truth in lies.witness.values())  # the other one retreats
-    assert all(truth.deepest < 0.007 for truth in lies.witness.values())  # 5.5 mm in an honest push
+    assert all(truth.deepest < 0.0061 for truth in lies.witness.values())  # 5.5 mm in an honest push

@@ -4,8 +4,10 @@ With the fault "record" a recorder runs beside it.
 """
 
 import sys
+import time
 from pathlib import Path
 
+from tactile_base import process_limits
 from tactile_base.console import lasting_console, say
 from tactile_bringup.graph import Graph, NodeProcess
 from tactile_bringup.launching import launcher, task_runner
@@ -26,6 +28,7 @@ if fault == "record":
 graph = Graph("surface_following", "fake", Path("fake.yaml"), ("arm",), tuple(nodes), (), (plan,))
 if fault == "never_active":
     task_runner.READY_TIMEOUT = 3.0
+    process_limits.core_times = lambda: (0.0, time.monotonic())  # there is no time left
 if fault == "estop_and_on":
     task_runner.REST_TIMEOUT = 1.5
 if fault == "impatient":
