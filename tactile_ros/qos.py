@@ -45,6 +45,9 @@ LATENCY = _profile(50)
 TF = _profile(100)
 TF_STATIC = _profile(100, latched=True)
 LATCHED = _profile(1, latched=True)
+NOTES = _profile(10, latched=True)
+"""What a launch has to say at its end, one after the other, to a recorder that may be held up."""
+
 DIAGNOSTICS = _profile(10)
 
 

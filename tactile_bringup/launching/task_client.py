@@ -22,7 +22,7 @@ from tactile_control.task_file import NamedGoal
 from tactile_drivers.arm import is_at_rest
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
-from tactile_ros.qos import LATCHED, LATENCY, STATE
+from tactile_ros.qos import LATENCY, NOTES, STATE
 from tactile_ros.task_messages import goal_message
 
 CONTROLLER_STAGE = "controller"
@@ -110,7 +110,7 @@ class TaskClient(GraphClient):
     def __init__(self, domain_id: int) -> None:
         super().__init__(CLIENT, domain_id)
         self._estop = self._node.create_publisher(Bool, topics.ESTOP.name, STATE)
-        self._log = self._node.create_publisher(Log, topics.ROSOUT.name, LATCHED)
+        self._log = self._node.create_publisher(Log, topics.ROSOUT.name, NOTES)
         self._states: dict[str, _NodeState] = {}
         self._arms: dict[str, ArmTask] = {}
 

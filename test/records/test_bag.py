@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
@@ -370,3 +371,14 @@ def test_a_missing_definition_is_an_error_that_says_where_it_was_sought(tmp_path
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     with pytest.raises(DefinitionMissing, match=f"no definition of toy_msgs/msg/Part.*{tmp_path}"):
         message_definition("toy_msgs/msg/Part")
+
+
+def test_the_type_of_an_actions_feedback_is_called_as_ros_calls_it(tmp_path):
+    """Although mcap-ros2-support 0.6 refuses it (docs/operating.md): rosbag2 knows the type by this name."""
+    feedback = Topic("/arm/run_task/_action/feedback", "tactile_msgs/action/RunTask_FeedbackMessage")
+    with BagWriter(tmp_path / "bag", [feedback]) as bag:
+        bag.write(feedback.name, b"", received_ns=1000)
+    with bag.file.open("rb") as stream:
+        ((schema, _, _),) = make_reader(stream).iter_messages()
+    assert schema.name == feedback.type
+    assert "MSG: tactile_msgs/action/RunTask_Feedback\n" in schema.data.decode()

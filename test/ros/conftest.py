@@ -148,7 +148,11 @@ class Graph:
 
         def seen() -> list[str]:
             found = self.node.get_node_names_and_namespaces()
-            others = ("test", LAST_ZEROS)  # which have no state
+            others = (
+                "test",
+                "operator",
+                LAST_ZEROS,
+            )  # which have no state; commands of `tactile` come and go
             return [f"{space.rstrip('/')}/{name}" for name, space in found if name not in others]
 
         def running() -> int:

@@ -14,8 +14,9 @@ def test_a_node_with_an_arm_leaves_no_remarks_of_libraries(graph, how):
             "def steps(self):\n    count.append(1)\n    return step(self) if len(count) < 300 else 1 / 0\n"
             "Cell.step = steps\n"
         )
-    process = graph.start_code(SIM, code + "sys.exit(sim_node.main())\n", {"scene": "plane"})
-    if how == "asked to end":
+    asked, program = how == "asked to end", code + "sys.exit(sim_node.main())\n"
+    process = graph.start_code(SIM, program, {"scene": "plane"}, wait=asked)
+    if asked:
         assert graph.stop(SIM) == 0
     else:
         assert graph.wait(lambda: process.poll() is not None) and process.returncode == 1

@@ -170,6 +170,20 @@ def test_a_failed_configuration_can_be_mended_by_a_parameter_and_tried_again(gra
     assert change(graph, Transition.TRANSITION_CONFIGURE) and state(graph) == "inactive"
 
 
+def test_two_nodes_of_one_name_are_told_by_both_until_one_ends(graph):
+    graph.start_code("toy", TOY)
+    twin = "another node in this ROS domain is called /arm/toy, too: end one of them"
+    assert not [report for report in graph.reports("toy") if twin in report.message]
+    graph.start_code("twin", TOY, wait=False)
+    graph.wait_until_active("twin")
+    for name in ("toy", "twin"):
+        assert graph.wait(lambda name=name: twin in graph.log(name).read_text()), name
+    graph.wait_for_report("toy", lambda report: twin in report.message)
+    graph.stop("twin")
+    graph.diagnostics.clear()
+    graph.wait_for_report("toy", lambda report: twin not in report.message)
+
+
 def test_a_misspelt_parameter_is_told_with_the_nearest_name(graph):
     graph.start_code("toy", TOY, {"gian": 3.0})
     assert "unknown name 'gian' (did you mean 'gain'?)" in graph.log("toy").read_text()

@@ -1,6 +1,7 @@
 """What nodes really say and hear lies within the permissions that `tactile security` writes for them."""
 
 import pytest
+from rclpy.node import NodeNameNonExistentError
 
 from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.permissions import enclaves
@@ -12,7 +13,10 @@ def dds_names(graph, namespace: str, node: str) -> tuple[set[str], set[str]]:
     ask = graph.node
 
     def names(query) -> list[str]:
-        return [name for name, _ in query(node, namespace)]
+        try:
+            return [name for name, _ in query(node, namespace)]
+        except NodeNameNonExistentError:  # not yet
+            return []
 
     served = names(ask.get_service_names_and_types_by_node)
     asked = names(ask.get_client_names_and_types_by_node)
