@@ -7,7 +7,7 @@ with leading dimensions, and convert each to the bit as alone.
 
 exp, log, adjoint and the Jacobians are in C (`_csrc/se3_exact.h`): worked out with twice the precision and
 rounded once, so that they are correct to about the last digit from angle 0 to pi, the Jacobians to 2 pi.
-`test/filter/se3_reference.py` has the same in NumPy, to be read.
+`test/geometry/se3_reference.py` has the same in NumPy, to be read.
 
 Raises
 ------
