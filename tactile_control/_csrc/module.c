@@ -4,20 +4,6 @@
 #include "laws.h"
 
 
-static int has_count(const char* name, Py_ssize_t count, Py_ssize_t expected) {
-  if (count == expected) return 1;
-  PyErr_Format(PyExc_TypeError, "%s takes %zd arguments, got %zd", name, expected, count);
-  return 0;
-}
-
-
-// numbers of the arguments; returns 0 with an error set
-static int read_numbers(double* res, PyObject* const* args, int count) {
-  for (int i = 0; i < count; i++) res[i] = PyFloat_AsDouble(args[i]);
-  return !PyErr_Occurred();
-}
-
-
 // six numbers that are at most so large, or NULL; no error for ones that are not
 static const double* six(double buffer[CHANNELS], PyObject* arg, double largest) {
   const double* res = borrow_array(buffer, arg, CHANNELS, 0, "vector");

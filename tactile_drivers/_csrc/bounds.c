@@ -1,15 +1,11 @@
 #include "bounds.h"
+#include "vec3.h"
 
 #include <math.h>
 #include <string.h>
 
 #define ROUNDING 1e-6  // m: further than this beyond a reach, rounding does not decide whether a bound counts
 #define ROUNDS 4       // a bound that another one has pushed the velocity over is met by going through all again
-
-
-static double dot3(const double a[3], const double b[3]) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
 
 
 double braking_distance(const Braking* b, double speed) {

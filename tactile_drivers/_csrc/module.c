@@ -7,19 +7,6 @@
 #define MOST_BOXES 1000
 
 
-static int has_count(const char* name, Py_ssize_t count, Py_ssize_t expected) {
-  if (count == expected) return 1;
-  PyErr_Format(PyExc_TypeError, "%s takes %zd arguments, got %zd", name, expected, count);
-  return 0;
-}
-
-
-static int read_numbers(double* res, PyObject* const* args, int count) {
-  for (int i = 0; i < count; i++) res[i] = PyFloat_AsDouble(args[i]);
-  return !PyErr_Occurred();
-}
-
-
 // ---- shapes ----
 
 // distance (n,) and normal (n, 3) of points (n, 3)

@@ -1,4 +1,4 @@
-// NumPy arrays to and from C arrays, for the one file that imports NumPy.
+// Arguments and NumPy arrays to and from C arrays, for the one file that imports NumPy.
 #ifndef TACTILE_ARRAYS_H_
 #define TACTILE_ARRAYS_H_
 
@@ -8,6 +8,25 @@
 
 #include <math.h>
 #include <string.h>
+
+
+// returns 0 with an error set unless a function was given as many arguments as expected
+static inline int has_count(const char* name, Py_ssize_t count, Py_ssize_t expected) {
+  if (count == expected) {
+    return 1;
+  }
+  PyErr_Format(PyExc_TypeError, "%s takes %zd arguments, got %zd", name, expected, count);
+  return 0;
+}
+
+
+// the numbers of some arguments; returns 0 with an error set
+static inline int read_numbers(double* res, PyObject* const* args, int count) {
+  for (int i = 0; i < count; i++) {
+    res[i] = PyFloat_AsDouble(args[i]);
+  }
+  return !PyErr_Occurred();
+}
 
 
 // whether the array has the shape (rows, columns), or (rows,) for columns = 0

@@ -1,18 +1,9 @@
-// Poses to and from Python, with what is wrong with an argument; after arrays.h, for the one file that imports NumPy.
+// Poses to and from Python, with what is wrong with an argument; for the one file that imports NumPy.
 #ifndef TACTILE_POSES_H_
 #define TACTILE_POSES_H_
 
 #include "arrays.h"
 #include "se3.h"
-
-
-static inline int has_count(const char* name, Py_ssize_t count, Py_ssize_t expected) {
-  if (count == expected) {
-    return 1;
-  }
-  PyErr_Format(PyExc_TypeError, "%s takes %zd arguments, got %zd", name, expected, count);
-  return 0;
-}
 
 
 static inline PyObject* new_pose(const Pose* pose) {

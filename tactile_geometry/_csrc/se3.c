@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "coefficients.h"
+#include "vec3.h"
 
 #define PI_SQUARED 9.869604401089358618834490999876151135
 
@@ -18,18 +19,6 @@ static double polynomial(const double* coef, int n, double x) {
     res = res * x + coef[i];
   }
   return res;
-}
-
-
-static double dot3(const double a[3], const double b[3]) {
-  return a[0]*b[0] + a[1]*b[1] + a[2]*b[2];
-}
-
-
-static void cross3(double res[3], const double a[3], const double b[3]) {
-  res[0] = a[1]*b[2] - a[2]*b[1];
-  res[1] = a[2]*b[0] - a[0]*b[2];
-  res[2] = a[0]*b[1] - a[1]*b[0];
 }
 
 

@@ -6,6 +6,7 @@
 // contiguous and C is symmetric.
 
 #include "contact.h"
+#include "vec3.h"
 
 #include <math.h>
 #include <string.h>
@@ -21,11 +22,6 @@
 CLONES static void add_rows(float* restrict y, const float* restrict x0, const float* restrict x1,
                             const float* restrict x2, float a, float b, float c, int n) {
   for (int k = 0; k < n; k++) y[k] += a * x0[k] + b * x1[k] + c * x2[k];
-}
-
-
-static double dot3(const double a[3], const double b[3]) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
 

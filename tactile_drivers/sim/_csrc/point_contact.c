@@ -4,15 +4,11 @@
 #include <string.h>
 
 #include "se3.h"
+#include "vec3.h"
 
 // Of the depth, by which the skin that touches is pressed in on average: the simulated TacTip, rolled by up to
 // 20 degrees over a plane at depths of 2 and 4 mm, shears as if it rolled on the radius less this part of it.
 #define PRESSED 0.42
-
-
-static double dot3(const double a[3], const double b[3]) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
 
 
 // of a table over growing x; at its ends beyond them

@@ -1,4 +1,5 @@
 #include "pushed.h"
+#include "vec3.h"
 
 #include <math.h>
 #include <string.h>
@@ -6,11 +7,6 @@
 #define LEAST_LOAD 0.05  // part of the weight on the floor: below, it would be carried, which is not modelled
 #define ROUNDS 5         // of return mapping in a step, while a tip slips
 #define STILL 1e-7       // m: motion that ends them
-
-
-static double dot3(const double a[3], const double b[3]) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
 
 
 // a point (one = 1) or direction (0) in the frame that T leads to
