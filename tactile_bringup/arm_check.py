@@ -76,8 +76,8 @@ def check_start(scene: Scene, arm: ArmScene) -> Findings:
     gaps = []
     for name, body in scene.bodies_of(arm.name).items():
         T = se3.inverse(scene.T_base_body(arm.name, name)) @ arm.T_base_start
-        distance, normal = body.make().query(T[None, :3, 3])
-        gaps.append((float(distance[0]), -float(normal[0] @ T[:3, 2]), name))
+        distances, normals = body.make().query(T[None, :3, 3])
+        gaps.append((float(distances[0]), -float(normals[0] @ T[:3, 2]), name))
     if arm.sensor is None or not gaps:
         return
     distance, ahead, name = min(gaps)
