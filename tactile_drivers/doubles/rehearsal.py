@@ -133,7 +133,7 @@ def _simulated(scene: Scene, arm: ArmScene) -> Any:
     rate, steps = arm.sensor.settings.camera_rate, scene.simulation.rate
     if steps / rate != int(steps / rate):
         raise SettingError(
-            f"{scene.path}: camera_rate = {rate:g} Hz: without the camera the simulation's rate, {steps} Hz, "
+            f"{scene.path}: camera_rate = {rate:g} Hz: where it is simulated the simulation's rate, {steps} Hz, "
             "must be a multiple of it"
         )
     tip = scene.simulation.sensors[arm.name].tip_radius

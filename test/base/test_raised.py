@@ -65,7 +65,7 @@ def test_an_error_inside_a_library_is_told_with_the_plugins_own_line(bowl):
 
 def test_an_error_in_our_code_that_a_plugin_called_has_both_lines(bowl):
     place = raised_at(caught(bowl().inside_ours))
-    assert "my_bowl.py:11, in " in place and "tactile_filter" in place
+    assert "my_bowl.py:11, in " in place and "tactile_geometry" in place
 
 
 def test_an_error_of_a_plugin_itself_has_its_line(bowl):
@@ -86,13 +86,13 @@ def test_a_plugin_that_is_installed_among_libraries_is_no_library(tmp_path, monk
 
 def test_an_error_of_ours_has_our_line_and_nobodys_name():
     error = caught(lambda: se3.pose_from_euler("x"))
-    assert "tactile_filter" in raised_at(error) and told(error).startswith("ValueError: ")
+    assert "tactile_geometry" in raised_at(error) and told(error).startswith("ValueError: ")
 
 
 def test_what_a_plugin_gave_is_told_where_its_own_code_has_raised_nothing(bowl):
     text = told(caught(lambda: se3.pose_from_euler("x")), bowl)
     assert text.startswith("shape 'bowl': ValueError: ")
-    assert "tactile_filter" in text and text.endswith("my_bowl.py:7 gives)")
+    assert "tactile_geometry" in text and text.endswith("my_bowl.py:7 gives)")
 
 
 def test_a_file_that_is_no_python_is_told_with_its_line(tmp_path):
