@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from tactile_base.stamps import SECOND_NS
 
+REST_FIRST = "the arm waits for a twist of zero, as from every new commander and after every stop"
+
 
 class Commander(NamedTuple):
     """Who sends a command.
@@ -82,7 +84,7 @@ class Ownership:
         if self.waits_for_rest and moves:
             if not new:
                 self._heard_ns, self._sequence = now_ns, sequence
-            return "the arm waits for a twist of zero, as from every new commander and after every stop"
+            return REST_FIRST
         self._who, self._heard_ns, self._sequence = who, now_ns, sequence
         self.waits_for_rest = False
         return ""

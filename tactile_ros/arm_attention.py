@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from tactile_drivers.ownership import REST_FIRST
 from tactile_msgs.msg import ArmStatus
 
 TROUBLE = {ArmStatus.FAULT: "fault", ArmStatus.ESTOP: "emergency stop"}
@@ -21,10 +22,12 @@ class ArmAttention:
     ----------
     trouble : str
         Why the arm does not follow it; '' if it does, as far as is known.
+    wants_rest : bool
+        Whether the arm waits for a twist of zero from it, as after a silence of half a second.
     """
 
     def __init__(self, source: str) -> None:
-        self.source, self.trouble = source, ""
+        self.source, self.trouble, self.wants_rest = source, "", False
         self._seen: float | None = None
         self._asked = 0.0
         self._since: dict[str, float] = {}
@@ -32,6 +35,7 @@ class ArmAttention:
     def see(self, status: ArmStatus, commands: bool) -> None:
         """Take a status; `commands`: whether twists are sent all the time now."""
         self.trouble, self._seen = self._trouble(status, commands), time.monotonic()
+        self.wants_rest = status.refused_source == self.source and status.refused == REST_FIRST
 
     def silence(self) -> str:
         """That an arm which has told of itself does so no more; '' if it does. To be asked all the time."""

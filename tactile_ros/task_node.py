@@ -156,9 +156,12 @@ class TaskNode(ManagedNode, ABC):
         self.release_later(self._close_action, action)
 
     def send_twist(self, twist: ArrayLike) -> int:
-        """Ask for [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns."""
+        """Ask for [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns.
+
+        Whoever was held up for so long that the arm waits for its rest asks for that, and goes on from there.
+        """
         now_ns = self.now_ns()
-        numbers = np.asarray(twist, dtype=np.float64).tolist()
+        numbers = [0.0] * 6 if self.attention.wants_rest else np.asarray(twist, dtype=np.float64).tolist()
         self._sent += 1
         numbers = self._session, self._sent, *numbers
         command = headed_bytes(ArmCommand, now_ns, self.controlled_frame, *numbers, source=self.source)

@@ -133,8 +133,8 @@ def _simulated(scene: Scene, arm: ArmScene) -> Any:
     rate, steps = arm.sensor.settings.camera_rate, scene.simulation.rate
     if steps / rate != int(steps / rate):
         raise SettingError(
-            f"{scene.path}: camera_rate = {rate:g} Hz: where it is simulated the simulation's rate, {steps} Hz, "
-            "must be a multiple of it"
+            f"{scene.path}: camera_rate = {rate:g} Hz: where it is simulated the simulation's rate, "
+            f"{steps} Hz, must be a multiple of it"
         )
     tip = scene.simulation.sensors[arm.name].tip_radius
     # what was measured of the real camera's stamps is not true of the simulated one's

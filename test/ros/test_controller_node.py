@@ -11,6 +11,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from tf2_msgs.msg import TFMessage
 
+from tactile_drivers.ownership import REST_FIRST
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState, ControllerStatus
@@ -209,6 +210,18 @@ def test_a_task_whose_commands_are_refused_or_not_heard_fails_with_the_arms_word
     told = f"the arm refuses its commands: {refused}" if refused else "the arm has heard no command for 1 s"
     assert told in result.reason
     assert world.recovers()
+
+
+def test_a_task_whose_arm_waits_for_rest_gives_it_and_goes_on(world):
+    """As after half a second in which the controller, or the arm's node, was held up."""
+    handle = world.following()
+    me = world.twists[-1].source
+    world.arm_status = ArmStatus(refused=REST_FIRST, refused_source=me)
+    assert world.run_until(world.rests)
+    world.arm_status = ArmStatus(owner=me)
+    assert world.run_until(lambda: world.twist()[1] > 0.005) and world.phase() == "follow"
+    handle.cancel_goal_async()
+    assert world.result(handle).reason == "cancelled"
 
 
 def test_a_goal_runs_through_all_phases_to_success_with_feedback(world):
