@@ -130,7 +130,7 @@ class ArmWatch:
         if not self._monitor.due(state.stamp_ns):
             return False
         self._monitor.told(state.stamp_ns, in_base(state.T_base_controlled, twist))
-        deviation = self._monitor.see(state)
+        deviation = self._monitor.see(state, self._clock() - state.stamp_ns)
         if not self._monitor.moves:
             self._stop = ""
         return self._judged(deviation, bool(twist.any()))

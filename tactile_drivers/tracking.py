@@ -26,6 +26,7 @@ from tactile_geometry import se3
 Array = NDArray[np.float64]
 
 _STEP_NS = 15_000_000  # states nearer to each other than this are looked at together
+_LATEST_NS = SECOND_NS // 5  # by which a machine that is held up delays what an arm is told, at most
 _PAUSE_NS = SECOND_NS // 2  # without states for so long the window begins anew
 _STANDS, _PART = 0.1, 0.5  # of the least way that was told: less is none, and less is too little
 _LASTS = 0.1  # s, for which none, or poses that do not fit speeds, are no pause of whoever tells them
@@ -75,9 +76,12 @@ class _Bounds:
         """It is this from now on."""
         self._said.append((stamp_ns, velocity))
 
-    def advance(self, from_ns: int, to_ns: int, part: float) -> None:
-        """Integrate over an interval; an arm that is slowed down may do only `part` of it."""
-        said, since = self._said, from_ns - self._lag_ns
+    def advance(self, from_ns: int, to_ns: int, part: float, late_ns: int = 0) -> None:
+        """Integrate over an interval; an arm that is slowed down may do only `part` of it.
+
+        `late_ns` is what a signal may take besides its lag.
+        """
+        said, since = self._said, from_ns - self._lag_ns - late_ns
         while len(said) > 1 and said[1][0] <= since:
             said.popleft()
         held = [velocity for stamp, velocity in said if stamp <= to_ns] or [said[0][1]]
@@ -134,8 +138,14 @@ class TrackingMonitor:
         """The arm is told to move at this velocity (6,) from now on."""
         self._told.say(stamp_ns, velocity)
 
-    def see(self, state: ArmState) -> Deviation | None:
-        """Take a state; what it says that the arm did otherwise, over the last window."""
+    def see(self, state: ArmState, late_ns: int = 0) -> Deviation | None:
+        """Take a state; what it says that the arm did otherwise, over the last window.
+
+        Parameters
+        ----------
+        late_ns : int
+            How late it came: what the arm was told may have been as late.
+        """
         self._reported.say(state.stamp_ns, in_base(state.T_base_controlled, state.twist))
         last = self._samples[-1] if self._samples else None
         if last is None or state.stamp_ns - last.stamp_ns > _PAUSE_NS:
@@ -143,7 +153,7 @@ class TrackingMonitor:
             last_ns = state.stamp_ns
         else:
             last_ns = last.stamp_ns
-        self._told.advance(last_ns, state.stamp_ns, state.speed_scaling)
+        self._told.advance(last_ns, state.stamp_ns, state.speed_scaling, min(max(late_ns, 0), _LATEST_NS))
         self._reported.advance(last_ns, state.stamp_ns, 1.0)
         return self._compared(self._sampled(state))
 

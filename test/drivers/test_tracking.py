@@ -27,7 +27,7 @@ class Arm:
         self.T, self.stamp_ns = se3.pose_from_euler([0.4, 0.1, 0.3, 0.3, np.pi, 0.5]), SECOND
         self.told = [(0, REST)]
         self.period, self.noise, self.random = 1.0 / rate, noise, np.random.default_rng(seed)
-        self.scaling, self.found = 1.0, []
+        self.scaling, self.found, self.late_ns = 1.0, [], 0
 
     def tell(self, twist):
         twist = np.asarray(twist, dtype=float)
@@ -56,7 +56,7 @@ class Arm:
             said = self.T @ se3.exp(self.noise * self.random.normal(size=6))
             state = ArmState(self.stamp_ns, said, self.twist, ArmMode.MOVING, speed_scaling=self.scaling)
             self.monitor.told(self.stamp_ns, in_base(self.T, self.told[-1][1]))
-            if self.monitor.due(self.stamp_ns) and (deviation := self.monitor.see(state)):
+            if self.monitor.due(self.stamp_ns) and (deviation := self.monitor.see(state, self.late_ns)):
                 self.found.append((self.stamp_ns, deviation))
         return self.found[0][1] if self.found else None
 
@@ -64,6 +64,16 @@ class Arm:
 twists = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(
     lambda parts: np.array(parts) * np.repeat([0.058, 0.58], 3)
 )
+
+
+@pytest.mark.parametrize("late, accused", [(0.0, True), (0.08, False)])
+def test_an_arm_is_as_much_later_than_its_lag_as_its_states_are(late, accused):
+    """Where a machine is held up, what the arm is told comes as late as what it says."""
+    arm = Arm(delay=0.16)
+    arm.late_ns = round(late * SECOND)
+    arm.step(1.0, ALONG)
+    arm.step(0.5, REST)
+    assert bool(arm.found) is accused
 
 
 @pytest.mark.parametrize("rate", [30.0, 125.0, 500.0])
