@@ -18,8 +18,8 @@ GEOMETRY = "tactile_geometry/_csrc"  # its headers are for all modules, with the
 C_MODULES = {
     "tactile_geometry._se3": [f"{GEOMETRY}/*.c"],
     "tactile_filter._fusion": ["tactile_filter/_csrc/*.c", f"{GEOMETRY}/se3.c"],
-    "tactile_drivers._native": ["tactile_drivers/_csrc/*.c"],
-    "tactile_drivers.sim._contact": ["tactile_drivers/sim/_csrc/*.c", f"{GEOMETRY}/se3.c"],
+    "tactile_scene._native": ["tactile_scene/_csrc/*.c"],
+    "tactile_sim._contact": ["tactile_sim/_csrc/*.c", f"{GEOMETRY}/se3.c"],
     "tactile_control._laws": ["tactile_control/_csrc/*.c"],
     "tactile_perception._image": ["tactile_perception/_csrc/*.c"],
 }

@@ -24,15 +24,16 @@ import numpy as np
 
 from tactile_bringup.experiment import numbers_of
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, SafetySettings
 from tactile_drivers.arm_distance import Neighbour
-from tactile_drivers.joint_limits import allowed_part, joint_rates, smallest_singular_value
-from tactile_drivers.kinematics.arm_file import load_arm
-from tactile_drivers.kinematics.capsules import gaps
-from tactile_drivers.kinematics.chain import Chain
-from tactile_drivers.scene import load_scene
-from tactile_drivers.sim.pushing_scene import pushing_scene
 from tactile_geometry import se3
+from tactile_scene.arm import ArmMode, ArmState
+from tactile_scene.arm_settings import ArmLimits, SafetySettings
+from tactile_scene.kinematics.arm_file import load_arm
+from tactile_scene.kinematics.capsules import gaps
+from tactile_scene.kinematics.chain import Chain
+from tactile_scene.kinematics.joint_limits import allowed_part, joint_rates, smallest_singular_value
+from tactile_scene.scene_file import load_scene
+from tactile_sim.pushing_scene import pushing_scene
 
 START, TARGET, HEIGHT = np.array([0.100, -0.250]), np.array([0.375, 0.0]), 0.045
 TIP = 0.017  # m from the sensor's frame to the object: a tip of 20 mm pressed 3 mm deep

@@ -14,9 +14,10 @@ import time
 
 import numpy as np
 
-from tactile_drivers.scene import Scene, load_scene
-from tactile_drivers.sim.cell import Cell
 from tactile_geometry import se3
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import load_scene
+from tactile_sim.cell import Cell
 
 SPEED = 0.010  # m/s along the surface
 

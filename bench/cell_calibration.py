@@ -14,10 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tactile_bringup.cell_touching import simulated
-from tactile_drivers.scene import Scene, load_scene
 from tactile_geometry import se3
 from tactile_records.calibrating import mounting, time_offset, tip
 from tactile_records.calibrating.touches import touches_of
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import load_scene
 
 SAID = (0.0, 0.0, 0.065)  # m, as the scene of the table has it
 TIME = (0.0, 0.010, 0.025)  # s, delay of the camera

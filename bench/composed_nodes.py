@@ -14,7 +14,7 @@ CHAIN = ("estimator", "filter", "controller")
 IDLE = "import signal, sys; signal.signal(signal.SIGINT, lambda *_: sys.exit(0)); signal.pause()"
 ALL = """
 import sys
-from tactile_ros.managed_node import run
+from tactile_ros.run_nodes import run
 from tactile_ros.nodes.controller_node import ControllerNode
 from tactile_ros.nodes.estimator_node import EstimatorNode
 from tactile_ros.nodes.filter_node import FilterNode

@@ -3,7 +3,7 @@
     python bench/fit_network_error.py [--model FILE] [--contacts 400] [--held-out 100] [--write]
 
 Simulates the skin along random ways in contact (pressed, rolled, sheared until it slips, turned), has the
-network answer, and fits `tactile_drivers.sim.network_error.ErrorModel`. Images are drawn at the network's
+network answer, and fits `tactile_sim.network_error.ErrorModel`. Images are drawn at the network's
 size for the fit and in full for the contacts held out, on which it then prints the network's statistics
 beside the model's. About four minutes of one core. `--write` replaces the file that the package ships.
 """
@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
 from tactile_bringup.offline_perception import network_view
-from tactile_drivers.shapes.plane import Plane
-from tactile_drivers.sim.collection import _along_surface, _Sphere
-from tactile_drivers.sim.network_error import SHIPPED, WAY, ErrorModel, NetworkError
-from tactile_drivers.sim.tactip import ContactTruth, TacTip
 from tactile_geometry import se3
 from tactile_perception.estimating.presence import ContactPresence
 from tactile_perception.estimator import Estimator
+from tactile_scene.shapes.plane import Plane
+from tactile_sim.collection import _along_surface, _Sphere
+from tactile_sim.network_error import SHIPPED, WAY, ErrorModel, NetworkError
+from tactile_sim.tactip import ContactTruth, TacTip
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,12 @@ import numpy as np
 import yaml
 from real_markers import Tracked, track
 
-from tactile_drivers.sim.camera import Camera
-from tactile_drivers.sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
-from tactile_drivers.sim.markers import Markers
-from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
-from tactile_drivers.sim.skin import Skin, load_skin
-from tactile_drivers.sim.tactip import TacTip
+from tactile_scene.simulated_sensors import SkinSettings, TacTipSettings
+from tactile_sim.camera import Camera
+from tactile_sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
+from tactile_sim.markers import Markers
+from tactile_sim.skin import Skin, load_skin
+from tactile_sim.tactip import TacTip
 
 SOFT = 3.0  # px, where the loss turns from squares to absolute values
 REST_WEIGHT = 3.0  # of the markers at rest, which are known better

@@ -25,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from ur_driver import KEPT, Resources, quantiles, schedule, show_states, started
 
-from tactile_drivers.arm import ArmMode, ArmState, open_arm
-from tactile_drivers.doubles.franka_controller import FrankaController
-from tactile_drivers.doubles.franka_robot import PERIOD
-from tactile_drivers.scene import load_scene
+from tactile_doubles.franka_controller import FrankaController
+from tactile_doubles.franka_robot import PERIOD
+from tactile_scene.arm import ArmMode, ArmState, open_arm
+from tactile_scene.scene_file import load_scene
 
 HOST = "127.0.0.78"
 COMMANDS = 0.05  # s, between commands: each has been reached before the next

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from tactile_drivers.scene import load_scene
-from tactile_drivers.shapes import make_surface
-from tactile_drivers.sim.held import GRAVITY, HeldObject, HeldSettings
-from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
+from tactile_scene.scene_file import load_scene
+from tactile_scene.shapes import make_surface
+from tactile_sim.held import GRAVITY, HeldObject, HeldSettings
+from tactile_sim.tactip import TacTip
 
 DEPTHS = np.arange(1.0, 9.0)  # mm
 SHEAR = 0.3  # mm

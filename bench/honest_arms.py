@@ -31,9 +31,10 @@ from franka_driver import LIMITS
 from latency_under_load import busy
 from ur_driver import schedule
 
-from tactile_drivers.arm import ArmMode, open_arm
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import ArmScene, load_scene
+from tactile_scene.arm import ArmMode, open_arm
+from tactile_scene.scene import ArmScene
+from tactile_scene.scene_file import load_scene
 
 HOSTS = {"ur": "127.0.0.79", "franka": "127.0.0.80"}
 SETTINGS = {"ur": "{host: %s, rate: 125.0}", "franka": "{host: %s, rate: 250.0, realtime: false}"}
@@ -65,7 +66,7 @@ def scene_of(driver: str) -> ArmScene:
 
 def double(driver: str, priority: int) -> subprocess.Popen[str]:
     """The double of one controller, which takes connections, in a process of its own."""
-    module = f"tactile_drivers.doubles.{driver}_controller"
+    module = f"tactile_doubles.{driver}_controller"
     command = [sys.executable, "-m", module, HOSTS[driver]]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tactile_drivers.sampling import SamplingSettings, pose_of
-from tactile_drivers.sim.collection import press_then_shear
-from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.estimating.preprocessing import Preprocessor
 from tactile_perception.markers.detection import density_change, detect
 from tactile_perception.markers.view import side_by_side
+from tactile_scene.sampling import SamplingSettings, pose_of
+from tactile_sim.collection import press_then_shear
+from tactile_sim.tactip import TacTip
 
 SAME = 4.0  # px, within which a marker found is one of the simulator's
 

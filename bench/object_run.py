@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from tactile_base.config_paths import config_path
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_offline
-from tactile_drivers.scene import Scene, load_scene
 from tactile_filter.consistency import nees
 from tactile_filter.object.settings import TrackerSettings, load_object
 from tactile_filter.object.tracker import ContactUpdate, ObjectTracker
@@ -41,6 +40,8 @@ from tactile_records.runs.from_bag import (
     truth_row,
 )
 from tactile_records.runs.record import RunRecord
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import load_scene
 
 Array = NDArray[Any]
 GAP_NS = 300_000_000  # after a longer silence the object's frame may be another one

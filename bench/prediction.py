@@ -18,8 +18,8 @@ from typing import Any
 
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task, task_path
-from tactile_drivers.scene import load_scene
 from tactile_records.runs import metrics
+from tactile_scene.scene_file import load_scene
 
 LATENCIES = (0.005, 0.020, 0.050)  # s
 SPEEDS = (0.010, 0.025, 0.050)  # m/s

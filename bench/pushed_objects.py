@@ -19,11 +19,12 @@ import numpy as np
 
 from tactile_base.yaml_file import Section
 from tactile_bringup.experiment import Common, Trial, table_of, trial_row
-from tactile_drivers.scene import Scene, load_scene
-from tactile_drivers.sim.cell import Cell
-from tactile_drivers.sim.limit_surface import Foot
-from tactile_drivers.sim.pushed import Pushed, PushedSettings
-from tactile_drivers.sim.pushing_scene import pushing_scene, read_profiles
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import load_scene
+from tactile_sim.cell import Cell
+from tactile_sim.limit_surface import Foot
+from tactile_sim.pushed import Pushed, PushedSettings
+from tactile_sim.pushing_scene import pushing_scene, read_profiles
 
 SPEED, HEIGHT = 0.010, 0.045  # m/s; m above the floor
 SKIN = 700.0  # N/m, of the linear skin that MuJoCo's springs have, too

@@ -34,9 +34,9 @@ from tactile_bringup.experiment import Common, Trial, numbers_of, table_of, tria
 from tactile_bringup.trials import Row, TrialRows
 from tactile_control.phases import PhaseMachine
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.sim.cell import Cell
-from tactile_drivers.sim.simulation import FIDELITIES
 from tactile_filter.bayes_filter import ContactFilter
+from tactile_scene.simulation import FIDELITIES
+from tactile_sim.cell import Cell
 
 PLANE = "plane"
 LEVELS = (*FIDELITIES, PLANE)

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from pushing_plane import Outcome, Physics, Plant, Variant, push
 
 from tactile_bringup.experiment import Common, Trial, load_tables, task_of, trial_row
-from tactile_drivers.sim.pushing_scene import PushVariation
+from tactile_sim.pushing_scene import PushVariation
 
 #: As an experiment draws it, and more than three times that: friction by a half, centre of friction and
 #: placement by a centimetre, angle by ten degrees.

@@ -1,11 +1,11 @@
 """Pushing in the plane, many trials at once in arrays: fast enough for hundreds of trials of many options.
 
-The physics are those of `tactile_drivers/sim/pushed.py` and of the ideal sensor, reduced to the plane of the
+The physics are those of `tactile_sim/pushed.py` and of the ideal sensor, reduced to the plane of the
 floor (one shear, no roll and pitch), and the controllers those of `tactile_control`, again in arrays; gains,
 objects and floors come from the same files, the draws of a trial from the same seed. `pushing_options.py
 --check` says how far its errors are from those of the loop without ROS. Left out: the arm's lag, the safe
 stage, and the filter, in whose place the errors of a sensor are averaged over four images. Those errors are
-the ideal sensor's noise, or what is fitted to the shipped network (`tactile_drivers.sim.network_error`).
+the ideal sensor's noise, or what is fitted to the shipped network (`tactile_sim.network_error`).
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingGroups
 from tactile_control.pose_steering import curvature
 from tactile_control.steering import LEAST, SteeringSettings
-from tactile_drivers.shapes import SHAPES
-from tactile_drivers.sim.limit_surface import Foot
-from tactile_drivers.sim.network_error import NetworkError, load_error_model
-from tactile_drivers.sim.pushing_scene import GAP, PushVariation, draw, read_profiles
-from tactile_drivers.sim.settings import IdealSensorSettings
-from tactile_drivers.sim.skin_force import SkinForces
+from tactile_scene.shapes import SHAPES
+from tactile_scene.simulated_sensors import IdealSensorSettings
+from tactile_sim.limit_surface import Foot
+from tactile_sim.network_error import NetworkError, load_error_model
+from tactile_sim.pushing_scene import GAP, PushVariation, draw, read_profiles
+from tactile_sim.skin_force import SkinForces
 
 Array = NDArray[Any]
 
@@ -69,7 +69,7 @@ class Physics:
 
     skin: SkinForces = field(default_factory=lambda: SkinForces(skin_force=8.45, skin_shear=1053.0))
     height: float = HEIGHT
-    pressed: float = 0.42  # tactile_drivers.sim.ideal_sensor
+    pressed: float = 0.42  # tactile_sim.ideal_sensor
     size: float = 1.0
     noise: float = 1.0
     network: bool = False

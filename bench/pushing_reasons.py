@@ -25,7 +25,7 @@ from pushing_plane import Physics, Plant, Variant, push
 from tactile_bringup.experiment import Common, Trial, load_tables, numbers_of, setup_of, task_of
 from tactile_bringup.offline import run_arms_offline
 from tactile_bringup.variations import varied
-from tactile_drivers.sim.pushing_scene import PushVariation
+from tactile_sim.pushing_scene import PushVariation
 
 Array = NDArray[Any]
 Row = tuple[str, str]

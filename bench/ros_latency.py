@@ -28,7 +28,7 @@ from tactile_msgs.msg import StageLatency
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
 from tactile_ros.discovery import use_dds_profile
-from tactile_ros.managed_node import make_executor
+from tactile_ros.run_nodes import make_executor
 
 ARM = "arm"
 STAGES = ("camera", "estimator", "filter", "controller")

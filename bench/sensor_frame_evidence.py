@@ -20,8 +20,8 @@ import numpy as np
 from real_markers import track
 from scipy.optimize import minimize_scalar
 
-from tactile_drivers.sim.collection import press_then_shear
-from tactile_drivers.sim.tactip import TacTip
+from tactile_sim.collection import press_then_shear
+from tactile_sim.tactip import TacTip
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

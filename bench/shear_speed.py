@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_drivers.sim.settings import IdealSensorSettings
+from tactile_scene.simulated_sensors import IdealSensorSettings
 
 TRIALS, SECONDS, DT, SPEED = 200, 12.0, 1.0 / 60.0, 0.010
 SAFE = 0.003  # m

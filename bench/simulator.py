@@ -10,13 +10,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tactile_drivers.shapes import make_surface
-from tactile_drivers.shapes.surface import Surface
-from tactile_drivers.sim.collection import CollectionSettings, generate, press_then_shear
-from tactile_drivers.sim.settings import ContactSettings, TacTipSettings
-from tactile_drivers.sim.skin import load_skin
-from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
+from tactile_scene.shapes import make_surface
+from tactile_scene.shapes.surface import Surface
+from tactile_scene.simulated_sensors import ContactSettings, TacTipSettings
+from tactile_sim.collection import CollectionSettings, generate, press_then_shear
+from tactile_sim.skin import load_skin
+from tactile_sim.tactip import TacTip
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)  # mm
 STEP = 0.1  # mm a step

@@ -12,11 +12,11 @@ import cv2
 import matplotlib
 import numpy as np
 
-from tactile_drivers.sim.collection import press_then_shear
-from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.markers.detection import density_change, detect
 from tactile_perception.markers.view import side_by_side
+from tactile_sim.collection import press_then_shear
+from tactile_sim.tactip import TacTip
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -17,9 +17,9 @@ import matplotlib
 import numpy as np
 from real_markers import Tracked, track
 
-from tactile_drivers.sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
-from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.estimating.preprocessing import Preprocessor
+from tactile_sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
+from tactile_sim.tactip import TacTip
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from tactile_drivers.arm import ArmMode, ArmState, open_arm
-from tactile_drivers.doubles.ur_controller import UrController
-from tactile_drivers.scene import load_scene
+from tactile_doubles.ur_controller import UrController
 from tactile_ros.scheduling import set_priority, settle_garbage
+from tactile_scene.arm import ArmMode, ArmState, open_arm
+from tactile_scene.scene_file import load_scene
 
 HOST = "127.0.0.77"
 COMMANDS = 1.0 / 60.0  # s, between commands

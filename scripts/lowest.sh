@@ -24,10 +24,10 @@ exec 9>&-
 export PYTHONPATH=$lowest/lib
 # What differs with versions is what a library does, not what numbers do: few examples show it, of the simulator and
 # the drivers those tests that meet a library (Ruckig, OpenCV, SciPy, ur_rtde), and none of those that only compute long.
-drivers=(arm camera_frames collection kinematics replay_camera scene sensor_file shapes tactip ur_limits uvc_camera)
+cell=(drivers/test_{camera_frames,replay_camera,ur_limits,uvc_camera}.py scene/test_{kinematics,scene,shapes}.py
+    sim/test_{arm,collection,sensor_file,tactip}.py)
 computing=(control/test_{steering,pushing,object_tracking}.py filter/test_{fusion,fusion_exact,worst_errors}.py)
-files=("${drivers[@]/#/test/drivers/test_}")
-files=("${files[@]/%/.py}" "${computing[@]/#/--ignore=test/}")
+files=("${cell[@]/#/test/}" "${computing[@]/#/--ignore=test/}")
 [ $# -gt 0 ] || set -- -q --disable-warnings --hypothesis-profile=few --numprocesses auto --maxprocesses 4 --dist loadfile \
     -m "not slow and not live" test/base test/filter test/control "${files[@]}" test/records \
     test/perception/test_estimator.py test/perception/test_estimate.py test/perception/test_evaluation.py

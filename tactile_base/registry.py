@@ -3,7 +3,7 @@
 A registry knows where its entries lie and loads one when it is asked for, so that naming a shape in a scene
 file imports nothing that the others need::
 
-    SHAPES = Registry("shape", "tactile_servoing.shapes", {"plane": "tactile_drivers.shapes.plane:Plane"})
+    SHAPES = Registry("shape", "tactile_servoing.shapes", {"plane": "tactile_scene.shapes.plane:Plane"})
     shape = SHAPES.load("plane")
 
 Another package adds an entry in its own metadata, and nothing here has to change::

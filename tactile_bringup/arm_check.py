@@ -25,10 +25,12 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.findings import FAILED, LOOK, OK, Finding
 from tactile_bringup.staged_arm import StagedArm, Stopped
-from tactile_drivers.arm import ARMS, ArmMode, ArmState, SafetySettings, open_arm
-from tactile_drivers.doubles.rehearsal import rehearsed
-from tactile_drivers.scene import ArmScene, Scene, load_scene
+from tactile_doubles.rehearsal import rehearsed
 from tactile_geometry import se3
+from tactile_scene.arm import ARMS, ArmMode, ArmState, open_arm
+from tactile_scene.arm_settings import SafetySettings
+from tactile_scene.scene import ArmScene, Scene
+from tactile_scene.scene_file import load_scene
 
 Array = NDArray[np.float64]
 

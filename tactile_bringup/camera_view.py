@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.camera import Camera, CameraFrame, CameraStatus, open_camera
-from tactile_drivers.scene import ArmScene
 from tactile_perception.markers.detection import DetectedMarkers, detect
 from tactile_perception.markers.focus import blur
 from tactile_perception.markers.view import draw_markers
+from tactile_scene.camera import Camera, CameraFrame, CameraStatus, open_camera
+from tactile_scene.scene import ArmScene
 
 SHARP = 2.0  # px; markers of a TacTip have a radius of about six
 STEADY = 0.02  # of the number of markers, by which it may vary

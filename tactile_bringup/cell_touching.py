@@ -10,7 +10,7 @@ from tactile_control.tasks.touching import TouchingGoal, TouchingTaskSettings
 from tactile_records.runs.record import RunRecord
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import Scene
+    from tactile_scene.scene import Scene
 
 TASK = "touching"
 #: What each calibration has the arm do.

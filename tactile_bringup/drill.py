@@ -1,6 +1,6 @@
 """Drill: a task on a simulated scene in which one thing at a time does not tell the truth.
 
-Nothing of the task, the filter and the safe command stage knows of it (`tactile_drivers.doubles.lies`);
+Nothing of the task, the filter and the safe command stage knows of it (`tactile_doubles.lies`);
 what it leads to is told by the cell's truth. A drill is passed where the arms come to rest in time and no
 tip goes deeper than allowed, or where the task ends as an honest one does.
 """
@@ -17,12 +17,12 @@ from tactile_base.settings import SettingError
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import Task
-from tactile_drivers.doubles.lies import Lies
-from tactile_drivers.doubles.lying_arm import ARM_LIES, LyingArm
-from tactile_drivers.doubles.lying_camera import LYING_CAMERAS, ImageLies
-from tactile_drivers.doubles.lying_estimates import LYING_ESTIMATES
-from tactile_drivers.scene import Scene
+from tactile_doubles.lies import Lies
+from tactile_doubles.lying_arm import ARM_LIES, LyingArm
+from tactile_doubles.lying_camera import LYING_CAMERAS, ImageLies
+from tactile_doubles.lying_estimates import LYING_ESTIMATES
 from tactile_records.runs.record import RunRecord
+from tactile_scene.scene import Scene
 
 #: From when it begins (s of the cell's clock) and whom it is about, what does not tell the truth.
 Fault = Callable[[float, str], Lies]

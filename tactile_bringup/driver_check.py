@@ -22,7 +22,7 @@ LISTEN = 2.0  # s
 
 def check_camera(kind: Any, scene: str, arm: str) -> Problems:
     """Two seconds of its frames, and its end."""
-    from tactile_drivers.camera import CameraFrame
+    from tactile_scene.camera import CameraFrame
 
     one = _arm(scene, arm)
     if one.sensor is None:
@@ -71,7 +71,7 @@ def _images(frames: list[Any], kept: list[bytes]) -> Problems:
 
 def check_arm(kind: Any, scene: str, arm: str, moves: bool) -> Problems:
     """Two seconds of its states, calls of zero twists and stops, and its end; with `moves`, a millimetre."""
-    from tactile_drivers.arm import LONGEST_CALL
+    from tactile_scene.arm import LONGEST_CALL
 
     one = _arm(scene, arm)
     given = one.driver_settings
@@ -98,7 +98,7 @@ def check_arm(kind: Any, scene: str, arm: str, moves: bool) -> Problems:
 
 
 def _states(arm: Any, states: list[tuple[int, Any]], at_rest: bool) -> Problems:
-    from tactile_drivers.arm import ArmState, is_at_rest
+    from tactile_scene.arm import ArmState, is_at_rest
 
     if len(states) < 3:
         yield f"{len(states)} states came in {LISTEN:g} s"
@@ -163,7 +163,7 @@ def _listen(enough: Callable[[], bool]) -> None:
 
 def _arm(scene: str, arm: str) -> Any:
     """The arm of that name in a scene, or its only one."""
-    from tactile_drivers.scene import load_scene
+    from tactile_scene.scene_file import load_scene
 
     if not scene:
         raise SettingError("a driver is tried on an arm of a scene: --scene my_cell.yaml")

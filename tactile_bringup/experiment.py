@@ -26,13 +26,14 @@ from tactile_bringup.trials import Row
 from tactile_bringup.variations import VARIABLES, Setup, Value, drawn, varied
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_control.tasks.pushing import Pushing
-from tactile_drivers.scene import Scene, load_scene
-from tactile_drivers.sim.motions import make_motion
-from tactile_drivers.sim.pushing_scene import PushedProfiles, PushVariation, read_profiles
-from tactile_drivers.sim.simulation import FIDELITIES
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.runs.metrics import without_nan
 from tactile_records.runs.report import Run, report_of
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import load_scene
+from tactile_scene.simulation import FIDELITIES
+from tactile_sim.motions import make_motion
+from tactile_sim.pushing_scene import PushedProfiles, PushVariation, read_profiles
 
 TABLES, MAPS = "experiments/lloyd_lepora_pushing.yaml", "experiments/pushing_maps.yaml"
 NUMBERS = ("succeeded", "reason", "contact_fraction", "slip_fraction", "work_s", "wall_s")  # of a report

@@ -37,12 +37,13 @@ from tactile_bringup.run_sequence import ArmPlan, arm_plans, awaited_by, waiting
 from tactile_bringup.scene_check import check_bodies
 from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
 from tactile_control.tasks import TASKS
-from tactile_drivers.camera import COMPRESSED, ExternalCameraSettings
-from tactile_drivers.doubles.rehearsal import rehearsed
-from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
+from tactile_doubles.rehearsal import rehearsed
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.settings import load_object
 from tactile_perception.estimating.model_metadata import SIMULATED_ONLY
+from tactile_scene.camera import COMPRESSED, ExternalCameraSettings
+from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
+from tactile_scene.scene_file import load_scene
 
 RECORDER = "recorder"
 

@@ -30,12 +30,9 @@ from tactile_control.partners import Partners
 from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_control.task_step import task_step
-from tactile_drivers.arm import ArmMode
+from tactile_doubles.lies import Lies
 from tactile_drivers.arm_distance import neighbours
-from tactile_drivers.doubles.lies import Lies
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import Scene, load_scene
-from tactile_drivers.sim.cell import Cell, Frame
 from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
@@ -44,6 +41,11 @@ from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.log import RunLog
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
+from tactile_scene.arm import ArmMode
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import load_scene
+from tactile_sim.cell import Cell
+from tactile_sim.frame import Frame
 
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 

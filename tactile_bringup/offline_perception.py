@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tactile_base.settings import SettingError
-from tactile_drivers.scene import Scene
-from tactile_drivers.sim.cell import Frame
-from tactile_drivers.sim.network_view import ViewSettings
-from tactile_drivers.sim.simulation import INPUT
 from tactile_perception.estimating.perceive import Perceiver, Percept
+from tactile_scene.scene import Scene
+from tactile_scene.simulation import INPUT
+from tactile_sim.frame import Frame
+from tactile_sim.network_view import ViewSettings
 
 if TYPE_CHECKING:
     from tactile_perception.estimator import Estimator

@@ -27,8 +27,8 @@ from tactile_base.node_topics import (
 )
 from tactile_base.topics import Topic
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
-from tactile_drivers.external import ExternalArmSettings
-from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene
+from tactile_scene.external_arm import ExternalArmSettings
+from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
 
 OPERATOR = "/operator"  # who stops arms by hand, and looks at all that is said
 _ACTION = ("send_goal", "cancel_goal", "get_result")

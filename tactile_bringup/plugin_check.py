@@ -190,7 +190,7 @@ bodies:
 
 def check_motion(kind: Any, values: Mapping[str, Any]) -> Problems:
     """Two seconds of a box in a scene with one arm, which stands still and does not touch it."""
-    from tactile_drivers.scene import load_scene
+    from tactile_scene.scene_file import load_scene
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cell.yaml"

@@ -26,7 +26,7 @@ from tactile_base.settings import SettingError
 from tactile_control.partners import Partners
 from tactile_control.phases import FAILED, STOPPING
 from tactile_control.task_file import NamedGoal, Role, Task
-from tactile_drivers.scene import ArmScene, Scene
+from tactile_scene.scene import ArmScene, Scene
 
 
 @dataclass(frozen=True)

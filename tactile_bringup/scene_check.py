@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from tactile_base.raised import defined_in, plugin_name, told
 from tactile_base.settings import SettingError
 from tactile_bringup.plugin_check import Problems, Unusable, try_motion, try_shape
-from tactile_drivers.scene import Scene
-from tactile_drivers.shapes import SHAPES
-from tactile_drivers.sim.motions import MOTIONS, make_motion
+from tactile_scene.motions import MOTIONS
+from tactile_scene.scene import Scene
+from tactile_scene.shapes import SHAPES
+from tactile_sim.motions import make_motion
 
 
 def check_bodies(scene: Scene) -> list[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_base.yaml_edit import with_values
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 
 def write_into(path: Path, arm: str | None, values: dict[str, Any]) -> None:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmState, is_at_rest, open_arm
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import ArmScene, Scene
+from tactile_scene.arm import ArmState, is_at_rest, open_arm
+from tactile_scene.scene import ArmScene, Scene
 
 Array = NDArray[np.float64]
 

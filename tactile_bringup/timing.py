@@ -20,8 +20,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_bringup.arm_check import check_rate
 from tactile_bringup.findings import FAILED, LOOK, OK, Finding
 from tactile_bringup.staged_arm import StagedArm
-from tactile_drivers.camera import CameraFrame, open_camera
-from tactile_drivers.scene import EXTERNAL, SIM, ArmScene
+from tactile_scene.camera import CameraFrame, open_camera
+from tactile_scene.scene import EXTERNAL, SIM, ArmScene
 
 Findings = Iterator[Finding]
 

@@ -11,10 +11,10 @@ import numpy as np
 from tactile_base.settings import SettingError, shown, unknown_name
 from tactile_bringup.offline import OfflineOptions
 from tactile_control.task_file import Task
-from tactile_drivers.scene import Scene
-from tactile_drivers.sim.pushing_scene import MOTION, PushedProfiles, PushVariation, pushing_scene
-from tactile_drivers.sim.settings import IdealSensorSettings
 from tactile_filter.filter_settings import load_filter_settings
+from tactile_scene.scene import Scene
+from tactile_scene.simulated_sensors import IdealSensorSettings
+from tactile_sim.pushing_scene import MOTION, PushedProfiles, PushVariation, pushing_scene
 
 Value = float | str
 

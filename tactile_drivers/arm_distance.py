@@ -2,7 +2,7 @@
 
     safe.neighbours = neighbours(scene, "leader", cell.status)        # state of an arm by its name
 
-What is looked at are capsules along the links (`tactile_drivers.kinematics`); what an arm carries besides
+What is looked at are capsules along the links (`tactile_scene.kinematics`); what an arm carries besides
 its tool is none of them. Each arm minds the others by itself, and takes half of the room that is left, so
 that two that come towards each other stop before they have used it up.
 """
@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmState
-from tactile_drivers.kinematics.capsules import gaps
-from tactile_drivers.kinematics.chain import point_velocities
 from tactile_geometry import se3
+from tactile_scene.arm import ArmState
+from tactile_scene.kinematics.capsules import gaps
+from tactile_scene.kinematics.chain import point_velocities
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import ArmScene, Scene
+    from tactile_scene.scene import ArmScene, Scene
 
 Array = NDArray[np.float64]
 

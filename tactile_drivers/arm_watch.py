@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers import _native
-from tactile_drivers.arm import HELD_UP, ArmLimits, ArmState, SafetySettings
-from tactile_drivers.joint_limits import Kinematics
-from tactile_drivers.tracking import Deviation, TrackingMonitor, TrackingSettings, in_base
+from tactile_drivers.tracking import Deviation, TrackingMonitor, in_base
 from tactile_geometry import se3
+from tactile_scene import _native
+from tactile_scene.arm import HELD_UP, ArmState
+from tactile_scene.arm_settings import ArmLimits, SafetySettings, TrackingSettings
+from tactile_scene.kinematics.joint_limits import Kinematics
 
 Array = NDArray[np.float64]
 

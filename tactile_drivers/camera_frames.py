@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_base.exposures import DamagedJpeg, Exposures, gray_of_jpeg, objection
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.camera import CameraFrame
+from tactile_scene.camera import CameraFrame
 
 Pixels = NDArray[np.uint8]
 MONOTONIC, REALTIME, ARRIVAL = "kernel, CLOCK_MONOTONIC", "kernel, CLOCK_REALTIME", "arrival in this program"

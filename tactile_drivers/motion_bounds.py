@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers import _native
-from tactile_drivers.arm import ArmLimits, ArmState, SafetySettings
 from tactile_drivers.arm_distance import Neighbour
-from tactile_drivers.joint_limits import Kinematics, allowed_part, joint_rates
+from tactile_scene import _native
+from tactile_scene.arm import ArmState
+from tactile_scene.arm_settings import ArmLimits, SafetySettings
+from tactile_scene.kinematics.joint_limits import Kinematics, allowed_part, joint_rates
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import ArmScene
+    from tactile_scene.scene import ArmScene
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 
 from tactile_base.settings import Settings, setting
-from tactile_drivers.camera import CameraFrame, CameraStatus
 from tactile_drivers.camera_frames import Pixels
+from tactile_scene.camera import CameraFrame, CameraStatus
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import ArmScene
+    from tactile_scene.scene import ArmScene
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
 

@@ -24,20 +24,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers import _native
-from tactile_drivers.arm import Arm, ArmMode, ArmState
 from tactile_drivers.arm_distance import Neighbour
 from tactile_drivers.arm_watch import ArmWatch
-from tactile_drivers.joint_limits import Kinematics
 from tactile_drivers.motion_bounds import MotionBounds
 from tactile_drivers.ownership import Commander, Ownership
 from tactile_drivers.sender import CallTimer, Sender
-from tactile_drivers.twist_profile import TwistProfile
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformBuffer, TransformUnavailable
+from tactile_scene import _native
+from tactile_scene.arm import Arm, ArmMode, ArmState
+from tactile_scene.kinematics.joint_limits import Kinematics
+from tactile_scene.twist_profile import TwistProfile
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import ArmScene
+    from tactile_scene.scene import ArmScene
 
 Array = NDArray[np.float64]
 

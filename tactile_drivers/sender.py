@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from tactile_drivers.arm import LONGEST_CALL, Arm
+from tactile_scene.arm import LONGEST_CALL, Arm
 
 _TOLD_FOR = 10.0  # s, that a call which took too long is told
 

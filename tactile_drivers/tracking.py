@@ -12,16 +12,15 @@ from __future__ import annotations
 
 import functools
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmLimits, ArmState
 from tactile_geometry import se3
+from tactile_scene.arm import ArmState
+from tactile_scene.arm_settings import ArmLimits, TrackingSettings
 
 Array = NDArray[np.float64]
 
@@ -32,28 +31,6 @@ _STANDS, _PART = 0.1, 0.5  # of the least way that was told: less is none, and l
 _LASTS = 0.1  # s, for which none, or poses that do not fit speeds, are no pause of whoever tells them
 _EXTREMES = tuple(functools.partial(ufunc.reduce, axis=0) for ufunc in (np.minimum, np.maximum))
 _UNITS = (1e3, "mm"), (180.0 / np.pi, "deg")
-
-
-@dataclass(frozen=True)
-class TrackingSettings(Settings):
-    """How well an arm does what it is told, and from when on it does not."""
-
-    window: float = setting(
-        0.1, lower=0.02, upper=1.0, unit="s", doc="over which ways are compared with what was told"
-    )
-    lag: float = setting(
-        0.1, lower=0.0, upper=1.0, unit="s",
-        doc="after this at the latest the arm does what it was told, but for its acceleration",
-    )  # fmt: skip
-    speed_tolerance: float = setting(
-        0.002, lower=1e-4, upper=0.5, unit="m/s", doc="by which an arm may move otherwise than it was told"
-    )
-    angular_tolerance: float = setting(0.03, lower=1e-3, upper=5.0, unit="rad/s", doc="the same, turning")
-    part: float = setting(0.3, lower=0.0, upper=1.0, doc="and by this part of the speed that it was told")
-    patience: float = setting(
-        0.4, lower=0.0, upper=10.0, unit="s",
-        doc="an arm that does less than half of what it is told for this long is in fault",
-    )  # fmt: skip
 
 
 class Deviation(NamedTuple):

@@ -30,11 +30,12 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_drivers import ur_link
-from tactile_drivers.arm import HELD_UP, ArmLimits, ArmMode, ArmState, is_at_rest
 from tactile_drivers.clock_offset import ClockOffset
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, tool_speed
-from tactile_drivers.scene import ArmScene
 from tactile_geometry import se3
+from tactile_scene.arm import HELD_UP, ArmMode, ArmState, is_at_rest
+from tactile_scene.arm_settings import ArmLimits
+from tactile_scene.scene import ArmScene
 
 Array = NDArray[np.float64]
 
@@ -121,7 +122,7 @@ class UrState(NamedTuple):
 
 
 class UrArm:
-    """See the module's text; the contract is `tactile_drivers.arm.Arm`."""
+    """See the module's text; the contract is `tactile_scene.arm.Arm`."""
 
     settings_class = UrSettings
     keeps_limits = False  # of jerk: it is given twists that do

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 import cv2
 
 from tactile_base.settings import Settings, setting
-from tactile_drivers.camera import CameraFrame, CameraStatus
 from tactile_drivers.camera_frames import FORMATS, Arrival, FrameIntake, Pixels
 from tactile_drivers.video_devices import holders, objection
+from tactile_scene.camera import CameraFrame, CameraStatus
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import ArmScene
+    from tactile_scene.scene import ArmScene
 
 RETRY = 0.5  # s, between attempts to open a device again
 SILENT = 0.25  # s without a usable frame that are told

@@ -5,8 +5,8 @@ passes the safe command stage here. A twist has the time of its emission, since 
 old. After the arm was stopped twists of zero go out for a while, and then none: silence means rest, and
 leaves the arm to others.
 
-moveit_servo tells on `~/status` what keeps it from following (`tactile_drivers.external`): a halt is a fault
-of the arm, with its reason, and being slowed down a remark.
+moveit_servo tells on `~/status` what keeps it from following (`tactile_drivers.servo_watch`): a halt is a
+fault of the arm, with its reason, and being slowed down a remark.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base import topics
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmMode, ArmState
-from tactile_drivers.external import TOOL, ExternalArmSettings, ServoWatch
-from tactile_drivers.scene import ArmScene
+from tactile_drivers.servo_watch import ServoWatch
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_ros.cdr import twist_bytes
 from tactile_ros.qos import COMMAND, STATE
 from tactile_ros.transforms import TransformListener
+from tactile_scene.arm import ArmMode, ArmState
+from tactile_scene.external_arm import TOOL, ExternalArmSettings
+from tactile_scene.scene import ArmScene
 
 if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode

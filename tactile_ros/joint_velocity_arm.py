@@ -26,13 +26,13 @@ from rclpy.duration import Duration
 from std_msgs.msg import Float64MultiArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmState
-from tactile_drivers.joint_limits import limited_rates
-from tactile_drivers.scene import ArmScene
 from tactile_ros.external_arm import ExternalArm
 from tactile_ros.joint_states import JointListener
 from tactile_ros.last_zeros import LastZeros
 from tactile_ros.qos import COMMAND
+from tactile_scene.arm import ArmState
+from tactile_scene.kinematics.joint_limits import limited_rates
+from tactile_scene.scene import ArmScene
 
 if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode

@@ -7,46 +7,36 @@ A node derives from it, fills in `configure`, `activate`, `deactivate` and `clea
 
 With the parameter `autostart` (the default) it configures and activates itself; if that fails, the process
 ends with exit code 1 and says why. Without, it waits unconfigured for a lifecycle manager and survives a
-failure. SIGINT and SIGTERM end it in order (`tactile_ros.ending`): it goes on while it is needed, then is
-deactivated and cleaned up, and the process ends with exit code 0. `run` also runs several nodes in one
-process.
+failure. SIGINT and SIGTERM end it in order (`run_nodes`): it goes on while it is needed, then is
+deactivated and cleaned up, and the process ends with exit code 0.
 """
 
 from __future__ import annotations
 
-import gc
 import math
-import signal
-import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 
 from tactile_base import topics
-from tactile_base.end_signals import signals_into
-from tactile_base.raised import BY_ERROR, told
+from tactile_base.raised import told
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import NANOSECOND
 from tactile_filter.events import FUTURE_NS
 from tactile_geometry.pose_numbers import MessageError
 from tactile_ros.cdr import LONGEST_SAID, header_of
+from tactile_ros.commander import Commander
 from tactile_ros.diagnostics import Diagnostics, InputWatch
-from tactile_ros.discovery import use_dds_profile
-from tactile_ros.ending import Commander, Ending
 from tactile_ros.parameters import (
     SettingsParameters,
     declare_read_only,
@@ -54,7 +44,7 @@ from tactile_ros.parameters import (
     refusing_unknown_types,
 )
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
-from tactile_ros.scheduling import set_cores, set_priority, settle_garbage
+from tactile_ros.scheduling import settle_garbage
 
 Result = TransitionCallbackReturn
 
@@ -65,7 +55,6 @@ CONTROLLED_FRAMES = ("tactile_sensor", "tool")  # what an arm with a sensor, and
 LARGEST_PRIORITY = 99  # of SCHED_FIFO
 LARGEST = 1 << 18  # bytes of a raw message that is no image; one that is read takes no more than 0.1 s then
 TOO_FAST = "messages came too fast"
-SPIN_TIMEOUT = 0.05  # s; how long a signal may wait while nothing else happens
 
 
 @dataclass(frozen=True)
@@ -443,99 +432,3 @@ def refused_counter(topic: str) -> str:
 def lost_counter(topic: str) -> str:
     """Name of the counter of messages on `topic` that the middleware has lost on their way to a node."""
     return f"{topic} messages lost"
-
-
-def make_executor(context: Context | None = None) -> Any:
-    """The executor with the least latency that this rclpy has, of a context (default: the process's)."""
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:  # before Kilted
-        from rclpy.executors import SingleThreadedExecutor
-
-        return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)
-
-
-def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str] | None = None) -> int:
-    """Run one node, or several in one process, until a signal or an error; returns the process's exit code.
-
-    Several start in their order and end in the opposite one; the first that stops ends them all.
-    """
-    try:
-        use_dds_profile()
-    except FileNotFoundError as error:
-        print(f"cannot start: {error}", file=sys.stderr, flush=True)
-        return 1
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    signals: list[int] = []
-    signals_into(signals)
-    try:
-        made = make()
-    except (SettingError, ConfigurationError) as error:
-        print(f"cannot start: {error}", file=sys.stderr, flush=True)
-        rclpy.try_shutdown()
-        return 1
-    nodes = [made] if isinstance(made, ManagedNode) else list(made)
-    cores = {core for node in nodes for core in node.cores} - {-1}
-    for missing in (set_priority(max(node.priority for node in nodes)), set_cores(cores)):
-        if missing:
-            nodes[-1].get_logger().warning(f"this user may not have {missing}")
-    executor = make_executor()
-    for node in nodes:
-        executor.add_node(node)
-    try:
-        exit_code = _spin(nodes, executor, signals)
-    finally:
-        for node in reversed(nodes):
-            node.rest()
-        last_words = max(node.last_words for node in nodes)
-        _spin_for(executor, last_words)
-        for node in reversed(nodes):
-            node.finish()
-        _spin_for(executor, 1.5 * last_words)  # what was released with a delay of as much
-        for node in nodes:
-            executor.remove_node(node)
-            node.destroy_node()
-        rclpy.try_shutdown()
-        gc.unfreeze()
-    return exit_code or next((node.exit_code for node in nodes if node.exit_code), 0)
-
-
-def _spin_for(executor: Any, seconds: float) -> None:
-    """Let the executor do what it still has to, such as to send a result."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        executor.spin_once(timeout_sec=0.001)
-
-
-def _spin(nodes: Sequence[ManagedNode], executor: Any, signals: list[int]) -> int:
-    for node in nodes:
-        node.warn_of_unknown_parameters()
-        if node.autostart and not node.start():
-            node.publish_diagnostics()
-            return 1
-    last = nodes[-1]
-    ending: Ending | None = None
-    try:
-        # spin() of the events executor burns a core and dispatches nothing; spin_once in a loop does neither.
-        while not any(node.stop_reason for node in nodes) and rclpy.ok():
-            if signals and ending is None:
-                ending = Ending(nodes, signals)
-            if ending is not None and ending.over():
-                break
-            due = min(node.due_in() for node in nodes)
-            executor.spin_once(timeout_sec=min(SPIN_TIMEOUT, max(0.0, due)))
-            for node in nodes:
-                if node.due_in() <= 0.0:
-                    node.work()
-    except ExternalShutdownException:
-        last.stop("the context was shut down")
-    except Exception as error:
-        last.report.fault = told(error)
-        last.get_logger().fatal(f"{BY_ERROR}{last.report.fault}\n{traceback.format_exc()}")
-        last.publish_diagnostics()
-        return 1
-    ended = next((node for node in nodes if node.stop_reason), last)
-    reason = f"signal {signal.Signals(signals[0]).name}" if signals else ended.stop_reason
-    last.get_logger().info(f"stopping: {reason or 'the context was shut down'}")
-    return ended.exit_code

@@ -19,7 +19,7 @@ class Double(ur_cell.Double):
         "silence 0", "deaf 0", "slow 0", "garbled 0", "loss 0", "success_rate 1", "reflex_stays 0",
         "runs_away 0", "restore", "come_back",
     ]  # fmt: skip
-    module = "tactile_drivers.doubles.franka_controller"
+    module = "tactile_doubles.franka_controller"
 
     def __init__(self, host: str, **settings):
         super().__init__(host, **{"tolerance": 5.0, "patience": 0.1, **settings})

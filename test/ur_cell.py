@@ -13,9 +13,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from tactile_drivers.arm import ArmMode, open_arm
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import load_scene
+from tactile_scene.arm import ArmMode, open_arm
+from tactile_scene.scene_file import load_scene
 
 SPEED = 0.05  # m/s, at which faults are injected
 ALONG = np.array([SPEED, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -62,7 +62,7 @@ class Double:
         "silence 0", "slow 0", "garbled 0", "stuck_program 0", "torn 0", "loss 0", "teach_button 0",
         "payload 0", "speed_slider 1", "restore", "come_back",
     ]  # fmt: skip
-    module = "tactile_drivers.doubles.ur_controller"
+    module = "tactile_doubles.ur_controller"
 
     def __init__(self, host: str, **settings):
         command = [sys.executable, "-m", self.module, host, json.dumps(settings)]

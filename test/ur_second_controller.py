@@ -1,7 +1,7 @@
 """A second controller of a Universal Robots e-Series arm, for tests of what drives one.
 
 It is written from what Universal Robots publish alone, and knows nothing of the driver, nor of the double of
-the controller in `tactile_drivers.doubles`: a mistake that those two have in common does not pass here. What
+the controller in `tactile_doubles`: a mistake that those two have in common does not pass here. What
 happens on the controller stands here, how one speaks to it in `ur_second_server`. Comments name as sources:
 
 - URScript: "The URScript Programming Language", by the name of the function or the section

@@ -47,8 +47,9 @@ def _findings(arguments: argparse.Namespace) -> Iterator[Finding]:
     from tactile_bringup import arm_check
     from tactile_bringup.findings import FAILED, LOOK, Finding
     from tactile_bringup.staged_arm import StagedArm, arm_of
-    from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
-    from tactile_drivers.scene import EXTERNAL, SIM, load_scene
+    from tactile_doubles.rehearsal import DOUBLES, rehearsed
+    from tactile_scene.scene import EXTERNAL, SIM
+    from tactile_scene.scene_file import load_scene
 
     scene = load_scene(arguments.scene)
     arm = arm_of(rehearsed(scene) if arguments.rehearse else scene, arguments.arm)

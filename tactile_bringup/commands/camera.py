@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tactile_bringup.commands.changes import add_set_option, changed_settings, positive_int, refusing
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import ArmScene
+    from tactile_scene.scene import ArmScene
 
 EXAMPLE = "exposure=0.005"
 #: Written into a scene even where they are the defaults: a picture must be the same tomorrow.
@@ -124,7 +124,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
 
     from tactile_bringup.camera_view import watching
     from tactile_bringup.scene_file import write_into
-    from tactile_drivers.camera import CAMERAS
+    from tactile_scene.camera import CAMERAS
 
     arm = chosen(arguments)
     assert arm.sensor is not None
@@ -154,9 +154,9 @@ def chosen(arguments: argparse.Namespace) -> ArmScene:
     import numpy as np
 
     from tactile_base.yaml_file import Section
-    from tactile_drivers.arm import ArmLimits, SafetySettings
-    from tactile_drivers.camera import CAMERAS
-    from tactile_drivers.scene import EXTERNAL, ArmScene, SensorScene, SensorSettings
+    from tactile_scene.arm_settings import ArmLimits, SafetySettings
+    from tactile_scene.camera import CAMERAS
+    from tactile_scene.scene import EXTERNAL, ArmScene, SensorScene, SensorSettings
 
     if arguments.scene is not None:
         return _of_scene(arguments)
@@ -179,7 +179,8 @@ def chosen(arguments: argparse.Namespace) -> ArmScene:
 
 
 def _of_scene(arguments: argparse.Namespace) -> ArmScene:
-    from tactile_drivers.scene import EXTERNAL, SIM, load_scene
+    from tactile_scene.scene import EXTERNAL, SIM
+    from tactile_scene.scene_file import load_scene
 
     if arguments.device is not None or arguments.changes:
         raise ValueError("--scene says which camera and how: leave out the device and --set")

@@ -14,8 +14,8 @@ from tactile_bringup.commands.changes import add_set_option, changed_settings, n
 from tactile_bringup.commands.launch import add_rehearse_option
 
 if TYPE_CHECKING:
-    from tactile_drivers.scene import ArmScene, Scene
     from tactile_records.runs.record import RunRecord
+    from tactile_scene.scene import ArmScene, Scene
 
 HELP = {
     "time": "offset between the camera's stamps and the arm's, by moving back and forth in contact",
@@ -62,9 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     import yaml
 
     from tactile_bringup.scene_file import write_into
-    from tactile_drivers.doubles.rehearsal import rehearsed
-    from tactile_drivers.scene import load_scene
+    from tactile_doubles.rehearsal import rehearsed
     from tactile_records.calibrating.results import RESULTS
+    from tactile_scene.scene_file import load_scene
 
     scene = load_scene(arguments.scene)
     if (arguments.source is not None) + arguments.simulate + arguments.rehearse > 1:
@@ -108,7 +108,7 @@ def chosen_arm(scene: Scene, name: str | None) -> ArmScene:
 def run_of(arguments: argparse.Namespace, scene: Scene, arm: str, console: Console) -> RunRecord | None:
     """The run that is looked at: recorded, simulated, or of the arm now; None where the last has failed."""
     from tactile_bringup import cell_touching
-    from tactile_drivers.scene import SIM
+    from tactile_scene.scene import SIM
 
     if arguments.source is not None:
         return cell_touching.recorded(arguments.source, arm)

@@ -20,7 +20,7 @@ from tactile_bringup.commands.changes import add_set_option, natural_int, positi
 if TYPE_CHECKING:
     from tactile_bringup.graph import Graph
     from tactile_bringup.launching.launcher import Outcome
-    from tactile_drivers.scene import ArmScene, BodyScene, Scene
+    from tactile_scene.scene import ArmScene, BodyScene, Scene
 
 DESCRIPTION = """Press and shear an arm's tactile sensor against a flat surface, as the paper does, and keep
 an image and a label of each contact. The same command goes on after an interruption."""
@@ -108,12 +108,12 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     from tactile_bringup.graph import build_collection_graph
     from tactile_control.collection import TASK, CollectionGoal
     from tactile_control.task_file import NamedGoal
-    from tactile_drivers.doubles.rehearsal import rehearsed
-    from tactile_drivers.sampling import VALIDATION_START
-    from tactile_drivers.scene import load_scene
+    from tactile_doubles.rehearsal import rehearsed
     from tactile_geometry import se3
     from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
     from tactile_records.collecting.parameters import check_same_run
+    from tactile_scene.sampling import VALIDATION_START
+    from tactile_scene.scene_file import load_scene
 
     check_folder(arguments.out)
     if arguments.images not in IMAGE_KINDS:
@@ -192,9 +192,9 @@ def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapp
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
     from tactile_control.collection import DataCollectionSettings
-    from tactile_drivers.sampling import SamplingSettings
     from tactile_perception.estimating.preprocessing import PreprocessingSettings
     from tactile_perception.estimating.presence import PresenceSettings
+    from tactile_scene.sampling import SamplingSettings
 
     task = DataCollectionSettings().replaced(touch__points=touches)
     groups: dict[str, Settings] = {

@@ -23,11 +23,11 @@ from tactile_bringup.commands.changes import (
     positive_int,
     refusing,
 )
-from tactile_drivers.sampling import VALIDATION_START
-from tactile_drivers.sim.collection import CollectionSettings, Sample, SensorFile, generate, load_sensor
 from tactile_perception.datasets.writer import DatasetWriter, write_processed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_records.collecting.parameters import check_same_run
+from tactile_scene.sampling import VALIDATION_START
+from tactile_sim.collection import CollectionSettings, Sample, SensorFile, generate, load_sensor
 
 
 def register(commands: Any) -> None:

@@ -27,7 +27,7 @@ PACKAGES = ("tactile_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "diagnos
 COMPILED = (
     "tactile_geometry._se3",
     "tactile_filter._fusion",
-    "tactile_drivers.sim._contact",
+    "tactile_sim._contact",
     "tactile_perception._image",
 )
 SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
@@ -64,7 +64,7 @@ def _timing(arguments: argparse.Namespace) -> int:
         check_machine,
         check_wakeups,
     )
-    from tactile_drivers.scene import load_scene
+    from tactile_scene.scene_file import load_scene
 
     arm = arm_of(load_scene(arguments.scene), arguments.arm) if arguments.scene else None
 

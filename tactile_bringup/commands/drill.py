@@ -138,7 +138,8 @@ def _arms(arguments: argparse.Namespace, arms: list[str]) -> tuple[str, ...]:
 def _live(arguments: argparse.Namespace) -> _Drills:
     from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.live_drill import drill_live, live_faults
-    from tactile_drivers.scene import SIM, load_scene
+    from tactile_scene.scene import SIM
+    from tactile_scene.scene_file import load_scene
 
     graph = load_graph(arguments.task, arguments.scene, graph_options(arguments))
     scene = load_scene(graph.scene_file)

@@ -15,7 +15,7 @@ from tactile_bringup.commands.launch import EXIT_CODES, add_rehearse_option
 if TYPE_CHECKING:
     from tactile_bringup.graph import Graph
     from tactile_control.tasks.move import MoveGoal
-    from tactile_drivers.scene import ArmScene
+    from tactile_scene.scene import ArmScene
 
 TASK = "move"
 SPEED = 0.02  # m/s
@@ -67,8 +67,8 @@ def make_graph(arguments: argparse.Namespace) -> Graph:
     from tactile_bringup.run_sequence import ArmPlan, check_places
     from tactile_control.task_file import NamedGoal, Role
     from tactile_control.tasks.move import MoveTaskSettings
-    from tactile_drivers.doubles.rehearsal import rehearsed
-    from tactile_drivers.scene import load_scene
+    from tactile_doubles.rehearsal import rehearsed
+    from tactile_scene.scene_file import load_scene
 
     scene = load_scene(arguments.scene)
     scene = rehearsed(scene) if arguments.rehearse else scene

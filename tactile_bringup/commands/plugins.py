@@ -47,11 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
 def registries() -> list[Registry[Any]]:
     """All of them."""
     from tactile_control.tasks import TASKS
-    from tactile_drivers.arm import ARMS
-    from tactile_drivers.camera import CAMERAS
-    from tactile_drivers.doubles.rehearsal import DOUBLES
-    from tactile_drivers.shapes import SHAPES
-    from tactile_drivers.sim.motions import MOTIONS
+    from tactile_doubles.rehearsal import DOUBLES
     from tactile_records.runs.report import REPORTS
+    from tactile_scene.arm import ARMS
+    from tactile_scene.camera import CAMERAS
+    from tactile_scene.motions import MOTIONS
+    from tactile_scene.shapes import SHAPES
 
     return [TASKS, REPORTS, ARMS, DOUBLES, CAMERAS, SHAPES, MOTIONS]

@@ -38,7 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_base.whole_file import check_folder
     from tactile_bringup.graph import GraphOptions, load_graph
     from tactile_bringup.permissions import enclaves, write_permissions
-    from tactile_drivers.scene import EXTERNAL, load_scene
+    from tactile_scene.scene import EXTERNAL
+    from tactile_scene.scene_file import load_scene
 
     folder: Path = arguments.folder
     domain = _domain(arguments.domain)

@@ -14,14 +14,14 @@ from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
 from tactile_bringup.commands.launch import TASK_HELP, add_task_options
-from tactile_drivers.sim.simulation import FIDELITIES
+from tactile_scene.simulation import FIDELITIES
 
 if TYPE_CHECKING:
     from tactile_bringup.offline import OfflineOptions
     from tactile_control.phases import Command
     from tactile_control.task_file import Task
-    from tactile_drivers.scene import Scene
     from tactile_records.runs.report import Run
+    from tactile_scene.scene import Scene
 
 
 ERRORS = "errors.log"  # tracebacks, beside the results
@@ -76,9 +76,9 @@ def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions
     """What the options of a command that runs a task in one process say."""
     from tactile_bringup.offline import OfflineOptions
     from tactile_control.task_file import default_scene, load_task, task_path
-    from tactile_drivers.doubles.rehearsal import simulated
-    from tactile_drivers.scene import load_scene
+    from tactile_doubles.rehearsal import simulated
     from tactile_filter.filter_settings import load_filter_settings
+    from tactile_scene.scene_file import load_scene
 
     path = task_path(arguments.task)
     scene = load_scene(arguments.scene or default_scene(path))

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tactile_ros.discovery import use_dds_profile
-from tactile_ros.managed_node import make_executor
+from tactile_ros.run_nodes import make_executor
 
 G = TypeVar("G", bound="GraphClient")
 BACKLOG = 10  # events handled at once after the first

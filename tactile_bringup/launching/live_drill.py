@@ -29,9 +29,9 @@ from tactile_bringup.drill import DEEPEST
 from tactile_bringup.graph import Graph, NodeProcess
 from tactile_bringup.launching.environment import free_domain_id
 from tactile_bringup.launching.operator import Operator
-from tactile_drivers.arm import AT_REST, is_at_rest
 from tactile_msgs.msg import ArmStatus, ContactTruth
 from tactile_ros.qos import IMAGE, STATE
+from tactile_scene.arm import AT_REST, is_at_rest
 
 CLI = [sys.executable, "-m", "tactile_bringup.cli"]
 PATIENCE = 120.0  # s, for a launch to come to its work, and to end
@@ -39,7 +39,7 @@ HELD_UP = 3.0  # s
 SILENCE = 0.1  # s, after which nothing is taken to have moved
 LONGEST = 1.0  # s, until an arm has to rest
 OURS = ("camera", "estimator", "filter", "controller", "arm")  # nodes of an arm, in the order of a message
-DOUBLES = "tactile_drivers.doubles."
+DOUBLES = "tactile_doubles."
 
 
 @dataclass

@@ -20,11 +20,11 @@ from std_srvs.srv import Trigger
 from tactile_base import topics
 from tactile_base.settings import unknown_name
 from tactile_bringup.launching.graph_client import GraphClient
-from tactile_drivers.arm import is_at_rest
 from tactile_drivers.motion_bounds import BOUNDS
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
 from tactile_ros.qos import DIAGNOSTICS, STATE
+from tactile_scene.arm import is_at_rest
 
 ENCLAVE = "/operator"
 ANSWER = 10.0  # s, for a service to answer

@@ -19,11 +19,11 @@ from tactile_base import topics
 from tactile_base.node_topics import CLIENT, LAUNCH_LOG
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_control.task_file import NamedGoal
-from tactile_drivers.arm import is_at_rest
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, StageLatency
 from tactile_ros.qos import LATENCY, NOTES, STATE
 from tactile_ros.task_messages import goal_message
+from tactile_scene.arm import is_at_rest
 
 CONTROLLER_STAGE = "controller"
 MODES = {

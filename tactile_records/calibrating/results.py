@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_drivers.scene import SensorScene
 from tactile_geometry import se3
 from tactile_records.calibrating import mounting as mountings
 from tactile_records.calibrating import time_offset
@@ -16,6 +15,7 @@ from tactile_records.calibrating import tip as tips
 from tactile_records.calibrating.result import Result
 from tactile_records.calibrating.touches import touches_of
 from tactile_records.runs.record import RunRecord
+from tactile_scene.scene import SensorScene
 
 Array = NDArray[np.float64]
 AGREES = 3.0  # standard deviations

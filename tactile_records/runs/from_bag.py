@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tactile_base.stamps import ns_from_parts
 from tactile_base.topics import TF, body_frame
 from tactile_control.tasks import TASKS
-from tactile_drivers.scene import SceneError, load_scene
 from tactile_geometry import se3
 from tactile_geometry.gaussian import left_from_ros
 from tactile_records.bags.contents import noted
@@ -20,6 +19,7 @@ from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.ending import ending
 from tactile_records.runs.record import BodySeries, RunRecord, Series, StageSeries
 from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
+from tactile_scene.scene_file import SceneError, load_scene
 
 Array = NDArray[Any]
 R = TypeVar("R")

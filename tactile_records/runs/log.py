@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
 from tactile_control.phases import Command, StampedPose
-from tactile_drivers.sim.cell import Truth
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.metrics import COMMAND_STAGE
 from tactile_records.runs.record import RunRecord, Series, StageSeries
+from tactile_sim.frame import Truth
 
 Array = NDArray[Any]
 S = TypeVar("S", bound=Series)

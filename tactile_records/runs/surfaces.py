@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_drivers.scene import Scene
-from tactile_drivers.sim.motions import CARRIED, FIXED
 from tactile_records.runs.record import LooseBody, SurfaceMesh
+from tactile_scene.motions import CARRIED, FIXED
+from tactile_scene.scene import Scene
 
 LARGEST_BODY, STEPS = (
     0.5,

@@ -35,13 +35,10 @@ from tactile_base.raised import defined_in
 from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_base.stop_line import StopLine, arms_here
-from tactile_drivers.arm import ARMS, Arm, ArmMode, ArmState, is_at_rest, open_arm
+from tactile_doubles.rehearsal import DOUBLES, rehearsed
 from tactile_drivers.arm_distance import Neighbour, minded, neighbours
-from tactile_drivers.doubles.rehearsal import DOUBLES, rehearsed
-from tactile_drivers.external import ExternalArmSettings
 from tactile_drivers.motion_bounds import bounds_in_words
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import EXTERNAL, SIM, ArmScene, Scene, load_scene
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
@@ -59,9 +56,14 @@ from tactile_ros.conversions import MessageError, header, numbers_from_pose, tra
 from tactile_ros.external_arm import ExternalArm, external_settings
 from tactile_ros.joint_states import JointListener, JointPublisher
 from tactile_ros.joint_velocity_arm import JointVelocityArm
-from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.managed_node import ConfigurationError, ManagedNode
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
+from tactile_ros.run_nodes import run
+from tactile_scene.arm import ARMS, Arm, ArmMode, ArmState, is_at_rest, open_arm
+from tactile_scene.external_arm import ExternalArmSettings
+from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
+from tactile_scene.scene_file import load_scene
 
 DOUBLE_STARTS = 30.0  # s, at most, for the simulated cell to start the double of an arm
 

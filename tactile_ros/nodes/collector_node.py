@@ -31,7 +31,6 @@ from tactile_control.collection import (
 )
 from tactile_control.phases import StampedPose
 from tactile_control.tasks.data_collection import DataCollection
-from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformInFuture, TransformUnavailable
 from tactile_msgs.action import RunTask
@@ -44,10 +43,11 @@ from tactile_records.collecting.sample_store import SampleStore
 from tactile_ros.conversions import MessageError
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError
-from tactile_ros.managed_node import run as run_node
 from tactile_ros.parameters import GroupParameters, SettingsParameters
+from tactile_ros.run_nodes import run as run_node
 from tactile_ros.task_messages import feedback_message, named_goal, status_bytes
 from tactile_ros.task_node import ZERO, Run, TaskNode, conclude
+from tactile_scene.sampling import SamplingSettings, pose_of
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,10 @@ from tactile_perception.markers.detection import DetectedMarkers, DetectionSetti
 from tactile_perception.markers.view import side_by_side
 from tactile_ros.conversions import MessageError, header
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
-from tactile_ros.managed_node import ManagedNode, run
+from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
+from tactile_ros.run_nodes import run
 
 
 @dataclass(frozen=True)

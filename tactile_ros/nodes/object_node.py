@@ -35,10 +35,11 @@ from tactile_geometry.transform_buffer import MotionLimits
 from tactile_msgs.msg import ContactState
 from tactile_ros.cdr import STATE_FLAGS, gaussian_bytes, read_gaussian, read_state
 from tactile_ros.conversions import MessageError, gaussian_from_numbers
-from tactile_ros.diagnostics import LatencyPublisher
-from tactile_ros.managed_node import ManagedNode, lost_counter, run
+from tactile_ros.latency import LatencyPublisher
+from tactile_ros.managed_node import ManagedNode, lost_counter
 from tactile_ros.parameters import SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
+from tactile_ros.run_nodes import run
 from tactile_ros.transforms import (
     BeliefInputSettings,
     FramePublisher,

@@ -32,9 +32,10 @@ from tactile_records.bags.losses import Losses
 from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
 from tactile_ros.conversions import MONO8, MessageError, array_from_image
-from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, refused_counter, run
+from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, refused_counter
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
+from tactile_ros.run_nodes import run
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
 HELD_UP = 1.0  # s longer than that without anything to do: the recorder was held up

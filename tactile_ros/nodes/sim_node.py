@@ -29,24 +29,27 @@ from visualization_msgs.msg import Marker, MarkerArray
 from tactile_base import topics
 from tactile_base.settings import LARGEST_SEED, Settings, setting
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.arm import ArmState
+from tactile_doubles.rehearsal import DOUBLES, Double, FollowedArm, doubled, rehearsed
+from tactile_doubles.reported import ReportedDouble
 from tactile_drivers.arm_distance import neighbours
-from tactile_drivers.camera import CameraFrame
-from tactile_drivers.doubles.rehearsal import DOUBLES, Double, FollowedArm, doubled, rehearsed
-from tactile_drivers.doubles.reported import ReportedDouble
-from tactile_drivers.scene import SIM, Scene, load_scene
-from tactile_drivers.sim.cell import Cell, Frame
-from tactile_drivers.sim.motions import FIXED
 from tactile_geometry import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
 from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp, transforms_from_bytes
 from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, pose_from_numbers, transform_stamped
-from tactile_ros.diagnostics import LatencyPublisher
-from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.latency import LatencyPublisher
+from tactile_ros.managed_node import ConfigurationError, ManagedNode
 from tactile_ros.nodes.arm_node import ArmNode
 from tactile_ros.nodes.camera_node import CameraNode
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import LATCHED, STATE, TF
+from tactile_ros.run_nodes import run
+from tactile_scene.arm import ArmState
+from tactile_scene.camera import CameraFrame
+from tactile_scene.motions import FIXED
+from tactile_scene.scene import SIM, Scene
+from tactile_scene.scene_file import load_scene
+from tactile_sim.cell import Cell
+from tactile_sim.frame import Frame
 
 START_DELAY = 0.1  # s
 SURFACE_COLOR = ColorRGBA(r=0.72, g=0.74, b=0.78, a=1.0)

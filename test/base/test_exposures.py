@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from tactile_base.exposures import REMEMBERED, DamagedJpeg, Exposures, gray_of_jpeg, objection
-from tactile_drivers.doubles.lying_camera import jpeg, torn
-from tactile_drivers.sim.tactip import TacTip
+from tactile_doubles.lying_camera import jpeg, torn
+from tactile_sim.tactip import TacTip
 
 
 @pytest.fixture(scope="module")

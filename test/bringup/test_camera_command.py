@@ -20,7 +20,7 @@ from tactile_bringup.cli import main
 from tactile_bringup.commands import camera as command
 from tactile_bringup.scene_file import write_into
 from tactile_drivers import uvc_camera, video_devices
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 pytestmark = pytest.mark.live
 

@@ -8,8 +8,8 @@ import pytest
 from tactile_base.config_paths import config_path
 from tactile_bringup import cell_touching
 from tactile_bringup.cli import main
-from tactile_drivers.scene import load_scene
 from tactile_geometry import se3
+from tactile_scene.scene_file import load_scene
 
 OFF = ", in_tool: {position: [0.0014, -0.0014, 0.065], rotation_deg: [0, 0, 5]}"
 

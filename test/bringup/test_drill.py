@@ -11,8 +11,8 @@ from tactile_bringup import cli
 from tactile_bringup.drill import Drill, Outcome, faults
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
-from tactile_drivers.doubles.lies import Lies
-from tactile_drivers.scene import load_scene
+from tactile_doubles.lies import Lies
+from tactile_scene.scene_file import load_scene
 
 SHORT = ("--scene", "plane", "--fidelity", "ideal")
 

@@ -10,8 +10,8 @@ from tactile_bringup.cli import main
 from tactile_bringup.experiment import Common, Trial, check_trial, load_maps, load_tables, setup_of
 from tactile_bringup.experiment_results import COLUMNS, Outcome, failures, markdown, table_rows, write_map
 from tactile_bringup.variations import VARIABLES, drawn
-from tactile_drivers.sim.pushed import PushedSettings
-from tactile_drivers.sim.pushing_scene import draw
+from tactile_sim.pushed import PushedSettings
+from tactile_sim.pushing_scene import draw
 
 
 def made_up(name="blue_square", floor="mdf", number=0, error=1.0, **changes):

@@ -5,7 +5,7 @@ import pytest
 
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task, task_path
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 TASK = ["follower.task.timeout=1.5"]
 

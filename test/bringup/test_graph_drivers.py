@@ -10,7 +10,7 @@ from tactile_base.settings import SettingError
 from tactile_bringup import cell_touching
 from tactile_bringup.graph import GraphOptions, build_graph, load_graph
 from tactile_bringup.run_sequence import arm_plans
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 SCENE = """\
 arms:

@@ -134,7 +134,7 @@ def test_the_command_says_what_was_found(bench, capsys):
 
 
 def test_a_wrong_signature_is_refused_when_it_is_loaded_before_anything_moves(bench, monkeypatch):
-    from tactile_drivers.arm import ARMS as REGISTRY
+    from tactile_scene.arm import ARMS as REGISTRY
 
     monkeypatch.setattr(bench.module.BenchArm, "command", lambda self, twist: None)
     with pytest.raises(

@@ -9,7 +9,7 @@ from other_package import ERRORS, FOLDER, installed
 from tactile_base import raised
 from tactile_bringup import cli
 from tactile_bringup.commands.changes import refusing
-from tactile_drivers.shapes import SHAPES
+from tactile_scene.shapes import SHAPES
 
 
 def line_of(words: str) -> str:

@@ -9,7 +9,7 @@ import yaml
 from tactile_base.settings import SettingError
 from tactile_bringup.run_sequence import RunSequence, arm_plans
 from tactile_control.task_file import load_task
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 LEADER = {"task": "trajectory"}
 FOLLOWER = {"task": "object_tracking"}

@@ -9,7 +9,7 @@ from tactile_base.settings import SettingError
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import NamedGoal, Role, Task
 from tactile_control.tasks.touching import PRESS, TOUCH, TouchingGoal, TouchingTaskSettings
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 SWING = (0.002, 0.0, 0.001, 0.0, 6.0, 0.0)  # m and degrees
 

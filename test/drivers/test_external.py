@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from tactile_drivers.external import ExternalArmSettings, ServoWatch, servo_trouble
-from tactile_drivers.scene import SceneError, load_scene
+from tactile_drivers.servo_watch import ServoWatch, servo_trouble
+from tactile_scene.external_arm import ExternalArmSettings
+from tactile_scene.scene_file import SceneError, load_scene
 
 CLOSER = "Moving closer to a singularity, decelerating"
 HALT = "Very close to a singularity, emergency stop"

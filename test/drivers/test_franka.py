@@ -31,8 +31,8 @@ from ur_cell import (
     real_time,
 )
 
-from tactile_drivers.arm import ArmMode, open_arm
-from tactile_drivers.scene import load_scene
+from tactile_scene.arm import ArmMode, open_arm
+from tactile_scene.scene_file import load_scene
 
 pytest.importorskip("franky", reason="franky-control has no wheel for this Python or machine")
 pytest.importorskip("franky_sim", reason="franky-sim is not installed")

@@ -13,8 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ur_cell import ZERO, Cell, address, mend
 
-from tactile_drivers.arm import ArmLimits, ArmMode
 from tactile_drivers.franka import DOCUMENTED, FR3, PANDA, largest_limits
+from tactile_scene.arm import ArmMode
+from tactile_scene.arm_settings import ArmLimits
 
 pytestmark = pytest.mark.live
 

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from tactile_drivers.camera import CAMERAS, open_camera
 from tactile_drivers.replay_camera import ReplayCamera, ReplayCameraSettings
-from tactile_drivers.scene import SensorSettings, load_scene
+from tactile_scene.camera import CAMERAS, open_camera
+from tactile_scene.scene import SensorSettings
+from tactile_scene.scene_file import load_scene
 
 pytestmark = pytest.mark.live
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState, Box, SafetySettings
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import SceneError, load_scene
-from tactile_drivers.sim.arm import SimArm
-from tactile_drivers.tracking import TrackingSettings
 from tactile_geometry import se3
+from tactile_scene.arm import ArmMode, ArmState
+from tactile_scene.arm_settings import ArmLimits, Box, SafetySettings, TrackingSettings
+from tactile_scene.scene_file import SceneError, load_scene
+from tactile_sim.arm import SimArm
 
 MS = 1_000_000
 ME, OTHER = "/arm/controller", "/joystick"

@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_drivers.arm import ArmLimits, ArmMode, ArmState
-from tactile_drivers.tracking import TrackingMonitor, TrackingSettings, in_base
-from tactile_drivers.twist_profile import TwistProfile
+from tactile_drivers.tracking import TrackingMonitor, in_base
 from tactile_geometry import se3
+from tactile_scene.arm import ArmMode, ArmState
+from tactile_scene.arm_settings import ArmLimits, TrackingSettings
+from tactile_scene.twist_profile import TwistProfile
 
 SECOND = 1_000_000_000
 ALONG = np.array([0.0, 0.03, 0.0, 0.0, 0.0, 0.0])

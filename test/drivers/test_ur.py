@@ -34,13 +34,13 @@ from ur_cell import (
 )
 
 from tactile_base.config_paths import config_path
-from tactile_drivers.arm import ArmMode, open_arm
-from tactile_drivers.doubles.ur_robot import UrRobotSettings
-from tactile_drivers.joint_limits import joint_rates
-from tactile_drivers.kinematics.arm_file import load_arm
+from tactile_doubles.ur_robot import UrRobotSettings
 from tactile_drivers.rotation_vectors import pose_of
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import load_scene
+from tactile_scene.arm import ArmMode, open_arm
+from tactile_scene.kinematics.arm_file import load_arm
+from tactile_scene.kinematics.joint_limits import joint_rates
+from tactile_scene.scene_file import load_scene
 
 pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
 

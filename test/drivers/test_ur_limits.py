@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_drivers import ur, ur_link
-from tactile_drivers.arm import open_arm
 from tactile_drivers.rotation_vectors import pose_of, vector_of
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import load_scene
 from tactile_geometry import se3
+from tactile_scene.arm import open_arm
+from tactile_scene.scene_file import load_scene
 
 SCENE = """
 arms:

@@ -13,7 +13,7 @@ from ur_cell import ALONG, ATTEMPTS, PATIENT, SPEED, ZERO, Cell, address, scene_
 from ur_second_controller import PROGRAM_END, STEP, UNLOCKED_AFTER
 from ur_second_server import SecondController
 
-from tactile_drivers.arm import ArmMode
+from tactile_scene.arm import ArmMode
 
 rtde_control = pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
 

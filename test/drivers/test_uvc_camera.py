@@ -10,9 +10,9 @@ import pytest
 from other_package.double_camera import Device
 
 from tactile_base.settings import SettingError
-from tactile_drivers.camera import CAMERAS
-from tactile_drivers.scene import SensorSettings
 from tactile_drivers.uvc_camera import UvcCamera, UvcCameraSettings, open_v4l2, pinned
+from tactile_scene.camera import CAMERAS
+from tactile_scene.scene import SensorSettings
 
 pytestmark = pytest.mark.live
 

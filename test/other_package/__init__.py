@@ -10,7 +10,7 @@ bench_arm = bench_cell:BenchArm
 bench_camera = bench_cell:BenchCamera
 double_camera = double_camera:DoubleCamera
 [tactile_servoing.doubles]
-bench_arm = tactile_drivers.doubles.reported:ReportedDouble
+bench_arm = tactile_doubles.reported:ReportedDouble
 [tactile_servoing.motions]
 drift = bench_cell:Drift
 """

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_base.settings import Settings, setting
-from tactile_drivers.arm import ArmMode, ArmState
-from tactile_drivers.camera import CameraFrame
 from tactile_geometry import se3
+from tactile_scene.arm import ArmMode, ArmState
+from tactile_scene.camera import CameraFrame
 
 PERIOD = 0.008  # s
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tactile_control.phases import DONE
 from tactile_control.tasks.surface_following import SurfaceFollowing
-from tactile_drivers.shapes.sphere import Sphere
+from tactile_scene.shapes.sphere import Sphere
 
 REST = np.eye(4)
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from tactile_control.tasks.surface_following import SurfaceFollowing
-from tactile_drivers.shapes.sphere import Sphere
-from tactile_drivers.sim.motions import Fixed
+from tactile_scene.shapes.sphere import Sphere
+from tactile_sim.motions import Fixed
 
 
 class Rubbing(SurfaceFollowing):

@@ -256,7 +256,7 @@ def test_c_code_that_does_not_compile_fails_the_build_with_its_name(tmp_path: Pa
         shutil.copy(root / name, tmp_path)
     for folder in ("resource", "scripts"):
         shutil.copytree(root / folder, tmp_path / folder)
-    for folder in ("tactile_geometry/_csrc", "tactile_filter/_csrc", "tactile_drivers/sim/_csrc"):
+    for folder in ("tactile_geometry/_csrc", "tactile_filter/_csrc", "tactile_sim/_csrc"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "broken.c").write_text("int broken(void) { return 1 }\n")
     result = run(sys.executable, "setup.py", "build_ext", "--inplace", cwd=tmp_path)

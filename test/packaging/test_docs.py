@@ -20,12 +20,12 @@ from tactile_bringup.cli import _parser
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_bringup.plugin_check import check_plugin
 from tactile_control.task_file import load_task
-from tactile_drivers.arm import open_arm
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import load_scene
-from tactile_drivers.sim.tactip import TacTip
 from tactile_records.runs import metrics, object_tracking, pushing
 from tactile_records.runs.report import write_numbers
+from tactile_scene.arm import open_arm
+from tactile_scene.scene_file import load_scene
+from tactile_sim.tactip import TacTip
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 PLACEHOLDER = re.compile(r"\[-|\.\.\.|[…|]")  # a line that shows options rather than to be typed

@@ -10,17 +10,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = (
-    "tactile_base",
-    "tactile_geometry",
-    "tactile_filter",
-    "tactile_perception",
-    "tactile_control",
-    "tactile_drivers",
-    "tactile_records",
-    "tactile_ros",
-    "tactile_bringup",
-)
+PACKAGES = [path.parent.name for path in sorted(Path(__file__).parents[2].glob("tactile_*/__init__.py"))]
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +68,8 @@ def test_the_data_of_the_packages_is_installed(root: Path):
         "tactile_geometry._se3",
         "tactile_filter._fusion",
         "tactile_control._laws",
-        "tactile_drivers._native",
-        "tactile_drivers.sim._contact",
+        "tactile_scene._native",
+        "tactile_sim._contact",
         "tactile_perception._image",
     ],
 )

@@ -5,34 +5,36 @@ import importlib.util
 import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 from tactile_base.requirements import REQUIREMENTS
 
-# Each package imports only those above it here; the three in SIDE_BY_SIDE do not know each other.
-ORDER = (
-    "tactile_base",
-    "tactile_geometry",
-    "tactile_filter",
-    "tactile_perception",
-    "tactile_control",
-    "tactile_drivers",
-    "tactile_records",
-    "tactile_ros",
-    "tactile_bringup",
-)
-PACKAGES = set(ORDER)
-SIDE_BY_SIDE = {"tactile_perception", "tactile_control", "tactile_drivers"}
+CORE = {"tactile_base", "tactile_geometry"}
+CELL = CORE | {"tactile_scene"}
+LIBRARIES = CELL | {"tactile_filter", "tactile_perception", "tactile_control", "tactile_sim"}
+
+#: Package -> those that it may import, which come before it.
+MAY_IMPORT = {
+    "tactile_base": set(),
+    "tactile_geometry": {"tactile_base"},
+    "tactile_filter": CORE,
+    "tactile_perception": CORE | {"tactile_filter"},
+    "tactile_control": CORE | {"tactile_filter"},
+    "tactile_scene": CORE,
+    "tactile_drivers": CELL,
+    "tactile_sim": CELL,
+    "tactile_doubles": CELL | {"tactile_drivers", "tactile_sim"},
+    "tactile_records": LIBRARIES,
+    "tactile_ros": LIBRARIES | {"tactile_drivers", "tactile_doubles", "tactile_records"},
+    "tactile_bringup": LIBRARIES | {"tactile_drivers", "tactile_doubles", "tactile_records", "tactile_ros"},
+}
+PACKAGES = set(MAY_IMPORT)
 EDGE = ("tactile_ros", "tactile_bringup/launching")  # the folders that import ROS
 ROS = {"rclpy", "tf2_ros", "launch", "launch_ros", "ament_index_python", "tactile_msgs", "tf2_msgs"}
 OPTIONAL = {"torch", "onnx"}  # the extra `train`
-
-
-def allowed(package: str) -> set[str]:
-    above = set(ORDER[: ORDER.index(package) + 1])
-    return above - SIDE_BY_SIDE | {package} if package in SIDE_BY_SIDE else above
 
 
 def imports(path: Path) -> set[str]:
@@ -68,14 +70,46 @@ def test_libraries_do_not_import_ros(root: Path):
     assert not offenders
 
 
-@pytest.mark.parametrize("package", ORDER)
+def test_the_order_of_packages_has_no_circle():
+    names = list(MAY_IMPORT)
+    assert all(below <= set(names[:number]) for number, below in enumerate(MAY_IMPORT.values()))
+
+
+@pytest.mark.parametrize("package", MAY_IMPORT)
 def test_packages_import_only_what_stands_above_them(root: Path, package: str):
     offenders = {}
     for path in (root / package).rglob("*.py"):
         first_party = {name.split(".")[0] for name in imports(path)} & PACKAGES
-        if first_party - allowed(package):
-            offenders[str(path.relative_to(root))] = sorted(first_party - allowed(package))
+        if others := first_party - MAY_IMPORT[package] - {package}:
+            offenders[str(path.relative_to(root))] = sorted(others)
     assert not offenders
+
+
+def test_no_files_import_each_other_in_a_circle(root: Path):
+    """Imports for types alone count, too: who reads one of the files has to read all of them."""
+    files = {".".join(path.relative_to(root).with_suffix("").parts): path for path in sources(root)}
+    modules = {name.removesuffix(".__init__"): path for name, path in files.items()}
+    graph = {name: imported_files(path, modules) - {name} for name, path in modules.items()}
+    while free := [name for name, needed in graph.items() if not needed & graph.keys()]:
+        for name in free:
+            del graph[name]
+    # what imports a circle is left over as well: drop it, so that the circle alone is told
+    while tops := graph.keys() - set().union(*graph.values()):
+        for name in tops:
+            del graph[name]
+    assert not graph
+
+
+def imported_files(path: Path, modules: Mapping[str, Path]) -> set[str]:
+    """Those of the modules that a file imports, or from whose package it imports one by name."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            named = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= named & modules.keys() or {node.module} & modules.keys()
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names} & modules.keys()
+    return found
 
 
 def test_what_nodes_share_does_not_know_the_nodes(root: Path):

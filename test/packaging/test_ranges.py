@@ -11,7 +11,7 @@ import pytest
 from tactile_base.settings import SettingError, Settings, bounds_of
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("filter", "perception", "control", "drivers", "records", "ros", "bringup")
+PACKAGES = [path.parent for path in sorted(ROOT.glob("tactile_*/__init__.py"))]
 
 #: Settings without a finite largest value, and why.
 UNLIMITED = {
@@ -22,7 +22,7 @@ UNLIMITED = {
 
 def all_settings() -> list[type[Settings]]:
     """Every class that a file of ours declares, the goals of tasks among them."""
-    for file in itertools.chain(*(sorted((ROOT / f"tactile_{name}").rglob("*.py")) for name in PACKAGES)):
+    for file in itertools.chain(*(sorted(package.rglob("*.py")) for package in PACKAGES)):
         if "= setting(" in file.read_text():
             importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
     found, ahead = [], [Settings]
@@ -43,7 +43,9 @@ NUMBERS = [
 
 def test_the_walk_finds_the_settings_of_all_packages():
     packages = {kind.__module__.split(".")[0] for kind in all_settings()}
-    assert packages >= {f"tactile_{name}" for name in ("filter", "perception", "control", "drivers", "ros")}
+    assert packages >= {
+        f"tactile_{name}" for name in ("filter", "perception", "control", "scene", "drivers", "ros")
+    }
     assert len(NUMBERS) > 280
 
 

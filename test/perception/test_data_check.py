@@ -12,13 +12,13 @@ import pytest
 from folders import write_folder
 
 from tactile_bringup.commands import data as data_command
-from tactile_drivers.sim.collection import CollectionSettings, generate
 from tactile_perception.datasets.check import check
 from tactile_perception.datasets.conventions import Explanation, explain, find_conventions
 from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.datasets.statistics import label_statistics
 from tactile_perception.estimating.labels import EULER_COMPONENTS
 from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, flow_of, measure
+from tactile_sim.collection import CollectionSettings, generate
 
 COUNT = 260
 SEED = 11
@@ -83,8 +83,8 @@ def test_simulated_data_follow_the_papers_conventions(flow):
 
 
 def test_markers_are_followed_to_a_fraction_of_a_pixel(data, flow):
-    from tactile_drivers.sim.collection import collect
-    from tactile_drivers.sim.tactip import TacTip
+    from tactile_sim.collection import collect
+    from tactile_sim.tactip import TacTip
 
     sensor, folder = TacTip(), open_folder(data)
     index = np.sort(np.random.default_rng(SETTINGS.seed).permutation(len(folder))[:COUNT])
@@ -173,7 +173,7 @@ def test_labels_that_the_images_do_not_follow_are_told_as_such(data, tmp_path):
 
 
 def labels(count: int = 2000, seed: int = 0) -> np.ndarray:
-    from tactile_drivers.sampling import SamplingSettings, pose_of
+    from tactile_scene.sampling import SamplingSettings, pose_of
 
     poses = np.array([pose_of(SamplingSettings(), seed, k) for k in range(count)])
     return poses * ([1e3] * 3 + [180 / np.pi] * 3)

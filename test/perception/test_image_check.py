@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from tactile_drivers.doubles.lying_camera import LYING_CAMERAS
-from tactile_drivers.shapes.plane import Plane
-from tactile_drivers.sim.tactip import TacTip
+from tactile_doubles.lying_camera import LYING_CAMERAS
 from tactile_geometry import se3
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.layout import Layout, LayoutError
@@ -14,6 +12,8 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings, P
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimating.stillness import FRAMES
 from tactile_perception.estimator import Estimator, shipped_model
+from tactile_scene.shapes.plane import Plane
+from tactile_sim.tactip import TacTip
 
 pytestmark = pytest.mark.skipif(
     not shipped_model().is_file(), reason="the shipped model is not there: `make model` trains it"

@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from tactile_bringup.cli import main as tactile
-from tactile_drivers.sim.collection import press_then_shear
-from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.preprocessing import Preprocessor
 from tactile_perception.markers.detection import (
@@ -21,6 +19,8 @@ from tactile_perception.markers.detection import (
     redrawn,
 )
 from tactile_perception.markers.view import draw_density, draw_markers, side_by_side
+from tactile_sim.collection import press_then_shear
+from tactile_sim.tactip import TacTip
 
 REST = [0.0, 0.0, -1e-3, 0.0, 0.0, 0.0]
 PRESSED = [2e-3, -1e-3, 4e-3, np.radians(8.0), np.radians(-12.0), np.radians(3.0)]

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from tactile_base.settings import SettingError
-from tactile_drivers.shapes.plane import Plane
-from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
 from tactile_perception import _image
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_scene.shapes.plane import Plane
+from tactile_sim.tactip import TacTip
 
 
 def pressed(sensor: TacTip, depth_mm: float, tilt_deg: float = 0.0) -> None:

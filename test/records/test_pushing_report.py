@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_drivers.scene import load_scene
 from tactile_geometry import se3
 from tactile_records.runs import pushing
 from tactile_records.runs.record import (
@@ -19,6 +18,7 @@ from tactile_records.runs.record import (
 )
 from tactile_records.runs.report import REPORTS, summary, write_numbers, write_pictures
 from tactile_records.runs.surfaces import loose_outline, surface_mesh
+from tactile_scene.scene_file import load_scene
 
 ROWS, WORKING = 60, slice(10, 55)
 DEPTH = 0.004

@@ -7,12 +7,12 @@ import numpy as np
 from tactile_base.config_paths import config_path
 from tactile_bringup.run_sequence import arm_plans
 from tactile_control.task_file import load_task, task_path
-from tactile_drivers.scene import load_scene
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ContactTruth, ControllerStatus, StageLatency
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
 from tactile_ros.task_messages import goal_message
+from tactile_scene.scene_file import load_scene
 
 SIM, FILTER = "tactile_ros.nodes.sim_node", "tactile_ros.nodes.filter_node"
 CONTROLLER, RECORDER = "tactile_ros.nodes.controller_node", "tactile_ros.nodes.recorder_node"

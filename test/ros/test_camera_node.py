@@ -9,12 +9,12 @@ from other_package import installed
 from sensor_msgs.msg import Image
 
 from tactile_control.task_file import load_task, task_path
-from tactile_drivers.sim.tactip import TacTip
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus, ControllerStatus
 from tactile_ros import qos
 from tactile_ros.conversions import array_from_image, ns_from_time
 from tactile_ros.task_messages import goal_message
+from tactile_sim.tactip import TacTip
 
 CAMERA_NODE, ESTIMATOR = "tactile_ros.nodes.camera_node", "tactile_ros.nodes.estimator_node"
 SIM, FILTER = "tactile_ros.nodes.sim_node", "tactile_ros.nodes.filter_node"

@@ -11,9 +11,7 @@ from messages import gaussian_from_message, image_message
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
-from tactile_drivers.doubles.lying_camera import LYING_CAMERAS
-from tactile_drivers.shapes.plane import Plane
-from tactile_drivers.sim.tactip import TacTip
+from tactile_doubles.lying_camera import LYING_CAMERAS
 from tactile_geometry import se3
 from tactile_msgs.msg import ContactPresence, StageLatency
 from tactile_perception.estimating.model_metadata import INPUT_NAME, INVERSE_SIGMA, MEAN, ModelMetadata
@@ -21,6 +19,8 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.estimator import Estimator, shipped_model
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
+from tactile_scene.shapes.plane import Plane
+from tactile_sim.tactip import TacTip
 
 ESTIMATOR = "tactile_ros.nodes.estimator_node"
 SENSOR = "arm/tactile_sensor"

@@ -10,12 +10,12 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from tactile_drivers.arm_distance import Neighbour
-from tactile_drivers.scene import load_scene
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import matrix_from_transform, ns_from_time
+from tactile_scene.scene_file import load_scene
 
 ARM_NODE, SIM = "tactile_ros.nodes.arm_node", "tactile_ros.nodes.sim_node"
 # a UR5e's lengths: (type, xyz, rpy, axis) of each joint, a mount below the base, and a finger that slides

@@ -10,7 +10,7 @@ def test_a_node_with_an_arm_leaves_no_remarks_of_libraries(graph, how):
     code = "import sys\nfrom tactile_ros.nodes import sim_node\n"
     if how == "ended by an error":
         code += (
-            "from tactile_drivers.sim.cell import Cell\nstep, count = Cell.step, []\n"
+            "from tactile_sim.cell import Cell\nstep, count = Cell.step, []\n"
             "def steps(self):\n    count.append(1)\n    return step(self) if len(count) < 300 else 1 / 0\n"
             "Cell.step = steps\n"
         )

@@ -20,7 +20,8 @@ TOY = textwrap.dedent("""
     from dataclasses import dataclass
     from sensor_msgs.msg import Image
     from std_msgs.msg import Int64
-    from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+    from tactile_ros.run_nodes import run
+    from tactile_ros.managed_node import ConfigurationError, ManagedNode
     from tactile_ros.parameters import SettingsParameters
     from tactile_ros.qos import IMAGE, STATE
     from tactile_base.settings import Settings, setting

@@ -8,12 +8,12 @@ from messages import image_message
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
-from tactile_drivers.sim.collection import press_then_shear
-from tactile_drivers.sim.tactip import TacTip
 from tactile_perception.markers.detection import density_change, detect
 from tactile_perception.markers.view import side_by_side
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
+from tactile_sim.collection import press_then_shear
+from tactile_sim.tactip import TacTip
 
 VIEW = "tactile_ros.nodes.marker_view_node"
 SENSOR = "arm/tactile_sensor"

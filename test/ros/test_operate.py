@@ -15,8 +15,8 @@ import pytest
 from ramp_cell import CONTROLLER, SIM, Cell
 from std_srvs.srv import Trigger
 
-from tactile_drivers.scene import load_scene
 from tactile_msgs.msg import ArmStatus
+from tactile_scene.scene_file import load_scene
 
 
 class Terminal:

@@ -5,7 +5,7 @@ from rclpy.node import NodeNameNonExistentError
 
 from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.permissions import enclaves
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 
 def dds_names(graph, namespace: str, node: str) -> tuple[set[str], set[str]]:

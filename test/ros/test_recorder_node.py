@@ -23,7 +23,7 @@ FRAME = TFMessage(transforms=[transform_stamped(5, "arm/base", "arm/tool", np.ey
 TOPICS = ["/tf tf2_msgs/msg/TFMessage reliable", "/arm/command/twist geometry_msgs/msg/TwistStamped reliable"]
 FULL_DISK = """
 import resource
-from tactile_ros.managed_node import run
+from tactile_ros.run_nodes import run
 from tactile_ros.nodes.recorder_node import RecorderNode
 
 class OnAFullDisk(RecorderNode):
@@ -35,7 +35,7 @@ raise SystemExit(run(OnAFullDisk))
 
 FULL_AT_THE_END = """
 import resource
-from tactile_ros.managed_node import run
+from tactile_ros.run_nodes import run
 from tactile_ros.nodes.recorder_node import RecorderNode
 
 class OnADiskThatFillsAtItsClose(RecorderNode):
@@ -50,7 +50,7 @@ SLOW_DISK = """
 import time
 from pathlib import Path
 from rclpy.qos import QoSProfile
-from tactile_ros.managed_node import run
+from tactile_ros.run_nodes import run
 from tactile_ros.nodes import recorder_node
 
 class OnASlowDisk(recorder_node.RecorderNode):

@@ -13,11 +13,11 @@ from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 
 from tactile_bringup.servoing import Place, load_servoing_graph
-from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time, time_from_ns, transform_stamped
+from tactile_sim.tactip import TacTip
 
 MOUNT = se3.pose_from_euler([0.0, 0.0, 0.065, 0.0, 0.0, 0.0])
 START = se3.pose_from_euler([0.1, 0.2, 0.3, 0.0, np.pi, 0.0])

@@ -10,7 +10,6 @@ from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
 from tactile_base.config_paths import config_path
-from tactile_drivers.scene import load_scene
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactPresence, ContactTruth
 from tactile_ros import qos
@@ -21,6 +20,7 @@ from tactile_ros.conversions import (
     ns_from_time,
     transform_stamped,
 )
+from tactile_scene.scene_file import load_scene
 
 SIM = "tactile_ros.nodes.sim_node"
 SENSOR = "arm/tactile_sensor"

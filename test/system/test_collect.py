@@ -15,9 +15,9 @@ from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
 from tactile_bringup.commands.data_collect import chosen_settings, chosen_surface, frame_on
 from tactile_bringup.launching.environment import free_domain_id
-from tactile_drivers.sampling import SamplingSettings, pose_of
-from tactile_drivers.scene import load_scene
 from tactile_perception.datasets.dataset import read_dataset
+from tactile_scene.sampling import SamplingSettings, pose_of
+from tactile_scene.scene_file import load_scene
 
 SAMPLES = 2
 QUICK = ["motion.air_speed=0.1", "motion.contact_speed=0.04", "motion.settle_time=0.05"]

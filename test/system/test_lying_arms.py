@@ -3,7 +3,7 @@
 import pytest
 
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
-from tactile_drivers.doubles.lying_arm import LyingArm
+from tactile_doubles.lying_arm import LyingArm
 
 FOLLOWING, APPROACHING = 7.0, 2.5  # s, of the plane's run
 

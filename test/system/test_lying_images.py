@@ -5,7 +5,7 @@ import pytest
 
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
-from tactile_drivers.doubles.lying_camera import LYING_CAMERAS, ImageLies
+from tactile_doubles.lying_camera import LYING_CAMERAS, ImageLies
 from tactile_perception.estimator import shipped_model
 
 pytestmark = pytest.mark.skipif(

@@ -9,9 +9,9 @@ from tactile_base.settings import SettingError
 from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task, task_path
-from tactile_drivers.sim.cell import Cell
 from tactile_perception.estimator import shipped_model
 from tactile_records.runs import metrics
+from tactile_sim.cell import Cell
 
 IDEAL = OfflineOptions(fidelity="ideal", seed=1)
 DOME_GOALS = [f"theta_{k}" for k in range(8)]

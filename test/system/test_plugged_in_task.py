@@ -10,7 +10,7 @@ from tactile_bringup.graph import load_graph
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task
 from tactile_control.tasks import TASKS
-from tactile_drivers.scene import load_scene
+from tactile_scene.scene_file import load_scene
 
 MODULE = '''
 from dataclasses import dataclass, field

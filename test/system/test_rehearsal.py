@@ -12,11 +12,11 @@ from ur_cell import real_time
 
 from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
-from tactile_drivers.doubles.rehearsal import rehearsed
-from tactile_drivers.scene import load_scene
+from tactile_doubles.rehearsal import rehearsed
 from tactile_perception.datasets.dataset import read_dataset
 from tactile_records.runs.from_bag import read_arms
 from tactile_records.runs.metrics import report
+from tactile_scene.scene_file import load_scene
 
 PATH = 0.03  # m
 TASK = f"""

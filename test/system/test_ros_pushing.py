@@ -12,8 +12,8 @@ from tactile_base.config_paths import config_folder
 from tactile_bringup.cli import main
 from tactile_bringup.offline import run_arms_offline
 from tactile_control.task_file import load_task
-from tactile_drivers.scene import load_scene
 from tactile_records.runs.pushing import body_poses, numbers
+from tactile_scene.scene_file import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

@@ -21,13 +21,13 @@ from tactile_base.config_paths import config_folder
 from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task
-from tactile_drivers.scene import load_scene
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import agreement, run_filter
 from tactile_records.replay.sweep import base_settings
 from tactile_records.runs.from_bag import read_arms
 from tactile_records.runs.metrics import report
+from tactile_scene.scene_file import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

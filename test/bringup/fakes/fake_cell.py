@@ -15,9 +15,10 @@ from std_msgs.msg import Bool
 
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmStatus
-from tactile_ros.managed_node import ConfigurationError, ManagedNode, run
+from tactile_ros.managed_node import ConfigurationError, ManagedNode
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import STATE
+from tactile_ros.run_nodes import run
 from tactile_ros.task_node import conclude
 
 ENDS = {signal.SIGINT, signal.SIGTERM}

@@ -5,8 +5,8 @@ import resource
 import shutil
 import sys
 
-from tactile_ros.managed_node import run
 from tactile_ros.nodes.recorder_node import RecorderNode
+from tactile_ros.run_nodes import run
 
 
 class FakeRecorder(RecorderNode):

@@ -1,0 +1,300 @@
+"""Labelled samples of surface contact poses: the paper's sampling rules and its two-step motion, simulated.
+
+The sensor turns to its contact angles above a plane, presses along the normal to a depth, then shears in the
+plane ("Data Collection" in the paper). Friction and errors of the arm's pose differ from sample to sample, so
+that what is trained on them does not rely on one friction or on a perfect arm. A sample depends only on the
+settings, the seed and its index: a run that was interrupted goes on with the indices that are missing::
+
+    for sample in generate(CollectionSettings(), seed=1, indices=range(6000), processes=2):
+        ...
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import multiprocessing
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.config_paths import named_file
+from tactile_base.settings import setting
+from tactile_base.yaml_file import read_yaml
+from tactile_geometry import se3
+from tactile_scene.sampling import SamplingSettings, check_ordered, sample_pose, sample_rng
+from tactile_scene.shapes.plane import Plane
+from tactile_scene.simulated_sensors import TacTipSettings
+from tactile_scene.simulation import read_sensor_groups
+from tactile_sim.tactip import ContactTruth, TacTip
+from tactile_sim.variation import VariationSettings, varied
+
+Array = NDArray[np.float64]
+R = TypeVar("R")
+_FLAT = 1e-6  # 1/m: as good as a plane
+_SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
+
+
+@dataclass(frozen=True)
+class CollectionSettings(SamplingSettings):
+    """Ranges of the samples, and what differs between them that no label tells."""
+
+    friction: tuple[float, ...] = setting(
+        (0.6, 1.2), lower=0.0, upper=5.0, length=2, doc="least and largest friction"
+    )
+    curvature: tuple[float, ...] = setting(
+        (0.0, 0.0), unit="1/m", lower=-20.0, upper=40.0, length=2,
+        doc="least and largest curvature of the surface, a sphere: positive is convex, 0 the paper's plane",
+    )  # fmt: skip
+    position_noise: float = setting(
+        5e-5, unit="m", lower=0.0, upper=0.01, doc="of the arm, per axis (1 sigma)"
+    )
+    angle_noise: float = setting(2e-3, unit="rad", lower=0.0, upper=0.2, doc="of the arm, per axis (1 sigma)")
+    depth_offset: float = setting(
+        0.0, unit="m", lower=-5e-3, upper=5e-3, doc="of the true depth over the label's: a zero set by hand"
+    )
+    surface_tilt: tuple[float, ...] = setting(
+        (0.0, 0.0), unit="rad", lower=-0.2, upper=0.2, length=2,
+        doc="of the true surface against the labels' plane, about its x and y through the contact",
+    )  # fmt: skip
+    tool_offset: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), unit="m", lower=-0.02, upper=0.02, length=3,
+        doc="of the tool centre point, about which the arm turns, from the dome's centre, in {s}",
+    )  # fmt: skip
+    clearance: float = setting(1e-3, unit="m", lower=0.0, upper=0.05, doc="gap from which the sensor starts")
+    max_step: float = setting(2.5e-4, unit="m", lower=1e-6, upper=0.002, doc="longest step of the motion")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ordered(self, "friction", "curvature")
+
+
+@dataclass(frozen=True)
+class SensorFile:
+    """What a file of `config/sensors` says; without one, the defaults.
+
+    It has the groups of `TacTipSettings` (skin, contact, markers, camera), and for data sets `collection`
+    (the rig: errors of its arm, friction) and `variation` (how images differ); all optional.
+    """
+
+    sensor: TacTipSettings = field(default_factory=TacTipSettings)
+    collection: CollectionSettings = field(default_factory=CollectionSettings)
+    variation: VariationSettings | None = None
+
+
+def load_sensor(name_or_path: str | Path) -> SensorFile:
+    """A sensor of `config/sensors` by its name, or any sensor file by its path.
+
+    Raises
+    ------
+    FileNotFoundError
+        With the names there are.
+    SettingError
+        With file and line of what is wrong.
+    """
+    root = read_yaml(named_file("sensor", name_or_path))
+    return SensorFile(
+        read_sensor_groups(root),
+        root.settings("collection", CollectionSettings),
+        root.settings("variation", VariationSettings) if "variation" in root.values else None,
+    )
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One labelled image.
+
+    Attributes
+    ----------
+    index : int
+    image : (height, width) uint8
+    euler_mm_deg : (6,)
+        The label: commanded surface contact pose (x, y, z, alpha, beta, gamma) of X_fs, mm and degrees.
+    truth : ContactTruth
+        What the simulation knows, slip and equivalent shear included.
+    friction : float
+    """
+
+    index: int
+    image: NDArray[np.uint8]
+    euler_mm_deg: Array
+    truth: ContactTruth
+    friction: float
+
+
+class _Sphere:
+    """A sphere of signed radius 1 / curvature that touches the plane z = 0 at the origin, from below."""
+
+    def __init__(self, curvature: float) -> None:
+        self._radius = 1.0 / curvature
+
+    def query(self, points: Array) -> tuple[Array, Array]:
+        from_center = points + np.array([0.0, 0.0, self._radius])
+        distance = np.linalg.norm(from_center, axis=1)
+        sign = math.copysign(1.0, self._radius)
+        return sign * (distance - abs(self._radius)), sign * from_center / distance[:, None]
+
+
+def collect(
+    sensor: TacTip, settings: CollectionSettings, seed: int, index: int,
+    variation: VariationSettings | None = None,
+) -> Sample:  # fmt: skip
+    """Collect sample `index` with a sensor, whose contact history is forgotten first."""
+    rng = sample_rng(seed, index)
+    pose = sample_pose(settings, rng)
+    noise = rng.normal(size=6) * np.repeat([settings.position_noise, settings.angle_noise], 3)
+    noise[2] += settings.depth_offset
+    friction = rng.uniform(settings.friction[0], settings.friction[1])
+    sensor.reset(seed=int(rng.integers(2**63)))
+    sensor.friction = friction
+    least, largest = settings.curvature
+    press_then_shear(sensor, pose + noise, settings.clearance, float(rng.uniform(least, largest)),
+                     Mounting.of(settings))  # fmt: skip
+    image, truth = sensor.image(), sensor.truth()
+    if variation is not None:
+        image = varied(image, variation, truth.depth, rng)
+    return Sample(index, image, pose / _SCALE, truth, friction)
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Errors of a rig that are the same in all of its samples: what it calls the pose, and where it is.
+
+    Attributes
+    ----------
+    T_tilt : (4, 4)
+        Turns the sensor about the contact point, as a surface that is tilted the other way would.
+    T_center : (4, 4)
+        The dome's centre in the frame of the tool centre point.
+    """
+
+    T_tilt: Array
+    T_center: Array
+
+    @classmethod
+    def of(cls, settings: CollectionSettings) -> Mounting | None:
+        """From `surface_tilt` and `tool_offset`; None where both are zero."""
+        if not any((*settings.surface_tilt, *settings.tool_offset)):
+            return None
+        tilt = se3.pose_from_euler([0.0, 0.0, 0.0, *settings.surface_tilt, 0.0])
+        return cls(tilt, se3.pose_from_euler([*(-np.array(settings.tool_offset)), 0.0, 0.0, 0.0]))
+
+    def place(self, T_surface_tool: Array) -> Array:
+        """Where the sensor is (4, 4) when the arm means T; at no tilt the depth is as meant."""
+        T = T_surface_tool.copy()
+        T[2, 3] += self.T_center[2, 3]
+        return np.asarray(self.T_tilt @ T @ self.T_center)
+
+
+def press_then_shear(
+    sensor: TacTip, pose: Array, clearance: float = 1e-3, curvature: float = 0.0,
+    mounting: Mounting | None = None,
+) -> None:  # fmt: skip
+    """Bring a sensor to a surface contact pose (6,), m and rad: turned, pressed, then sheared.
+
+    The surface is a plane, or a sphere of that `curvature` in 1/m, along which the shear then runs. With a
+    `mounting` the pose is what the arm means.
+    """
+    surface = Plane() if abs(curvature) < _FLAT else _Sphere(curvature)
+
+    def move(T: Array) -> None:
+        sensor.advance(surface, T if mounting is None else mounting.place(T))
+
+    x, y, z, alpha, beta, gamma = pose
+    # {f} has z into the surface, and its origin at the dome's centre at first touch
+    T_surface_f = se3.pose_from_euler([0.0, 0.0, sensor.settings.skin.radius, np.pi, 0.0, 0.0])
+    for depth in (-clearance, z):
+        move(T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
+    turned = T_surface_f @ se3.pose_from_euler([0.0, 0.0, z, alpha, beta, gamma])
+    move(_along_surface(x, -y, curvature) @ turned)
+
+
+def _along_surface(x: float, y: float, curvature: float) -> Array:
+    """Motion (4, 4) that carries the surface's origin by x, y along it: a turn about a sphere's centre."""
+    if abs(curvature) < _FLAT:
+        return se3.pose_from_euler([x, y, 0.0, 0.0, 0.0, 0.0])
+    phi = np.array([-curvature * y, curvature * x, 0.0])
+    centre = np.array([0.0, 0.0, -1.0 / curvature])
+    return se3.exp(np.concatenate([np.cross(centre, phi), phi]))
+
+
+def generate(
+    settings: CollectionSettings, seed: int, indices: Iterable[int], sensor: TacTipSettings | None = None,
+    processes: int = 1, each: Callable[[Sample], R] | None = None, variation: VariationSettings | None = None,
+) -> Iterator[R]:  # fmt: skip
+    """Samples at `indices`, in that order, on any number of processes with the same result.
+
+    Parameters
+    ----------
+    settings, seed
+        What, with an index, determines a sample.
+    sensor
+        The sensor; its step is replaced by that of `settings`.
+    each
+        Called on every sample in the process that made it (so it must be picklable for more than one), to
+        store the image there or make it smaller; its results are yielded. Without it the samples are.
+    variation
+        How the images differ from those of an exactly known sensor; None: not at all.
+    """
+    sensor = sensor or TacTipSettings()
+    model = replace(sensor, contact=sensor.contact.replaced(max_step=settings.max_step))
+    task = _Task(settings, seed, model, each, variation)
+    if processes <= 1:
+        _start(task)
+        yield from map(_run, indices)
+        return
+    spawn = multiprocessing.get_context("spawn")
+    # unlike Pool, the executor fails if a worker does
+    with ProcessPoolExecutor(processes, spawn, _start, (task,)) as pool:
+        yield from _in_order(pool, iter(indices), ahead=4 * processes)
+
+
+def _in_order(pool: ProcessPoolExecutor, indices: Iterator[int], ahead: int) -> Iterator[R]:
+    """Results in the order of the indices, with a bounded number of them under way."""
+    pending = deque(pool.submit(_run, index) for index in itertools.islice(indices, ahead))
+    while pending:
+        yield pending.popleft().result()
+        pending.extend(pool.submit(_run, index) for index in itertools.islice(indices, 1))
+
+
+@dataclass(frozen=True)
+class _Task:
+    settings: CollectionSettings
+    seed: int
+    sensor: TacTipSettings
+    each: Callable[[Sample], object] | None
+    variation: VariationSettings | None
+
+
+_worker: tuple[_Task, TacTip] | None = None  # what this process collects with
+
+
+def _start(task: _Task) -> None:
+    global _worker
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    _worker = (task, TacTip(task.sensor))
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """End this process when its parent does: a killed one cannot tell its workers to."""
+    parent.join()
+    os._exit(1)
+
+
+def _run(index: int):  # type: ignore[no-untyped-def]
+    if _worker is None:
+        raise RuntimeError("a worker was asked for a sample before it was started")
+    task, sensor = _worker
+    sample = collect(sensor, task.settings, task.seed, index, task.variation)
+    return sample if task.each is None else task.each(sample)

@@ -1,0 +1,66 @@
+"""How stiff a tip's skin is, and its force from depth and shear for a sensor that does not model it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.settings import Settings, setting
+from tactile_sim import _contact
+
+if TYPE_CHECKING:
+    from tactile_sim.motions import BodyContact
+
+Array = NDArray[np.float64]
+
+_REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper holds objects at
+
+
+@dataclass(frozen=True)
+class SkinForces(Settings):
+    """Normal force and shear stiffness over depth as powers, and friction.
+
+    The curves are fitted to the simulated TacTip on a plane by bench/held_objects.py; they scale with
+    `SkinSettings.gel_modulus`.
+    """
+
+    friction_tip: float = setting(0.9, lower=0.0, upper=5.0, doc="between object and the tip's skin")
+    skin_force: float = setting(
+        1.69, unit="N", lower=0.0, upper=1000.0, doc="normal force of the tip at a depth of 6 mm"
+    )
+    skin_exponent: float = setting(1.68, lower=1.0, upper=3.0, doc="of the normal force over depth")
+    skin_shear: float = setting(
+        211.0, unit="N/m", lower=0.0, upper=1e6, doc="of the tip, tangential, at 6 mm"
+    )
+    skin_shear_exponent: float = setting(0.47, lower=0.0, upper=3.0, doc="of that stiffness over depth")
+
+    def normal_force(self, depth: float) -> float:
+        """Of the tip (N) at a depth (m) of its skin."""
+        return self.skin_force * max(depth / _REFERENCE_DEPTH, 0.0) ** self.skin_exponent
+
+    def normal_stiffness(self, depth: float, force: float) -> float:
+        """Of the tip's skin along the normal (N/m) at a depth (m) where it presses with a force (N)."""
+        return self.skin_exponent * force / depth if depth > 0 else 0.0
+
+    def shear_stiffness(self, depth: float) -> float:
+        """Of the tip's skin across the normal (N/m) at a depth (m)."""
+        return self.skin_shear * max(depth / _REFERENCE_DEPTH, 0.0) ** self.skin_shear_exponent
+
+    def depth(self, normal_force: float) -> float:
+        """Of the tip (m) at a normal force (N)."""
+        if normal_force <= 0 or self.skin_force == 0:
+            return 0.0
+        return _REFERENCE_DEPTH * float((normal_force / self.skin_force) ** (1 / self.skin_exponent))
+
+    def force_on_body(self, contact: BodyContact) -> Array:
+        """Force (3,) N of a sensor on the body, in its frame: what it models, else by depth and shear."""
+        if not math.isnan(contact.force[0]):
+            return contact.force
+        press, stiffness = self.normal_force(contact.truth.depth), self.shear_stiffness(contact.truth.depth)
+        return _contact.skin_force(
+            contact.T_body_sensor, contact.truth.T_fs, press, stiffness, self.friction_tip
+        )
