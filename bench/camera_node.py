@@ -24,8 +24,8 @@ from tactile_base.topics import IMAGE
 from tactile_bringup.launching.environment import ros_environment
 from tactile_bringup.launching.processes import ProcessGroup
 from tactile_ros import qos
-from tactile_ros.cdr import header_of
 from tactile_ros.discovery import use_dds_profile
+from tactile_ros.message_bytes import header_of
 
 ARM = "arm"
 SCENE = """\

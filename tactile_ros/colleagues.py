@@ -17,10 +17,10 @@ from tactile_control.partners import Partners
 from tactile_control.phases import DONE, FAILED, StampedPose
 from tactile_geometry import se3
 from tactile_msgs.msg import ControllerStatus
-from tactile_records.bags.cdr import MessageReader, layout_of
-from tactile_records.bags.message_definitions import type_fields
 from tactile_ros.qos import DIAGNOSTICS, STATE
 from tactile_ros.task_messages import IDLE
+from tactile_wire.cdr import MessageReader, layout_of
+from tactile_wire.message_definitions import type_fields
 
 if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode

@@ -1,6 +1,6 @@
 """Messages <-> Python: stamps (int nanoseconds), poses, transforms, images.
 
-What is sent at the rate of the camera is in `cdr`.
+What is sent at the rate of the camera is in `message_bytes`.
 
 Poses are `T_parent_child` (4, 4) in meters. Whatever comes in is checked; `MessageError` says what was wrong
 and what would be right.
@@ -18,13 +18,10 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from tactile_base.stamps import ns_from_parts, parts_from_ns
-from tactile_geometry.pose_numbers import MessageError as MessageError
-from tactile_geometry.pose_numbers import gaussian_from_numbers as gaussian_from_numbers
-from tactile_geometry.pose_numbers import numbers_from_pose as numbers_from_pose
-from tactile_geometry.pose_numbers import pose_from_numbers as pose_from_numbers
-from tactile_perception.estimating.encodings import MONO8 as MONO8
 from tactile_perception.estimating.encodings import gray_of
 from tactile_perception.estimating.image import ImageError
+from tactile_wire.errors import MessageError
+from tactile_wire.pose_numbers import numbers_from_pose, pose_from_numbers
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers.servo_watch import ServoWatch
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformUnavailable
-from tactile_ros.cdr import twist_bytes
+from tactile_ros.message_bytes import twist_bytes
 from tactile_ros.qos import COMMAND, STATE
 from tactile_ros.transforms import TransformListener
 from tactile_scene.arm import ArmMode, ArmState

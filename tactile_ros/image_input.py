@@ -11,12 +11,17 @@ from sensor_msgs.msg import CompressedImage, Image
 from tactile_base import topics
 from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
-from tactile_ros.cdr import ReceivedCompressed, ReceivedImage, compressed_from_bytes, image_from_bytes
-from tactile_ros.conversions import MessageError
 from tactile_ros.discovery import PROFILE_VARIABLES
 from tactile_ros.managed_node import TOO_FAST, ManagedNode, lost_counter
+from tactile_ros.message_bytes import (
+    ReceivedCompressed,
+    ReceivedImage,
+    compressed_from_bytes,
+    image_from_bytes,
+)
 from tactile_ros.qos import IMAGE
 from tactile_scene.camera import COMPRESSED, ExternalCameraSettings
+from tactile_wire.errors import MessageError
 
 Received = ReceivedImage | ReceivedCompressed
 LARGEST_IMAGE = 1 << 26  # bytes: 4096x4096 in colour, and some more

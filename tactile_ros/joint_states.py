@@ -17,10 +17,11 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from tactile_base import topics
-from tactile_ros.conversions import MessageError, header, ns_from_time, transform_stamped
+from tactile_ros.conversions import header, ns_from_time, transform_stamped
 from tactile_ros.qos import LATCHED, STATE, TF
 from tactile_scene.arm import ArmMode, ArmState
 from tactile_scene.kinematics.chain import Chain
+from tactile_wire.errors import MessageError
 
 if TYPE_CHECKING:
     from tactile_ros.managed_node import ManagedNode

@@ -33,10 +33,9 @@ from tactile_base.raised import told
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import NANOSECOND
 from tactile_filter.events import FUTURE_NS
-from tactile_geometry.pose_numbers import MessageError
-from tactile_ros.cdr import LONGEST_SAID, header_of
 from tactile_ros.commander import Commander
 from tactile_ros.diagnostics import Diagnostics, InputWatch
+from tactile_ros.message_bytes import LONGEST_SAID, header_of
 from tactile_ros.parameters import (
     SettingsParameters,
     declare_read_only,
@@ -45,6 +44,7 @@ from tactile_ros.parameters import (
 )
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
 from tactile_ros.scheduling import settle_garbage
+from tactile_wire.errors import MessageError
 
 Result = TransitionCallbackReturn
 

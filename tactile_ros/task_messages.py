@@ -16,8 +16,9 @@ from tactile_control.task_file import NamedGoal
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
-from tactile_ros.cdr import LONGEST_NAME, headed_bytes, split_stamp
-from tactile_ros.conversions import MessageError, matrix_from_pose, pose_from_matrix
+from tactile_ros.conversions import matrix_from_pose, pose_from_matrix
+from tactile_ros.message_bytes import LONGEST_NAME, headed_bytes, split_stamp
+from tactile_wire.errors import MessageError
 
 Array = NDArray[np.float64]
 TaskType = type[PhaseMachine[Any, Any]]

@@ -32,10 +32,10 @@ from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
 from tactile_ros.arm_attention import ArmAttention
-from tactile_ros.cdr import headed_bytes
 from tactile_ros.colleagues import Upstream
 from tactile_ros.conversions import duration_from_ns
 from tactile_ros.managed_node import CONTROLLED_FRAMES, LARGEST, ManagedNode
+from tactile_ros.message_bytes import headed_bytes
 from tactile_ros.parameters import declare_read_only, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, writer_profile
 from tactile_ros.transforms import TransformListener

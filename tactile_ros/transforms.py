@@ -27,10 +27,11 @@ from tactile_geometry.transform_buffer import (
     TransformUnavailable,
 )
 from tactile_msgs.srv import ResetFilter
-from tactile_ros.cdr import ReceivedTransform, transforms_from_bytes
-from tactile_ros.conversions import pose_from_numbers, transform_stamped
+from tactile_ros.conversions import transform_stamped
 from tactile_ros.managed_node import ManagedNode
+from tactile_ros.message_bytes import ReceivedTransform, transforms_from_bytes
 from tactile_ros.qos import TF, TF_STATIC
+from tactile_wire.pose_numbers import pose_from_numbers
 
 Array = NDArray[np.float64]
 

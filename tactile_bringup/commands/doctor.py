@@ -124,7 +124,7 @@ def _imported(*modules: str) -> str:
 
 
 def _definitions() -> str:
-    from tactile_records.bags.message_definitions import message_definition
+    from tactile_wire.message_definitions import message_definition
 
     message_definition("tactile_msgs/msg/ContactState")
     return "of tactile_msgs, for bags"

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 from rosbags.serde import SerdeError
 
 from tactile_base.input_file import parse_json
-from tactile_records.bags.message_definitions import DefinitionDamaged, message_definition, typestore
+from tactile_wire.errors import DefinitionDamaged
+from tactile_wire.message_definitions import message_definition, typestore
 
 # What `rosbags` raises for bytes that are no message of their type.
 _NO_MESSAGE = (SerdeError, struct.error, ValueError, LookupError, TypeError, AssertionError, OverflowError)

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_records.bags.cdr import Layout, MessageError, layout_of
+from tactile_wire.cdr import Layout, layout_of
+from tactile_wire.errors import MessageError
 
 Array = NDArray[Any]
 

@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 
 from tactile_base.topics import LATCHED, SENSOR, Topic
 from tactile_records.bags.contents import BagError, Gap
-from tactile_records.bags.message_definitions import message_definition, type_hash
+from tactile_wire.message_definitions import message_definition, type_hash
 
 __all__ = ["METADATA", "BagError", "BagWriter"]
 

@@ -24,13 +24,13 @@ from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSett
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator, ModelError
-from tactile_records.bags.cdr import MessageError as Unreadable
-from tactile_records.bags.cdr import blank_layout, layout_of
 from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import Needed, lacking, rows_of
 from tactile_records.bags.reader import Bag
 from tactile_records.replay.run import pose_rows
 from tactile_records.replay.topics import ReplayError, wanted_topics
+from tactile_wire.cdr import blank_layout, layout_of
+from tactile_wire.errors import MessageError as Unreadable
 
 Array = NDArray[Any]
 

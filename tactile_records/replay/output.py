@@ -14,10 +14,10 @@ from tactile_base.topics import BELIEF, RELIABLE, SMOOTHED, STATE, TF_STATIC, To
 from tactile_filter.belief import Belief
 from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import rows_of
-from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.reader import Bag
 from tactile_records.bags.writer import BagWriter
 from tactile_records.replay.run import ArmRun, pose_rows
+from tactile_wire.message_definitions import message_definition
 
 Array = NDArray[Any]
 

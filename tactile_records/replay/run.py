@@ -19,13 +19,13 @@ from tactile_base.topics import BELIEF, STATE
 from tactile_filter.bayes_filter import Belief, BeliefFlag, ContactFilter, FilterSettings
 from tactile_filter.smoother import smooth
 from tactile_geometry.gaussian import UNUSABLE, ros_from_left
-from tactile_geometry.pose_numbers import numbers_from_pose
-from tactile_records.bags.cdr import Layout, blank_layout
 from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.replay.settings import Change
 from tactile_records.replay.topics import POSE
 from tactile_records.replay.track import ArmInputs, LiveStates, Measurement
 from tactile_records.runs.record import BeliefSeries
+from tactile_wire.cdr import Layout, blank_layout
+from tactile_wire.pose_numbers import numbers_from_pose
 
 Array = NDArray[Any]
 

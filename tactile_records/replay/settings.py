@@ -14,10 +14,11 @@ from tactile_base.settings import Settings
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import PARAMETER_EVENTS
 from tactile_filter.bayes_filter import BeliefFlag, FilterSettings
-from tactile_records.bags.cdr import Layout, MessageError, layout_of
 from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import stamps_ns
 from tactile_records.bags.reader import Bag
+from tactile_wire.cdr import Layout, layout_of
+from tactile_wire.errors import MessageError
 
 Array = NDArray[Any]
 S = TypeVar("S", bound=Settings)

@@ -14,7 +14,6 @@ from tactile_filter.contact_bounds import TACTIP, ContactBounds
 from tactile_filter.filter_settings import FilterSettings
 from tactile_geometry import se3
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
-from tactile_geometry.pose_numbers import gaussians_from_numbers
 from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_records.replay.settings import (
     Change,
@@ -33,6 +32,7 @@ from tactile_records.replay.topics import (
 )
 from tactile_records.replay.transforms import Recording, connected, follow_pose, poses_at
 from tactile_records.runs.record import TruthSeries
+from tactile_wire.pose_numbers import gaussians_from_numbers
 
 Array = NDArray[Any]
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND
 from tactile_base.topics import TF, TF_STATIC
-from tactile_geometry.pose_numbers import are_poses, pose_from_numbers
 from tactile_geometry.transform_buffer import STAMP_SLACK, MotionLimits, TransformBuffer, TransformUnavailable
 from tactile_records.bags.contents import Recorded
 from tactile_records.bags.message_columns import (
@@ -24,6 +23,7 @@ from tactile_records.bags.message_columns import (
     stamps_ns,
 )
 from tactile_records.replay.topics import Timeline, of_the_future
+from tactile_wire.pose_numbers import are_poses, pose_from_numbers
 
 Array = NDArray[Any]
 

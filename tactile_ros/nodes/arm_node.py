@@ -42,7 +42,12 @@ from tactile_drivers.safety import SafeArm
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
-from tactile_ros.cdr import (
+from tactile_ros.conversions import header, transform_stamped
+from tactile_ros.external_arm import ExternalArm, external_settings
+from tactile_ros.joint_states import JointListener, JointPublisher
+from tactile_ros.joint_velocity_arm import JointVelocityArm
+from tactile_ros.managed_node import ConfigurationError, ManagedNode
+from tactile_ros.message_bytes import (
     STATE_FLAGS,
     STATE_XI,
     Layout,
@@ -52,11 +57,6 @@ from tactile_ros.cdr import (
     split_stamp,
     twist_bytes,
 )
-from tactile_ros.conversions import MessageError, header, numbers_from_pose, transform_stamped
-from tactile_ros.external_arm import ExternalArm, external_settings
-from tactile_ros.joint_states import JointListener, JointPublisher
-from tactile_ros.joint_velocity_arm import JointVelocityArm
-from tactile_ros.managed_node import ConfigurationError, ManagedNode
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
 from tactile_ros.run_nodes import run
@@ -64,6 +64,8 @@ from tactile_scene.arm import ARMS, Arm, ArmMode, ArmState, is_at_rest, open_arm
 from tactile_scene.external_arm import ExternalArmSettings
 from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
 from tactile_scene.scene_file import load_scene
+from tactile_wire.errors import MessageError
+from tactile_wire.pose_numbers import numbers_from_pose
 
 DOUBLE_STARTS = 30.0  # s, at most, for the simulated cell to start the double of an arm
 

@@ -40,7 +40,6 @@ from tactile_perception.estimating.image import ImageError, check_image
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_records.collecting.sample_store import SampleStore
-from tactile_ros.conversions import MessageError
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError
 from tactile_ros.parameters import GroupParameters, SettingsParameters
@@ -48,6 +47,7 @@ from tactile_ros.run_nodes import run as run_node
 from tactile_ros.task_messages import feedback_message, named_goal, status_bytes
 from tactile_ros.task_node import ZERO, Run, TaskNode, conclude
 from tactile_scene.sampling import SamplingSettings, pose_of
+from tactile_wire.errors import MessageError
 
 
 @dataclass(frozen=True)

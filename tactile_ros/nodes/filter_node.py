@@ -27,10 +27,9 @@ from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
 from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
-from tactile_ros.cdr import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
-from tactile_ros.conversions import MessageError, gaussian_from_numbers
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter
+from tactile_ros.message_bytes import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -41,6 +40,8 @@ from tactile_ros.transforms import (
     TransformListener,
     serve_reset,
 )
+from tactile_wire.errors import MessageError
+from tactile_wire.pose_numbers import gaussian_from_numbers
 
 PRESENCE, ESTIMATE = topics.PRESENCE.name, topics.ESTIMATE.name
 read_presence = HeadedReader(ContactPresence)

@@ -20,12 +20,13 @@ from tactile_base.stamps import SECOND_NS
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.markers.detection import DetectedMarkers, DetectionSettings, density_change, detect
 from tactile_perception.markers.view import side_by_side
-from tactile_ros.conversions import MessageError, header
+from tactile_ros.conversions import header
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ManagedNode
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE
 from tactile_ros.run_nodes import run
+from tactile_wire.errors import MessageError
 
 
 @dataclass(frozen=True)

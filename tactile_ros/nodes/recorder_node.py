@@ -27,15 +27,16 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import COMMAND, IMAGE, LATCHED, QOS_KINDS, Topic, compressed
+from tactile_perception.estimating.encodings import MONO8
 from tactile_records.bags.contents import Gap
 from tactile_records.bags.losses import Losses
-from tactile_records.bags.message_definitions import DefinitionMissing
 from tactile_records.bags.writer import BagError, BagWriter
-from tactile_ros.conversions import MONO8, MessageError, array_from_image
+from tactile_ros.conversions import array_from_image
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, refused_counter
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
 from tactile_ros.run_nodes import run
+from tactile_wire.errors import DefinitionMissing, MessageError
 
 FLUSH_PERIOD = 0.5  # s; a kill costs at most this much of the recording
 HELD_UP = 1.0  # s longer than that without anything to do: the recorder was held up

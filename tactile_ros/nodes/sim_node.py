@@ -34,10 +34,10 @@ from tactile_doubles.reported import ReportedDouble
 from tactile_drivers.arm_distance import neighbours
 from tactile_geometry import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
-from tactile_ros.cdr import Layout, gaussian_bytes, headed_bytes, split_stamp, transforms_from_bytes
-from tactile_ros.conversions import numbers_from_pose, pose_from_matrix, pose_from_numbers, transform_stamped
+from tactile_ros.conversions import pose_from_matrix, transform_stamped
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode
+from tactile_ros.message_bytes import Layout, gaussian_bytes, headed_bytes, split_stamp, transforms_from_bytes
 from tactile_ros.nodes.arm_node import ArmNode
 from tactile_ros.nodes.camera_node import CameraNode
 from tactile_ros.parameters import SettingsParameters
@@ -50,6 +50,7 @@ from tactile_scene.scene import SIM, Scene
 from tactile_scene.scene_file import load_scene
 from tactile_sim.cell import Cell
 from tactile_sim.frame import Frame
+from tactile_wire.pose_numbers import numbers_from_pose, pose_from_numbers
 
 START_DELAY = 0.1  # s
 SURFACE_COLOR = ColorRGBA(r=0.72, g=0.74, b=0.78, a=1.0)

@@ -14,12 +14,13 @@ from tactile_base.requirements import REQUIREMENTS
 
 CORE = {"tactile_base", "tactile_geometry"}
 CELL = CORE | {"tactile_scene"}
-LIBRARIES = CELL | {"tactile_filter", "tactile_perception", "tactile_control", "tactile_sim"}
+LIBRARIES = CELL | {"tactile_wire", "tactile_filter", "tactile_perception", "tactile_control", "tactile_sim"}
 
 #: Package -> those that it may import, which come before it.
 MAY_IMPORT = {
     "tactile_base": set(),
     "tactile_geometry": {"tactile_base"},
+    "tactile_wire": CORE,
     "tactile_filter": CORE,
     "tactile_perception": CORE | {"tactile_filter"},
     "tactile_control": CORE | {"tactile_filter"},

@@ -14,8 +14,8 @@ from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian, left_from_ros, ros_from_left
 from tactile_records.bags.contents import Gap
-from tactile_records.bags.message_definitions import message_definition
 from tactile_records.bags.writer import BagWriter
+from tactile_wire.message_definitions import message_definition
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 16_666_667

@@ -18,9 +18,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_base.topics import Topic
-from tactile_records.bags.message_definitions import DefinitionMissing, message_definition, type_hash
 from tactile_records.bags.reader import read_bag
 from tactile_records.bags.writer import BagError, BagWriter
+from tactile_wire.errors import DefinitionMissing
+from tactile_wire.message_definitions import message_definition, type_hash
 
 ROOT = Path(__file__).resolve().parents[2]
 TWIST = Topic("/arm/command/twist", "geometry_msgs/msg/TwistStamped")

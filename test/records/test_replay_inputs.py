@@ -27,10 +27,10 @@ from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_geometry.transform_buffer import TransformBuffer
 from tactile_records.bags.message_columns import ColumnReader
-from tactile_records.bags.message_definitions import type_fields
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import run_filter
 from tactile_records.replay.topics import ReplayError
+from tactile_wire.message_definitions import type_fields
 
 
 def replayed(source, folder, **options):

@@ -8,7 +8,9 @@ from sensor_msgs.msg import Image
 
 from tactile_geometry.gaussian import PoseGaussian, ros_from_left
 from tactile_msgs.msg import ArmCommand
-from tactile_ros.conversions import MONO8, gaussian_from_numbers, header, pose_from_matrix
+from tactile_perception.estimating.encodings import MONO8
+from tactile_ros.conversions import header, pose_from_matrix
+from tactile_wire.pose_numbers import gaussian_from_numbers
 
 
 def vector_from_twist(twist: Twist) -> np.ndarray:

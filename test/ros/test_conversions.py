@@ -13,7 +13,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
 from tactile_geometry import se3
-from tactile_ros.cdr import (
+from tactile_ros.conversions import array_from_image, matrix_from_pose, pose_from_matrix
+from tactile_ros.message_bytes import (
     HeadedReader,
     bytes_from_array,
     command_from_bytes,
@@ -22,14 +23,8 @@ from tactile_ros.cdr import (
     read_gaussian,
     twist_bytes,
 )
-from tactile_ros.conversions import (
-    MessageError,
-    array_from_image,
-    gaussian_from_numbers,
-    matrix_from_pose,
-    pose_from_matrix,
-    pose_from_numbers,
-)
+from tactile_wire.errors import MessageError
+from tactile_wire.pose_numbers import gaussian_from_numbers, pose_from_numbers
 
 RNG = np.random.default_rng(7)
 ANGLES = [0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-9, np.pi]

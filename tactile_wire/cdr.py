@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_geometry.pose_numbers import MessageError as MessageError
-from tactile_records.bags.message_definitions import type_fields
+from tactile_wire.errors import MessageError
+from tactile_wire.message_definitions import type_fields
 
 Array = NDArray[Any]
 Number = float | int | bool

@@ -15,14 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_geometry import se3
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian, left_from_ros
+from tactile_wire.errors import MessageError
 
 Array = NDArray[np.float64]
 
 QUATERNION_TOLERANCE = 1e-3  # how far from 1 the norm of a quaternion may be before it is refused
-
-
-class MessageError(ValueError):
-    """A message whose content cannot be used; the text says what it holds and what would be right."""
 
 
 def are_poses(numbers: ArrayLike) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ import pytest
 from replay_bags import ESTIMATE, PRESENCE, START_NS, TRANSFORMS, header, make, pose, serialized, transform
 
 from tactile_geometry import se3
-from tactile_records.bags.cdr import MessageReader, blank_layout
+from tactile_wire.cdr import MessageReader, blank_layout
 
 T = se3.exp(np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6]))
 SEC, NANOSEC = divmod(START_NS, 10**9)

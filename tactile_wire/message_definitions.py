@@ -12,6 +12,8 @@ from typing import Any, NoReturn
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
+from tactile_wire.errors import DefinitionDamaged, DefinitionMissing
+
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(r"(\w+)/(msg|action)/(\w+)")
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
@@ -20,14 +22,6 @@ _PRIMITIVES = frozenset(["bool", "byte", "char", "float32", "float64", "string",
 
 
 _LONGEST, _DEEPEST, _LARGEST = 1 << 18, 32, 1 << 20  # characters, types within types, elements of fixed size
-
-
-class DefinitionMissing(ValueError):
-    """A message type whose .msg file is not installed; the message says where it was looked for."""
-
-
-class DefinitionDamaged(ValueError):
-    """A definition that is none, or cannot be used; the message says why."""
 
 
 def message_definition(type_name: str) -> str:

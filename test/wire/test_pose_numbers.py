@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from tactile_geometry import se3
 from tactile_geometry.gaussian import UNUSABLE, left_from_ros, ros_from_left
-from tactile_geometry.pose_numbers import (
-    MessageError,
+from tactile_wire.errors import MessageError
+from tactile_wire.pose_numbers import (
     are_poses,
     gaussian_from_numbers,
     gaussians_from_numbers,

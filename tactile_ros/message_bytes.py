@@ -2,7 +2,7 @@
 
 Python's message classes cost 0.1 to 0.3 ms a message, once to build it and once to convert it, and more on a
 core that has just woken up. A `Layout` packs or reads all numbers of a message at once; where they are is
-known from the message's definition (`tactile_records.bags.cdr`). An image is copied once each way, where the
+known from the message's definition (`tactile_wire.cdr`). An image is copied once each way, where the
 message classes make three copies: 1 ms of 3.5 for 640x480 (bench/ros_latency.py).
 """
 
@@ -20,14 +20,15 @@ from rclpy.serialization import serialize_message
 
 from tactile_base.stamps import SECOND_NS
 from tactile_geometry.gaussian import ros_from_left
-from tactile_geometry.pose_numbers import numbers_from_pose
 from tactile_msgs.msg import ContactState
-from tactile_perception.estimating.encodings import decompressed
+from tactile_perception.estimating.encodings import MONO8, decompressed
 from tactile_perception.estimating.image import ImageError
-from tactile_records.bags import cdr
-from tactile_records.bags.cdr import Number as Number
-from tactile_records.bags.message_definitions import type_fields
-from tactile_ros.conversions import MONO8, MessageError, checked_image
+from tactile_ros.conversions import checked_image
+from tactile_wire import cdr
+from tactile_wire.cdr import Number
+from tactile_wire.errors import MessageError
+from tactile_wire.message_definitions import type_fields
+from tactile_wire.pose_numbers import numbers_from_pose
 
 Array = NDArray[np.float64]
 
@@ -250,7 +251,7 @@ def type_name(message_type: Any) -> str:
 _read_transforms = cdr.MessageReader("tf2_msgs/msg/TFMessage")
 
 read_gaussian = HeadedReader(PoseWithCovarianceStamped)
-"""Stamp (ns), frame and numbers; `conversions.gaussian_from_numbers` checks these and makes a Gaussian."""
+"""Stamp (ns), frame and numbers; `pose_numbers.gaussian_from_numbers` checks these and makes a Gaussian."""
 
 _read_command = cdr.MessageReader("tactile_msgs/msg/ArmCommand")
 IMAGE, PIXELS = "sensor_msgs/msg/Image", "data"

@@ -16,8 +16,10 @@ from tf2_msgs.msg import TFMessage
 
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactState, ContactTruth, ControllerStatus
-from tactile_records.bags.cdr import MessageError
-from tactile_ros.cdr import (
+from tactile_ros.conversions import (
+    transform_stamped,
+)
+from tactile_ros.message_bytes import (
     LONGEST_SAID,
     HeadedReader,
     Layout,
@@ -29,9 +31,7 @@ from tactile_ros.cdr import (
     transforms_from_bytes,
     twist_bytes,
 )
-from tactile_ros.conversions import (
-    transform_stamped,
-)
+from tactile_wire.errors import MessageError
 
 STORE = get_typestore(Stores.LATEST)
 HEADED = [PoseWithCovarianceStamped, TwistStamped, ContactPresence, ContactState, ContactTruth]
