@@ -2,7 +2,7 @@
 # make demo    follow a curved ramp by touch in simulation; results in out/demo     (TASK=pushing: push an object; out/pushing)
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
 # make lowest  run tests with the lowest versions that setup.cfg allows
-# make lint    ruff and mypy
+# make lint    ruff, mypy and clang-format
 # make model   make the shipped model again: generate simulated images, train, quantize (work in out/model)
 # make lock    renew the exact versions that all of these install (scripts/constraints.txt, scripts/lowest.txt)
 # make clean   remove what was built    (make distclean: .venv and out as well)
@@ -37,7 +37,8 @@ lowest: build
 
 lint:
 	@scripts/setup.sh lint train
-	@. scripts/env.sh && ruff check . && ruff format --check . && mypy
+	@. scripts/env.sh && ruff check . && ruff format --check . && mypy && \
+	    clang-format --dry-run --Werror tactile_*/_csrc/*.[ch]
 
 model:
 	@scripts/setup.sh train

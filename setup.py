@@ -79,7 +79,9 @@ if {"install", "develop"} & set(sys.argv):  # as colcon does; pip builds a wheel
 
 setup(
     packages=find_packages(include=["tactile_*"], exclude=["tactile_msgs", "tactile_msgs.*"]),
-    package_data={"": ["py.typed", "*.pyi", "*.yaml", "data/*", "models/*"]},
+    package_data={
+        "": ["py.typed", "*.pyi", "*.yaml", "data/*", "models/*", "templates/*.in", "templates/*/*.in"]
+    },
     ext_modules=[extension(name, patterns) for name, patterns in C_MODULES.items()],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

@@ -37,6 +37,7 @@ COMMANDS = (
     "tactile_bringup.commands.arm",
     "tactile_bringup.commands.plugins",
     "tactile_bringup.commands.check",
+    "tactile_bringup.commands.new",
     "tactile_bringup.commands.drill",
     "tactile_bringup.commands.doctor",
 )

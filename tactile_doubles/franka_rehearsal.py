@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tactile_doubles.double_process import STATE_TIMEOUT, DoubleProcess
-from tactile_drivers.franka import FrankaSettings
+from tactile_drivers.franka_settings import FrankaSettings
 from tactile_drivers.rotation_vectors import vector_of
 from tactile_geometry import se3
 from tactile_scene.scene import ArmScene

@@ -22,7 +22,7 @@ from franky_sim.franka_robot_state import FrankaRobotState
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
-from tactile_drivers.franka import DOCUMENTED, FR3
+from tactile_drivers.franka_settings import DOCUMENTED, FR3
 from tactile_drivers.rotation_vectors import pose_of, vector_of
 from tactile_geometry import se3
 from tactile_scene.kinematics.arm_file import load_arm

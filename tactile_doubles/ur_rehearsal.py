@@ -10,7 +10,7 @@ from tactile_doubles.double_process import STATE_TIMEOUT, DoubleProcess
 from tactile_doubles.ur_controller import RTDE
 from tactile_doubles.ur_robot import UrRobotSettings
 from tactile_drivers.rotation_vectors import vector_of
-from tactile_drivers.ur import CB3, UrSettings
+from tactile_drivers.ur_settings import CB3, UrSettings
 from tactile_geometry import se3
 from tactile_scene.scene import ArmScene
 

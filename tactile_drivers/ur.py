@@ -12,7 +12,6 @@ pendant); the controlled frame stands in the tool as the scene says.
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import select
 import socket
@@ -21,88 +20,29 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_base.settings import Settings, setting
-from tactile_base.stamps import SECOND_NS
 from tactile_drivers import ur_link
-from tactile_drivers.clock_offset import ClockOffset
+from tactile_drivers.commanded_motion import CommandedMotion
 from tactile_drivers.rotation_vectors import controlled_twist, pose_of, tool_speed
+from tactile_drivers.ur_settings import CB3, E_SERIES, UrSettings, unfit, with_accelerations
 from tactile_geometry import se3
-from tactile_scene.arm import HELD_UP, ArmMode, ArmState, is_at_rest
-from tactile_scene.arm_settings import ArmLimits
+from tactile_scene.arm import ArmState
 from tactile_scene.scene import ArmScene
 
 Array = NDArray[np.float64]
 
-E_SERIES, CB3 = "e-series", "cb3"
-_RATES = {E_SERIES: 500.0, CB3: 125.0}
 _SAME = np.repeat([5e-4, 5e-3], 3)  # m, rad: TCPs that differ by less are the same
 _SAME_PAYLOAD = 0.05  # kg
-_OF_WATCHDOG = 0.8  # of the watchdog's time, within which a stop has to end
-_STOPS_WITHIN = 0.1  # s, from the largest speeds
-_ABOVE = 1.2  # times the limits of acceleration, so that the arm does not lag behind commands at their limit
 _GRACE = 1.3  # the link stops by itself this much later than the stage should have
-_PATIENT = 10.0  # times longer an arm at rest may be silent
 _STOPS = 0.05  # s, for a link that says nothing any more to pass on a stop all the same
 _RETRY = 1.0  # s, between attempts to connect again
 _RECOVERY = 10.0  # s
 _LOOK = 0.1  # s, between looks whether the driver is to be closed
-
-
-@dataclass(frozen=True)
-class UrSettings(Settings):
-    """How the arm is reached, and what its controller should say of it."""
-
-    host: str = setting("192.168.0.2", doc="address of the controller")
-    generation: str = setting(E_SERIES, choices=tuple(_RATES), doc="of the arm")
-    model: str = setting("", doc="as the dashboard server tells it, UR5 for instance; empty: any")
-    rate: float = setting(
-        0.0, lower=0.0, upper=500.0, unit="Hz",
-        doc="of states and commands; 0: of the control loop, 500 for an e-Series, 125 for a CB3",
-    )  # fmt: skip
-    tcp_offset: tuple[float, ...] = setting(
-        (0.0,) * 6, length=6, lower=-10.0, upper=10.0, unit="m, rad",
-        doc="of the TCP in the flange, position and rotation vector, as the controller has to have it; "
-        "the TCP is the scene's tool frame",
-    )  # fmt: skip
-    payload: float = setting(
-        0.0, lower=0.0, upper=50.0, unit="kg", doc="mass at the flange, as the controller has to have it"
-    )
-    acceleration: float = setting(
-        0.0, lower=0.0, upper=200.0, unit="m/s^2, rad/s^2",
-        doc="with which speedL goes after each command, translation and rotation; above the limits, which "
-        "the commands keep themselves; 0: by a fifth above the larger of both",
-    )  # fmt: skip
-    deceleration: float = setting(
-        0.0, lower=0.0, upper=200.0, unit="m/s^2, rad/s^2",
-        doc="of speedStop, translation and rotation; 0: both end within 0.1 s, and before the watchdog",
-    )  # fmt: skip
-    watchdog: float = setting(
-        10.0, lower=2.0, upper=100.0, unit="Hz", doc="the controller stops when it hears less often"
-    )
-    state_timeout: float = setting(
-        0.1,
-        lower=0.02,
-        upper=1.0,
-        unit="s",
-        doc="silence or lateness of states that is a lost connection in motion; at rest ten times that",
-    )
-    connect_timeout: float = setting(
-        10.0, lower=1.0, upper=60.0, unit="s", doc="for connection and start of the program"
-    )
-    upper_registers: bool = setting(
-        False, doc="use RTDE registers from 24 on, where a fieldbus has those from 0 on"
-    )
-
-    @property
-    def loop_rate(self) -> float:
-        """Rate of states and commands, Hz."""
-        return self.rate or _RATES[self.generation]
 
 
 class UrState(NamedTuple):
@@ -129,16 +69,13 @@ class UrArm:
     prompt = True
 
     def __init__(self, arm: ArmScene, settings: UrSettings, report: Callable[[ArmState], None]) -> None:
-        if wrong := _unfit(settings, arm.limits):
+        if wrong := unfit(settings, arm.limits):
             raise RuntimeError(wrong)
-        settings = _with_accelerations(settings, arm.limits)
+        settings = with_accelerations(settings, arm.limits)
         self.settings, self.kinematics, self._report = settings, arm.kinematics, report
         self._timeout = _GRACE * arm.limits.command_timeout
         self._T_tcp_controlled = arm.T_tool_controlled
-        self._clock = ClockOffset()
-        self._twist, self._commanded = np.zeros(6), 0.0
-        self._moving, self._reason = False, ""
-        self._fault, self._fault_mode = "", ArmMode.FAULT
+        self._motion = CommandedMotion(settings.state_timeout)
         self._last: ArmState | None = None
         self._answers: list[str] = []
         self._answered = threading.Condition()
@@ -153,16 +90,13 @@ class UrArm:
     def command(self, stamp_ns: int, twist: ArrayLike) -> None:
         """Follow a twist (6,) of the controlled frame, in that frame."""
         with self._sending:
-            if self._fault:
-                return
-            self._twist, self._commanded = np.array(twist, dtype=np.float64), time.monotonic()
-            self._moving, self._reason = True, ""
-            self._send_speed()
+            if self._motion.follow(twist):
+                self._send_speed()
 
     def stop(self, reason: str) -> None:
         """Come to rest with the settings' deceleration; the next command moves the arm again."""
         with self._sending:
-            self._twist, self._moving, self._reason = np.zeros(6), False, reason
+            self._motion.rest(reason)
             if self._link is not None:
                 self._link.send(ur_link.STOP.pack(b"s", self.settings.deceleration))
 
@@ -176,7 +110,7 @@ class UrArm:
         """
         link = self._link
         if link is None:
-            raise RuntimeError(self._fault or "there is no connection to the arm")
+            raise RuntimeError(self._motion.fault or "there is no connection to the arm")
         self._answers.clear()
         link.send(ur_link.RECOVER)
         with self._answered:
@@ -188,7 +122,7 @@ class UrArm:
         if wrong := self._wrong(json.loads(answer)):  # at the pendant meanwhile
             raise RuntimeError(wrong)
         with self._sending:
-            self._fault, self._moving, self._reason = "", False, "fault cleared"
+            self._motion.recover()
 
     def close(self) -> None:
         """Stop the arm, end the program on the controller, and let go of both."""
@@ -202,7 +136,7 @@ class UrArm:
     @property
     def drift(self) -> float:
         """By how much our clock is faster than the controller's, s/s."""
-        return self._clock.drift
+        return self._motion.clock.drift
 
     @property
     def watchdog(self) -> float:
@@ -222,8 +156,9 @@ class UrArm:
         """Send the twist in force as the TCP's speed in the base, as the arm stands now."""
         if self._link is None or self._last is None:
             return
-        speed = tool_speed(self._last.T_base_controlled, self._T_tcp_controlled, self._twist)
-        self._link.send(ur_link.SPEED.pack(b"v", self._commanded, *speed, self.settings.acceleration))
+        motion = self._motion
+        speed = tool_speed(self._last.T_base_controlled, self._T_tcp_controlled, motion.twist)
+        self._link.send(ur_link.SPEED.pack(b"v", motion.commanded, *speed, self.settings.acceleration))
 
     # ---- states ----
 
@@ -233,7 +168,7 @@ class UrArm:
             if self._link is None:
                 self._reconnect()
                 continue
-            packet, patience = self._link.receive(self.settings.state_timeout), self._patience
+            packet, patience = self._link.receive(self.settings.state_timeout), self._motion.patience
             if packet is None:
                 if time.monotonic() - self._heard > patience:
                     self._lose(f"no state of the arm for {patience:g} s")
@@ -248,34 +183,21 @@ class UrArm:
             elif not self._link.waiting:  # of states only the newest counts
                 self._take_state(_unpacked(packet))
 
-    @property
-    def _patience(self) -> float:
-        """How long (s) the arm may say nothing, or be late: at rest nothing depends on it."""
-        return self.settings.state_timeout * (1.0 if self._twist.any() else _PATIENT)
-
     def _take_state(self, state: UrState) -> None:
-        stamp_ns = self._clock.stamp_ns(state.time, state.now_ns)
-        last = self._last
-        if last is not None and stamp_ns <= last.stamp_ns:
-            stamp_ns = last.stamp_ns + 1  # the offset became less between the two
-        late = (time.time_ns() - stamp_ns) / SECOND_NS
-        fault = self._why_fault(state)
-        if not fault and late > self._patience:
-            fault = f"states of the arm come {late:.3f} s late (limit {self._patience:g} s): {HELD_UP}"
+        motion = self._motion
+        stamp_ns = motion.stamp(state.time, state.now_ns)
+        fault = self._why_fault(state) or motion.lateness(time.time_ns())
         T = pose_of(state.pose) @ self._T_tcp_controlled
         twist = controlled_twist(T, self._T_tcp_controlled, state.speed)
         joints = state.joints if self.kinematics is not None else None
         with self._sending:
-            if fault and not self._fault:
+            if fault and not motion.fault:
                 self._begin_fault(fault, state.safety)
-            silence = time.monotonic() - self._commanded
-            if self._moving and silence > self._timeout:  # the link stops the arm by itself
-                self._twist, self._moving = np.zeros(6), False
-                self._reason = f"no command for {silence:.3f} s (limit of the driver {self._timeout:g} s)"
-            self._last = ArmState(
-                stamp_ns, T, twist, self._mode(twist), self._words(state), joints, float(state.scaling)
-            )
-            if self._moving and not self._fault and self._twist[3:].any():
+            motion.expire(self._timeout)  # the link stops the arm by itself
+            slow = state.scaling <= 0.999
+            words = motion.words(f"speed scaling {100.0 * state.scaling:.0f} %" if slow else "")
+            self._last = ArmState(stamp_ns, T, twist, motion.mode(twist), words, joints, float(state.scaling))
+            if motion.moving and not motion.fault and motion.twist[3:].any():
                 self._send_speed()  # the frame that the twist is given in has turned
         self._report(self._last)
 
@@ -288,26 +210,10 @@ class UrArm:
         return self._wrong_payload(state.payload)
 
     def _begin_fault(self, reason: str, safety: int = ur_link.NORMAL) -> None:
-        self._fault, self._twist, self._moving = reason, np.zeros(6), False
         emergency = ur_link.SAFETY.get(safety, "").startswith("emergency stop")
-        self._fault_mode = ArmMode.ESTOP if emergency else ArmMode.FAULT
+        self._motion.begin_fault(reason, by_a_person=emergency)
         if self._link is not None:
             self._link.send(ur_link.STOP.pack(b"s", self.settings.deceleration))
-
-    def _mode(self, twist: Array) -> ArmMode:
-        if self._fault:
-            return self._fault_mode
-        if self._moving and self._twist.any():
-            return ArmMode.MOVING
-        if is_at_rest(twist):
-            return ArmMode.RESTING
-        return ArmMode.MOVING if self._moving else ArmMode.STOPPING
-
-    def _words(self, state: UrState) -> str:
-        """Why the arm does what it does."""
-        if self._fault or state.scaling > 0.999:
-            return self._fault or self._reason
-        return f"{self._reason}; " * bool(self._reason) + f"speed scaling {100.0 * state.scaling:.0f} %"
 
     # ---- the connection ----
 
@@ -354,13 +260,13 @@ class UrArm:
     def _lose(self, reason: str) -> None:
         """The connection is gone, which the last state that there was tells once more."""
         with self._sending:
-            if not self._fault:
+            if not self._motion.fault:
                 self._begin_fault(f"connection lost: {reason}")
             link, self._link = self._link, None
         with self._answered:
             self._answered.notify_all()
         if self._last is not None and self._open:
-            self._report(replace(self._last, mode=self._fault_mode, reason=self._fault))
+            self._report(replace(self._last, mode=self._motion.fault_mode, reason=self._motion.fault))
         if link is not None:
             link.end(_STOPS)
 
@@ -369,56 +275,14 @@ class UrArm:
             link = self._connected()
         except RuntimeError as error:
             with self._sending:
-                self._fault = f"no connection to the arm: {error}"
+                self._motion.fault = f"no connection to the arm: {error}"
             until = time.monotonic() + _RETRY
             while self._open and time.monotonic() < until:
                 time.sleep(_LOOK)
         else:
             with self._sending:
-                self._fault = "the connection to the arm was lost, and is back"
+                self._motion.fault = "the connection to the arm was lost, and is back"
                 self._link, self._heard = link, time.monotonic()
-
-
-def _unfit(settings: UrSettings, limits: ArmLimits) -> str:
-    """Why no arm can be driven with these settings, here; '' if one can."""
-    if importlib.util.find_spec("rtde_control") is None:
-        return "the Python package ur_rtde is missing: pip install ur-rtde"
-    most = _RATES[settings.generation]
-    if settings.loop_rate > most:
-        return f"rate = {settings.rate:g} Hz: a {settings.generation} has at most {most:g} Hz"
-    needed = _fastest(limits) * settings.watchdog / _OF_WATCHDOG
-    if 0.0 < settings.deceleration < needed:
-        return (
-            f"deceleration = {settings.deceleration:g} m/s^2 and rad/s^2 does not stop the arm from "
-            f"{limits.linear_velocity:g} m/s and {limits.angular_velocity:g} rad/s before the watchdog "
-            f"({settings.watchdog:g} Hz) does; it has to be at least {needed:g}"
-        )
-    least = max(limits.linear_acceleration, limits.angular_acceleration)
-    if 0.0 < settings.acceleration < least:
-        return (
-            f"acceleration = {settings.acceleration:g} m/s^2 and rad/s^2 is below the limits of the "
-            f"commands, {limits.linear_acceleration:g} m/s^2 and {limits.angular_acceleration:g} rad/s^2: "
-            f"the arm would lag behind them; it has to be at least {least:g}"
-        )
-    return ""
-
-
-def _fastest(limits: ArmLimits) -> float:
-    """The larger number of both speeds: one acceleration has to serve both.
-
-    ur_rtde's program gives speedl and stopl no `aRot`, for which URScript then takes the number of the linear
-    acceleration, in rad/s^2 (URScript manual, module motion: speedl, stopl).
-    """
-    return max(limits.linear_velocity, limits.angular_velocity)
-
-
-def _with_accelerations(settings: UrSettings, limits: ArmLimits) -> UrSettings:
-    """The settings with numbers for 0."""
-    largest = max(limits.linear_acceleration, limits.angular_acceleration)
-    stops = _fastest(limits) * max(1.0 / _STOPS_WITHIN, settings.watchdog / _OF_WATCHDOG)
-    return settings.replaced(
-        acceleration=settings.acceleration or _ABOVE * largest, deceleration=settings.deceleration or stops
-    )
 
 
 class _LinkProcess:

@@ -14,13 +14,13 @@ static double row(const double* rows, int name, int channel) {
 
 
 static double law(const double* state, const double* gains, int i) {
-  return row(gains, KP, i) * row(state, ERROR, i) + row(gains, KI, i) * row(state, INTEGRAL, i)
-         + row(gains, KD, i) * row(state, DERIVATIVE, i) + row(state, TRANSFER, i);
+  return row(gains, KP, i) * row(state, ERROR, i) + row(gains, KI, i) * row(state, INTEGRAL, i) +
+         row(gains, KD, i) * row(state, DERIVATIVE, i) + row(state, TRANSFER, i);
 }
 
 
 void pid_law(double res[CHANNELS], const double* state, const double* gains) {
-  for (int i = 0; i < CHANNELS; i++) res[i] = law(state, gains, i);
+  for (int i = 0; i < CHANNELS; i++) { res[i] = law(state, gains, i); }
 }
 
 
@@ -29,12 +29,12 @@ static void grow_integral(double* state, const double* gains, int i, double dt) 
   double before = state[i], output = law(state, gains, i);
   double grown = clip(before + row(state, ERROR, i) * dt, row(gains, INTEGRAL_LIMIT, i));
   int outwards = output > 0 ? grown > before : output < 0 && grown < before;
-  if (!(outwards && fabs(output) > row(gains, OUTPUT_LIMIT, i))) state[i] = grown;
+  if (!(outwards && fabs(output) > row(gains, OUTPUT_LIMIT, i))) { state[i] = grown; }
 }
 
 
-void pid_step(double* parts, double* state, const double* gains, const double error[CHANNELS], double dt,
-              int gap, int integrate, double decay, double transfer_time) {
+void pid_step(double* parts, double* state, const double* gains, const double error[CHANNELS],
+              double dt, int gap, int integrate, double decay, double transfer_time) {
   double fade = transfer_time > 0 ? exp(-dt / transfer_time) : 0;
   for (int i = 0; i < CHANNELS; i++) {
     double *smooth = state + CHANNELS * SMOOTH + i, *derivative = state + CHANNELS * DERIVATIVE + i;
@@ -43,7 +43,7 @@ void pid_step(double* parts, double* state, const double* gains, const double er
     *derivative = gap ? 0 : (*smooth - before) / dt;
     state[CHANNELS * TRANSFER + i] *= fade;
     state[CHANNELS * ERROR + i] = error[i];
-    if (integrate) grow_integral(state, gains, i, dt);
+    if (integrate) { grow_integral(state, gains, i, dt); }
     parts[CHANNELS * FEEDBACK + i] = clip(law(state, gains, i), row(gains, OUTPUT_LIMIT, i));
     parts[CHANNELS * PROPORTIONAL + i] = row(gains, KP, i) * error[i];
     parts[CHANNELS * INTEGRAL_PART + i] = row(gains, KI, i) * row(state, INTEGRAL, i);
@@ -72,7 +72,7 @@ static int limit_part(double res[3], const double last[3], const double wanted[3
   }
   size = norm(step);
   if (size > change * (1 + 1e-9)) {
-    for (int i = 0; i < 3; i++) res[i] = last[i] + step[i] * (change / size);
+    for (int i = 0; i < 3; i++) { res[i] = last[i] + step[i] * (change / size); }
     done |= ACCELERATION_LIMITED;
   }
   return done;

@@ -13,16 +13,17 @@ enum { FUSION_CONVERGED = 0, FUSION_NOT_CONVERGED = 1, FUSION_STALLED = 2 };
 
 // why there is none: 16*k + one of these for argument k of mean_1, cov_1, mean_2, cov_2
 enum {
-  FUSION_NO_POSE = 3,        // not finite, last row not 0 0 0 1, or rotation not orthonormal
-  FUSION_NO_COVARIANCE = 4,  // not finite, asymmetric or not positive definite
-  FUSION_NO_INFORMATION = 5, // the two together are out of the range of doubles
-  FUSION_OUT_OF_RANGE = 6    // of `check` alone: what is made of it may overflow
+  FUSION_NO_POSE = 3,         // not finite, last row not 0 0 0 1, or rotation not orthonormal
+  FUSION_NO_COVARIANCE = 4,   // not finite, asymmetric or not positive definite
+  FUSION_NO_INFORMATION = 5,  // the two together are out of the range of doubles
+  FUSION_OUT_OF_RANGE = 6     // of `check` alone: what is made of it may overflow
 };
 
 // as in fusion.py
 #define CONVERGED_STEP 1e-3
 
-// what a filter takes, beside LARGEST_POSITION of se3.h: all that is made of it stays finite (m^2, rad^2)
+// what a filter takes, beside LARGEST_POSITION of se3.h: all that is made of it stays finite (m^2,
+// rad^2)
 #define LARGEST_VARIANCE 1e18
 #define SMALLEST_VARIANCE 1e-30
 

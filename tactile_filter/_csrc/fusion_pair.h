@@ -1,11 +1,11 @@
-// One fusion with a fixed number of iterations: the two inputs lie side by side in the two lanes of a vector, what they
-// have in common stands in both.
+// One fusion with a fixed number of iterations: the two inputs lie side by side in the two lanes of
+// a vector, what they have in common stands in both.
 #include "fusion_lanes.h"
 
 typedef struct {
   PosePair relative;  // Z_k of both inputs
   SidePair side;
-  PosePair base;      // mean of the first
+  PosePair base;  // mean of the first
 } Pair;
 
 // Gauss-Newton model at a motion
@@ -25,15 +25,13 @@ static inline int pair_set(Pair* pair, const FusionInput input[2]) {
   M bad = {0};
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
-      pose.rot[3*i+j] = (V){input[0].mean[4*i+j], input[1].mean[4*i+j]};
-      pair->base.rot[3*i+j] = SPLAT(input[0].mean[4*i+j]);
+      pose.rot[3 * i + j] = (V){input[0].mean[4 * i + j], input[1].mean[4 * i + j]};
+      pair->base.rot[3 * i + j] = SPLAT(input[0].mean[4 * i + j]);
     }
-    pose.pos[i] = (V){input[0].mean[4*i+3], input[1].mean[4*i+3]};
-    pair->base.pos[i] = SPLAT(input[0].mean[4*i+3]);
+    pose.pos[i] = (V){input[0].mean[4 * i + 3], input[1].mean[4 * i + 3]};
+    pair->base.pos[i] = SPLAT(input[0].mean[4 * i + 3]);
   }
-  for (int i = 0; i < 36; i++) {
-    full[i] = (V){input[0].cov[i], input[1].cov[i]};
-  }
+  for (int i = 0; i < 36; i++) { full[i] = (V){input[0].cov[i], input[1].cov[i]}; }
   int rows = 1;
   for (int k = 0; k < 2; k++) {
     const double* row = input[k].mean + 12;
@@ -47,12 +45,8 @@ static inline int pair_set(Pair* pair, const FusionInput input[2]) {
   set_relative(&pair->relative, &pair->base, &pose);
 
   // the first relative to itself is exactly the identity
-  for (int i = 0; i < 9; i++) {
-    pair->relative.rot[i][0] = i % 4 == 0;
-  }
-  for (int i = 0; i < 3; i++) {
-    pair->relative.pos[i][0] = 0;
-  }
+  for (int i = 0; i < 9; i++) { pair->relative.rot[i][0] = i % 4 == 0; }
+  for (int i = 0; i < 3; i++) { pair->relative.pos[i][0] = 0; }
   return rows && !any(bad);
 }
 
@@ -65,13 +59,9 @@ static inline int pair_model(PairModel* model, const Pair* pair, const PosePair*
   logarithm(xi, &e, &de, &difference);
   model->cost = total(contribution(information, gradient, xi, e, de, &pair->side, order));
   UNROLL
-  for (int i = 0; i < 21; i++) {
-    information[i] = total(information[i]);
-  }
+  for (int i = 0; i < 21; i++) { information[i] = total(information[i]); }
   UNROLL
-  for (int i = 0; i < 6; i++) {
-    gradient[i] = total(gradient[i]);
-  }
+  for (int i = 0; i < 6; i++) { gradient[i] = total(gradient[i]); }
   M poor = {0};
   factorize(&model->information, information, &poor);
   model->square = gauss_newton(model->step, gradient, &model->information);
@@ -90,19 +80,17 @@ static inline void pair_finish(FusionOutput* res, const Pair* pair, const PosePa
   inverse_factor(factor, information, root);
   square_lower(cov, factor);
   for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      res->mean[4*i+j] = mean.rot[3*i+j][0];
-    }
-    res->mean[4*i+3] = mean.pos[i][0];
+    for (int j = 0; j < 3; j++) { res->mean[4 * i + j] = mean.rot[3 * i + j][0]; }
+    res->mean[4 * i + 3] = mean.pos[i][0];
   }
   res->mean[12] = res->mean[13] = res->mean[14] = 0;
   res->mean[15] = 1;
   UNROLL
   for (int i = 0; i < 6; i++) {
     for (int j = 0; j <= i; j++) {
-      res->cov[6*i+j] = res->cov[6*j+i] = cov[i*(i+1)/2+j][0];
-      res->factor[6*j+i] = 0;
-      res->factor[6*i+j] = factor[i*(i+1)/2+j][0];
+      res->cov[6 * i + j] = res->cov[6 * j + i] = cov[i * (i + 1) / 2 + j][0];
+      res->factor[6 * j + i] = 0;
+      res->factor[6 * i + j] = factor[i * (i + 1) / 2 + j][0];
     }
   }
 }
@@ -121,15 +109,11 @@ static int pair_fixed(FusionOutput* res, const FusionInput input[2], int iterati
   Pair pair;
   PairModel model;
   PosePair y;
-  if (!pair_set(&pair, input)) {
-    return 0;
-  }
+  if (!pair_set(&pair, input)) { return 0; }
   set_identity(&y);
   int done = 0;
   do {
-    if (!pair_model(&model, &pair, &y, order)) {
-      return 0;
-    }
+    if (!pair_model(&model, &pair, &y, order)) { return 0; }
     perturb(&y, model.step);
   } while (++done < iterations);
   pair_finish(res, &pair, &y, &model.information);

@@ -1,6 +1,6 @@
-// The fusion where doubles do not suffice: square-root information by an orthogonal transformation (QL), all of it
-// with twice the precision. It takes what the pivots of the quick path refuse: covariances whose correlations are
-// nearly singular, and pairs whose sum of informations is.
+// The fusion where doubles do not suffice: square-root information by an orthogonal transformation
+// (QL), all of it with twice the precision. It takes what the pivots of the quick path refuse:
+// covariances whose correlations are nearly singular, and pairs whose sum of informations is.
 
 typedef struct {
   Dd rot[9], pos[3];
@@ -27,47 +27,42 @@ typedef struct {
 static void dd_product_pose(DdPose* res, const DdPose* a, const DdPose* b) {
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
-      Dd column[3] = {b->rot[j], b->rot[3+j], b->rot[6+j]};
-      res->rot[3*i+j] = dd_dot3(a->rot + 3*i, column);
+      Dd column[3] = {b->rot[j], b->rot[3 + j], b->rot[6 + j]};
+      res->rot[3 * i + j] = dd_dot3(a->rot + 3 * i, column);
     }
-    res->pos[i] = dd_add(dd_dot3(a->rot + 3*i, b->pos), a->pos[i]);
+    res->pos[i] = dd_add(dd_dot3(a->rot + 3 * i, b->pos), a->pos[i]);
   }
 }
 
 
 static void dd_inverse_pose(DdPose* res, const DdPose* pose) {
   for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      res->rot[3*i+j] = pose->rot[3*j+i];
-    }
+    for (int j = 0; j < 3; j++) { res->rot[3 * i + j] = pose->rot[3 * j + i]; }
   }
-  for (int i = 0; i < 3; i++) {
-    res->pos[i] = dd_neg(dd_dot3(res->rot + 3*i, pose->pos));
-  }
+  for (int i = 0; i < 3; i++) { res->pos[i] = dd_neg(dd_dot3(res->rot + 3 * i, pose->pos)); }
 }
 
 
 // the pose of a homogeneous matrix with the nearest rotation, by Newton's method
 static void dd_set_pose(DdPose* res, const double mat[16]) {
   for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      res->rot[3*i+j] = dd_from(mat[4*i+j]);
-    }
-    res->pos[i] = dd_from(mat[4*i+3]);
+    for (int j = 0; j < 3; j++) { res->rot[3 * i + j] = dd_from(mat[4 * i + j]); }
+    res->pos[i] = dd_from(mat[4 * i + 3]);
   }
   for (int n = 0; n < 3; n++) {
     Dd gram[9], rot[9];
     for (int i = 0; i < 3; i++) {
       for (int j = 0; j < 3; j++) {
-        Dd a[3] = {res->rot[i], res->rot[3+i], res->rot[6+i]}, b[3] = {res->rot[j], res->rot[3+j], res->rot[6+j]};
-        gram[3*i+j] = dd_dot3(a, b);
+        Dd a[3] = {res->rot[i], res->rot[3 + i], res->rot[6 + i]},
+           b[3] = {res->rot[j], res->rot[3 + j], res->rot[6 + j]};
+        gram[3 * i + j] = dd_dot3(a, b);
       }
     }
     for (int i = 0; i < 3; i++) {
       for (int j = 0; j < 3; j++) {
-        Dd column[3] = {gram[j], gram[3+j], gram[6+j]};
-        Dd triple = dd_mul(dd_from(3), res->rot[3*i+j]);
-        rot[3*i+j] = dd_scale(dd_sub(triple, dd_dot3(res->rot + 3*i, column)), 0.5);
+        Dd column[3] = {gram[j], gram[3 + j], gram[6 + j]};
+        Dd triple = dd_mul(dd_from(3), res->rot[3 * i + j]);
+        rot[3 * i + j] = dd_scale(dd_sub(triple, dd_dot3(res->rot + 3 * i, column)), 0.5);
       }
     }
     memcpy(res->rot, rot, sizeof(rot));
@@ -75,22 +70,21 @@ static void dd_set_pose(DdPose* res, const double mat[16]) {
 }
 
 
-// what a Gaussian lacks, of FUSION_NO_POSE and FUSION_NO_COVARIANCE, or 0; definiteness is not looked at
+// what a Gaussian lacks, of FUSION_NO_POSE and FUSION_NO_COVARIANCE, or 0; definiteness is not
+// looked at
 static int fusion_lack(const double mean[16], const double cov[36]) {
   Pose pose;
-  if (mean[12] != 0 || mean[13] != 0 || mean[14] != 0 || mean[15] != 1) {
-    return FUSION_NO_POSE;
-  }
+  if (mean[12] != 0 || mean[13] != 0 || mean[14] != 0 || mean[15] != 1) { return FUSION_NO_POSE; }
   se3_from_matrix(&pose, mean);
-  if (!(se3_rotation_error(pose.rot) <= ROTATION_TOLERANCE) || !(se3_determinant(pose.rot) > 0)
-      || !isfinite(pose.pos[0]) || !isfinite(pose.pos[1]) || !isfinite(pose.pos[2])) {
+  if (!(se3_rotation_error(pose.rot) <= ROTATION_TOLERANCE) || !(se3_determinant(pose.rot) > 0) ||
+      !isfinite(pose.pos[0]) || !isfinite(pose.pos[1]) || !isfinite(pose.pos[2])) {
     return FUSION_NO_POSE;
   }
   for (int i = 0; i < 6; i++) {
     for (int j = 0; j <= i; j++) {
-      double difference = cov[6*i+j] - cov[6*j+i];
-      double scale = SYMMETRY_TOLERANCE*SYMMETRY_TOLERANCE * (cov[7*i]*cov[7*j]);
-      if (!(difference*difference <= scale) || !isfinite(cov[6*i+j])) {
+      double difference = cov[6 * i + j] - cov[6 * j + i];
+      double scale = SYMMETRY_TOLERANCE * SYMMETRY_TOLERANCE * (cov[7 * i] * cov[7 * j]);
+      if (!(difference * difference <= scale) || !isfinite(cov[6 * i + j])) {
         return FUSION_NO_COVARIANCE;
       }
     }
@@ -103,30 +97,26 @@ static int fusion_lack(const double mean[16], const double cov[36]) {
 static int dd_whitening(Dd lower[36], const double cov[36]) {
   Dd left[36], unit[36] = {{0, 0}}, scale[6];
   for (int i = 0; i < 36; i++) {
-    left[i] = dd_scale(dd_sum(cov[i], cov[6*(i%6) + i/6]), 0.5);
+    left[i] = dd_scale(dd_sum(cov[i], cov[6 * (i % 6) + i / 6]), 0.5);
     lower[i] = dd_from(0);
   }
   for (int i = 5; i >= 0; i--) {
-    Dd pivot = left[7*i];
-    if (!(pivot.hi > SMALLEST_PIVOT*cov[7*i]) || !(pivot.hi <= DBL_MAX)) {
-      return 0;
-    }
+    Dd pivot = left[7 * i];
+    if (!(pivot.hi > SMALLEST_PIVOT * cov[7 * i]) || !(pivot.hi <= DBL_MAX)) { return 0; }
     scale[i] = dd_div(dd_from(1), dd_sqrt(pivot));
     for (int j = 0; j < i; j++) {
-      unit[6*i+j] = dd_div(left[6*i+j], pivot);
+      unit[6 * i + j] = dd_div(left[6 * i + j], pivot);
       for (int k = j; k < i; k++) {
-        left[6*k+j] = dd_sub(left[6*k+j], dd_mul(left[6*i+k], unit[6*i+j]));
+        left[6 * k + j] = dd_sub(left[6 * k + j], dd_mul(left[6 * i + k], unit[6 * i + j]));
       }
     }
   }
   for (int j = 0; j < 6; j++) {
-    lower[7*j] = scale[j];
+    lower[7 * j] = scale[j];
     for (int i = j + 1; i < 6; i++) {
       Dd sum = dd_from(0);
-      for (int k = j; k < i; k++) {
-        sum = dd_add(sum, dd_mul(unit[6*i+k], lower[6*k+j]));
-      }
-      lower[6*i+j] = dd_neg(sum);
+      for (int k = j; k < i; k++) { sum = dd_add(sum, dd_mul(unit[6 * i + k], lower[6 * k + j])); }
+      lower[6 * i + j] = dd_neg(sum);
     }
   }
   return 1;
@@ -138,11 +128,9 @@ static int robust_set(Robust* res, const FusionInput input[2]) {
   DdPose pose[2], inverse;
   for (int k = 0; k < 2; k++) {
     int lack = fusion_lack(input[k].mean, input[k].cov);
-    if (lack) {
-      return lack == FUSION_NO_POSE ? 32*k + lack : 32*k + 16 + lack;
-    }
+    if (lack) { return lack == FUSION_NO_POSE ? 32 * k + lack : 32 * k + 16 + lack; }
     if (!dd_whitening(res->side[k].lower, input[k].cov)) {
-      return 32*k + 16 + FUSION_NO_COVARIANCE;
+      return 32 * k + 16 + FUSION_NO_COVARIANCE;
     }
     dd_set_pose(pose + k, input[k].mean);
   }
@@ -164,16 +152,16 @@ static void robust_rows(Dd rows[6][7], const DdPose* y, const RobustSide* side, 
   exact_inverse_jacobian(diag, corner, xi, xi + 3, order);
   for (int i = 0; i < 3; i++) {
     for (int j = 0; j < 3; j++) {
-      jac[6*i+j] = jac[6*(3+i)+3+j] = diag[3*i+j];
-      jac[6*i+3+j] = corner[3*i+j];
-      jac[6*(3+i)+j] = dd_from(0);
+      jac[6 * i + j] = jac[6 * (3 + i) + 3 + j] = diag[3 * i + j];
+      jac[6 * i + 3 + j] = corner[3 * i + j];
+      jac[6 * (3 + i) + j] = dd_from(0);
     }
   }
   for (int i = 0; i < 6; i++) {
     for (int j = 0; j < 7; j++) {
       Dd sum = dd_from(0);
       for (int k = i; k < 6; k++) {
-        sum = dd_add(sum, dd_mul(side->lower[6*k+i], j < 6 ? jac[6*k+j] : xi[k]));
+        sum = dd_add(sum, dd_mul(side->lower[6 * k + i], j < 6 ? jac[6 * k + j] : xi[k]));
       }
       rows[i][j] = sum;
     }
@@ -181,7 +169,8 @@ static void robust_rows(Dd rows[6][7], const DdPose* y, const RobustSide* side, 
 }
 
 
-// reflections turn the first six columns into rows 6 to 11, lower triangular; the last column goes along
+// reflections turn the first six columns into rows 6 to 11, lower triangular; the last column goes
+// along
 static void triangularize(Dd rows[12][7]) {
   for (int c = 5; c >= 0; c--) {
     int last = 6 + c;
@@ -190,9 +179,7 @@ static void triangularize(Dd rows[12][7]) {
       vec[i] = rows[i][c];
       square = dd_add(square, dd_mul(vec[i], vec[i]));
     }
-    if (!(square.hi > 0)) {
-      continue;
-    }
+    if (!(square.hi > 0)) { continue; }
     Dd norm = dd_sqrt(square);
     norm = vec[last].hi > 0 ? dd_neg(norm) : norm;
     vec[last] = dd_sub(vec[last], norm);
@@ -200,13 +187,9 @@ static void triangularize(Dd rows[12][7]) {
     for (int n = -1; n < c; n++) {
       int j = n < 0 ? 6 : n;
       Dd sum = dd_from(0);
-      for (int i = 0; i <= last; i++) {
-        sum = dd_add(sum, dd_mul(vec[i], rows[i][j]));
-      }
+      for (int i = 0; i <= last; i++) { sum = dd_add(sum, dd_mul(vec[i], rows[i][j])); }
       sum = dd_div(sum, half);
-      for (int i = 0; i <= last; i++) {
-        rows[i][j] = dd_sub(rows[i][j], dd_mul(sum, vec[i]));
-      }
+      for (int i = 0; i <= last; i++) { rows[i][j] = dd_sub(rows[i][j], dd_mul(sum, vec[i])); }
     }
     rows[last][c] = norm;
   }
@@ -218,9 +201,7 @@ static int robust_model(RobustModel* model, const Robust* robust, const DdPose* 
   Dd rows[12][7], cost = dd_from(0), step[6];
   robust_rows(rows, y, robust->side, order);
   robust_rows(rows + 6, y, robust->side + 1, order);
-  for (int i = 0; i < 12; i++) {
-    cost = dd_add(cost, dd_mul(rows[i][6], rows[i][6]));
-  }
+  for (int i = 0; i < 12; i++) { cost = dd_add(cost, dd_mul(rows[i][6], rows[i][6])); }
   triangularize(rows);
 
   // factor = triangle^-1 with a positive diagonal, step = -factor * residual
@@ -229,32 +210,26 @@ static int robust_model(RobustModel* model, const Robust* robust, const DdPose* 
   model->cost = dd_round(cost);
   model->square = 0;
   for (int i = 0; i < 6; i++) {
-    Dd *row = rows[6+i], inverse = dd_div(dd_from(1), row[i]);
-    if (!isfinite(inverse.hi)) {
-      return 0;
-    }
+    Dd *row = rows[6 + i], inverse = dd_div(dd_from(1), row[i]);
+    if (!isfinite(inverse.hi)) { return 0; }
     for (int j = 0; j < i; j++) {
       Dd sum = dd_from(0);
-      for (int k = j; k < i; k++) {
-        sum = dd_add(sum, dd_mul(row[k], factor[6*k+j]));
-      }
-      factor[6*i+j] = dd_neg(dd_mul(sum, inverse));
+      for (int k = j; k < i; k++) { sum = dd_add(sum, dd_mul(row[k], factor[6 * k + j])); }
+      factor[6 * i + j] = dd_neg(dd_mul(sum, inverse));
     }
-    factor[7*i] = inverse;
+    factor[7 * i] = inverse;
     step[i] = dd_from(0);
     for (int k = 0; k <= i; k++) {
-      step[i] = dd_sub(step[i], dd_mul(factor[6*i+k], rows[6+k][6]));
+      step[i] = dd_sub(step[i], dd_mul(factor[6 * i + k], rows[6 + k][6]));
     }
     model->step[i] = dd_round(step[i]);
   }
   for (int j = 0; j < 6; j++) {
     // a column's sign is free: the diagonal is made positive
-    double sign = factor[7*j].hi < 0 ? -1 : 1;
-    for (int i = j; i < 6; i++) {
-      factor[6*i+j] = dd_scale(factor[6*i+j], sign);
-    }
-    model->y[j] = -sign*dd_round(rows[6+j][6]);
-    model->square += model->y[j]*model->y[j];
+    double sign = factor[7 * j].hi < 0 ? -1 : 1;
+    for (int i = j; i < 6; i++) { factor[6 * i + j] = dd_scale(factor[6 * i + j], sign); }
+    model->y[j] = -sign * dd_round(rows[6 + j][6]);
+    model->square += model->y[j] * model->y[j];
   }
   return isfinite(model->square) && isfinite(model->cost);
 }
@@ -277,7 +252,8 @@ static void robust_perturb(DdPose* y, const double step[6]) {
 }
 
 
-static void robust_finish(FusionOutput* res, const Robust* robust, const DdPose* y, const RobustModel* model) {
+static void robust_finish(FusionOutput* res, const Robust* robust, const DdPose* y,
+                          const RobustModel* model) {
   DdPose mean;
   dd_product_pose(&mean, y, &robust->base);
   round_pose(res->mean, mean.rot, mean.pos);
@@ -285,11 +261,11 @@ static void robust_finish(FusionOutput* res, const Robust* robust, const DdPose*
     for (int j = 0; j <= i; j++) {
       Dd sum = dd_from(0);
       for (int k = 0; k <= j; k++) {
-        sum = dd_add(sum, dd_mul(model->factor[6*i+k], model->factor[6*j+k]));
+        sum = dd_add(sum, dd_mul(model->factor[6 * i + k], model->factor[6 * j + k]));
       }
-      res->cov[6*i+j] = res->cov[6*j+i] = dd_round(sum);
-      res->factor[6*j+i] = 0;
-      res->factor[6*i+j] = dd_round(model->factor[6*i+j]);
+      res->cov[6 * i + j] = res->cov[6 * j + i] = dd_round(sum);
+      res->factor[6 * j + i] = 0;
+      res->factor[6 * i + j] = dd_round(model->factor[6 * i + j]);
     }
   }
 }
@@ -300,14 +276,10 @@ static int robust_fixed(FusionOutput* res, const FusionInput input[2], int itera
   Robust robust;
   RobustModel model;
   int fault = robust_set(&robust, input);
-  if (fault) {
-    return fault;
-  }
+  if (fault) { return fault; }
   DdPose y = robust.side[0].relative;
   for (int i = 0; i < iterations; i++) {
-    if (!robust_model(&model, &robust, &y, order)) {
-      return FUSION_NO_INFORMATION;
-    }
+    if (!robust_model(&model, &robust, &y, order)) { return FUSION_NO_INFORMATION; }
     robust_perturb(&y, model.step);
   }
   robust_finish(res, &robust, &y, &model);

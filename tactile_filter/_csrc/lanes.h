@@ -1,5 +1,6 @@
-// Two numbers side by side in the lanes of a 128-bit vector: V the numbers, M a mask for each. What is one number
-// stands in both lanes. With HAS_FMA, of the file routines_*.c, a multiply-add is one instruction.
+// Two numbers side by side in the lanes of a 128-bit vector: V the numbers, M a mask for each. What
+// is one number stands in both lanes. With HAS_FMA, of the file routines_*.c, a multiply-add is one
+// instruction.
 #if defined(__x86_64__)
 #include <immintrin.h>
 #elif defined(__aarch64__)
@@ -19,8 +20,8 @@ typedef int64_t M __attribute__((vector_size(16)));
 #define FMA(a, b, c) ((V)vfmaq_f64((float64x2_t)(c), (float64x2_t)(a), (float64x2_t)(b)))
 #define FNMA(a, b, c) ((V)vfmsq_f64((float64x2_t)(c), (float64x2_t)(a), (float64x2_t)(b)))
 #else
-#define FMA(a, b, c) ((a)*(b) + (c))
-#define FNMA(a, b, c) ((c) - (a)*(b))
+#define FMA(a, b, c) ((a) * (b) + (c))
+#define FNMA(a, b, c) ((c) - (a) * (b))
 #endif
 
 #if defined(__x86_64__)

@@ -1,32 +1,35 @@
-// Python module tactile_filter._fusion: the interface is tactile_filter/fusion.py, propagation.py and contact_bounds.py.
+// Python module tactile_filter._fusion: the interface is tactile_filter/fusion.py, propagation.py
+// and contact_bounds.py.
 #include "fusion.h"
 #include "poses.h"
 #include "propagate.h"
 #include "routines.h"
 
+#define ROUTINES Routines
+#define ROUTINES_BASE routines_base
+#define ROUTINES_AVX2 routines_avx2
+#include "instruction_sets.h"
+
 #define MAX_ITERATIONS 100000
 #define MAX_STATUS 3
 
-static const Routines* routines = NULL;
-
 // what fusion.py gives the module with set_up
-static PyTypeObject* result_type = NULL;  // a tuple of these six: mean, cov, factor, iterations, status, step
+static PyTypeObject* result_type =
+    NULL;  // a tuple of these six: mean, cov, factor, iterations, status, step
 static PyObject* statuses[MAX_STATUS] = {NULL};
-static PyObject* plans = NULL;            // dict, mode -> (iterations, order)
-static PyObject* refuse = NULL;           // raises for (fault, (mean_1, cov_1, mean_2, cov_2))
+static PyObject* plans = NULL;   // dict, mode -> (iterations, order)
+static PyObject* refuse = NULL;  // raises for (fault, (mean_1, cov_1, mean_2, cov_2))
 
 
 static PyObject* new_result(const FusionOutput* output) {
-  PyObject* items[6] = {
-    new_array(output->mean, 4, 4), new_array(output->cov, 6, 6), new_array(output->factor, 6, 6),
-    PyLong_FromLong(output->iterations), statuses[output->status], PyFloat_FromDouble(output->step)};
+  PyObject* items[6] = {new_array(output->mean, 4, 4),   new_array(output->cov, 6, 6),
+                        new_array(output->factor, 6, 6), PyLong_FromLong(output->iterations),
+                        statuses[output->status],        PyFloat_FromDouble(output->step)};
   Py_XINCREF(items[4]);
   PyObject* res = result_type->tp_alloc(result_type, 6);
   for (int i = 0; i < 6; i++) {
     if (!items[i] || !res) {
-      for (int j = i; j < 6; j++) {
-        Py_XDECREF(items[j]);
-      }
+      for (int j = i; j < 6; j++) { Py_XDECREF(items[j]); }
       Py_XDECREF(res);
       return NULL;
     }
@@ -36,11 +39,13 @@ static PyObject* new_result(const FusionOutput* output) {
 }
 
 
-// mean and covariance of one of the Gaussians; the buffers are used where an argument has to be converted
-static int read_input(FusionInput* input, double mean[16], double cov[36], PyObject* const* args, int index) {
+// mean and covariance of one of the Gaussians; the buffers are used where an argument has to be
+// converted
+static int read_input(FusionInput* input, double mean[16], double cov[36], PyObject* const* args,
+                      int index) {
   static const char* const names[4] = {"mean_1", "cov_1", "mean_2", "cov_2"};
-  input->mean = borrow_array(mean, args[0], 4, 4, names[2*index]);
-  input->cov = input->mean ? borrow_array(cov, args[1], 6, 6, names[2*index+1]) : NULL;
+  input->mean = borrow_array(mean, args[0], 4, 4, names[2 * index]);
+  input->cov = input->mean ? borrow_array(cov, args[1], 6, 6, names[2 * index + 1]) : NULL;
   return input->cov != NULL;
 }
 
@@ -48,9 +53,7 @@ static int read_input(FusionInput* input, double mean[16], double cov[36], PyObj
 // number of iterations and order; returns 0 with an error set
 static int read_plan(int* iterations, int* order, PyObject* const* args) {
   long count = PyLong_AsLong(args[0]), kind = PyLong_AsLong(args[1]);
-  if (PyErr_Occurred()) {
-    return 0;
-  }
+  if (PyErr_Occurred()) { return 0; }
   if (count < 1 || count > MAX_ITERATIONS || kind < -1 || kind > 4 || kind == 1 || kind == 3) {
     PyErr_Format(PyExc_ValueError, "iterations = %ld, order = %ld: out of range", count, kind);
     return 0;
@@ -65,9 +68,7 @@ static int read_plan(int* iterations, int* order, PyObject* const* args) {
 static int read_mode(int* iterations, int* order, PyObject* arg) {
   PyObject* plan = PyTuple_CheckExact(arg) ? arg : PyDict_GetItemWithError(plans, arg);
   if (!plan) {
-    if (!PyErr_Occurred()) {
-      PyErr_SetObject(PyExc_KeyError, arg);
-    }
+    if (!PyErr_Occurred()) { PyErr_SetObject(PyExc_KeyError, arg); }
     return 0;
   }
   if (!PyTuple_CheckExact(plan) || PyTuple_GET_SIZE(plan) != 2) {
@@ -79,24 +80,22 @@ static int read_mode(int* iterations, int* order, PyObject* arg) {
 
 
 static const char fuse_doc[] =
-  "fuse(mean_1, cov_1, mean_2, cov_2, plan, /)\n--\n\n"
-  "The FusionResult. plan: a mode (else KeyError), or the number of iterations and the order: 2, 4, 0 for the\n"
-  "exact Jacobian, or -1 for iterations to convergence, at most so many.";
+    "fuse(mean_1, cov_1, mean_2, cov_2, plan, /)\n--\n\n"
+    "The FusionResult. plan: a mode (else KeyError), or the number of iterations and the order:\n"
+    "2, 4, 0 for the exact Jacobian, or -1 for iterations to convergence, at most so many.";
 
 static PyObject* fuse(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   int iterations, order;
-  if (!has_count("fuse", nargs, 5)) {
-    return NULL;
-  }
+  if (!has_count("fuse", nargs, 5)) { return NULL; }
   if (!result_type) {
     PyErr_SetString(PyExc_RuntimeError, "set_up has not been called");
     return NULL;
   }
   double mean[2][16], cov[2][36];
   FusionInput input[2];
-  if (!read_mode(&iterations, &order, args[4]) || !read_input(input, mean[0], cov[0], args, 0)
-      || !read_input(input + 1, mean[1], cov[1], args + 2, 1)) {
+  if (!read_mode(&iterations, &order, args[4]) || !read_input(input, mean[0], cov[0], args, 0) ||
+      !read_input(input + 1, mean[1], cov[1], args + 2, 1)) {
     return NULL;
   }
   FusionOutput output;
@@ -107,28 +106,32 @@ static PyObject* fuse(PyObject* module, PyObject* const* args, Py_ssize_t nargs)
 
 
 static const char check_doc[] =
-  "check(mean, cov, /)\n--\n\n0 if the two are a Gaussian that can be fused, else as fuse.";
+    "check(mean, cov, /)\n--\n\n0 if the two are a Gaussian that can be fused, else as fuse.";
 
 static PyObject* check(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   double mean[16], cov[36];
   FusionInput input;
   return has_count("check", nargs, 2) && read_input(&input, mean, cov, args, 0)
-         ? PyLong_FromLong(routines->check(&input)) : NULL;
+             ? PyLong_FromLong(routines->check(&input))
+             : NULL;
 }
 
 
 static const char set_up_doc[] =
-  "set_up(type, statuses, plans, refuse, /)\n--\n\n"
-  "The class of results, a named tuple of six, its statuses, (iterations, order) by mode, and what is called with a\n"
-  "fault, 16 * (index of the argument at fault) + what it lacks, and the four arguments, and raises.";
+    "set_up(type, statuses, plans, refuse, /)\n--\n\n"
+    "The class of results, a named tuple of six, its statuses, (iterations, order) by mode, and\n"
+    "what is called with a fault, 16 * (index of the argument at fault) + what it lacks, and the\n"
+    "four arguments, and raises.";
 
 static PyObject* set_up(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
-  if (nargs != 4 || !PyType_Check(args[0]) || !PyType_IsSubtype((PyTypeObject*)args[0], &PyTuple_Type)
-      || !PyTuple_Check(args[1]) || PyTuple_GET_SIZE(args[1]) != MAX_STATUS || !PyDict_CheckExact(args[2])
-      || !PyCallable_Check(args[3])) {
-    PyErr_SetString(PyExc_TypeError, "set_up takes a class of tuples, a tuple of three, a dict and a callable");
+  if (nargs != 4 || !PyType_Check(args[0]) ||
+      !PyType_IsSubtype((PyTypeObject*)args[0], &PyTuple_Type) || !PyTuple_Check(args[1]) ||
+      PyTuple_GET_SIZE(args[1]) != MAX_STATUS || !PyDict_CheckExact(args[2]) ||
+      !PyCallable_Check(args[3])) {
+    PyErr_SetString(PyExc_TypeError,
+                    "set_up takes a class of tuples, a tuple of three, a dict and a callable");
     return NULL;
   }
   Py_XSETREF(result_type, (PyTypeObject*)Py_NewRef(args[0]));
@@ -141,39 +144,20 @@ static PyObject* set_up(PyObject* module, PyObject* const* args, Py_ssize_t narg
 }
 
 
-// use the routines of this instruction set, or the best for null; returns 0 with an error set
-static int select_routines(const char* name) {
-  const Routines* found = routines_select(name);
-  if (!found) {
-    PyErr_Format(PyExc_ValueError, "instruction set '%s': this machine does not have it", name);
-    return 0;
-  }
-  routines = found;
-  return 1;
-}
-
-
-static const char instruction_set_doc[] =
-  "instruction_set(name=None, /)\n--\n\n"
-  "Use the routines for this instruction set: base, and on x86-64 avx2. Answers the one in use.";
-
-static PyObject* instruction_set(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
-  (void)module;
-  if (nargs > 1) {
-    return PyErr_Format(PyExc_TypeError, "instruction_set takes at most 1 argument, got %zd", nargs);
-  }
-  if (nargs == 1) {
-    const char* name = PyUnicode_AsUTF8(args[0]);
-    if (!name || !select_routines(name)) {
-      return NULL;
-    }
-  }
-  return PyUnicode_FromString(routines->name);
-}
-
-
-// limits of a contact's pose and of its covariance; tactile_filter/contact_bounds.py says what they mean
-enum {SHEAR, LEAST_DEPTH, DEPTH, TILT, TWIST, LEAST_SIGMA, SIGMA, LEAST_TURN_SIGMA, TURN_SIGMA, LIMITS};
+// limits of a contact's pose and of its covariance; tactile_filter/contact_bounds.py says what they
+// mean
+enum {
+  SHEAR,
+  LEAST_DEPTH,
+  DEPTH,
+  TILT,
+  TWIST,
+  LEAST_SIGMA,
+  SIGMA,
+  LEAST_TURN_SIGMA,
+  TURN_SIGMA,
+  LIMITS
+};
 
 // the first of the limits that X_sf is beyond, with its value there; LIMITS if none
 static int beyond_limits(double* value, const double m[16], const double limits[LIMITS]) {
@@ -197,14 +181,12 @@ static int beyond_limits(double* value, const double m[16], const double limits[
 static PyObject* module_contact_fault(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   double mat[16], limits[LIMITS], value;
-  if (!has_count("contact_fault", nargs, 2) || !read_array(mat, args[0], 4, 4, "X_sf")
-      || !read_finite(limits, args[1], LIMITS, 0, "limits")) {
+  if (!has_count("contact_fault", nargs, 2) || !read_array(mat, args[0], 4, 4, "X_sf") ||
+      !read_finite(limits, args[1], LIMITS, 0, "limits")) {
     return NULL;
   }
   int fault = beyond_limits(&value, mat, limits);
-  if (fault == LIMITS) {
-    Py_RETURN_NONE;
-  }
+  if (fault == LIMITS) { Py_RETURN_NONE; }
   return Py_BuildValue("id", fault, value);
 }
 
@@ -212,14 +194,14 @@ static PyObject* module_contact_fault(PyObject* module, PyObject* const* args, P
 static PyObject* module_sigma_fault(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   double buffer[36], limits[LIMITS];
-  const double* cov = has_count("sigma_fault", nargs, 2) ? borrow_array(buffer, args[0], 6, 6, "cov") : NULL;
-  if (!cov || !read_finite(limits, args[1], LIMITS, 0, "limits")) {
-    return NULL;
-  }
+  const double* cov =
+      has_count("sigma_fault", nargs, 2) ? borrow_array(buffer, args[0], 6, 6, "cov") : NULL;
+  if (!cov || !read_finite(limits, args[1], LIMITS, 0, "limits")) { return NULL; }
   for (int i = 0; i < 6; i++) {
     int part = i / 3;
-    double least = limits[LEAST_SIGMA + 2*part], largest = limits[SIGMA + 2*part], variance = cov[7*i];
-    if (!(least*least <= variance && variance <= largest*largest)) {
+    double least = limits[LEAST_SIGMA + 2 * part], largest = limits[SIGMA + 2 * part],
+           variance = cov[7 * i];
+    if (!(least * least <= variance && variance <= largest * largest)) {
       return PyLong_FromLong(part);
     }
   }
@@ -241,20 +223,15 @@ static PyObject* module_predict(PyObject* module, PyObject* const* args, Py_ssiz
   static const char* const names[] = {"mean", "T_before", "T_now"};
   double mat[16], cov[36], moved_cov[36], variances[6];
   Pose pose[3], moved;
-  if (!has_count("predict", nargs, 5)) {
-    return NULL;
-  }
+  if (!has_count("predict", nargs, 5)) { return NULL; }
   PyObject* const poses[] = {args[0], args[2], args[3]};
   for (int i = 0; i < 3; i++) {
-    if (!read_pose(mat, poses[i], names[i])) {
-      return NULL;
-    }
+    if (!read_pose(mat, poses[i], names[i])) { return NULL; }
     se3_from_matrix(pose + i, mat);
-    if (!check_rotation(pose[i].rot, names[i])) {
-      return NULL;
-    }
+    if (!check_rotation(pose[i].rot, names[i])) { return NULL; }
   }
-  if (!read_finite(cov, args[1], 6, 6, "cov") || !read_finite(variances, args[4], 6, 0, "variances")) {
+  if (!read_finite(cov, args[1], 6, 6, "cov") ||
+      !read_finite(variances, args[4], 6, 0, "variances")) {
     return NULL;
   }
   propagate(&moved, moved_cov, pose, cov, pose + 1, pose + 2, variances);
@@ -265,9 +242,9 @@ static PyObject* module_predict(PyObject* module, PyObject* const* args, Py_ssiz
 static PyObject* module_innovation(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   double mat_1[16], cov_1[36], mat_2[16], cov_2[36], whitened[6];
-  if (!has_count("innovation", nargs, 4) || !read_pose(mat_1, args[0], "mean_1")
-      || !read_finite(cov_1, args[1], 6, 6, "cov_1") || !read_pose(mat_2, args[2], "mean_2")
-      || !read_finite(cov_2, args[3], 6, 6, "cov_2")) {
+  if (!has_count("innovation", nargs, 4) || !read_pose(mat_1, args[0], "mean_1") ||
+      !read_finite(cov_1, args[1], 6, 6, "cov_1") || !read_pose(mat_2, args[2], "mean_2") ||
+      !read_finite(cov_2, args[3], 6, 6, "cov_2")) {
     return NULL;
   }
   Pose pose_1, pose_2;
@@ -278,31 +255,33 @@ static PyObject* module_innovation(PyObject* module, PyObject* const* args, Py_s
 }
 
 
-#define METHOD(name) {#name, (PyCFunction)(void(*)(void))name, METH_FASTCALL, name##_doc}
-#define MODULE_METHOD(name, kind) {#name, (PyCFunction)(void(*)(void))module_##name, kind, NULL}
+#define METHOD(name) {#name, (PyCFunction)(void (*)(void))name, METH_FASTCALL, name##_doc}
+#define MODULE_METHOD(name, kind) {#name, (PyCFunction)(void (*)(void))module_##name, kind, NULL}
 
-static PyMethodDef methods[] = {
-  METHOD(check),
-  METHOD(fuse),
-  METHOD(instruction_set),
-  METHOD(set_up),
-  MODULE_METHOD(contact_fault, METH_FASTCALL),
-  MODULE_METHOD(sigma_fault, METH_FASTCALL),
-  MODULE_METHOD(predict, METH_FASTCALL),
-  MODULE_METHOD(innovation, METH_FASTCALL),
-  {NULL, NULL, 0, NULL}
-};
+static PyMethodDef methods[] = {METHOD(check),
+                                METHOD(fuse),
+                                METHOD(instruction_set),
+                                METHOD(set_up),
+                                MODULE_METHOD(contact_fault, METH_FASTCALL),
+                                MODULE_METHOD(sigma_fault, METH_FASTCALL),
+                                MODULE_METHOD(predict, METH_FASTCALL),
+                                MODULE_METHOD(innovation, METH_FASTCALL),
+                                {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {
-  PyModuleDef_HEAD_INIT, "_fusion", "Fusion of Gaussians over SE(3), and the filter's steps, in C.", -1, methods,
-  NULL, NULL, NULL, NULL
-};
+    PyModuleDef_HEAD_INIT,
+    "_fusion",
+    "Fusion of Gaussians over SE(3), and the filter's steps, in C.",
+    -1,
+    methods,
+    NULL,
+    NULL,
+    NULL,
+    NULL};
 
 
 PyMODINIT_FUNC PyInit__fusion(void) {
   import_array();
-  if (!select_routines(NULL)) {
-    return NULL;
-  }
+  if (!select_routines(NULL)) { return NULL; }
   return PyModule_Create(&definition);
 }

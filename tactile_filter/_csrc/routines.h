@@ -1,4 +1,5 @@
-// The routines of which there is one build for each instruction set; the same sources give the same bits.
+// The routines of which there is one build for each instruction set; the same sources give the same
+// bits.
 #ifndef TACTILE_ROUTINES_H_
 #define TACTILE_ROUTINES_H_
 
@@ -7,7 +8,8 @@
 typedef struct {
   const char* name;  // of the instruction set
 
-  // one fusion; returns 0 or a fault. `order` is a Jacobian's or TO_CONVERGENCE, with `iterations` at most
+  // one fusion; returns 0 or a fault. `order` is a Jacobian's or TO_CONVERGENCE, with `iterations`
+  // at most
   int (*fuse)(FusionOutput* res, const FusionInput input[2], int iterations, int order);
 
   // returns 0 or the fault that one of the two would be, as argument 0 (mean) or 1 (covariance)
@@ -18,8 +20,5 @@ extern const Routines routines_base;
 #ifdef __x86_64__
 extern const Routines routines_avx2;
 #endif
-
-// the routines of an instruction set by its name, or null if this machine does not have it; the best for null
-const Routines* routines_select(const char* name);
 
 #endif  // TACTILE_ROUTINES_H_

@@ -35,12 +35,8 @@
 // whether every number is finite; that of a covariance's element follows from its diagonal's
 static int is_finite(const FusionOutput* res) {
   double sum = 0;
-  for (int i = 0; i < 16; i++) {
-    sum += 0*res->mean[i];
-  }
-  for (int i = 0; i < 6; i++) {
-    sum += 0*res->cov[7*i];
-  }
+  for (int i = 0; i < 16; i++) { sum += 0 * res->mean[i]; }
+  for (int i = 0; i < 6; i++) { sum += 0 * res->cov[7 * i]; }
   return sum == 0;
 }
 
@@ -57,23 +53,18 @@ static int fuse(FusionOutput* res, const FusionInput input[2], int iterations, i
 
 static int check(const FusionInput* input) {
   int lack = fusion_lack(input->mean, input->cov);
-  if (lack) {
-    return lack == FUSION_NO_POSE ? lack : 16 + lack;
-  }
+  if (lack) { return lack == FUSION_NO_POSE ? lack : 16 + lack; }
   for (int i = 0; i < 6; i++) {
-    if (i < 3 && fabs(input->mean[4*i+3]) > LARGEST_POSITION) {
-      return FUSION_OUT_OF_RANGE;
-    }
-    if (input->cov[7*i] > LARGEST_VARIANCE || (input->cov[7*i] > 0 && input->cov[7*i] < SMALLEST_VARIANCE)) {
+    if (i < 3 && fabs(input->mean[4 * i + 3]) > LARGEST_POSITION) { return FUSION_OUT_OF_RANGE; }
+    if (input->cov[7 * i] > LARGEST_VARIANCE ||
+        (input->cov[7 * i] > 0 && input->cov[7 * i] < SMALLEST_VARIANCE)) {
       return 16 + FUSION_OUT_OF_RANGE;
     }
   }
   V full[36], packed[21];
   FactorPair factor;
   M poor = {0};
-  for (int i = 0; i < 36; i++) {
-    full[i] = SPLAT(input->cov[i]);
-  }
+  for (int i = 0; i < 36; i++) { full[i] = SPLAT(input->cov[i]); }
   symmetric_part(packed, full, &poor);
   factorize(&factor, packed, &poor);
   Dd lower[36];
@@ -82,7 +73,7 @@ static int check(const FusionInput* input) {
 
 
 const Routines ROUTINES = {
-  .name = ROUTINES_NAME,
-  .fuse = fuse,
-  .check = check,
+    .name = ROUTINES_NAME,
+    .fuse = fuse,
+    .check = check,
 };

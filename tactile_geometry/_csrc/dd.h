@@ -1,6 +1,7 @@
 // Numbers of twice the precision: the unevaluated sum of two doubles, about 32 digits.
 //
-// Needs fma() to be exact, which the C library gives on every machine, and no contraction by the compiler.
+// Needs fma() to be exact, which the C library gives on every machine, and no contraction by the
+// compiler.
 #ifndef TACTILE_DD_H_
 #define TACTILE_DD_H_
 
@@ -38,7 +39,7 @@ static inline Dd dd_sum(double a, double b) {
 
 
 static inline Dd dd_product(double a, double b) {
-  double product = a*b;
+  double product = a * b;
   Dd res = {product, fma(a, b, -product)};
   return res;
 }
@@ -52,7 +53,7 @@ static inline Dd dd_neg(Dd a) {
 
 // exact multiple by a power of two
 static inline Dd dd_scale(Dd a, double power) {
-  Dd res = {a.hi*power, a.lo*power};
+  Dd res = {a.hi * power, a.lo * power};
   return res;
 }
 
@@ -71,7 +72,7 @@ static inline Dd dd_sub(Dd a, Dd b) {
 
 static inline Dd dd_mul(Dd a, Dd b) {
   Dd res = dd_product(a.hi, b.hi);
-  return dd_quick_sum(res.hi, res.lo + (a.hi*b.lo + a.lo*b.hi));
+  return dd_quick_sum(res.hi, res.lo + (a.hi * b.lo + a.lo * b.hi));
 }
 
 
@@ -88,7 +89,7 @@ static inline Dd dd_div(Dd a, Dd b) {
 static inline Dd dd_sqrt(Dd a) {
   double root = sqrt(a.hi);
   Dd rest = dd_sub(a, dd_product(root, root));
-  return dd_quick_sum(root, rest.hi / (2*root));
+  return dd_quick_sum(root, rest.hi / (2 * root));
 }
 
 

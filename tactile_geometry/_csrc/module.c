@@ -2,42 +2,13 @@
 #include "poses.h"
 #include "se3_routines.h"
 
+#define ROUTINES Se3Routines
+#define ROUTINES_BASE se3_routines_base
+#define ROUTINES_AVX2 se3_routines_avx2
+#include "instruction_sets.h"
+
 // a rotation off by less is as orthonormal as doubles are
 #define ORTHONORMAL 1e-15
-
-static const Se3Routines* routines = NULL;
-
-
-// use the routines of this instruction set, or the best for null; returns 0 with an error set
-static int select_routines(const char* name) {
-  const Se3Routines* found = se3_routines_select(name);
-  if (!found) {
-    PyErr_Format(PyExc_ValueError, "instruction set '%s': this machine does not have it", name);
-    return 0;
-  }
-  routines = found;
-  return 1;
-}
-
-
-static const char instruction_set_doc[] =
-  "instruction_set(name=None, /)\n--\n\n"
-  "Use the routines for this instruction set: base, and on x86-64 avx2. Answers the one in use.";
-
-static PyObject* instruction_set(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
-  (void)module;
-  if (nargs > 1) {
-    return PyErr_Format(PyExc_TypeError, "instruction_set takes at most 1 argument, got %zd", nargs);
-  }
-  if (nargs == 1) {
-    const char* name = PyUnicode_AsUTF8(args[0]);
-    if (!name || !select_routines(name)) {
-      return NULL;
-    }
-  }
-  return PyUnicode_FromString(routines->name);
-}
-
 
 static int log_of(double xi[6], const double mat[16]) {
   if (!routines->log(xi, mat)) {
@@ -49,15 +20,13 @@ static int log_of(double xi[6], const double mat[16]) {
 
 
 // the functions of one tangent vector xi that answer a square matrix
-#define OF_TANGENT(name, rows)                                   \
+#define OF_TANGENT(name, rows)                                      \
   static PyObject* module_##name(PyObject* module, PyObject* arg) { \
-    double xi[6], res[rows*rows];                                \
-    (void)module;                                                \
-    if (!read_finite(xi, arg, 6, 0, "xi")) {                     \
-      return NULL;                                               \
-    }                                                            \
-    routines->name(res, xi);                                     \
-    return new_array(res, rows, rows);                           \
+    double xi[6], res[rows * rows];                                 \
+    (void)module;                                                   \
+    if (!read_finite(xi, arg, 6, 0, "xi")) { return NULL; }         \
+    routines->name(res, xi);                                        \
+    return new_array(res, rows, rows);                              \
   }
 
 OF_TANGENT(exp, 4)
@@ -76,9 +45,7 @@ static PyObject* module_inverse(PyObject* module, PyObject* arg) {
   (void)module;
   double mat[16];
   Pose pose, inverse;
-  if (!read_pose(mat, arg, "T")) {
-    return NULL;
-  }
+  if (!read_pose(mat, arg, "T")) { return NULL; }
   se3_from_matrix(&pose, mat);
   se3_inverse(&inverse, &pose);
   return new_pose(&inverse);
@@ -90,7 +57,8 @@ static PyObject* product_of(PyObject* const* args, Py_ssize_t nargs, const char*
                             void product(Pose*, const Pose*, const Pose*)) {
   double first[16], second[16];
   Pose a, b, res;
-  if (!has_count(name, nargs, 2) || !read_pose(first, args[0], "A") || !read_pose(second, args[1], "B")) {
+  if (!has_count(name, nargs, 2) || !read_pose(first, args[0], "A") ||
+      !read_pose(second, args[1], "B")) {
     return NULL;
   }
   se3_from_matrix(&a, first);
@@ -115,14 +83,12 @@ static PyObject* module_between(PyObject* module, PyObject* const* args, Py_ssiz
 static PyObject* module_point_in(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   double mat[16], point[3], res[3] = {0};
-  if (!has_count("point_in", nargs, 2) || !read_pose(mat, args[0], "T")
-      || !read_finite(point, args[1], 3, 0, "point")) {
+  if (!has_count("point_in", nargs, 2) || !read_pose(mat, args[0], "T") ||
+      !read_finite(point, args[1], 3, 0, "point")) {
     return NULL;
   }
   for (int i = 0; i < 3; i++) {
-    for (int j = 0; j < 3; j++) {
-      res[i] += mat[4*j+i] * (point[j] - mat[4*j+3]);
-    }
+    for (int j = 0; j < 3; j++) { res[i] += mat[4 * j + i] * (point[j] - mat[4 * j + 3]); }
   }
   return new_array(res, 3, 0);
 }
@@ -131,48 +97,46 @@ static PyObject* module_point_in(PyObject* module, PyObject* const* args, Py_ssi
 static PyObject* module_carry(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   double mat[16], xi[6], adjoint[36], res[6] = {0};
-  if (!has_count("carry", nargs, 2) || !read_pose(mat, args[0], "T") || !read_finite(xi, args[1], 6, 0, "xi")) {
+  if (!has_count("carry", nargs, 2) || !read_pose(mat, args[0], "T") ||
+      !read_finite(xi, args[1], 6, 0, "xi")) {
     return NULL;
   }
   routines->adjoint(adjoint, mat);
-  for (int i = 0; i < 36; i++) {
-    res[i / 6] += adjoint[i] * xi[i % 6];
-  }
+  for (int i = 0; i < 36; i++) { res[i / 6] += adjoint[i] * xi[i % 6]; }
   return new_array(res, 6, 0);
 }
 
 
-// a C function of `from` numbers that answers `to`, of each in a stack of arrays of the shape (rows, columns), or
-// (rows,) for columns = 0, behind any others; returns 0 where there is none
+// a C function of `from` numbers that answers `to`, of each in a stack of arrays of the shape
+// (rows, columns), or (rows,) for columns = 0, behind any others; returns 0 where there is none
 typedef int Conversion(double* res, const double* value);
 typedef struct {
   int rows, columns;
 } Extents;
 
-static PyObject* convert_each(PyObject* arg, Extents from, Extents to, Conversion* convert, const char* name) {
+static PyObject* convert_each(PyObject* arg, Extents from, Extents to, Conversion* convert,
+                              const char* name) {
   npy_intp shape[NPY_MAXDIMS];
   int own = from.columns ? 2 : 1, count = from.rows * (from.columns ? from.columns : 1);
   PyArrayObject* array = (PyArrayObject*)PyArray_FROM_OTF(arg, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
-  if (!array) {
-    return NULL;
-  }
+  if (!array) { return NULL; }
   int others = PyArray_NDIM(array) - own, result = others + (to.columns ? 2 : 1);
   PyArrayObject* res = NULL;
   const double* data = PyArray_DATA(array);
-  if (others < 0 || result > NPY_MAXDIMS || PyArray_DIM(array, others) != from.rows
-      || (own == 2 && PyArray_DIM(array, others + 1) != from.columns)) {
+  if (others < 0 || result > NPY_MAXDIMS || PyArray_DIM(array, others) != from.rows ||
+      (own == 2 && PyArray_DIM(array, others + 1) != from.columns)) {
     set_stack_error(array, from.rows, from.columns, name);
   } else if (all_finite(data, PyArray_SIZE(array), arg, name)) {
     memcpy(shape, PyArray_DIMS(array), (size_t)others * sizeof(npy_intp));
     shape[others] = to.rows;
-    shape[result-1] = to.columns ? to.columns : to.rows;
+    shape[result - 1] = to.columns ? to.columns : to.rows;
     res = (PyArrayObject*)PyArray_SimpleNew(result, shape, NPY_DOUBLE);
   }
   npy_intp stack = res ? PyArray_SIZE(array) / count : 0;
   for (npy_intp i = 0; i < stack; i++) {
     double* one = (double*)PyArray_DATA(res) + i * to.rows * (to.columns ? to.columns : 1);
-    if (!convert(one, data + i*count)) {
-      const double* row = data + i*count + 12;
+    if (!convert(one, data + i * count)) {
+      const double* row = data + i * count + 12;
       PyObject* last = Py_BuildValue("[dddd]", row[0], row[1], row[2], row[3]);
       PyErr_Format(PyExc_ValueError, "%s: last row must be [0, 0, 0, 1], is %S", name, last);
       Py_XDECREF(last);
@@ -200,9 +164,7 @@ static PyObject* module_euler_from_pose(PyObject* module, PyObject* arg) {
 static PyObject* module_adjoint(PyObject* module, PyObject* arg) {
   (void)module;
   double mat[16], res[36];
-  if (!read_pose(mat, arg, "T")) {
-    return NULL;
-  }
+  if (!read_pose(mat, arg, "T")) { return NULL; }
   routines->adjoint(res, mat);
   return new_array(res, 6, 6);
 }
@@ -212,13 +174,9 @@ static PyObject* module_orthonormalized(PyObject* module, PyObject* arg) {
   (void)module;
   double mat[16];
   Pose pose;
-  if (!read_pose(mat, arg, "T")) {
-    return NULL;
-  }
+  if (!read_pose(mat, arg, "T")) { return NULL; }
   se3_from_matrix(&pose, mat);
-  if (!check_rotation(pose.rot, "T")) {
-    return NULL;
-  }
+  if (!check_rotation(pose.rot, "T")) { return NULL; }
   se3_orthonormalize(&pose);
   return new_pose(&pose);
 }
@@ -227,20 +185,14 @@ static PyObject* module_orthonormalized(PyObject* module, PyObject* arg) {
 static PyObject* module_interpolate(PyObject* module, PyObject* const* args, Py_ssize_t nargs) {
   (void)module;
   double start[16], end[16], between[16], xi[6];
-  if (!has_count("interpolate", nargs, 3) || !read_pose(start, args[0], "T0")
-      || !read_pose(end, args[1], "T1")) {
+  if (!has_count("interpolate", nargs, 3) || !read_pose(start, args[0], "T0") ||
+      !read_pose(end, args[1], "T1")) {
     return NULL;
   }
   double s = PyFloat_AsDouble(args[2]);
-  if (s == -1 && PyErr_Occurred()) {
-    return NULL;
-  }
-  if (!isfinite(s)) {
-    return PyErr_Format(PyExc_ValueError, "s = %S: must be finite", args[2]);
-  }
-  if (s == 0 || s == 1) {
-    return new_array(s == 0 ? start : end, 4, 4);
-  }
+  if (s == -1 && PyErr_Occurred()) { return NULL; }
+  if (!isfinite(s)) { return PyErr_Format(PyExc_ValueError, "s = %S: must be finite", args[2]); }
+  if (s == 0 || s == 1) { return new_array(s == 0 ? start : end, 4, 4); }
 
   // start * exp(s * log(start^-1 * end))
   Pose from, to, motion;
@@ -248,12 +200,8 @@ static PyObject* module_interpolate(PyObject* module, PyObject* const* args, Py_
   se3_from_matrix(&to, end);
   se3_inverse_product(&motion, &from, &to);
   se3_to_matrix(between, &motion);
-  if (!log_of(xi, between)) {
-    return NULL;
-  }
-  for (int i = 0; i < 6; i++) {
-    xi[i] *= s;
-  }
+  if (!log_of(xi, between)) { return NULL; }
+  for (int i = 0; i < 6; i++) { xi[i] *= s; }
   routines->exp(between, xi);
   se3_from_matrix(&motion, between);
   se3_product(&to, &from, &motion);
@@ -261,22 +209,22 @@ static PyObject* module_interpolate(PyObject* module, PyObject* const* args, Py_
 }
 
 
-// how far the rotation of a pose is off, negative for an argument that is none; -2 with an error set
+// how far the rotation of a pose is off, negative for an argument that is none; -2 with an error
+// set
 static double usable(Pose* pose, PyObject* arg) {
   double buffer[16];
   const double* mat = borrow_array(buffer, arg, 4, 4, "T");
   if (!mat) {
-    if (!PyErr_ExceptionMatches(PyExc_ValueError)) {
-      return -2;
-    }
+    if (!PyErr_ExceptionMatches(PyExc_ValueError)) { return -2; }
     PyErr_Clear();
     return -1;
   }
   se3_from_matrix(pose, mat);
   double error = se3_rotation_error(pose->rot);
-  int is_pose = mat[12] == 0 && mat[13] == 0 && mat[14] == 0 && mat[15] == 1 && error <= ROTATION_TOLERANCE
-                && se3_determinant(pose->rot) > 0 && fabs(mat[3]) <= LARGEST_POSITION
-                && fabs(mat[7]) <= LARGEST_POSITION && fabs(mat[11]) <= LARGEST_POSITION;
+  int is_pose = mat[12] == 0 && mat[13] == 0 && mat[14] == 0 && mat[15] == 1 &&
+                error <= ROTATION_TOLERANCE && se3_determinant(pose->rot) > 0 &&
+                fabs(mat[3]) <= LARGEST_POSITION && fabs(mat[7]) <= LARGEST_POSITION &&
+                fabs(mat[11]) <= LARGEST_POSITION;
   return is_pose ? error : -1;
 }
 
@@ -285,15 +233,9 @@ static PyObject* module_usable_pose(PyObject* module, PyObject* arg) {
   (void)module;
   Pose pose;
   double error = usable(&pose, arg);
-  if (error == -2) {
-    return NULL;
-  }
-  if (error < 0) {
-    Py_RETURN_NONE;
-  }
-  if (error > ORTHONORMAL) {
-    se3_orthonormalize(&pose);
-  }
+  if (error == -2) { return NULL; }
+  if (error < 0) { Py_RETURN_NONE; }
+  if (error > ORTHONORMAL) { se3_orthonormalize(&pose); }
   return new_pose(&pose);
 }
 
@@ -306,38 +248,34 @@ static PyObject* module_is_pose(PyObject* module, PyObject* arg) {
 }
 
 
-#define METHOD(name, kind) {#name, (PyCFunction)(void(*)(void))module_##name, kind, NULL}
+#define METHOD(name, kind) {#name, (PyCFunction)(void (*)(void))module_##name, kind, NULL}
 
-static PyMethodDef methods[] = {
-  {"instruction_set", (PyCFunction)(void(*)(void))instruction_set, METH_FASTCALL, instruction_set_doc},
-  METHOD(exp, METH_O),
-  METHOD(log, METH_O),
-  METHOD(inverse, METH_O),
-  METHOD(compose, METH_FASTCALL),
-  METHOD(between, METH_FASTCALL),
-  METHOD(point_in, METH_FASTCALL),
-  METHOD(carry, METH_FASTCALL),
-  METHOD(adjoint, METH_O),
-  METHOD(pose_from_euler, METH_O),
-  METHOD(euler_from_pose, METH_O),
-  METHOD(left_jacobian, METH_O),
-  METHOD(inverse_left_jacobian, METH_O),
-  METHOD(orthonormalized, METH_O),
-  METHOD(usable_pose, METH_O),
-  METHOD(is_pose, METH_O),
-  METHOD(interpolate, METH_FASTCALL),
-  {NULL, NULL, 0, NULL}
-};
+static PyMethodDef methods[] = {{"instruction_set", (PyCFunction)(void (*)(void))instruction_set,
+                                 METH_FASTCALL, instruction_set_doc},
+                                METHOD(exp, METH_O),
+                                METHOD(log, METH_O),
+                                METHOD(inverse, METH_O),
+                                METHOD(compose, METH_FASTCALL),
+                                METHOD(between, METH_FASTCALL),
+                                METHOD(point_in, METH_FASTCALL),
+                                METHOD(carry, METH_FASTCALL),
+                                METHOD(adjoint, METH_O),
+                                METHOD(pose_from_euler, METH_O),
+                                METHOD(euler_from_pose, METH_O),
+                                METHOD(left_jacobian, METH_O),
+                                METHOD(inverse_left_jacobian, METH_O),
+                                METHOD(orthonormalized, METH_O),
+                                METHOD(usable_pose, METH_O),
+                                METHOD(is_pose, METH_O),
+                                METHOD(interpolate, METH_FASTCALL),
+                                {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {
-  PyModuleDef_HEAD_INIT, "_se3", "SE(3) in C.", -1, methods, NULL, NULL, NULL, NULL
-};
+    PyModuleDef_HEAD_INIT, "_se3", "SE(3) in C.", -1, methods, NULL, NULL, NULL, NULL};
 
 
 PyMODINIT_FUNC PyInit__se3(void) {
   import_array();
-  if (!select_routines(NULL)) {
-    return NULL;
-  }
+  if (!select_routines(NULL)) { return NULL; }
   return PyModule_Create(&definition);
 }

@@ -1,4 +1,5 @@
-// Poses to and from Python, with what is wrong with an argument; for the one file that imports NumPy.
+// Poses to and from Python, with what is wrong with an argument; for the one file that imports
+// NumPy.
 #ifndef TACTILE_POSES_H_
 #define TACTILE_POSES_H_
 
@@ -19,8 +20,9 @@ static inline int check_rotation(const double rot[9], const char* name) {
   if (!(error <= ROTATION_TOLERANCE)) {
     char text[32];
     PyOS_snprintf(text, sizeof(text), "%.3g", error);
-    PyErr_Format(
-      PyExc_ValueError, "%s: its rotation is not orthonormal, R^T R is off the identity by %s", name, text);
+    PyErr_Format(PyExc_ValueError,
+                 "%s: its rotation is not orthonormal, R^T R is off the identity by %s", name,
+                 text);
     return 0;
   }
   if (se3_determinant(rot) < 0) {

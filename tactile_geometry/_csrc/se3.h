@@ -17,7 +17,8 @@ typedef struct {
   double pos[3];
 } Pose;
 
-// the pose of a homogeneous matrix, row-major, whose last row is not looked at; and the other way round
+// the pose of a homogeneous matrix, row-major, whose last row is not looked at; and the other way
+// round
 void se3_from_matrix(Pose* res, const double mat[16]);
 void se3_to_matrix(double res[16], const Pose* pose);
 
@@ -36,8 +37,8 @@ void se3_exp_coefficients(double res[3], double x);
 // pose (4, 4) of x, y, z and turns about the fixed x, y and z in turn
 int se3_from_euler(double mat[16], const double euler[6]);
 
-// and these of a pose, |beta| <= pi/2; at pi/2, where only alpha and gamma together are defined, gamma is 0; returns 0
-// where the last row is none of a pose
+// and these of a pose, |beta| <= pi/2; at pi/2, where only alpha and gamma together are defined,
+// gamma is 0; returns 0 where the last row is none of a pose
 int se3_to_euler(double euler[6], const double mat[16]);
 
 // res = a * b, res not among them

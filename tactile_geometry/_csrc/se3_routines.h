@@ -1,4 +1,5 @@
-// The functions of se3_exact.h, built once for each instruction set; all of them give the same bits.
+// The functions of se3_exact.h, built once for each instruction set; all of them give the same
+// bits.
 #ifndef TACTILE_SE3_ROUTINES_H_
 #define TACTILE_SE3_ROUTINES_H_
 
@@ -15,8 +16,5 @@ extern const Se3Routines se3_routines_base;
 #ifdef __x86_64__
 extern const Se3Routines se3_routines_avx2;
 #endif
-
-// the routines of an instruction set by its name, or null if this machine does not have it; the best for null
-const Se3Routines* se3_routines_select(const char* name);
 
 #endif  // TACTILE_SE3_ROUTINES_H_

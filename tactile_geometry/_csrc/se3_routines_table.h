@@ -8,10 +8,10 @@
 
 
 const Se3Routines ROUTINES = {
-  .name = ROUTINES_NAME,
-  .exp = se3_exact_exp,
-  .log = se3_exact_log,
-  .adjoint = se3_exact_adjoint,
-  .left_jacobian = se3_exact_left_jacobian,
-  .inverse_left_jacobian = se3_exact_inverse_left_jacobian,
+    .name = ROUTINES_NAME,
+    .exp = se3_exact_exp,
+    .log = se3_exact_log,
+    .adjoint = se3_exact_adjoint,
+    .left_jacobian = se3_exact_left_jacobian,
+    .inverse_left_jacobian = se3_exact_inverse_left_jacobian,
 };

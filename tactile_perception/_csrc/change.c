@@ -17,14 +17,14 @@ enum { ONE_BITS = 0x3f800000 };
 
 
 size_t change_scratch(int cols, int window) {
-  return 2*(size_t)cols + (size_t)window;
+  return 2 * (size_t)cols + (size_t)window;
 }
 
 
 // index within 0 .. n - 1, mirrored at the first and the last
 static int mirrored(int i, int n) {
   while (i < 0 || i >= n) {
-    i = i < 0 ? -i : 2*(n - 1) - i;
+    i = i < 0 ? -i : 2 * (n - 1) - i;
     i = n == 1 ? 0 : i;
   }
   return i;
@@ -38,7 +38,8 @@ static void add_changes(int32_t* restrict sums, const float* restrict image,
                         int n) {
   for (int x = 0; x < n; x++) {
     Bits change = {.value = fabsf(image[x] - reference[x]) - noise[x]};
-    // within 0 and 1, so that it fits: as integers, floats have the same order and NaN is the largest
+    // within 0 and 1, so that it fits: as integers, floats have the same order and NaN is the
+    // largest
     change.bits = change.bits > 0 ? change.bits : 0;
     change.bits = change.bits < ONE_BITS ? change.bits : ONE_BITS;
     sums[x] += sign * (int32_t)(change.value * ONE + 0.5f);
@@ -51,12 +52,8 @@ static uint32_t largest_sum(const int32_t* sums, int cols, int window, int befor
                             uint32_t* total) {
   uint32_t sum = 0;
   *total++ = 0;
-  for (int x = -before; x < 0; x++) {
-    *total++ = sum += (uint32_t)sums[mirrored(x, cols)];
-  }
-  for (int x = 0; x < cols; x++) {
-    *total++ = sum += (uint32_t)sums[x];
-  }
+  for (int x = -before; x < 0; x++) { *total++ = sum += (uint32_t)sums[mirrored(x, cols)]; }
+  for (int x = 0; x < cols; x++) { *total++ = sum += (uint32_t)sums[x]; }
   for (int x = cols; x < cols + window - 1 - before; x++) {
     *total++ = sum += (uint32_t)sums[mirrored(x, cols)];
   }
@@ -64,7 +61,7 @@ static uint32_t largest_sum(const int32_t* sums, int cols, int window, int befor
   // the totals may wrap around, their differences do not
   uint32_t res = 0;
   for (int x = 0; x < cols; x++) {
-    sum = total[x+window] - total[x];
+    sum = total[x + window] - total[x];
     res = sum > res ? sum : res;
   }
   return res;
@@ -78,16 +75,16 @@ double largest_change(const float* image, const float* reference, const float* n
   int before = window / 2, after = window - 1 - before;
   memset(sums, 0, (size_t)cols * sizeof(int32_t));
   for (int y = -before; y < after; y++) {
-    ptrdiff_t start = (ptrdiff_t)mirrored(y, rows)*cols;
+    ptrdiff_t start = (ptrdiff_t)mirrored(y, rows) * cols;
     add_changes(sums, image + start, reference + start, noise + start, 1, cols);
   }
   for (int y = 0; y < rows; y++) {
-    ptrdiff_t gained = (ptrdiff_t)mirrored(y + after, rows)*cols;
-    ptrdiff_t lost = (ptrdiff_t)mirrored(y - before, rows)*cols;
+    ptrdiff_t gained = (ptrdiff_t)mirrored(y + after, rows) * cols;
+    ptrdiff_t lost = (ptrdiff_t)mirrored(y - before, rows) * cols;
     add_changes(sums, image + gained, reference + gained, noise + gained, 1, cols);
     uint32_t sum = largest_sum(sums, cols, window, before, total);
     largest = sum > largest ? sum : largest;
     add_changes(sums, image + lost, reference + lost, noise + lost, -1, cols);
   }
-  return largest / ((double)window*window * ONE);
+  return largest / ((double)window * window * ONE);
 }

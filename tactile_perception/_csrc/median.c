@@ -21,9 +21,9 @@
   }
 
 // sort five values
-#define SORT5(a, b, c, d, e)                                                                 \
-  ORDER(a, b) ORDER(d, e) ORDER(c, e) ORDER(c, d) ORDER(b, e) ORDER(a, d) ORDER(a, c) \
-  ORDER(b, d) ORDER(b, c)
+#define SORT5(a, b, c, d, e) \
+  ORDER(a, b)                \
+  ORDER(d, e) ORDER(c, e) ORDER(c, d) ORDER(b, e) ORDER(a, d) ORDER(a, c) ORDER(b, d) ORDER(b, c)
 
 // merge sorted values (Batcher); sorted results are a0 a1 b0 b1, a0 a1 a2 b1 b0 b2
 #define MERGE2(a0, a1, b0, b1) ORDER(a0, b0) ORDER(a1, b1) ORDER(a1, b0)
@@ -53,7 +53,7 @@ static void copy_piece(uint8_t* res, const uint8_t* row, int cols, int first, in
 WIDE_VECTORS
 static void sort_row(uint8_t res[5][STRIP], const uint8_t* piece, int width) {
   for (int x = 0; x < width; x++) {
-    uint8_t a = piece[x], b = piece[x+1], c = piece[x+2], d = piece[x+3], e = piece[x+4];
+    uint8_t a = piece[x], b = piece[x + 1], c = piece[x + 2], d = piece[x + 3], e = piece[x + 4];
     SORT5(a, b, c, d, e)
     res[0][x] = a;
     res[1][x] = b;
@@ -73,8 +73,7 @@ static void merge_rows(uint8_t res[10][STRIP], uint8_t a[5][STRIP], uint8_t b[5]
     // those of even index come out as a0 a2 a4 b2 b0 b4, the others as a1 a3 b1 b3
     MERGE3(a0, a2, a4, b0, b2, b4)
     MERGE2(a1, a3, b1, b3)
-    ORDER(a1, a2) ORDER(a3, a4) ORDER(b1, b2) ORDER(b3, b0)
-    res[0][x] = a0;
+    ORDER(a1, a2) ORDER(a3, a4) ORDER(b1, b2) ORDER(b3, b0) res[0][x] = a0;
     res[1][x] = a1;
     res[2][x] = a2;
     res[3][x] = a3;
@@ -89,7 +88,7 @@ static void merge_rows(uint8_t res[10][STRIP], uint8_t a[5][STRIP], uint8_t b[5]
 
 
 // median of six sorted values a0 .. a5 and the sorted row b
-#define MEDIAN11(b)                                                           \
+#define MEDIAN11(b)                                                            \
   MIN(MIN(MIN(a5, MAX(a4, b[0][x])), MIN(MAX(a3, b[1][x]), MAX(a2, b[2][x]))), \
       MIN(MAX(a1, b[3][x]), MAX(a0, b[4][x])))
 
@@ -125,13 +124,13 @@ static void medians(uint8_t* restrict first, uint8_t* restrict second, uint8_t p
 static void add_pair(Sorted* sorted, const uint8_t* image, int rows, int cols, ptrdiff_t stride,
                      int first, int width, int k) {
   uint8_t piece[STRIP + 4];
-  for (int r = 2*k; r < 2*k + 2; r++) {
+  for (int r = 2 * k; r < 2 * k + 2; r++) {
     int inside = MIN(MAX(r, 0), rows - 1);
-    copy_piece(piece, image + inside*stride, cols, first, width);
+    copy_piece(piece, image + inside * stride, cols, first, width);
     sort_row(sorted->row[r & (ROWS - 1)], piece, width);
   }
-  merge_rows(sorted->pair[k & (PAIRS - 1)], sorted->row[2*k & (ROWS - 1)],
-             sorted->row[(2*k + 1) & (ROWS - 1)], width);
+  merge_rows(sorted->pair[k & (PAIRS - 1)], sorted->row[2 * k & (ROWS - 1)],
+             sorted->row[(2 * k + 1) & (ROWS - 1)], width);
 }
 
 
@@ -141,19 +140,15 @@ static void median_strip(uint8_t* res, const uint8_t* image, int rows, int cols,
   uint8_t line[2][STRIP];
   // over a multiple of the vectors: the rest of the last one is not copied
   int padded = (width + VECTOR - 1) / VECTOR * VECTOR;
-  for (int k = -2; k < 1; k++) {
-    add_pair(&sorted, image, rows, cols, stride, first, padded, k);
-  }
+  for (int k = -2; k < 1; k++) { add_pair(&sorted, image, rows, cols, stride, first, padded, k); }
   // rows 2k - 1 and 2k share the rows 2k - 2 .. 2k + 1
-  for (int k = 0; 2*k - 1 < rows; k++) {
+  for (int k = 0; 2 * k - 1 < rows; k++) {
     add_pair(&sorted, image, rows, cols, stride, first, padded, k + 1);
     medians(line[0], line[1], sorted.pair[(k - 1) & (PAIRS - 1)], sorted.pair[k & (PAIRS - 1)],
-            sorted.row[(2*k - 3) & (ROWS - 1)], sorted.row[(2*k + 2) & (ROWS - 1)], padded);
+            sorted.row[(2 * k - 3) & (ROWS - 1)], sorted.row[(2 * k + 2) & (ROWS - 1)], padded);
     for (int i = 0; i < 2; i++) {
-      int y = 2*k - 1 + i;
-      if (y >= 0 && y < rows) {
-        memcpy(res + (ptrdiff_t)y*cols + first, line[i], (size_t)width);
-      }
+      int y = 2 * k - 1 + i;
+      if (y >= 0 && y < rows) { memcpy(res + (ptrdiff_t)y * cols + first, line[i], (size_t)width); }
     }
   }
 }

@@ -15,16 +15,14 @@ typedef struct {
 size_t shrink_scratch(int size, int cols) {
   // sums, total, borders and whole, one behind the other
   size_t n = (size_t)cols + 1;
-  return 2*n + (size_t)size * sizeof(Border) / sizeof(uint32_t) + (n + 1) / 2;
+  return 2 * n + (size_t)size * sizeof(Border) / sizeof(uint32_t) + (n + 1) / 2;
 }
 
 
 // sums += row
 WIDE_VECTORS
 static void add_row(uint16_t* restrict sums, const uint8_t* restrict row, int cols) {
-  for (int x = 0; x < cols; x++) {
-    sums[x] = (uint16_t)(sums[x] + row[x]);
-  }
+  for (int x = 0; x < cols; x++) { sums[x] = (uint16_t)(sums[x] + row[x]); }
 }
 
 
@@ -45,12 +43,11 @@ static void add_rows(uint32_t* sums, uint16_t* whole, const uint8_t* image, int 
                      ptrdiff_t stride, int from, int to, int size) {
   int first = from / size, last = (to - 1) / size;
   memset(whole, 0, (size_t)cols * sizeof(uint16_t));
-  for (int y = first + 1; y < last; y++) {
-    add_row(whole, image + y*stride, cols);
-  }
+  for (int y = first + 1; y < last; y++) { add_row(whole, image + y * stride, cols); }
   // the first and the last may be cut; where they are one, size <= rows says that all of it counts
-  int weight_1 = (first + 1)*size - from, weight_2 = first < last ? to - last*size : 0;
-  combine(sums, whole, size, image + first*stride, weight_1, image + last*stride, weight_2, cols);
+  int weight_1 = (first + 1) * size - from, weight_2 = first < last ? to - last * size : 0;
+  combine(sums, whole, size, image + first * stride, weight_1, image + last * stride, weight_2,
+          cols);
 }
 
 
@@ -60,18 +57,16 @@ void shrink(uint8_t* res, int size, const uint8_t* image, int rows, int cols, pt
   Border* borders = (Border*)(total + cols + 1);
   uint16_t* whole = (uint16_t*)(borders + size);
   for (int i = 0; i < size; i++) {
-    int end = (i + 1)*cols;
-    borders[i] = (Border) {(uint32_t)(end / size), (uint32_t)(end % size)};
+    int end = (i + 1) * cols;
+    borders[i] = (Border){(uint32_t)(end / size), (uint32_t)(end % size)};
   }
   sums[cols] = 0;  // read with the weight 0 by the last border
 
   double scale = 1.0 / ((double)rows * cols);
   for (int j = 0; j < size; j++) {
-    add_rows(sums, whole, image, cols, stride, j*rows, (j + 1)*rows, size);
+    add_rows(sums, whole, image, cols, stride, j * rows, (j + 1) * rows, size);
     total[0] = 0;
-    for (int x = 0; x < cols; x++) {
-      total[x+1] = total[x] + sums[x];
-    }
+    for (int x = 0; x < cols; x++) { total[x + 1] = total[x] + sums[x]; }
     // integrals up to each border; their differences are right although they wrap around
     uint32_t before = 0;
     for (int i = 0; i < size; i++) {

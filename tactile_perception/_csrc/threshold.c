@@ -35,7 +35,7 @@ size_t threshold_scratch(int cols, int block) {
 WIDE_VECTORS
 static void sum_four(uint16_t* restrict res, const uint16_t* restrict a, int step, int n) {
   for (int x = 0; x < n; x++) {
-    res[x] = (uint16_t)(a[x] + a[x+step] + a[x+2*step] + a[x+3*step]);
+    res[x] = (uint16_t)(a[x] + a[x + step] + a[x + 2 * step] + a[x + 3 * step]);
   }
 }
 
@@ -44,16 +44,12 @@ static void sum_four(uint16_t* restrict res, const uint16_t* restrict a, int ste
 WIDE_VECTORS
 static void add(uint16_t* restrict res, const uint16_t* restrict a, int step, int count, int n) {
   if (count == 1) {
-    for (int x = 0; x < n; x++) {
-      res[x] = (uint16_t)(res[x] + a[x]);
-    }
+    for (int x = 0; x < n; x++) { res[x] = (uint16_t)(res[x] + a[x]); }
   } else if (count == 2) {
-    for (int x = 0; x < n; x++) {
-      res[x] = (uint16_t)(res[x] + a[x] + a[x+step]);
-    }
+    for (int x = 0; x < n; x++) { res[x] = (uint16_t)(res[x] + a[x] + a[x + step]); }
   } else {
     for (int x = 0; x < n; x++) {
-      res[x] = (uint16_t)(res[x] + a[x] + a[x+step] + a[x+2*step]);
+      res[x] = (uint16_t)(res[x] + a[x] + a[x + step] + a[x + 2 * step]);
     }
   }
 }
@@ -61,14 +57,12 @@ static void add(uint16_t* restrict res, const uint16_t* restrict a, int step, in
 
 WIDE_VECTORS
 static void widen(uint16_t* restrict res, const uint8_t* restrict row, int n) {
-  for (int x = 0; x < n; x++) {
-    res[x] = row[x];
-  }
+  for (int x = 0; x < n; x++) { res[x] = row[x]; }
 }
 
 
 static uint16_t* row_sums(const RowSums* rows, int y) {
-  return rows->sums + (ptrdiff_t)(y % (rows->block + 1))*rows->width;
+  return rows->sums + (ptrdiff_t)(y % (rows->block + 1)) * rows->width;
 }
 
 
@@ -79,22 +73,20 @@ static void add_row(const RowSums* rows, int y, const uint8_t* row) {
   uint16_t *piece = rows->piece[0], *longer = rows->piece[1], *res = row_sums(rows, y);
   for (int i = 0; i < half; i++) {
     piece[i] = row[0];
-    piece[half+cols+i] = row[cols-1];
+    piece[half + cols + i] = row[cols - 1];
   }
   widen(piece + half, row, cols);
 
   memset(res, 0, (size_t)rows->width * sizeof(uint16_t));
-  int done = 0, n = cols + 2*half;
+  int done = 0, n = cols + 2 * half;
   for (int length = 1;; length *= 4) {
     int count = block / length % 4;
     if (count) {
       add(res, piece + done, length, count, rows->width);
-      done += count*length;
+      done += count * length;
     }
-    if (block < 4*length) {
-      break;
-    }
-    n -= 3*length;
+    if (block < 4 * length) { break; }
+    n -= 3 * length;
     sum_four(longer, piece, length, padded(n));
     uint16_t* swap = piece;
     piece = longer;
@@ -107,9 +99,7 @@ static void add_row(const RowSums* rows, int y, const uint8_t* row) {
 WIDE_VECTORS
 static void move_down(int32_t* restrict sums, const uint16_t* restrict gained,
                       const uint16_t* restrict lost, int cols) {
-  for (int x = 0; x < cols; x++) {
-    sums[x] += gained[x] - lost[x];
-  }
+  for (int x = 0; x < cols; x++) { sums[x] += gained[x] - lost[x]; }
 }
 
 
@@ -140,34 +130,27 @@ void threshold_mean(uint8_t* res, const uint8_t* image, int rows, int cols, ptrd
   int half = block / 2, last = rows - 1, width = padded(cols);
   int32_t* sums = scratch;
   uint16_t* memory = (uint16_t*)(scratch + width);
-  uint16_t* pieces = memory + (ptrdiff_t)(block + 1)*width;
+  uint16_t* pieces = memory + (ptrdiff_t)(block + 1) * width;
   RowSums ring = {cols, block, width, memory, {pieces, pieces + width + block + VECTOR}};
 
   // around row 0: what lies above the image is its first row
-  int32_t bias = ((2*offset - 1) * block*block + 1) / 2;
-  for (int y = 0; y <= half && y <= last; y++) {
-    add_row(&ring, y, image + y*stride);
-  }
-  for (int x = 0; x < width; x++) {
-    sums[x] = (half + 1) * row_sums(&ring, 0)[x] - bias;
-  }
+  int32_t bias = ((2 * offset - 1) * block * block + 1) / 2;
+  for (int y = 0; y <= half && y <= last; y++) { add_row(&ring, y, image + y * stride); }
+  for (int x = 0; x < width; x++) { sums[x] = (half + 1) * row_sums(&ring, 0)[x] - bias; }
   for (int y = 1; y <= half; y++) {
     const uint16_t* gained = row_sums(&ring, y < last ? y : last);
-    for (int x = 0; x < width; x++) {
-      sums[x] += gained[x];
-    }
+    for (int x = 0; x < width; x++) { sums[x] += gained[x]; }
   }
 
   for (int y = 0; y < rows; y++) {
     if (y > 0) {
       int gained = y + half, lost = y - half - 1;
-      if (gained <= last) {
-        add_row(&ring, gained, image + gained*stride);
-      }
+      if (gained <= last) { add_row(&ring, gained, image + gained * stride); }
       move_down(sums, row_sums(&ring, gained < last ? gained : last),
                 row_sums(&ring, lost > 0 ? lost : 0), width);
     }
-    ptrdiff_t start = (ptrdiff_t)y*cols;
-    compare_row(res + start, image + y*stride, sums, (uint16_t)(block*block), mask + start, cols);
+    ptrdiff_t start = (ptrdiff_t)y * cols;
+    compare_row(res + start, image + y * stride, sums, (uint16_t)(block * block), mask + start,
+                cols);
   }
 }

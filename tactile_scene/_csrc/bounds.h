@@ -23,8 +23,8 @@ typedef struct {
 
 enum { ROOM_NUMBERS = 13 };
 
-// What can bound a velocity: `SPEED`, then each axis's upper and lower end of the workspace, then depth, shear and
-// the boxes.
+// What can bound a velocity: `SPEED`, then each axis's upper and lower end of the workspace, then
+// depth, shear and the boxes.
 enum { SPEED, WORKSPACE, DEPTH = WORKSPACE + 6, SHEAR, BOXES };
 
 typedef struct {
@@ -32,10 +32,11 @@ typedef struct {
   int reason, passed;
 } Bound;
 
-// The part of a twist that is followed where the controlled frame is at T and, unless it is NULL, feels a contact
-// whose feature frame is at T_feature. `bounds` is scratch for 8 more than there are boxes, `reasons` for 9 more,
-// which it fills with what makes the twist less; returns how many these are.
-int bounded(double twist[6], int* reasons, Bound* bounds, const Room* room, const double* boxes, int count,
-            const double T[16], const double* T_feature);
+// The part of a twist that is followed where the controlled frame is at T and, unless it is NULL,
+// feels a contact whose feature frame is at T_feature. `bounds` is scratch for 8 more than there
+// are boxes, `reasons` for 9 more, which it fills with what makes the twist less; returns how many
+// these are.
+int bounded(double twist[6], int* reasons, Bound* bounds, const Room* room, const double* boxes,
+            int count, const double T[16], const double* T_feature);
 
 #endif  // TACTILE_DRIVERS_BOUNDS_H_

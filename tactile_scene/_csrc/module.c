@@ -13,9 +13,11 @@
 static PyObject* query(PyObject* const* args, Py_ssize_t count, const char* name, ShapeQuery* shape,
                        int numbers) {
   double shape_numbers[8];
-  if (!has_count(name, count, 1 + numbers) || !read_numbers(shape_numbers, args + 1, numbers)) return NULL;
+  if (!has_count(name, count, 1 + numbers) || !read_numbers(shape_numbers, args + 1, numbers)) {
+    return NULL;
+  }
   PyArrayObject* points = (PyArrayObject*)PyArray_FROM_OTF(args[0], NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
-  if (!points) return NULL;
+  if (!points) { return NULL; }
   if (PyArray_NDIM(points) != 2 || PyArray_DIM(points, 1) != 3) {
     Py_DECREF(points);
     return PyErr_Format(PyExc_ValueError, "points: must have shape (n, 3)");
@@ -26,16 +28,16 @@ static PyObject* query(PyObject* const* args, Py_ssize_t count, const char* name
   if (distance && normal) {
     const double* p = PyArray_DATA(points);
     double *d = PyArray_DATA((PyArrayObject*)distance), *n = PyArray_DATA((PyArrayObject*)normal);
-    for (npy_intp i = 0; i < extents[0]; i++) d[i] = shape(n + 3 * i, p + 3 * i, shape_numbers);
+    for (npy_intp i = 0; i < extents[0]; i++) { d[i] = shape(n + 3 * i, p + 3 * i, shape_numbers); }
   }
   Py_DECREF(points);
   return Py_BuildValue("NN", distance, normal);
 }
 
-#define SHAPE(name, numbers)                                                                   \
-  static PyObject* py_##name(PyObject* module, PyObject* const* args, Py_ssize_t count) {      \
-    (void)module;                                                                              \
-    return query(args, count, #name, name, numbers);                                           \
+#define SHAPE(name, numbers)                                                              \
+  static PyObject* py_##name(PyObject* module, PyObject* const* args, Py_ssize_t count) { \
+    (void)module;                                                                         \
+    return query(args, count, #name, name, numbers);                                      \
   }
 
 SHAPE(box_query, BOX_NUMBERS)
@@ -47,9 +49,9 @@ static PyObject* py_meet(PyObject* module, PyObject* const* args, Py_ssize_t cou
   double distance, normal[3], T[16], radius;
   Meeting found;
   (void)module;
-  if (!has_count("meet", count, 4) || !read_numbers(&distance, args, 1)
-      || !read_array(normal, args[1], 3, 0, "normal") || !read_array(T, args[2], 4, 4, "T_surface_sensor")
-      || !read_numbers(&radius, args + 3, 1)) {
+  if (!has_count("meet", count, 4) || !read_numbers(&distance, args, 1) ||
+      !read_array(normal, args[1], 3, 0, "normal") ||
+      !read_array(T, args[2], 4, 4, "T_surface_sensor") || !read_numbers(&radius, args + 3, 1)) {
     return NULL;
   }
   meet(&found, distance, normal, T, radius);
@@ -63,7 +65,7 @@ static PyObject* py_meet(PyObject* module, PyObject* const* args, Py_ssize_t cou
 static PyObject* braked(PyObject* const* args, Py_ssize_t count, const char* name,
                         double result(const Braking*, double)) {
   double n[3];
-  if (!has_count(name, count, 3) || !read_numbers(n, args, 3)) return NULL;
+  if (!has_count(name, count, 3) || !read_numbers(n, args, 3)) { return NULL; }
   Braking braking = {n[1], n[2]};
   return PyFloat_FromDouble(result(&braking, n[0]));
 }
@@ -84,8 +86,8 @@ static PyObject* py_braking_speed(PyObject* module, PyObject* const* args, Py_ss
 static PyObject* py_shortened(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   double twist[6], limits[2];
   (void)module;
-  if (!has_count("shortened", count, 3) || !read_array(twist, args[0], 6, 0, "twist")
-      || !read_numbers(limits, args + 1, 2)) {
+  if (!has_count("shortened", count, 3) || !read_array(twist, args[0], 6, 0, "twist") ||
+      !read_numbers(limits, args + 1, 2)) {
     return NULL;
   }
   shorten(twist, limits[0], limits[1]);
@@ -108,12 +110,14 @@ static PyObject* numbers_of(const int* reasons, int count) {
 }
 
 
-PyDoc_STRVAR(bounded_doc,
-             "bounded(twist, room, boxes, T_base_controlled, T_base_feature, /)\n--\n\n"
-             "The part (6,) of a twist that is followed, and the numbers of what makes it less: 0 speed; from 1 on "
-             "the\nupper and lower end of each axis of the workspace; 7 depth; 8 shear; from 9 on boxes. room (13,): "
-             "largest\nlinear and angular speed, acceleration and lead of braking, corners of the workspace, radius of "
-             "the tip,\nlargest depth and shear; boxes (n, 6): their corners; T_base_feature may be None.");
+PyDoc_STRVAR(
+    bounded_doc,
+    "bounded(twist, room, boxes, T_base_controlled, T_base_feature, /)\n--\n\n"
+    "The part (6,) of a twist that is followed, and the numbers of what makes it less: 0 speed;\n"
+    "from 1 on the upper and lower end of each axis of the workspace; 7 depth; 8 shear; from 9 on\n"
+    "boxes. room (13,): largest linear and angular speed, acceleration and lead of braking, corners\n"
+    "of the workspace, radius of the tip, largest depth and shear; boxes (n, 6): their corners;\n"
+    "T_base_feature may be None.");
 
 static PyObject* py_bounded(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   double twist[6], T[16], feature[16];
@@ -123,14 +127,14 @@ static PyObject* py_bounded(PyObject* module, PyObject* const* args, Py_ssize_t 
   } space;
   (void)module;
   int felt = count == 5 && args[4] != Py_None;
-  if (!has_count("bounded", count, 5) || !read_finite(twist, args[0], 6, 0, "twist")
-      || !read_array(space.numbers, args[1], ROOM_NUMBERS, 0, "room")
-      || !read_pose(T, args[3], "T_base_controlled")
-      || (felt && !read_pose(feature, args[4], "T_base_feature"))) {
+  if (!has_count("bounded", count, 5) || !read_finite(twist, args[0], 6, 0, "twist") ||
+      !read_array(space.numbers, args[1], ROOM_NUMBERS, 0, "room") ||
+      !read_pose(T, args[3], "T_base_controlled") ||
+      (felt && !read_pose(feature, args[4], "T_base_feature"))) {
     return NULL;
   }
   PyArrayObject* boxes = (PyArrayObject*)PyArray_FROM_OTF(args[2], NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
-  if (!boxes) return NULL;
+  if (!boxes) { return NULL; }
   PyObject* res = NULL;
   npy_intp number = PyArray_NDIM(boxes) == 2 ? PyArray_DIM(boxes, 0) : -1;
   if (number < 0 || PyArray_DIM(boxes, 1) != 6 || number > MOST_BOXES) {
@@ -161,41 +165,43 @@ static PyObject* py_apart(PyObject* module, PyObject* const* args, Py_ssize_t co
   double buffer[2][16], square = 0;
   const double* T[2];
   (void)module;
-  if (!has_count("apart", count, 2)) return NULL;
+  if (!has_count("apart", count, 2)) { return NULL; }
   for (int i = 0; i < 2; i++) {
     T[i] = borrow_array(buffer[i], args[i], 4, 4, i ? "B" : "A");
-    if (!T[i]) return NULL;
+    if (!T[i]) { return NULL; }
   }
-  for (int i = 3; i < 12; i += 4) square += (T[0][i] - T[1][i]) * (T[0][i] - T[1][i]);
+  for (int i = 3; i < 12; i += 4) { square += (T[0][i] - T[1][i]) * (T[0][i] - T[1][i]); }
   return PyFloat_FromDouble(sqrt(square));
 }
 
 
-PyDoc_STRVAR(differ_doc,
-             "differ(a, b, by, /)\n--\n\nWhether two twists (6,) differ by more than this in a component; never "
-             "where one is not a number.");
+PyDoc_STRVAR(
+    differ_doc,
+    "differ(a, b, by, /)\n--\n\nWhether two twists (6,) differ by more than this in a component; never "
+    "where one is not a number.");
 
 static PyObject* py_differ(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   double a[6], b[6], by;
   int differs = 0;
   (void)module;
-  if (!has_count("differ", count, 3) || !read_array(a, args[0], 6, 0, "a")
-      || !read_array(b, args[1], 6, 0, "b") || !read_numbers(&by, args + 2, 1)) {
+  if (!has_count("differ", count, 3) || !read_array(a, args[0], 6, 0, "a") ||
+      !read_array(b, args[1], 6, 0, "b") || !read_numbers(&by, args + 2, 1)) {
     return NULL;
   }
-  for (int i = 0; i < 6; i++) differs |= fabs(a[i] - b[i]) > by;
+  for (int i = 0; i < 6; i++) { differs |= fabs(a[i] - b[i]) > by; }
   return PyBool_FromLong(differs);
 }
 
 
-PyDoc_STRVAR(moves_doc, "moves(twist, /)\n--\n\nWhether any of a twist's six components is not zero.");
+PyDoc_STRVAR(moves_doc,
+             "moves(twist, /)\n--\n\nWhether any of a twist's six components is not zero.");
 
 static PyObject* py_moves(PyObject* module, PyObject* arg) {
   double buffer[6];
   int moves = 0;
   (void)module;
   const double* twist = borrow_array(buffer, arg, 6, 0, "twist");
-  for (int i = 0; twist && i < 6; i++) moves |= twist[i] != 0;
+  for (int i = 0; twist && i < 6; i++) { moves |= twist[i] != 0; }
   return twist ? PyBool_FromLong(moves) : NULL;
 }
 
@@ -210,13 +216,14 @@ static PyObject* py_speed(PyObject* module, PyObject* arg) {
 }
 
 
-PyDoc_STRVAR(finite_doc, "finite(twist, /)\n--\n\nWhether all of a twist's six components are finite.");
+PyDoc_STRVAR(finite_doc,
+             "finite(twist, /)\n--\n\nWhether all of a twist's six components are finite.");
 
 static PyObject* py_finite(PyObject* module, PyObject* arg) {
   double buffer[6], zero = 0;
   (void)module;
   const double* twist = borrow_array(buffer, arg, 6, 0, "twist");
-  for (int i = 0; twist && i < 6; i++) zero += 0 * twist[i];
+  for (int i = 0; twist && i < 6; i++) { zero += 0 * twist[i]; }
   return twist ? PyBool_FromLong(zero == 0) : NULL;
 }
 
@@ -240,9 +247,15 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT, "_native", "What shapes and arms do at each step, in C.", -1, methods,
-    NULL, NULL, NULL, NULL};
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT,
+                                        "_native",
+                                        "What shapes and arms do at each step, in C.",
+                                        -1,
+                                        methods,
+                                        NULL,
+                                        NULL,
+                                        NULL,
+                                        NULL};
 
 
 PyMODINIT_FUNC PyInit__native(void) {

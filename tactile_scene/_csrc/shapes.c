@@ -14,7 +14,7 @@ double box_query(double normal[3], const double point[3], const double* shape) {
     outer[i] = fmax(beyond[i], 0);
     sign[i] = point[i] < 0 ? -1 : 1;
     square += outer[i] * outer[i];
-    if (beyond[i] > beyond[face]) face = i;
+    if (beyond[i] > beyond[face]) { face = i; }
   }
   double from_core = sqrt(square);
   for (int i = 0; i < 3; i++) {
@@ -50,7 +50,7 @@ double prism_query(double normal[3], const double point[3], const double* shape)
 double cylinder_query(double normal[3], const double point[3], const double* shape) {
   int turn = (int)shape[3];
   double p[3], n[3] = {1, 0, 0};  // on the axis any direction is as good
-  for (int i = 0; i < 3; i++) p[i] = point[(i + turn) % 3];
+  for (int i = 0; i < 3; i++) { p[i] = point[(i + turn) % 3]; }
   double across = hypot(p[0], p[1]), side = across - shape[0], end = fabs(p[2]) - shape[1];
   if (across > 0) {
     n[0] = p[0] / across;
@@ -67,16 +67,17 @@ double cylinder_query(double normal[3], const double point[3], const double* sha
     n[0] = n[1] = 0;
     n[2] = up;
   }
-  for (int i = 0; i < 3; i++) normal[(i + turn) % 3] = n[i];
+  for (int i = 0; i < 3; i++) { normal[(i + turn) % 3] = n[i]; }
   return distance;
 }
 
 
-void meet(Meeting* res, double distance, const double normal[3], const double T[16], double radius) {
+void meet(Meeting* res, double distance, const double normal[3], const double T[16],
+          double radius) {
   double inward[3];  // {f}'s z axis in {s}
   for (int i = 0; i < 3; i++) {
-    inward[i] = -(T[i] * normal[0] + T[4+i] * normal[1] + T[8+i] * normal[2]);
-    res->point[i] = T[4*i+3] - distance * normal[i];
+    inward[i] = -(T[i] * normal[0] + T[4 + i] * normal[1] + T[8 + i] * normal[2]);
+    res->point[i] = T[4 * i + 3] - distance * normal[i];
   }
   res->depth = radius - distance;
   res->angle = atan2(hypot(inward[0], inward[1]), inward[2]);
@@ -84,7 +85,7 @@ void meet(Meeting* res, double distance, const double normal[3], const double T[
   // Ry(beta) Rx(alpha) whose third row is that axis
   double x = inward[0], y = inward[1], z = inward[2], cos_beta = hypot(y, z);
   double sa = cos_beta > 0 ? y / cos_beta : 0, ca = cos_beta > 0 ? z / cos_beta : 1;
-  double T_fs[16] = {cos_beta, -x * sa, -x * ca, 0, 0, ca, -sa, 0,
-                     x, cos_beta * sa, cos_beta * ca, res->depth, 0, 0, 0, 1};
+  double T_fs[16] = {cos_beta, -x * sa,       -x * ca,       0,          0, ca, -sa, 0,
+                     x,        cos_beta * sa, cos_beta * ca, res->depth, 0, 0,  0,   1};
   memcpy(res->T_fs, T_fs, sizeof(T_fs));
 }

@@ -1,4 +1,5 @@
-// Signed distance and outward normal of shapes, and where a tip meets one; tactile_scene/shapes says what they mean.
+// Signed distance and outward normal of shapes, and where a tip meets one; tactile_scene/shapes
+// says what they mean.
 
 #ifndef TACTILE_DRIVERS_SHAPES_H_
 #define TACTILE_DRIVERS_SHAPES_H_
@@ -14,7 +15,8 @@ double box_query(double normal[3], const double point[3], const double* shape);
 // number of sides, distance of the core's sides and ends from the middle, radius of the edges
 double prism_query(double normal[3], const double point[3], const double* shape);
 
-// radius, half the height, whether it has ends, and the steps of x -> y -> z -> x that take z to its axis
+// radius, half the height, whether it has ends, and the steps of x -> y -> z -> x that take z to
+// its axis
 double cylinder_query(double normal[3], const double point[3], const double* shape);
 
 typedef struct {

@@ -21,12 +21,12 @@
 // y += a x0 + b x1 + c x2
 CLONES static void add_rows(float* restrict y, const float* restrict x0, const float* restrict x1,
                             const float* restrict x2, float a, float b, float c, int n) {
-  for (int k = 0; k < n; k++) y[k] += a * x0[k] + b * x1[k] + c * x2[k];
+  for (int k = 0; k < n; k++) { y[k] += a * x0[k] + b * x1[k] + c * x2[k]; }
 }
 
 
 static void mul3(double res[3], const double mat[9], const double vec[3]) {
-  for (int i = 0; i < 3; i++) res[i] = dot3(mat + 3 * i, vec);
+  for (int i = 0; i < 3; i++) { res[i] = dot3(mat + 3 * i, vec); }
 }
 
 
@@ -42,7 +42,7 @@ static void inverse3(double res[9], const double m[9]) {
   res[7] = m[1] * m[6] - m[0] * m[7];
   res[8] = m[0] * m[4] - m[1] * m[3];
   double det = m[0] * res[0] + m[1] * res[3] + m[2] * res[6];
-  for (int i = 0; i < 9; i++) res[i] /= det;
+  for (int i = 0; i < 9; i++) { res[i] /= det; }
 }
 
 
@@ -53,11 +53,11 @@ static int local_force(double force[3], const double old[3], const double r[3],
   // stick: the force that takes the whole residual away
   double step[3];
   mul3(step, inverse, r);
-  for (int k = 0; k < 3; k++) force[k] = old[k] - step[k];
+  for (int k = 0; k < 3; k++) { force[k] = old[k] - step[k]; }
   double press = dot3(normal, force), tangent[3];
-  for (int k = 0; k < 3; k++) tangent[k] = force[k] - press * normal[k];
+  for (int k = 0; k < 3; k++) { tangent[k] = force[k] - press * normal[k]; }
   double shear = sqrt(dot3(tangent, tangent));
-  if (press > 0 && shear <= friction * press) return CONTACT_STICK;
+  if (press > 0 && shear <= friction * press) { return CONTACT_STICK; }
 
   // slip: on the cone, in the direction of the sticking force, with the gap closed
   double ray[3], response[3], pulled[3];
@@ -77,7 +77,7 @@ static int local_force(double force[3], const double old[3], const double r[3],
     mul3(response, block, normal);
     gain = dot3(normal, response);
   }
-  for (int k = 0; k < 3; k++) force[k] = ray[k] * closing / gain;
+  for (int k = 0; k < 3; k++) { force[k] = ray[k] * closing / gain; }
   return CONTACT_SLIP;
 }
 
@@ -88,7 +88,7 @@ static void gather(float* packed, const float* compliance, int dof, const int32_
     for (int a = 0; a < 3; a++) {
       const float* row = compliance + (size_t)(3 * active[i] + a) * dof;
       float* out = packed + (size_t)(3 * i + a) * 3 * m;
-      for (int j = 0; j < m; j++) memcpy(out + 3 * j, row + 3 * active[j], 3 * sizeof(float));
+      for (int j = 0; j < m; j++) { memcpy(out + 3 * j, row + 3 * active[j], 3 * sizeof(float)); }
     }
   }
 }
@@ -100,7 +100,9 @@ int contact_solve(double* force, uint8_t* state, float* residual, const double* 
   gather(packed, compliance, dof, active, m);
   for (int i = 0; i < m; i++) {
     double* block = blocks + 18 * i;
-    for (int a = 0; a < 9; a++) block[a] = packed[(size_t)(3 * i + a / 3) * 3 * m + 3 * i + a % 3];
+    for (int a = 0; a < 9; a++) {
+      block[a] = packed[(size_t)(3 * i + a / 3) * 3 * m + 3 * i + a % 3];
+    }
     inverse3(block + 9, block);
   }
 
@@ -111,10 +113,10 @@ int contact_solve(double* force, uint8_t* state, float* residual, const double* 
       double next[3], change[3], shift[3], r[3];
       double* old = force + 3 * i;
       const double* block = blocks + 18 * i;
-      for (int k = 0; k < 3; k++) r[k] = residual[3 * i + k];
+      for (int k = 0; k < 3; k++) { r[k] = residual[3 * i + k]; }
       state[i] = (uint8_t)local_force(next, old, r, normal + 3 * i, block, block + 9, friction);
-      for (int k = 0; k < 3; k++) change[k] = next[k] - old[k];
-      if (change[0] == 0 && change[1] == 0 && change[2] == 0) continue;
+      for (int k = 0; k < 3; k++) { change[k] = next[k] - old[k]; }
+      if (change[0] == 0 && change[1] == 0 && change[2] == 0) { continue; }
 
       // residuals follow, and the largest own displacement decides when to stop
       const float* row = packed + (size_t)3 * i * 3 * m;
@@ -125,7 +127,7 @@ int contact_solve(double* force, uint8_t* state, float* residual, const double* 
       moved = fmax(moved, dot3(shift, shift));
     }
     sweep++;
-    if (moved < tolerance * tolerance) break;
+    if (moved < tolerance * tolerance) { break; }
   }
   return sweep;
 }
@@ -137,7 +139,7 @@ void contact_displacement(float* displacement, const double* force, const float*
   for (int i = 0; i < m; i++) {
     const double* f = force + 3 * i;
     const float* row = compliance + (size_t)3 * active[i] * dof;
-    if (f[0] == 0 && f[1] == 0 && f[2] == 0) continue;
+    if (f[0] == 0 && f[1] == 0 && f[2] == 0) { continue; }
     add_rows(displacement, row, row + dof, row + 2 * dof, (float)f[0], (float)f[1], (float)f[2],
              dof);
   }

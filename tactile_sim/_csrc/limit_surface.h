@@ -4,8 +4,8 @@
 #ifndef TACTILE_DRIVERS_SIM_LIMIT_SURFACE_H_
 #define TACTILE_DRIVERS_SIM_LIMIT_SURFACE_H_
 
-// A convex polygon, counter-clockwise: of each edge its first corner (x, y), its inward normal (x, y) and the
-// normal's product with the corner.
+// A convex polygon, counter-clockwise: of each edge its first corner (x, y), its inward normal (x,
+// y) and the normal's product with the corner.
 typedef struct {
   int count;
   const double* edges;  // count x 5
@@ -18,9 +18,9 @@ double foot_inside(int* edge, const Foot* foot, const double point[2]);
 // Part of the load on the edge that a centre of pressure is ahead to.
 double foot_edge_share(const Foot* foot, const double center[2]);
 
-// Motion of a foot on springs until it carries the rest of its load, and that load; returns 0 where no position
-// of the foot carries it.
-int limit_surface_return(double motion[3], double left[3], const double load[3], const double stiffness[9],
-                         double force, double torque);
+// Motion of a foot on springs until it carries the rest of its load, and that load; returns 0 where
+// no position of the foot carries it.
+int limit_surface_return(double motion[3], double left[3], const double load[3],
+                         const double stiffness[9], double force, double torque);
 
 #endif  // TACTILE_DRIVERS_SIM_LIMIT_SURFACE_H_

@@ -17,7 +17,8 @@ static int check(PyArrayObject* array, const char* name, int type, int rows, int
   if (PyArray_TYPE(array) != type || !PyArray_ISCARRAY_RO(array) || PyArray_NDIM(array) != ndim) {
     PyErr_Format(PyExc_TypeError,
                  "%s: wrong type or number of dimensions, or not contiguous, aligned and in native "
-                 "byte order", name);
+                 "byte order",
+                 name);
     return 0;
   }
   npy_intp* shape = PyArray_DIMS(array);
@@ -71,7 +72,7 @@ static PyObject* py_solve(PyObject* self, PyObject* args) {
                         &compliance, &PyArray_Type, &active, &friction, &max_sweeps, &tolerance)) {
     return NULL;
   }
-  if (!check(active, "active", NPY_INT32, -1, 0)) return NULL;
+  if (!check(active, "active", NPY_INT32, -1, 0)) { return NULL; }
   int m = (int)PyArray_DIM(active, 0);
   if (!check_result(force, "force", NPY_DOUBLE, m, 3) ||
       !check_result(state, "state", NPY_UINT8, m, 0) ||
@@ -82,7 +83,7 @@ static PyObject* py_solve(PyObject* self, PyObject* args) {
   }
   int dof = (int)PyArray_DIM(compliance, 0);
   if (PyArray_DIM(compliance, 1) != dof || !check_active(active, dof / 3)) {
-    if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "compliance: must be square");
+    if (!PyErr_Occurred()) { PyErr_SetString(PyExc_ValueError, "compliance: must be square"); }
     return NULL;
   }
 
@@ -118,8 +119,9 @@ static PyObject* py_displacement(PyObject* self, PyObject* args) {
     return NULL;
   }
   if (!check(active, "active", NPY_INT32, -1, 0) ||
-      !check(compliance, "compliance", NPY_FLOAT, -1, -1))
+      !check(compliance, "compliance", NPY_FLOAT, -1, -1)) {
     return NULL;
+  }
   int m = (int)PyArray_DIM(active, 0), dof = (int)PyArray_DIM(compliance, 0);
   if (PyArray_DIM(compliance, 1) != dof || dof % 3) {
     PyErr_SetString(PyExc_ValueError, "compliance: must be square, three rows a node");
@@ -154,7 +156,7 @@ static PyObject* py_render(PyObject* self, PyObject* args) {
                         &PyArray_Type, &blobs, &softness, &noise, &seed, &PyArray_Type, &canvas)) {
     return NULL;
   }
-  if (!check_result(image, "image", NPY_UINT8, -1, -1)) return NULL;
+  if (!check_result(image, "image", NPY_UINT8, -1, -1)) { return NULL; }
   int height = (int)PyArray_DIM(image, 0), width = (int)PyArray_DIM(image, 1);
   if (!check(background, "background", NPY_FLOAT, height, width) ||
       !check_result(canvas, "canvas", NPY_FLOAT, height, width) ||
@@ -164,7 +166,9 @@ static PyObject* py_render(PyObject* self, PyObject* args) {
   const float* table = NULL;
   if (noise != Py_None) {
     if (!PyArray_Check(noise) || !check((PyArrayObject*)noise, "noise", NPY_FLOAT, 4096, 0)) {
-      if (!PyErr_Occurred()) PyErr_SetString(PyExc_TypeError, "noise: must be an array or None");
+      if (!PyErr_Occurred()) {
+        PyErr_SetString(PyExc_TypeError, "noise: must be an array or None");
+      }
       return NULL;
     }
     table = PyArray_DATA((PyArrayObject*)noise);
@@ -177,11 +181,12 @@ static PyObject* py_render(PyObject* self, PyObject* args) {
 }
 
 
-PyDoc_STRVAR(draw_input_doc,
-             "draw_input(input, discs, ground, mask, view)\n\n"
-             "Draw discs (n,4) float64 (column, row, radius, gray) over the gray levels ground (s,s) "
-             "float32 into a\nnetwork's input (s,s) uint8, of which mask (s,s) float32 is left; view: "
-             "left, top, width and height of a\ncell, softness, bend, block, level, noise.");
+PyDoc_STRVAR(
+    draw_input_doc,
+    "draw_input(input, discs, ground, mask, view)\n\n"
+    "Draw discs (n,4) float64 (column, row, radius, gray) over the gray levels ground (s,s) "
+    "float32 into a\nnetwork's input (s,s) uint8, of which mask (s,s) float32 is left; view: "
+    "left, top, width and height of a\ncell, softness, bend, block, level, noise.");
 
 static PyObject* py_draw_input(PyObject* self, PyObject* args) {
   PyArrayObject *input, *discs, *ground, *mask;
@@ -193,7 +198,7 @@ static PyObject* py_draw_input(PyObject* self, PyObject* args) {
                         &view.level, &view.noise)) {
     return NULL;
   }
-  if (!check_result(input, "input", NPY_UINT8, -1, -1)) return NULL;
+  if (!check_result(input, "input", NPY_UINT8, -1, -1)) { return NULL; }
   view.size = (int)PyArray_DIM(input, 0);
   if (!check(input, "input", NPY_UINT8, view.size, view.size) ||
       !check(discs, "discs", NPY_DOUBLE, -1, 4) ||
@@ -201,12 +206,14 @@ static PyObject* py_draw_input(PyObject* self, PyObject* args) {
       !check(mask, "mask", NPY_FLOAT, view.size, view.size)) {
     return NULL;
   }
-  if (!(view.width > 0 && view.height > 0 && view.softness > 0 && view.block > 0 && view.noise > 0)) {
-    PyErr_SetString(PyExc_ValueError, "view: width, height, softness, block and noise must be above 0");
+  if (!(view.width > 0 && view.height > 0 && view.softness > 0 && view.block > 0 &&
+        view.noise > 0)) {
+    PyErr_SetString(PyExc_ValueError,
+                    "view: width, height, softness, block and noise must be above 0");
     return NULL;
   }
   float* scratch = PyMem_RawMalloc(draw_input_scratch(&view) * sizeof(float));
-  if (!scratch) return PyErr_NoMemory();
+  if (!scratch) { return PyErr_NoMemory(); }
   Py_BEGIN_ALLOW_THREADS;
   draw_input(PyArray_DATA(input), &view, PyArray_DATA(discs), (int)PyArray_DIM(discs, 0),
              PyArray_DATA(ground), PyArray_DATA(mask), scratch);
@@ -239,6 +246,6 @@ static struct PyModuleDef module = {
 PyMODINIT_FUNC PyInit__contact(void) {
   import_array();
   PyObject* made = PyModule_Create(&module);
-  if (made && (add_pushed(made) < 0 || add_point_contact(made) < 0)) Py_CLEAR(made);
+  if (made && (add_pushed(made) < 0 || add_point_contact(made) < 0)) { Py_CLEAR(made); }
   return made;
 }

@@ -1,4 +1,5 @@
-// Python and NumPy for several files of one module, of which the one that defines IMPORTS_NUMPY imports it.
+// Python and NumPy for several files of one module, of which the one that defines IMPORTS_NUMPY
+// imports it.
 
 #ifndef TACTILE_DRIVERS_SIM_NUMPY_API_H_
 #define TACTILE_DRIVERS_SIM_NUMPY_API_H_

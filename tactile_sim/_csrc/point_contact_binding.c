@@ -16,7 +16,8 @@ typedef struct {
 } Borrowed;
 
 
-static const double* borrow(Borrowed* from, PyObject* arg, int rows, int columns, const char* name) {
+static const double* borrow(Borrowed* from, PyObject* arg, int rows, int columns,
+                            const char* name) {
   return borrow_array(from->space[from->used++], arg, rows, columns, name);
 }
 
@@ -31,28 +32,32 @@ static int read_contact(PointContact* contact, Borrowed* from, PyObject* const* 
 }
 
 
-PyDoc_STRVAR(drag_doc,
-             "point_contact_drag(anchor, turn, *before, *now, limits, /)\n--\n\n"
-             "Anchor (3,), turn (rad) and whether it slips. before and now: pose of the sensor, point, normal and "
-             "depth;\nlimits (3, n): depths, and the largest shear and turn there.");
+PyDoc_STRVAR(
+    drag_doc,
+    "point_contact_drag(anchor, turn, *before, *now, limits, /)\n--\n\n"
+    "Anchor (3,), turn (rad) and whether it slips. before and now: pose of the sensor, point, normal and "
+    "depth;\nlimits (3, n): depths, and the largest shear and turn there.");
 
 static PyObject* py_point_contact_drag(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   Borrowed from = {.used = 0};
   PointContact before, now;
   double anchor[3];
   (void)module;
-  if (count != 11) return PyErr_Format(PyExc_TypeError, "point_contact_drag takes 11 arguments");
-  if (!read_array(anchor, args[0], 3, 0, "anchor") || !read_contact(&before, &from, args + 2)
-      || !read_contact(&now, &from, args + 6)) {
+  if (count != 11) {
+    return PyErr_Format(PyExc_TypeError, "point_contact_drag takes 11 arguments");
+  }
+  if (!read_array(anchor, args[0], 3, 0, "anchor") || !read_contact(&before, &from, args + 2) ||
+      !read_contact(&now, &from, args + 6)) {
     return NULL;
   }
   double turn = PyFloat_AsDouble(args[1]);
-  if (PyErr_Occurred()) return NULL;
-  PyArrayObject* tables = (PyArrayObject*)PyArray_FROM_OTF(args[10], NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
-  if (!tables) return NULL;
+  if (PyErr_Occurred()) { return NULL; }
+  PyArrayObject* tables =
+      (PyArrayObject*)PyArray_FROM_OTF(args[10], NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
+  if (!tables) { return NULL; }
   PyObject* res = NULL;
-  if (PyArray_NDIM(tables) == 2 && PyArray_DIM(tables, 0) == 3 && PyArray_DIM(tables, 1) > 0
-      && PyArray_DIM(tables, 1) <= MOST_DEPTHS) {
+  if (PyArray_NDIM(tables) == 2 && PyArray_DIM(tables, 0) == 3 && PyArray_DIM(tables, 1) > 0 &&
+      PyArray_DIM(tables, 1) <= MOST_DEPTHS) {
     int n = (int)PyArray_DIM(tables, 1);
     const double* depth = PyArray_DATA(tables);
     ShearLimits limits = {n, depth, depth + n, depth + 2 * n};
@@ -66,41 +71,43 @@ static PyObject* py_point_contact_drag(PyObject* module, PyObject* const* args, 
 }
 
 
-PyDoc_STRVAR(pose_doc,
-             "point_contact_pose(T_fs, turn, *now, anchor, /)\n--\n\n"
-             "X_fs (4, 4) of a contact by its geometry's, its turn, and its anchor; None: nothing is sheared.");
+PyDoc_STRVAR(
+    pose_doc,
+    "point_contact_pose(T_fs, turn, *now, anchor, /)\n--\n\n"
+    "X_fs (4, 4) of a contact by its geometry's, its turn, and its anchor; None: nothing is sheared.");
 
 static PyObject* py_point_contact_pose(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   Borrowed from = {.used = 0};
   PointContact now;
   double res[16];
   (void)module;
-  if (count != 7) return PyErr_Format(PyExc_TypeError, "point_contact_pose takes 7 arguments");
+  if (count != 7) { return PyErr_Format(PyExc_TypeError, "point_contact_pose takes 7 arguments"); }
   const double* T_fs = borrow(&from, args[0], 4, 4, "T_fs");
   double turn = PyFloat_AsDouble(args[1]);
-  if (!T_fs || PyErr_Occurred() || !read_contact(&now, &from, args + 2)) return NULL;
+  if (!T_fs || PyErr_Occurred() || !read_contact(&now, &from, args + 2)) { return NULL; }
   const double* anchor = args[6] == Py_None ? NULL : borrow(&from, args[6], 3, 0, "anchor");
-  if (!anchor && args[6] != Py_None) return NULL;
+  if (!anchor && args[6] != Py_None) { return NULL; }
   point_contact_pose(res, T_fs, turn, &now, anchor);
   return new_array(res, 4, 4);
 }
 
 
-PyDoc_STRVAR(skin_force_doc,
-             "skin_force(T_body_sensor, T_fs, press, stiffness, friction, /)\n--\n\n"
-             "Force (3,) N of a tip on a body, in its frame: what presses (N), and its shear times a stiffness "
-             "(N/m) up to\nfriction.");
+PyDoc_STRVAR(
+    skin_force_doc,
+    "skin_force(T_body_sensor, T_fs, press, stiffness, friction, /)\n--\n\n"
+    "Force (3,) N of a tip on a body, in its frame: what presses (N), and its shear times a stiffness "
+    "(N/m) up to\nfriction.");
 
 static PyObject* py_skin_force(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   Borrowed from = {.used = 0};
   double numbers[3], res[3];
   (void)module;
-  if (count != 5) return PyErr_Format(PyExc_TypeError, "skin_force takes 5 arguments");
+  if (count != 5) { return PyErr_Format(PyExc_TypeError, "skin_force takes 5 arguments"); }
   const double* T = borrow(&from, args[0], 4, 4, "T_body_sensor");
   const double* T_fs = T ? borrow(&from, args[1], 4, 4, "T_fs") : NULL;
-  if (!T_fs) return NULL;
-  for (int i = 0; i < 3; i++) numbers[i] = PyFloat_AsDouble(args[2 + i]);
-  if (PyErr_Occurred()) return NULL;
+  if (!T_fs) { return NULL; }
+  for (int i = 0; i < 3; i++) { numbers[i] = PyFloat_AsDouble(args[2 + i]); }
+  if (PyErr_Occurred()) { return NULL; }
   skin_force(res, T, T_fs, numbers[0], numbers[1], numbers[2]);
   return new_array(res, 3, 0);
 }

@@ -4,15 +4,16 @@
 #include <math.h>
 #include <string.h>
 
-#define LEAST_LOAD 0.05  // part of the weight on the floor: below, it would be carried, which is not modelled
-#define ROUNDS 5         // of return mapping in a step, while a tip slips
-#define STILL 1e-7       // m: motion that ends them
+#define LEAST_LOAD \
+  0.05  // part of the weight on the floor: below, it would be carried, which is not modelled
+#define ROUNDS 5    // of return mapping in a step, while a tip slips
+#define STILL 1e-7  // m: motion that ends them
 
 
 // a point (one = 1) or direction (0) in the frame that T leads to
 static void moved_by(double res[3], const double T[16], const double v[3], double one) {
   for (int i = 0; i < 3; i++) {
-    res[i] = T[4*i] * v[0] + T[4*i+1] * v[1] + T[4*i+2] * v[2] + T[4*i+3] * one;
+    res[i] = T[4 * i] * v[0] + T[4 * i + 1] * v[1] + T[4 * i + 2] * v[2] + T[4 * i + 3] * one;
   }
 }
 
@@ -39,14 +40,16 @@ void pushed_tip(Tip* tip, const double T_tool_sensor[16], const double T[16], co
   memcpy(tip->point, point, sizeof(tip->point));
   memcpy(tip->normal, normal, sizeof(tip->normal));
   memcpy(tip->force, force, sizeof(tip->force));
-  for (int i = 0; i < 3; i++) tip->matter[i] = T[i] * way[0] + T[4+i] * way[1] + T[8+i] * way[2];
+  for (int i = 0; i < 3; i++) {
+    tip->matter[i] = T[i] * way[0] + T[4 + i] * way[1] + T[8 + i] * way[2];
+  }
   tip->along = along;
   tip->across = across;
 }
 
 
-// What stretches the skin is the way of the tip's matter at the contact over that of the body: a tip that rolls
-// stretches nothing.
+// What stretches the skin is the way of the tip's matter at the contact over that of the body: a
+// tip that rolls stretches nothing.
 static void push(Touch* touch, const Tip* tip, const double T_body[16], const double T_sensor[16],
                  double friction) {
   double f[3], way[3];
@@ -55,23 +58,23 @@ static void push(Touch* touch, const Tip* tip, const double T_body[16], const do
   moved_by(touch->normal, T_body, tip->normal, 0);
   moved_by(f, T_body, tip->force, 0);
   moved_by(way, T_sensor, tip->matter, 1);
-  for (int i = 0; i < 3; i++) way[i] -= touch->point[i];
+  for (int i = 0; i < 3; i++) { way[i] -= touch->point[i]; }
   double more = (tip->along - tip->across) * dot3(way, n);
-  for (int i = 0; i < 3; i++) f[i] += tip->across * way[i] + more * n[i];
+  for (int i = 0; i < 3; i++) { f[i] += tip->across * way[i] + more * n[i]; }
   double press = -dot3(f, n), shear[3];
-  for (int i = 0; i < 3; i++) shear[i] = f[i] + press * n[i];
+  for (int i = 0; i < 3; i++) { shear[i] = f[i] + press * n[i]; }
   press = fmax(0, press);
   double limit = friction * press, size = sqrt(dot3(shear, shear));
   double left = size > limit ? limit / size : 1;
-  for (int i = 0; i < 3; i++) touch->force[i] = left * shear[i] - press * n[i];
+  for (int i = 0; i < 3; i++) { touch->force[i] = left * shear[i] - press * n[i]; }
   touch->along = tip->along;
   touch->across = tip->across;
   touch->slips = size > limit;
 }
 
 
-static int push_all(Touch* touch, const Pushed* body, const Tip* tip, const double* const* T_world_tool,
-                    int count) {
+static int push_all(Touch* touch, const Pushed* body, const Tip* tip,
+                    const double* const* T_world_tool, int count) {
   int slips = 0;
   double T_sensor[16];
   for (int i = 0; i < count; i++) {
@@ -83,8 +86,8 @@ static int push_all(Touch* touch, const Pushed* body, const Tip* tip, const doub
 }
 
 
-// How fast f_x, f_y and the torque about a centre fall as the object moves and turns there; with `sticks` that of
-// tips that slip, too, as if they stuck.
+// How fast f_x, f_y and the torque about a centre fall as the object moves and turns there; with
+// `sticks` that of tips that slip, too, as if they stuck.
 static void planar_stiffness(double res[9], const Touch* touch, int count, const double center[2],
                              int sticks) {
   double a = 0, b = 0, c = 0, d = 0, e = 0, g = 0;
@@ -111,7 +114,9 @@ static double go(Pushed* body, const double motion[3], const double center[2]) {
   double around[2], before[16], c = cos(motion[2]), s = sin(motion[2]);
   turned(around, motion[2], center);
   double T[16] = {c, -s, 0, center[0] + motion[0] - around[0],
-                  s, c, 0, center[1] + motion[1] - around[1], 0, 0, 1, 0, 0, 0, 0, 1};
+                  s, c,  0, center[1] + motion[1] - around[1],
+                  0, 0,  1, 0,
+                  0, 0,  0, 1};
   body->turn += motion[2];
   memcpy(before, body->upright, sizeof(before));
   product(body->upright, T, before);
@@ -126,7 +131,8 @@ static double slide(Pushed* body, const Touch* touch, int count) {
   double pressed[2], off[2], load[3] = {0}, stiffness[9], motion[3], left[3];
   turned(pressed, body->turn, body->pressure);
   turned(off, body->turn, body->center_of_friction);
-  double center[2] = {body->upright[3] + pressed[0] + off[0], body->upright[7] + pressed[1] + off[1]};
+  double center[2] = {body->upright[3] + pressed[0] + off[0],
+                      body->upright[7] + pressed[1] + off[1]};
   for (int i = 0; i < count; i++) {
     const double *f = touch[i].force, *p = touch[i].point;
     load[0] += f[0];
@@ -135,12 +141,12 @@ static double slide(Pushed* body, const Touch* touch, int count) {
   }
   double force = body->friction * body->load * body->weight;
   double torque = force * (body->tilted > 0 ? body->tilted : body->arm);
-  if (hypot(hypot(load[0] / force, load[1] / force), load[2] / torque) <= 1) return 0;
+  if (hypot(hypot(load[0] / force, load[1] / force), load[2] / torque) <= 1) { return 0; }
   planar_stiffness(stiffness, touch, count, center, 0);
   if (!limit_surface_return(motion, left, load, stiffness, force, torque)) {
     // where tips that slip carry it along, it goes until they stick
     planar_stiffness(stiffness, touch, count, center, 1);
-    if (!limit_surface_return(motion, left, load, stiffness, force, torque)) return -1;
+    if (!limit_surface_return(motion, left, load, stiffness, force, torque)) { return -1; }
   }
   return go(body, motion, center);
 }
@@ -164,15 +170,16 @@ static void settle(Pushed* body, const Touch* touch, int count) {
 }
 
 
-int pushed_step(Pushed* body, Touch* touch, const Tip* tip, const double* const* T_world_tool, int count) {
+int pushed_step(Pushed* body, Touch* touch, const Tip* tip, const double* const* T_world_tool,
+                int count) {
   int edge;
   body->moved = 0;
   for (int round = 0; round < ROUNDS; round++) {
     int slips = push_all(touch, body, tip, T_world_tool, count);
     double moved = slide(body, touch, count);
-    if (moved < 0) return 0;
+    if (moved < 0) { return 0; }
     body->moved += moved;
-    if (moved < STILL || !slips) break;
+    if (moved < STILL || !slips) { break; }
   }
   push_all(touch, body, tip, T_world_tool, count);
   settle(body, touch, count);
@@ -190,9 +197,9 @@ void pushed_lean(Pushed* body, const double edge[4]) {
   }
   if (body->inside < 0 || body->tilted > 0) {
     double along[2] = {edge[2] - edge[0], edge[3] - edge[1]}, *p = body->pressure;
-    double share = ((p[0] - edge[0]) * along[0] + (p[1] - edge[1]) * along[1])
-                   / (along[0] * along[0] + along[1] * along[1]);
+    double share = ((p[0] - edge[0]) * along[0] + (p[1] - edge[1]) * along[1]) /
+                   (along[0] * along[0] + along[1] * along[1]);
     share = fmin(fmax(share, 0), 1);
-    for (int i = 0; i < 2; i++) p[i] = edge[i] + share * along[i];
+    for (int i = 0; i < 2; i++) { p[i] = edge[i] + share * along[i]; }
   }
 }

@@ -28,7 +28,7 @@ typedef struct {
   double edge_friction, edge_way, friction_tip;
   // where it is, and was before it tilted; how far it has turned since the start
   double T[16], upright[16], turn;
-  double tilted;       // arm of friction over the edge that it is tilted about, m; 0 while it stands
+  double tilted;  // arm of friction over the edge that it is tilted about, m; 0 while it stands
   double pressure[2];  // its centre, from the body's origin along the world's axes at the start
   double inside;       // how far that is inside the foot, m; before it is moved onto an edge
   double load;         // on the floor, over the weight
@@ -41,11 +41,13 @@ void pushed_tip(Tip* tip, const double T_tool_sensor[16], const double T_body_se
                 const double point[3], const double normal[3], const double force[3], double along,
                 double across);
 
-// Move until friction carries the pushes of `count` tips, and find where the floor presses then; `touch` are
-// the pushes there, T_world_tool one pose a tip. Returns 0 where no motion does.
-int pushed_step(Pushed* body, Touch* touch, const Tip* tip, const double* const* T_world_tool, int count);
+// Move until friction carries the pushes of `count` tips, and find where the floor presses then;
+// `touch` are the pushes there, T_world_tool one pose a tip. Returns 0 where no motion does.
+int pushed_step(Pushed* body, Touch* touch, const Tip* tip, const double* const* T_world_tool,
+                int count);
 
-// Take it that the object has tilted, or has not: what the edge carries, and where on it the floor presses.
+// Take it that the object has tilted, or has not: what the edge carries, and where on it the floor
+// presses.
 void pushed_lean(Pushed* body, const double edge[4]);
 
 #endif  // TACTILE_DRIVERS_SIM_PUSHED_H_

@@ -13,8 +13,7 @@
 
 
 typedef struct {
-  PyObject_HEAD
-  PyObject* edges;  // holds the foot's numbers
+  PyObject_HEAD PyObject* edges;  // holds the foot's numbers
   Pushed body;
 } PushedObject;
 
@@ -22,15 +21,15 @@ typedef struct {
 // the numbers of a foot; returns the array that holds its edges, or NULL with an error set
 static PyObject* read_foot(Foot* foot, PyObject* parts) {
   PyObject *edges, *center, *spread;
-  if (!PyTuple_Check(parts)) return PyErr_Format(PyExc_TypeError, "foot: must be a tuple");
-  if (!PyArg_ParseTuple(parts, "OOO", &edges, &center, &spread)) return NULL;
+  if (!PyTuple_Check(parts)) { return PyErr_Format(PyExc_TypeError, "foot: must be a tuple"); }
+  if (!PyArg_ParseTuple(parts, "OOO", &edges, &center, &spread)) { return NULL; }
   PyArrayObject* array = (PyArrayObject*)PyArray_FROM_OTF(edges, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
-  if (!array) return NULL;
-  if (PyArray_NDIM(array) != 2 || PyArray_DIM(array, 1) != 5 || PyArray_DIM(array, 0) < 3
-      || PyArray_DIM(array, 0) > MOST_EDGES) {
+  if (!array) { return NULL; }
+  if (PyArray_NDIM(array) != 2 || PyArray_DIM(array, 1) != 5 || PyArray_DIM(array, 0) < 3 ||
+      PyArray_DIM(array, 0) > MOST_EDGES) {
     PyErr_Format(PyExc_ValueError, "edges: must have shape (n, 5), with 3 to %d rows", MOST_EDGES);
-  } else if (read_finite(foot->center, center, 2, 0, "center")
-             && read_finite(foot->spread, spread, 2, 2, "spread")) {
+  } else if (read_finite(foot->center, center, 2, 0, "center") &&
+             read_finite(foot->spread, spread, 2, 2, "spread")) {
     foot->count = (int)PyArray_DIM(array, 0);
     foot->edges = PyArray_DATA(array);
     return (PyObject*)array;
@@ -41,22 +40,33 @@ static PyObject* read_foot(Foot* foot, PyObject* parts) {
 
 
 static int init(PyObject* self, PyObject* args, PyObject* keywords) {
-  static char* names[] = {"foot", "arm", "T_world_body", "center_of_gravity", "weight", "friction",
-                          "center_of_friction", "edge_friction", "edge_way", "friction_tip", NULL};
+  static char* names[] = {"foot",
+                          "arm",
+                          "T_world_body",
+                          "center_of_gravity",
+                          "weight",
+                          "friction",
+                          "center_of_friction",
+                          "edge_friction",
+                          "edge_way",
+                          "friction_tip",
+                          NULL};
   PyObject *foot, *pose, *gravity, *off;
   Pushed b = {0};
-  if (!PyArg_ParseTupleAndKeywords(args, keywords, "OdOOddOddd", names, &foot, &b.arm, &pose, &gravity,
-                                   &b.weight, &b.friction_foot, &off, &b.edge_friction, &b.edge_way,
-                                   &b.friction_tip)
-      || !read_pose(b.T, pose, "T_world_body")
-      || !read_finite(b.center_of_gravity, gravity, 3, 0, "center_of_gravity")
-      || !read_finite(b.center_of_friction, off, 2, 0, "center_of_friction")) {
+  if (!PyArg_ParseTupleAndKeywords(args, keywords, "OdOOddOddd", names, &foot, &b.arm, &pose,
+                                   &gravity, &b.weight, &b.friction_foot, &off, &b.edge_friction,
+                                   &b.edge_way, &b.friction_tip) ||
+      !read_pose(b.T, pose, "T_world_body") ||
+      !read_finite(b.center_of_gravity, gravity, 3, 0, "center_of_gravity") ||
+      !read_finite(b.center_of_friction, off, 2, 0, "center_of_friction")) {
     return -1;
   }
   PyObject* held = read_foot(&b.foot, foot);
-  if (!held) return -1;
+  if (!held) { return -1; }
   const double* g = b.center_of_gravity;
-  for (int i = 0; i < 2; i++) b.pressure[i] = b.T[4*i] * g[0] + b.T[4*i+1] * g[1] + b.T[4*i+2] * g[2];
+  for (int i = 0; i < 2; i++) {
+    b.pressure[i] = b.T[4 * i] * g[0] + b.T[4 * i + 1] * g[1] + b.T[4 * i + 2] * g[2];
+  }
   memcpy(b.upright, b.T, sizeof(b.T));
   b.load = 1;
   b.friction = b.friction_foot;
@@ -73,23 +83,25 @@ static void release(PyObject* self) {
 }
 
 
-PyDoc_STRVAR(tip_doc,
-             "tip(T_tool_sensor, T_body_sensor, point, normal, force, along, across)\n--\n\n"
-             "What `step` needs to know of a contact: where it is in the body, the tip's force on it and the "
-             "skin's stiffness.");
+PyDoc_STRVAR(
+    tip_doc,
+    "tip(T_tool_sensor, T_body_sensor, point, normal, force, along, across)\n--\n\n"
+    "What `step` needs to know of a contact: where it is in the body, the tip's force on it and the "
+    "skin's stiffness.");
 
 static PyObject* tip(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   double T_tool[16], T_body[16], point[3], normal[3], force[3], stiffness[2];
   Tip known;
   (void)self;
-  if (count != 7) return PyErr_Format(PyExc_TypeError, "tip takes 7 arguments, got %zd", count);
-  if (!read_pose(T_tool, args[0], "T_tool_sensor") || !read_pose(T_body, args[1], "T_body_sensor")
-      || !read_finite(point, args[2], 3, 0, "point") || !read_finite(normal, args[3], 3, 0, "normal")
-      || !read_finite(force, args[4], 3, 0, "force")) {
+  if (count != 7) { return PyErr_Format(PyExc_TypeError, "tip takes 7 arguments, got %zd", count); }
+  if (!read_pose(T_tool, args[0], "T_tool_sensor") ||
+      !read_pose(T_body, args[1], "T_body_sensor") || !read_finite(point, args[2], 3, 0, "point") ||
+      !read_finite(normal, args[3], 3, 0, "normal") ||
+      !read_finite(force, args[4], 3, 0, "force")) {
     return NULL;
   }
-  for (int i = 0; i < 2; i++) stiffness[i] = PyFloat_AsDouble(args[5 + i]);
-  if (PyErr_Occurred()) return NULL;
+  for (int i = 0; i < 2; i++) { stiffness[i] = PyFloat_AsDouble(args[5 + i]); }
+  if (PyErr_Occurred()) { return NULL; }
   pushed_tip(&known, T_tool, T_body, point, normal, force, stiffness[0], stiffness[1]);
   return PyBytes_FromStringAndSize((const char*)&known, sizeof(known));
 }
@@ -103,9 +115,9 @@ static PyObject* unheld(void) {
 static PyObject* touches_of(const Touch* touch, int count) {
   PyObject* res = PyList_New(count);
   for (int i = 0; res && i < count; i++, touch++) {
-    PyObject* row = Py_BuildValue("NNNddN", new_array(touch->force, 3, 0), new_array(touch->point, 3, 0),
-                                  new_array(touch->normal, 3, 0), touch->along, touch->across,
-                                  PyBool_FromLong(touch->slips));
+    PyObject* row = Py_BuildValue("NNNddN", new_array(touch->force, 3, 0),
+                                  new_array(touch->point, 3, 0), new_array(touch->normal, 3, 0),
+                                  touch->along, touch->across, PyBool_FromLong(touch->slips));
     if (row) {
       PyList_SET_ITEM(res, i, row);
     } else {
@@ -116,10 +128,11 @@ static PyObject* touches_of(const Touch* touch, int count) {
 }
 
 
-PyDoc_STRVAR(step_doc,
-             "step(T_world_tool, tip, ...)\n--\n\n"
-             "Move as the tips, each after the pose of its tool, push it. None, or for an object that tilts, or "
-             "begins to,\nits touches (force, point, normal, along, across, slips) for `lean`, which is due then.");
+PyDoc_STRVAR(
+    step_doc,
+    "step(T_world_tool, tip, ...)\n--\n\n"
+    "Move as the tips, each after the pose of its tool, push it. None, or for an object that tilts, or "
+    "begins to,\nits touches (force, point, normal, along, across, slips) for `lean`, which is due then.");
 
 static PyObject* step(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   PushedObject* object = (PushedObject*)self;
@@ -130,38 +143,46 @@ static PyObject* step(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   Tip tip[MOST_TIPS];
   Touch touch[MOST_TIPS];
   if (!object->edges || count % 2 || tips > MOST_TIPS) {
-    return PyErr_Format(PyExc_TypeError, "step takes a pose and a tip for each of at most %d tips", MOST_TIPS);
+    return PyErr_Format(PyExc_TypeError, "step takes a pose and a tip for each of at most %d tips",
+                        MOST_TIPS);
   }
   for (int i = 0; i < tips; i++) {
-    PyObject* known = args[2*i+1];
-    tools[i] = borrow_array(poses[i], args[2*i], 4, 4, "T_world_tool");
-    if (!tools[i]) return NULL;
+    PyObject* known = args[2 * i + 1];
+    tools[i] = borrow_array(poses[i], args[2 * i], 4, 4, "T_world_tool");
+    if (!tools[i]) { return NULL; }
     if (!PyBytes_Check(known) || PyBytes_GET_SIZE(known) != sizeof(Tip)) {
       return PyErr_Format(PyExc_TypeError, "step: a tip is what the method of this name answers");
     }
     memcpy(tip + i, PyBytes_AS_STRING(known), sizeof(Tip));
   }
-  if (!pushed_step(body, touch, tip, tools, tips)) return unheld();
-  if (body->edge_friction > 0 && (body->inside < 0 || body->tilted > 0)) return touches_of(touch, tips);
+  if (!pushed_step(body, touch, tip, tools, tips)) { return unheld(); }
+  if (body->edge_friction > 0 && (body->inside < 0 || body->tilted > 0)) {
+    return touches_of(touch, tips);
+  }
   const Foot* foot = &body->foot;
   foot_inside(&edge, foot, body->pressure);
-  const double *first = foot->edges + 5 * edge, *second = foot->edges + 5 * ((edge + 1) % foot->count);
+  const double *first = foot->edges + 5 * edge,
+               *second = foot->edges + 5 * ((edge + 1) % foot->count);
   pushed_lean(body, (double[4]){first[0], first[1], second[0], second[1]});
   Py_RETURN_NONE;
 }
 
 
-PyDoc_STRVAR(lean_doc,
-             "lean(T_world_body, tilted, edge)\n--\n\n"
-             "Take the pose of an object that tilts about an edge (2, 2), the arm (m) of friction over that edge, "
-             "0 for one\nthat stands again.");
+PyDoc_STRVAR(
+    lean_doc,
+    "lean(T_world_body, tilted, edge)\n--\n\n"
+    "Take the pose of an object that tilts about an edge (2, 2), the arm (m) of friction over that edge, "
+    "0 for one\nthat stands again.");
 
 static PyObject* lean(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   Pushed* body = &((PushedObject*)self)->body;
   double T[16], edge[4];
-  if (count != 3) return PyErr_Format(PyExc_TypeError, "lean takes 3 arguments, got %zd", count);
+  if (count != 3) {
+    return PyErr_Format(PyExc_TypeError, "lean takes 3 arguments, got %zd", count);
+  }
   double tilted = PyFloat_AsDouble(args[1]);
-  if (PyErr_Occurred() || !read_pose(T, args[0], "T_world_body") || !read_finite(edge, args[2], 2, 2, "edge")) {
+  if (PyErr_Occurred() || !read_pose(T, args[0], "T_world_body") ||
+      !read_finite(edge, args[2], 2, 2, "edge")) {
     return NULL;
   }
   memcpy(body->T, T, sizeof(T));
@@ -198,7 +219,8 @@ static PyMemberDef members[] = {
 static PyGetSetDef properties[] = {
     {"T_world_body", get_pose, NULL, "where it is (4, 4)", NULL},
     {"T_world_upright", get_pose, NULL, "where it would be if it did not tilt (4, 4)", properties},
-    {"pressure", get_pressure, NULL, "its centre, m, from the origin along the world's axes at the start", NULL},
+    {"pressure", get_pressure, NULL,
+     "its centre, m, from the origin along the world's axes at the start", NULL},
     {NULL, NULL, NULL, NULL, NULL},
 };
 
@@ -212,8 +234,7 @@ static PyMethodDef methods[] = {
 };
 
 static PyTypeObject type = {
-    PyVarObject_HEAD_INIT(NULL, 0)
-    .tp_name = "tactile_sim._contact.PushedBody",
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "tactile_sim._contact.PushedBody",
     .tp_doc = "An object on the floor that tips push; tactile_sim/pushed.py is its interface.",
     .tp_basicsize = sizeof(PushedObject),
     .tp_flags = Py_TPFLAGS_DEFAULT,
@@ -230,7 +251,9 @@ static PyTypeObject type = {
 
 // foot and point; returns the array that holds the foot, or NULL with an error set
 static PyObject* read_point(Foot* foot, double point[2], PyObject* const* args, Py_ssize_t count) {
-  if (count != 2) return PyErr_Format(PyExc_TypeError, "takes a foot and a point, got %zd arguments", count);
+  if (count != 2) {
+    return PyErr_Format(PyExc_TypeError, "takes a foot and a point, got %zd arguments", count);
+  }
   return read_finite(point, args[1], 2, 0, "point") ? read_foot(foot, args[0]) : NULL;
 }
 
@@ -241,7 +264,7 @@ static PyObject* py_foot_inside(PyObject* self, PyObject* const* args, Py_ssize_
   int edge;
   (void)self;
   PyObject* held = read_point(&foot, point, args, count);
-  if (!held) return NULL;
+  if (!held) { return NULL; }
   double inside = foot_inside(&edge, &foot, point);
   Py_DECREF(held);
   return Py_BuildValue("di", inside, edge);
@@ -253,7 +276,7 @@ static PyObject* py_foot_edge_share(PyObject* self, PyObject* const* args, Py_ss
   double point[2];
   (void)self;
   PyObject* held = read_point(&foot, point, args, count);
-  if (!held) return NULL;
+  if (!held) { return NULL; }
   double share = foot_edge_share(&foot, point);
   Py_DECREF(held);
   return PyFloat_FromDouble(share);
@@ -263,13 +286,16 @@ static PyObject* py_foot_edge_share(PyObject* self, PyObject* const* args, Py_ss
 static PyObject* py_return_to_surface(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   double load[3], stiffness[9], axes[2], motion[3], left[3];
   (void)self;
-  if (count != 4) return PyErr_Format(PyExc_TypeError, "return_to_surface takes 4 arguments, got %zd", count);
-  if (!read_finite(load, args[0], 3, 0, "load") || !read_finite(stiffness, args[1], 3, 3, "stiffness")) {
+  if (count != 4) {
+    return PyErr_Format(PyExc_TypeError, "return_to_surface takes 4 arguments, got %zd", count);
+  }
+  if (!read_finite(load, args[0], 3, 0, "load") ||
+      !read_finite(stiffness, args[1], 3, 3, "stiffness")) {
     return NULL;
   }
-  for (int i = 0; i < 2; i++) axes[i] = PyFloat_AsDouble(args[2 + i]);
-  if (PyErr_Occurred()) return NULL;
-  if (!limit_surface_return(motion, left, load, stiffness, axes[0], axes[1])) return unheld();
+  for (int i = 0; i < 2; i++) { axes[i] = PyFloat_AsDouble(args[2 + i]); }
+  if (PyErr_Occurred()) { return NULL; }
+  if (!limit_surface_return(motion, left, load, stiffness, axes[0], axes[1])) { return unheld(); }
   return Py_BuildValue("NN", new_array(motion, 3, 0), new_array(left, 3, 0));
 }
 

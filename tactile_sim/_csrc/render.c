@@ -14,7 +14,7 @@ static int clamp(double value, int low, int high) {
 // one disc whose edge falls smoothly over `softness` pixels
 static void draw_disc(float* canvas, int height, int width, const double blob[4], double softness) {
   double reach = blob[2] + softness / 2;
-  if (!(reach > 0) || !isfinite(blob[0]) || !isfinite(blob[1])) return;
+  if (!(reach > 0) || !isfinite(blob[0]) || !isfinite(blob[1])) { return; }
   int left = clamp(ceil(blob[0] - reach), 0, width),
       right = clamp(floor(blob[0] + reach) + 1, 0, width);
   int top = clamp(ceil(blob[1] - reach), 0, height),
@@ -46,9 +46,9 @@ static void add_noise(float* canvas, int count, const float* noise, uint64_t see
   int k = 0;
   for (; k + 4 <= count; k += 4) {
     uint64_t bits = next_random(&seed);
-    for (int j = 0; j < 4; j++) canvas[k + j] += noise[(bits >> (16 * j)) & 4095];
+    for (int j = 0; j < 4; j++) { canvas[k + j] += noise[(bits >> (16 * j)) & 4095]; }
   }
-  for (; k < count; k++) canvas[k] += noise[next_random(&seed) & 4095];
+  for (; k < count; k++) { canvas[k] += noise[next_random(&seed) & 4095]; }
 }
 
 
@@ -56,8 +56,8 @@ void render(uint8_t* image, const float* background, int height, int width, cons
             int n, double softness, const float* noise, uint64_t seed, float* canvas) {
   int count = height * width;
   memcpy(canvas, background, count * sizeof(float));
-  for (int i = 0; i < n; i++) draw_disc(canvas, height, width, blobs + 4 * i, softness);
-  if (noise) add_noise(canvas, count, noise, seed);
+  for (int i = 0; i < n; i++) { draw_disc(canvas, height, width, blobs + 4 * i, softness); }
+  if (noise) { add_noise(canvas, count, noise, seed); }
   for (int k = 0; k < count; k++) {
     float value = canvas[k] + 0.5f;
     value = value > 0 ? value : 0;  // NaN is black, too

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ur_cell import ZERO, Cell, address, mend
 
-from tactile_drivers.franka import DOCUMENTED, FR3, PANDA, largest_limits
+from tactile_drivers.franka_settings import DOCUMENTED, FR3, PANDA, largest_limits
 from tactile_scene.arm import ArmMode
 from tactile_scene.arm_settings import ArmLimits
 

@@ -5,8 +5,8 @@ import importlib.util
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -88,29 +88,23 @@ def test_packages_import_only_what_stands_above_them(root: Path, package: str):
 
 def test_no_files_import_each_other_in_a_circle(root: Path):
     """Imports for types alone count, too: who reads one of the files has to read all of them."""
-    files = {".".join(path.relative_to(root).with_suffix("").parts): path for path in sources(root)}
-    modules = {name.removesuffix(".__init__"): path for name, path in files.items()}
-    graph = {name: imported_files(path, modules) - {name} for name, path in modules.items()}
-    while free := [name for name, needed in graph.items() if not needed & graph.keys()]:
-        for name in free:
-            del graph[name]
-    # what imports a circle is left over as well: drop it, so that the circle alone is told
-    while tops := graph.keys() - set().union(*graph.values()):
-        for name in tops:
-            del graph[name]
-    assert not graph
+    packages = drawing(root)
+    modules = packages.modules_of(root)
+    assert not packages.in_circles({name: packages.imported(path, modules) for name, path in modules.items()})
 
 
-def imported_files(path: Path, modules: Mapping[str, Path]) -> set[str]:
-    """Those of the modules that a file imports, or from whose package it imports one by name."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            named = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= named & modules.keys() or {node.module} & modules.keys()
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names} & modules.keys()
-    return found
+def test_a_circle_of_files_is_found(root: Path):
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set(), "e": {"e"}}
+    assert drawing(root).in_circles(graph) == {"b", "c"}
+
+
+def drawing(root: Path) -> Any:
+    """The script that draws the packages."""
+    spec = importlib.util.spec_from_file_location("draw_packages", root / "scripts/draw_packages.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_what_nodes_share_does_not_know_the_nodes(root: Path):
