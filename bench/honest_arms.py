@@ -94,7 +94,7 @@ def drive(pipe: multiprocessing.connection.Connection, driver: str, arguments: a
             remarks[completed.remark.split(":")[0][:60]] += 1
 
     schedule(arguments.priority)
-    safe.drive(open_arm(arm, take))
+    safe.attach_driver(open_arm(arm, take))
     pipe.send("ready")
     begin = time.monotonic()
     count = lost = 0

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from tactile_doubles.ur_controller import UrController
-from tactile_ros.scheduling import set_priority, settle_garbage
+from tactile_ros.scheduling import freeze_gc, set_priority
 from tactile_scene.arm import ArmMode, ArmState, open_arm
 from tactile_scene.scene_file import load_scene
 
@@ -94,7 +94,7 @@ def schedule(priority: int) -> None:
     """As a node does: a real-time priority with locked memory, and all that is there so far no garbage."""
     if missing := set_priority(priority):
         print(f"this user may not have {missing}")
-    settle_garbage()
+    freeze_gc()
 
 
 def quantiles(name: str, seconds: np.ndarray) -> None:

@@ -12,10 +12,10 @@ fi
 # By file: what its tests share is made once. A thread each: there are as many processes as cores.
 export OMP_NUM_THREADS=1
 mkdir -p log
-. scripts/giving_way.sh
+. scripts/run_idle.sh
 status=0 live=0
 suite=(pytest -q --durations=15 --numprocesses auto --maxprocesses 4 --dist loadfile)
-giving_way "${suite[@]}" -m "not live" >log/test.txt 2>&1 &
+run_idle "${suite[@]}" -m "not live" >log/test.txt 2>&1 &
 computing=$!
 trap 'kill -- -$computing 2>/dev/null || true' EXIT
 "${suite[@]}" -m live --no-loadscope-reorder -o cache_dir=log/live || live=$?

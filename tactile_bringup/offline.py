@@ -247,7 +247,7 @@ class _OfflineArm:
         self.safe = SafeArm(scene.arms[plan.arm], lambda: cell.stamp_ns)
         self.lies = options.lies or Lies()
         self.driver = self.lies.driver(plan.arm, cell.arm(plan.arm))
-        self.safe.drive(self.driver)
+        self.safe.attach_driver(self.driver)
         self.safe.neighbours = neighbours(scene, plan.arm, cell.status, cell.arms)
         sensor = scene.arms[plan.arm].sensor
         self.perceive = perceive

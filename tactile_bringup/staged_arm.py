@@ -85,7 +85,7 @@ class StagedArm:
 
     def drive(self) -> None:
         """Have the stage move it from now on; `RuntimeError` if no state of it is believed."""
-        self.stage.drive(self.driver)
+        self.stage.attach_driver(self.driver)
         self._wait()
 
     def reset(self) -> None:

@@ -43,20 +43,20 @@ class Word(Protocol):
 
 @dataclass
 class _Partner:
-    """Whether an arm is awaited and is minded now, its last word, and when that was heard (s)."""
+    """Whether an arm is awaited and is monitored now, its last word, and when that was heard (s)."""
 
     awaited: bool
-    minded: bool
+    monitored: bool
     word: Word | None = None
     heard: float = -math.inf
 
     def hear(self, now: float, word: Word) -> None:
         self.word, self.heard = word, now
         if not self.awaited:  # one that has failed goes on to count
-            self.minded = word.at_work or (self.minded and bool(word.trouble))
+            self.monitored = word.at_work or (self.monitored and bool(word.trouble))
 
     def trouble(self, now: float, age_limit: float) -> str:
-        if not self.minded:
+        if not self.monitored:
             return ""
         if self.word is None or now - self.heard > age_limit:
             return "nothing is heard of its controller"
@@ -85,14 +85,14 @@ class Partners:
         self, awaited: Iterable[str] = (), waiting: Iterable[str] = (), age_limit: float = math.inf
     ) -> None:
         self._limit = age_limit
-        self._partners = {arm: _Partner(awaited=False, minded=False) for arm in waiting}
-        self._partners |= {arm: _Partner(awaited=True, minded=True) for arm in awaited}
+        self._partners = {arm: _Partner(awaited=False, monitored=False) for arm in waiting}
+        self._partners |= {arm: _Partner(awaited=True, monitored=True) for arm in awaited}
         self.arms = tuple(self._partners)
 
     def begin(self) -> None:
         """A goal of this arm begins: how the work of those that wait for it ended before is over with."""
         for partner in self._partners.values():
-            partner.minded = partner.awaited
+            partner.monitored = partner.awaited
 
     def hear(self, arm: str, now: float, word: Word) -> None:
         """Take what an arm says now (s); it is of no concern unless it is one of `arms`."""

@@ -196,7 +196,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
         Which node runs it.
     needs_sensor : bool
         Whether it needs a tactile sensor.
-    minds_contact : bool
+    monitors_contact : bool
         Whether it wants to know of a contact where the arm has a sensor, though it needs none.
     endless : bool
         Whether it goes on until it is asked to `finish`.
@@ -219,7 +219,7 @@ class PhaseMachine(ABC, Generic[Inputs, Result]):
     work: ClassVar[str]
     node: ClassVar[str] = "controller"
     needs_sensor: ClassVar[bool] = True
-    minds_contact: ClassVar[bool] = False
+    monitors_contact: ClassVar[bool] = False
     endless: ClassVar[bool] = False
 
     def __init__(

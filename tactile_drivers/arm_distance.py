@@ -125,12 +125,12 @@ def neighbours(
     """What an arm of a scene minds, of the `known` arms."""
     return tuple(
         Neighbour(scene.arms[arm], scene.arms[name], functools.partial(state_of, name))
-        for name in minded(scene, arm)
+        for name in watched_arms(scene, arm)
         if name in known
     )
 
 
-def minded(scene: Scene, arm: str) -> list[str]:
+def watched_arms(scene: Scene, arm: str) -> list[str]:
     """The arms that an arm minds: the others with kinematics, if it has some itself."""
     own = scene.arms[arm]
     if own.kinematics is None or own.safety.min_arm_distance == 0.0:

@@ -107,7 +107,7 @@ class ArmWatch:
         elapsed = (state.stamp_ns - self._last.stamp_ns) / SECOND_NS
         if elapsed < 0.0:
             return f"the state is {-elapsed:.3f} s older than the last one"
-        way = _native.apart(state.T_base_controlled, self._last.T_base_controlled)
+        way = _native.distance(state.T_base_controlled, self._last.T_base_controlled)
         if way <= self._safety.jump or way <= self._safety.jump + self._reach(elapsed, others):
             return ""
         self.alarm = self.alarm or (

@@ -164,14 +164,14 @@ class FrankaArm:
                     lambda: self._ready or self._wants_recovery or not self._open,
                     max(0.0, due - time.monotonic()),
                 )
-        self._let_go()
+        self._disconnect()
 
     def _tell_failure(self, reason: str) -> None:
         with self._changed:
             self._failed, self._robot = reason, None
             self._changed.notify_all()
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         """Bring the arm to rest, and end the connection."""
         import franky
 

@@ -95,13 +95,13 @@ class MotionBounds:
         out = np.array([0.0, 0.0, min(twist[2], 0.0), 0.0, 0.0, 0.0])
         speed = self._settings.crawl_speed
         slow = _native.shortened(twist - out, speed, speed / self._tip_radius)
-        return out + slow, _native.differ(out + slow, twist, 0.0)
+        return out + slow, _native.any_differs(out + slow, twist, 0.0)
 
     def _joints_allow(
         self, state: ArmState, twist: Array, kinematics: Kinematics | None
     ) -> tuple[float, str]:
         """What joints and neighbours allow; all of it where nothing is known of the joints."""
-        if kinematics is None or state.joints is None or not _native.moves(twist):
+        if kinematics is None or state.joints is None or not _native.is_moving(twist):
             return 1.0, ""
         rates = joint_rates(kinematics, state.joints, twist)
         slow, stop = self._settings.singularity_slow, self._settings.singularity_stop

@@ -1,7 +1,7 @@
 """SafeArm: the safe command stage, which has the last word between every controller and every driver.
 
     arm = SafeArm(scene.arms["arm"], clock)                       # clock(): now, ns
-    arm.drive(open_arm(scene.arms["arm"], arm.take_state))
+    arm.attach_driver(open_arm(scene.arms["arm"], arm.take_state))
     refusal = arm.command(stamp_ns, twist, "/arm/controller")     # '' where it is followed
 
 A command is refused from anybody but the arm's owner, out of time, not finite, in an emergency stop or a
@@ -80,12 +80,12 @@ class SafeArm:
         self._estop, self._estops = "", 0
         self._in_force_ns: int | None = None  # stamp of the command in force
         self._sent_ns: int | None = None
-        self._held_back = ""
+        self._limited_by = ""
         self._stopping = ""  # why, while a driver that keeps no limits is led to rest
         self.driver: Arm | None = None
-        self.drive(None)
+        self.attach_driver(None)
 
-    def drive(self, driver: Arm | None) -> None:
+    def attach_driver(self, driver: Arm | None) -> None:
         """Have this driver move the arm from now on; an emergency stop stays in force."""
         with self._lock:
             prompt = driver is None or getattr(driver, "prompt", False)
@@ -156,7 +156,7 @@ class SafeArm:
             self._drop()
             if self.driver is None:
                 return
-            if self.driver.keeps_limits or not _native.moves(self._profile.twist):
+            if self.driver.keeps_limits or not _native.is_moving(self._profile.twist):
                 self._stop_driver(reason)
             else:  # its states lead it to rest
                 self._stopping = reason
@@ -164,7 +164,7 @@ class SafeArm:
     def halt(self, reason: str) -> None:
         """Have the driver stop the arm as it can, whether it still says anything or not."""
         with self._lock:
-            self._let_go()
+            self._clear_command()
             self._stop_driver(reason)
 
     def estop(self, reason: str) -> None:
@@ -232,7 +232,7 @@ class SafeArm:
             return f"the arm was stopped: {self.alarm}; arm/reset leaves it"
         if self._fault:
             return f"the arm is in fault: {self._fault}; arm/reset leaves it"
-        return self._ownership.hear(now_ns, who, sequence, _native.moves(twist))
+        return self._ownership.hear(now_ns, who, sequence, _native.is_moving(twist))
 
     def _out_of_time(self, now_ns: int, stamp_ns: int, who: Commander) -> str:
         age = (now_ns - stamp_ns) / SECOND_NS
@@ -267,7 +267,7 @@ class SafeArm:
             self._fault = (state.reason or "no reason given") if stopped else ""
             if self._fault:
                 self._ownership.waits_for_rest = True
-                self._let_go()
+                self._clear_command()
             # the arm's own safety has one in fault; it may be led by hand
             others = self._is_others or bool(self._fault and not self.alarm)
             if self._watch.see(state, self._sent if self._is_fresh(state.stamp_ns) else _REST, others):
@@ -324,8 +324,8 @@ class SafeArm:
             reason=reason,
             owner=self.owner,
             command_age=age,
-            limited=in_force and _native.differ(self._wanted, state.twist, _SAME_TWIST),
-            held_back=self._held_back,
+            limited=in_force and _native.any_differs(self._wanted, state.twist, _SAME_TWIST),
+            limited_by=self._limited_by,
             refused=refused,
             refused_source=source,
             remark=self._remarks(),
@@ -356,10 +356,10 @@ class SafeArm:
         """There is no command in force any more."""
         self._wanted = self._sent = np.zeros(6)
         self._in_force_ns = self._sent_ns = None
-        self._held_back = self._stopping = ""
+        self._limited_by = self._stopping = ""
         self._watch.told(self._sent)
 
-    def _let_go(self) -> None:
+    def _clear_command(self) -> None:
         """The arm comes to rest by itself: nothing leads it there, and no later `stop` begins to."""
         self._drop()
         self._profile.start(np.zeros(6))
@@ -368,13 +368,13 @@ class SafeArm:
         """Pass on as much of the command in force as the bounds allow, if that is news to the driver."""
         if self.driver is None or self.state is None or (self._in_force_ns is None and not self._stopping):
             return
-        target, self._held_back = self._bounded(self._wanted)
+        target, self._limited_by = self._bounded(self._wanted)
         if not self.driver.keeps_limits:
             self._profile.advance(dt, target)
             target = self._profile.twist
-        if self._stopping and not _native.moves(target):
+        if self._stopping and not _native.is_moving(target):
             self.halt(self._stopping)
-        elif self._sent_ns != self._in_force_ns or _native.differ(target, self._sent, 0.0):
+        elif self._sent_ns != self._in_force_ns or _native.any_differs(target, self._sent, 0.0):
             self._calls("command", self.driver.command, self._in_force_ns or self.state.stamp_ns, target)
             self._sent, self._sent_ns = target, self._in_force_ns
             self._watch.told(target)

@@ -96,7 +96,7 @@ def in_words(error: Exception) -> str:
     return next((words for part, words in _WORDS if part.lower() in text.lower()), text or repr(error))
 
 
-def _give_way() -> None:
+def _lower_priority() -> None:
     """Let the threads that ur_rtde has by now go before this one, which spins while it waits for them."""
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
         ahead = os.sched_getparam(0).sched_priority
@@ -125,7 +125,7 @@ class _Link:
         if upper:
             flags |= RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
         self._control = RTDEControlInterface(host, rate, flags)
-        _give_way()
+        _lower_priority()
         self._watch()
         self._version = version
         self.facts = self._facts()

@@ -43,7 +43,7 @@ from tactile_ros.parameters import (
     refusing_unknown_types,
 )
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
-from tactile_ros.scheduling import settle_garbage
+from tactile_ros.scheduling import freeze_gc
 from tactile_wire.errors import MessageError
 
 Result = TransitionCallbackReturn
@@ -166,7 +166,7 @@ class ManagedNode(LifecycleNode):
         return any(commander.moves for commander in self._commanders)
 
     @property
-    def last_words(self) -> float:
+    def linger_time(self) -> float:
         """Seconds that what the node has said last still needs to arrive."""
         return 0.0
 
@@ -279,12 +279,14 @@ class ManagedNode(LifecycleNode):
         service = self.create_service(service_type, name, callback)
         self._while_configured.append((self.destroy_service, service))
 
-    def serve_request(self, service_type: type, name: str, act: Callable[[Any], None], outlook: str) -> None:
-        """Offer a service that acts while the node is active; `outlook` tells who asked what comes next."""
+    def serve_request(
+        self, service_type: type, name: str, act: Callable[[Any], None], success_message: str
+    ) -> None:
+        """Offer a service that acts while the node is active, and answers with the message then."""
 
         def answer(request: Any, response: Any) -> Any:
             response.success = self.active
-            response.message = outlook if self.active else "the node is not active"
+            response.message = success_message if self.active else "the node is not active"
             if self.active:
                 act(request)
             return response
@@ -361,7 +363,7 @@ class ManagedNode(LifecycleNode):
         for watch in self.report.inputs.values():
             watch.restart()
         self.active = True
-        settle_garbage()
+        freeze_gc()
         self.get_logger().info("active")
         return Result.SUCCESS
 

@@ -73,11 +73,11 @@ def run(make: Callable[[], ManagedNode | Sequence[ManagedNode]], args: list[str]
     finally:
         for node in reversed(nodes):
             node.rest()
-        last_words = max(node.last_words for node in nodes)
-        _spin_for(executor, last_words)
+        linger_time = max(node.linger_time for node in nodes)
+        _spin_for(executor, linger_time)
         for node in reversed(nodes):
             node.finish()
-        _spin_for(executor, 1.5 * last_words)  # what was released with a delay of as much
+        _spin_for(executor, 1.5 * linger_time)  # what was released with a delay of as much
         for node in nodes:
             executor.remove_node(node)
             node.destroy_node()

@@ -44,7 +44,7 @@ def set_cores(cores: Collection[int]) -> str:
     return ""
 
 
-def settle_garbage() -> None:
+def freeze_gc() -> None:
     """Take everything loaded so far out of the collector's sight: a full collection costs 10 ms."""
     gc.collect()
     gc.freeze()

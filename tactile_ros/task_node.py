@@ -220,13 +220,13 @@ class TaskNode(ManagedNode, ABC):
         return self.run is not None
 
     @property
-    def last_words(self) -> float:
+    def linger_time(self) -> float:
         """Time for the result of a goal that ended lately: it is sent, and reaches who asked for it."""
         return LAST_WORD if time.monotonic() - self._concluded < LATELY else 0.0
 
     def _close_action(self, action: ActionServer) -> None:
         """Destroy the action, but not before the last result has left: sending it would crash."""
-        if not self.last_words:
+        if not self.linger_time:
             action.destroy()
             return
 
@@ -234,7 +234,7 @@ class TaskNode(ManagedNode, ABC):
             timer.cancel()
             action.destroy()
 
-        timer = self.create_timer(self.last_words, destroy, clock=self.steady)
+        timer = self.create_timer(self.linger_time, destroy, clock=self.steady)
 
     def _tick(self) -> None:
         """The timer: a step if none was made lately, and a look whether the arm still says something."""

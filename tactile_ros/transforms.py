@@ -220,12 +220,12 @@ class TransformGate:
         return True
 
 
-def serve_reset(node: ManagedNode, reset: Callable[[], None], outlook: str) -> None:
+def serve_reset(node: ManagedNode, reset: Callable[[], None], success_message: str) -> None:
     """Offer `~/reset` while the node is configured: it forgets what it believes, if it is active.
 
     Parameters
     ----------
-    outlook : str
+    success_message : str
         What comes next, for who asked.
     """
 
@@ -233,4 +233,4 @@ def serve_reset(node: ManagedNode, reset: Callable[[], None], outlook: str) -> N
         node.get_logger().info(f"reset: {request.reason or 'no reason given'}")
         reset()
 
-    node.serve_request(ResetFilter, "~/reset", act, outlook)
+    node.serve_request(ResetFilter, "~/reset", act, success_message)

@@ -74,7 +74,7 @@ class ArmState:
         Seconds since the stamp of the command in force; -1 while there is none.
     limited : bool
         True while the arm does less than it is asked for.
-    held_back : str
+    limited_by : str
         Which bound of speed, depth, shear, workspace, joints or other arms makes the command less; or empty.
     refused, refused_source : str
         Why the last command was not followed, and whose it was; empty if it was followed.
@@ -92,7 +92,7 @@ class ArmState:
     owner: str = ""
     command_age: float = -1.0
     limited: bool = False
-    held_back: str = ""
+    limited_by: str = ""
     refused: str = ""
     refused_source: str = ""
     remark: str = ""

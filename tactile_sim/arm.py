@@ -171,7 +171,7 @@ class SimArm:
     def _integrate(self, dt: float) -> None:
         """Move as the profile towards the target twist does."""
         moved = self._motion.advance(dt, self._target)
-        if _native.moves(moved):
+        if _native.is_moving(moved):
             self._pose = _read_only(se3.orthonormalized(se3.compose(self._pose, se3.exp(moved))))
             self._move_joints()
 
@@ -189,7 +189,7 @@ class SimArm:
     def _settle(self) -> None:
         """A stop that has come to its end is rest; so is a command of zero once it is reached."""
         motion = self._motion
-        still = not any(map(_native.moves, (motion.twist, motion.acceleration, self._target)))
+        still = not any(map(_native.is_moving, (motion.twist, motion.acceleration, self._target)))
         if still and self._mode in (ArmMode.STOPPING, ArmMode.MOVING):
             self._mode = ArmMode.RESTING
 

@@ -80,7 +80,7 @@ class TouchedBody:
         """
         if not self.body.fixed:
             T_body_sensor = self.sensor_in_body(T_base_sensor)
-            moved = np.inf if self._before is None else _native.apart(T_body_sensor, self._before)
+            moved = np.inf if self._before is None else _native.distance(T_body_sensor, self._before)
             self._before = T_body_sensor
         self._slack -= moved
         if self._slack > brakes(moved):

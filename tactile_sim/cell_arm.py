@@ -99,7 +99,7 @@ class CellArm:
     def step(self, stamp_ns: int) -> None:
         before = self.T_base_tip
         self.arm.advance_to(stamp_ns)
-        self._moved = _native.apart(self.T_base_tip, before)
+        self._moved = _native.distance(self.T_base_tip, before)
         if self._late is not None:
             self._late.see(self.arm)
 

@@ -186,7 +186,7 @@ class HeldObject:
         """
         if self.state is HeldState.FALLEN:
             return self.T_plate_object
-        self._give_way(max(0.0, -float(force[2])))
+        self._comply(max(0.0, -float(force[2])))
         if self._in_hand(force, dt):
             return self.T_plate_object
         weight = self.settings.mass * (T_world_plate[:3, :3].T @ np.asarray(gravity, dtype=float))
@@ -211,7 +211,7 @@ class HeldObject:
         self._touched = self._touched or bool(np.any(force))
         return not self._touched or self._hand > 0
 
-    def _give_way(self, press: float) -> None:
+    def _comply(self, press: float) -> None:
         """Yield by a Newton step towards stiffness x yield = press, as if the tip stood still."""
         s = self.settings
         depth = s.depth(press)

@@ -118,7 +118,7 @@ class Cell:
         self.safe = SafeArm(self.arm, time.time_ns, feels=False)
         self.states, self.refused = [], []
         self.driver = open_arm(self.arm, self._take)
-        self.safe.drive(self.driver)
+        self.safe.attach_driver(self.driver)
         self.until(lambda: self.states, "a first state")
 
     def _take(self, state):

@@ -142,10 +142,10 @@ def _predict(arguments: argparse.Namespace, console: Console) -> tuple[Any, Any,
     with Progress(console) as progress:
         reading = partial(progress.update, "reading", unit="images")
         data = load_data(arguments.data, models, arguments.limit, reading)
-        held_back = load_data(arguments.calibrate, models) if arguments.calibrate else None
-        total = len(models) * (len(data) + (len(held_back) if held_back else 0))
+        held_out = load_data(arguments.calibrate, models) if arguments.calibrate else None
+        total = len(models) * (len(data) + (len(held_out) if held_out else 0))
         advance = partial(progress.advance, "predicting", total=total, unit="images")
-        results = evaluate(data, models, arguments.ensemble, held_back, advance)
+        results = evaluate(data, models, arguments.ensemble, held_out, advance)
     for line in data.report.lines() + [f"note: {note}" for note in data.notes]:
         say(console, line)
     out.mkdir(parents=True, exist_ok=True)

@@ -161,7 +161,7 @@ def _show(view: ArmView, operator: Operator, console: Console) -> bool:
         "why": status.reason,
         "commanded by": status.owner or "nobody",
         "speed": f"{1e3 * linear:.1f} mm/s, {math.degrees(angular):.1f} deg/s",
-        "held back by": status.held_back,
+        "limited by": status.limited_by,
         "refused": f"{status.refused} ({status.refused_source})" if status.refused else "",
         "remark": status.remark,
         "task": _task(task),

@@ -43,7 +43,7 @@ class ProcessDied(RuntimeError):
 
     def __init__(self, name: str, exit_code: int, log: Path) -> None:
         self.name, self.exit_code, self.log = name, exit_code, log
-        super().__init__(f"{name} {describe_exit(exit_code)}{_last_words(log)}")
+        super().__init__(f"{name} {describe_exit(exit_code)}{_last_output(log)}")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Stopped:
     def __str__(self) -> str:
         killed = self.escalated_to == signal.SIGKILL.name
         how = "did not end when it was asked to" if killed else describe_exit(self.exit_code)
-        return f"{self.name} {how}{_last_words(self.log)}"
+        return f"{self.name} {how}{_last_output(self.log)}"
 
 
 @dataclass
@@ -233,7 +233,7 @@ def cause(log: Path) -> str:
     return next(found, "").removeprefix(BY_ERROR)
 
 
-def _last_words(log: Path) -> str:
+def _last_output(log: Path) -> str:
     said = cause(log)
     return f"{': ' if said else ''}{said}; log: {log}\n{textwrap.indent(tail(log), '    ')}"
 

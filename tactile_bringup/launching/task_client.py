@@ -201,7 +201,7 @@ class ArmTask:
     def last_word(self) -> str:
         """What the arm said last, for a person."""
         if self.silent:
-            return f"it has not reported for {self.unheard_for:.1f} s"
+            return f"it has not reported for {self.silence_duration:.1f} s"
         mode = MODES.get(self.progress.arm_mode, f"mode {self.progress.arm_mode}")
         return f"{mode}: {self.progress.arm_reason}" if self.progress.arm_reason else mode
 
@@ -211,14 +211,14 @@ class ArmTask:
         return max(0.0, self._heard_s - self._regular_s)
 
     @property
-    def unheard_for(self) -> float:
+    def silence_duration(self) -> float:
         """Seconds since the last word of the arm."""
         return time.monotonic() - self._heard_s
 
     @property
     def silent(self) -> bool:
         """Whether nothing has been heard of the arm for `SILENCE`."""
-        return self.unheard_for > SILENCE
+        return self.silence_duration > SILENCE
 
     def send(self, goal: NamedGoal, task: str) -> None:
         """Send one goal."""

@@ -203,7 +203,7 @@ class TaskRunner:
         while time.monotonic() - started < REST_TIMEOUT and len(self.signals) < patience:
             self._spin()
             listened = time.monotonic() - started > GONE
-            if all(_settled(task) or (listened and task.unheard_for > GONE) for task in tasks):
+            if all(_settled(task) or (listened and task.silence_duration > GONE) for task in tasks):
                 break
         moving = [task for task in tasks if task.rests_for() == 0.0]
         for task in moving:

@@ -81,7 +81,7 @@ class Move(FreeTask):
 
     settings_class = MoveTaskSettings
     goal_class = MoveGoal
-    minds_contact = True
+    monitors_contact = True
 
     settings: MoveTaskSettings
     goal: MoveGoal
@@ -111,9 +111,9 @@ class Move(FreeTask):
         if twist is None:
             self._enter(DONE)
             return np.zeros(6)
-        return self._fail(reason) if (reason := self._held_back(now_ns)) else twist
+        return self._fail(reason) if (reason := self._limited_by(now_ns)) else twist
 
-    def _held_back(self, now_ns: int) -> str:
+    def _limited_by(self, now_ns: int) -> str:
         """Why it is no use to go on; empty as long as the arm comes nearer."""
         settings, left = self.settings.task, self._left()
         self._whole = self._whole or left
@@ -126,7 +126,7 @@ class Move(FreeTask):
         assert self._T_base_goal is not None
         distance = se3.norm(self._T_base_goal[:3, 3] - self._sensor_pose()[:3, 3])
         return (
-            f"the arm comes no nearer than {distance * 1e3:.1f} mm to the pose: held_back of arm/status "
+            f"the arm comes no nearer than {distance * 1e3:.1f} mm to the pose: limited_by of arm/status "
             "says what keeps it from there"
         )
 

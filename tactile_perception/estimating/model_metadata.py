@@ -67,7 +67,7 @@ class ModelMetadata:
     training_data : number of samples and SHA-256 of training and validation data
     validation : loss and mean absolute error per component (mm, rad) on the validation data
     training : every setting of network, training and augmentation; for an ensemble, its members
-    calibration : of the stated uncertainty, fitted on held-back training data; applied by who uses the model
+    calibration : of the stated uncertainty, fitted on held-out training data; applied by who uses the model
     layout : mean of the training images, by which a camera is known that is mirrored or turned; None: not
     known
     """
@@ -183,7 +183,7 @@ def check_sum(data: bytes) -> bool:
 
 
 def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows to train on, and rows held back; the same for every seed, so that ensembles share them."""
+    """Rows to train on, and rows held out; the same for every seed, so that ensembles share them."""
     order = np.random.default_rng(0).permutation(count)
     number = round(part * count)
     return np.sort(order[number:]), np.sort(order[:number])
@@ -192,21 +192,21 @@ def split_holdback(count: int, part: float) -> tuple[NDArray[np.int64], NDArray[
 def unseen_rows(metadata: ModelMetadata, sha256: str, count: int) -> NDArray[np.int64]:
     """Rows of a data set that a model (of an ensemble: every member) was not trained on.
 
-    All of them for other data than its training data; none where nothing was held back of those. `sha256` and
+    All of them for other data than its training data; none where nothing was held out of those. `sha256` and
     `count` are those of the data set, as `dataset.read_dataset` finds them.
     """
-    used = _parts_held_back(metadata, sha256)
-    # The held-back samples of a smaller part are among those of a larger one.
+    used = _parts_held_out(metadata, sha256)
+    # The held-out samples of a smaller part are among those of a larger one.
     return split_holdback(count, min(used))[1] if used else np.arange(count)
 
 
 def is_training_data(metadata: ModelMetadata, sha256: str) -> bool:
     """Whether a model, or what it was started from, was trained on this data set."""
-    return bool(_parts_held_back(metadata, sha256))
+    return bool(_parts_held_out(metadata, sha256))
 
 
-def _parts_held_back(metadata: ModelMetadata, sha256: str) -> list[float]:
-    """What part of a data set each network held back that was trained on it; empty for other data."""
+def _parts_held_out(metadata: ModelMetadata, sha256: str) -> list[float]:
+    """What part of a data set each network held out that was trained on it; empty for other data."""
     data, runs = metadata.training_data, metadata.training.get("members", [metadata.training])
     parts = [float(run.get("training", {}).get("holdback", 0.0)) for run in runs]
     used = [] if data.get("sha256") != sha256 else parts

@@ -1,4 +1,4 @@
-"""Post-hoc calibration: a network's standard deviations scaled to the errors it makes on data held back.
+"""Post-hoc calibration: a network's standard deviations scaled to the errors it makes on data held out.
 
 A network that overfits its training data takes itself to be more exact than it is. Calibration
 leaves the means alone and multiplies the standard deviation of component j by
@@ -304,7 +304,7 @@ def _check_data(labels: Array, mean: Array, sigma: Array, settings: CalibrationS
         raise CalibrationError("sigma: must be positive")
     if len(labels) < settings.min_samples:
         raise CalibrationError(
-            f"calibration needs at least {settings.min_samples} held-back samples, got {len(labels)}; "
+            f"calibration needs at least {settings.min_samples} held-out samples, got {len(labels)}; "
             "the standard error of the joint NEES / 6 is about 0.7 / sqrt(N)"
         )
 

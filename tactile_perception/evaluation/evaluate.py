@@ -83,7 +83,7 @@ def load_data(
 ) -> EvaluationData:
     """Read a labelled folder of the public layout, pre-processed as each of the models was trained.
 
-    Of training data only what was held back is taken.
+    Of training data only what was held out is taken.
 
     Raises `DatasetError` if the folder has no labels, no images, or nothing usable, or a model was trained on
     all of it.
@@ -139,7 +139,7 @@ def _rows_to_use(
             notes.append(f"{model.name}'s best epoch was chosen on these data")
     if len(rows) < len(data):
         notes.append(
-            f"only the {len(rows)} samples held back from training, to which the models were calibrated"
+            f"only the {len(rows)} samples held out from training, to which the models were calibrated"
         )
     return rows, notes
 
@@ -164,9 +164,9 @@ def evaluate(
     if calibration_data is None:
         calibrated = [_by_model_file(*pair) for pair in zip(models, predictions, strict=True)]
     else:
-        held_back = [predict(model, calibration_data, progress) for model in models]
+        held_out = [predict(model, calibration_data, progress) for model in models]
         calibrated = [
-            _fitted(data, calibration_data, *pair) for pair in zip(predictions, held_back, strict=True)
+            _fitted(data, calibration_data, *pair) for pair in zip(predictions, held_out, strict=True)
         ]
     results = [
         assess(model.name, model.kind, data, own, *better)
@@ -180,7 +180,7 @@ def evaluate(
             continue
         mixture = metrics.moment_matched([predictions[index] for index in chosen])
         if calibration_data is not None:
-            held_mixture = metrics.moment_matched([held_back[index] for index in chosen])
+            held_mixture = metrics.moment_matched([held_out[index] for index in chosen])
             better = _fitted(data, calibration_data, mixture, held_mixture)
         else:
             better = _of_calibrated_members([calibrated[index][0] for index in chosen])
@@ -202,13 +202,13 @@ def _by_model_file(model: Model, predictions: Predictions) -> Calibrated:
 
 
 def _fitted(
-    data: EvaluationData, calibration_data: EvaluationData, predictions: Predictions, held_back: Predictions
+    data: EvaluationData, calibration_data: EvaluationData, predictions: Predictions, held_out: Predictions
 ) -> Calibrated:
     """Predictions calibrated on other data; if those are the same, each half of them on the other half."""
-    if predictions.cov is None or held_back.cov is None:
+    if predictions.cov is None or held_out.cov is None:
         return None, ""
     if calibration_data.sha256 != data.sha256:
-        fitted = fit_calibration(calibration_data.labels, held_back.mean, held_back.cov)
+        fitted = fit_calibration(calibration_data.labels, held_out.mean, held_out.cov)
         source = f"fitted on {fitted.samples} samples of {calibration_data.folder}"
         return predictions.calibrated(fitted), source
     cov = np.empty_like(predictions.cov)

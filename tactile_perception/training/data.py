@@ -1,4 +1,4 @@
-"""What a training run begins with, in memory: training, held-back and validation samples, and its start."""
+"""What a training run begins with, in memory: training, held-out and validation samples, and its start."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class RunData:
 
     Attributes
     ----------
-    training, held_back, validation : at the network's input size; `held_back` may be empty
+    training, held_out, validation : at the network's input size; `held_out` may be empty
     large : the training images at SCALE times that size, for augmentation; None without it
     preprocessing : how images become inputs of the network
     facts : number of samples and hashes, for the model's metadata
@@ -69,7 +69,7 @@ class RunData:
     """
 
     training: Samples
-    held_back: Samples
+    held_out: Samples
     validation: Samples
     large: Image | None
     preprocessing: PreprocessingSettings
@@ -114,19 +114,19 @@ def arrange(
     preprocessing: PreprocessingSettings,
 ) -> RunData:
     """Hold samples back and reduce images to the network's size where that is still to be done."""
-    kept, held_back = split_holdback(len(training), config.training.holdback)
+    kept, held_out = split_holdback(len(training), config.training.holdback)
     large = training.images[kept] if config.augmentation.active else None
     samples = Samples(_reduced(training.images, preprocessing.size), training.labels)
     facts = {
         "samples": len(kept),
-        "held_back": len(held_back),
+        "held_out": len(held_out),
         "sha256": training.sha256,
         "validation_samples": len(validation),
         "validation_sha256": validation.sha256,
     }
     return RunData(
         training=samples.taken(kept),
-        held_back=samples.taken(held_back),
+        held_out=samples.taken(held_out),
         validation=Samples(validation.images, validation.labels),
         large=large,
         preprocessing=preprocessing,
@@ -139,10 +139,10 @@ def check_samples(data: RunData, config: TrainConfig) -> None:
     """`DatasetError` or `CalibrationError` for too few samples to train on, or to calibrate on in the end."""
     if len(data.training) < _FEWEST_SAMPLES:
         raise DatasetError(f"training data: {len(data.training)} samples, needs at least {_FEWEST_SAMPLES}")
-    held_back, needed = len(data.held_back), config.calibration.min_samples
-    if 0 < held_back < needed and config.network.head != "mse":
+    held_out, needed = len(data.held_out), config.calibration.min_samples
+    if 0 < held_out < needed and config.network.head != "mse":
         raise CalibrationError(
-            f"training.holdback = {config.training.holdback:g} leaves {held_back} samples to calibrate on: "
+            f"training.holdback = {config.training.holdback:g} leaves {held_out} samples to calibrate on: "
             f"needs at least {needed} (calibration.min_samples); hold back more, or nothing"
         )
 

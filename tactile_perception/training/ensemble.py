@@ -33,7 +33,7 @@ def write_ensemble(runs: Sequence[Path | str], path: Path | str, data: Path | st
 
     mean = average of the means; covariance = average of the covariances + covariance of the means.
 
-    With `data`, the training data of the runs, the ensemble is calibrated on what all held back; without
+    With `data`, the training data of the runs, the ensemble is calibrated on what all held out; without
     it has no calibration: those of its members do not hold for their mixture. `EnsembleError` or `ModelError`
     for fewer than two networks, or networks of other sizes, pre-processing or data.
     """

@@ -1,4 +1,4 @@
-"""Calibrate a trained model: on what it held back in training, or on samples of today's session."""
+"""Calibrate a trained model: on what it held out in training, or on samples of today's session."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def recalibrate(
 
     Parameters
     ----------
-    data : a labelled folder. Of the folder that the model was trained on, only what it held back is used.
+    data : a labelled folder. Of the folder that the model was trained on, only what it held out is used.
     changes : settings of the calibration that are to be others
 
     Returns
     -------
     calibration : Calibration
-    own_session : whether it was fitted to what the training held back, with margin and floor
+    own_session : whether it was fitted to what the training held out, with margin and floor
     """
     estimator = Estimator(model)
     metadata = estimator.metadata

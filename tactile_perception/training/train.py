@@ -240,7 +240,7 @@ class _Run:
         return torch.cat(parts)
 
     def finish(self, folder: RunFolder, best: Epoch) -> dict[str, Any]:
-        """Export the best epoch's network, calibrated on what was held back; its facts on validation data."""
+        """Export the best epoch's network, calibrated on what was held out; its facts on validation data."""
         self.network.load_state_dict(folder.load_best())
         loss, mae = self.evaluate(self.data.validation)
         validation = {"validation_loss": loss, "mae": dict(zip(COMPONENTS, mae.tolist(), strict=True))}
@@ -262,20 +262,20 @@ class _Run:
         return validation
 
     def _calibration(self) -> Calibration:
-        """Fitted on the held-back samples; the identity where there are none or no uncertainty."""
-        held_back = self.data.held_back
-        if not len(held_back) or self.config.network.head == "mse":
+        """Fitted on the held-out samples; the identity where there are none or no uncertainty."""
+        held_out = self.data.held_out
+        if not len(held_out) or self.config.network.head == "mse":
             return Calibration()
-        raw = self.answers(held_back)
+        raw = self.answers(held_out)
         head = self.network.distribution
         mean, covariance = head.mean(raw).double().numpy(), head.covariance(raw).double().numpy()
-        return fit_calibration(held_back.labels, mean, covariance, self.config.calibration)
+        return fit_calibration(held_out.labels, mean, covariance, self.config.calibration)
 
     def _constant_sigma(self) -> NDArray[np.float64] | None:
-        """RMS errors (6,) of a network without uncertainty, on held-back or else on validation data."""
+        """RMS errors (6,) of a network without uncertainty, on held-out or else on validation data."""
         if self.config.network.head != "mse":
             return None
-        samples = self.data.held_back if len(self.data.held_back) else self.data.validation
+        samples = self.data.held_out if len(self.data.held_out) else self.data.validation
         errors = self.network.distribution.mean(self.answers(samples)).double().numpy() - samples.labels
         return np.asarray(np.sqrt((errors**2).mean(axis=0)))
 

@@ -36,7 +36,7 @@ from tactile_base.settings import Settings, setting
 from tactile_base.stamps import SECOND_NS
 from tactile_base.stop_line import StopLine, arms_here
 from tactile_doubles.rehearsal import DOUBLES, rehearsed
-from tactile_drivers.arm_distance import Neighbour, minded, neighbours
+from tactile_drivers.arm_distance import Neighbour, neighbours, watched_arms
 from tactile_drivers.motion_bounds import bounds_in_words
 from tactile_drivers.safety import SafeArm
 from tactile_filter.contact_bounds import ContactBounds
@@ -152,7 +152,7 @@ class ArmNode(ManagedNode):
             self.tf_out = self.publisher(TFMessage, topics.TF.name, TF)
             self.tf_layout = Layout(TFMessage(transforms=[self.moving_transform()]))
             self.timer(scene.limits.command_timeout / 4, self._watch)
-            self.safe.drive(self._open(scene))
+            self.safe.attach_driver(self._open(scene))
         else:  # a simulated arm watches its commands itself, and every timer costs the cell time
             self.timer(self.settings.value.state_timeout / 2, self._watch)
 
@@ -178,7 +178,7 @@ class ArmNode(ManagedNode):
 
     def attach(self, driver: Arm) -> None:
         """Drive this arm from now on; whoever gives it has its states `checked` and published."""
-        self.safe.drive(driver)
+        self.safe.attach_driver(driver)
         self._forget()
 
     def _open(self, scene: ArmScene) -> Arm:
@@ -197,7 +197,7 @@ class ArmNode(ManagedNode):
         """The other arms of the scene, as far as joints are known; their nodes stand beside this one."""
         beside = self.get_namespace().rpartition("/")[0]
         listeners: dict[str, JointListener] = {}
-        for name in minded(cell, self.arm):
+        for name in watched_arms(cell, self.arm):
             chain = cell.arms[name].kinematics
             assert chain is not None
             topic = f"{beside}/{name}/{topics.JOINT_STATES.name}"
@@ -301,7 +301,7 @@ class ArmNode(ManagedNode):
         numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
         texts = {
             name: getattr(state, name)
-            for name in ("reason", "owner", "held_back", "refused", "refused_source", "remark")
+            for name in ("reason", "owner", "limited_by", "refused", "refused_source", "remark")
         }
         self.status_out.publish(headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, **texts))
 

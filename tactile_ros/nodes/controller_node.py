@@ -118,7 +118,7 @@ class ControllerNode(TaskNode):
 
     def configure(self) -> None:
         """Create publishers, subscriptions and the action."""
-        minds = self.task_type.minds_contact and self.controlled_frame == self.sensor_frame
+        minds = self.task_type.monitors_contact and self.controlled_frame == self.sensor_frame
         if self.task_type.needs_sensor or minds:
             age = getattr(self.settings.value.group("watchdog"), "belief_age", 0.0)
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)

@@ -99,9 +99,9 @@ class EstimatorNode(ManagedNode):
         self.presence_out = self.publisher(PresenceMessage, topics.PRESENCE.name, STATE)
         self.estimate_out = self.publisher(PoseWithCovarianceStamped, topics.ESTIMATE.name, STATE)
         self.latency = LatencyPublisher(self, "estimator", self.sensor_frame)
-        outlook = "the next images become the reference"
+        success_message = "the next images become the reference"
         capture = functools.partial(self.presence.capture, compare=False)
-        self.serve_request(Trigger, "~/capture_reference", lambda request: capture(), outlook)
+        self.serve_request(Trigger, "~/capture_reference", lambda request: capture(), success_message)
         images = self.images.value
         subscribe_images(self, images, self._receive, images.age_limit)
 
@@ -171,9 +171,9 @@ class EstimatorNode(ManagedNode):
 
     def _tell_reference(self, refused: str) -> None:
         if refused:
-            outlook = "the last one stays" if self.presence.ready else "nothing is published without one"
+            consequence = "the last one stays" if self.presence.ready else "nothing is published without one"
             remedy = f"Lift the sensor off and type: tactile reference {self.get_namespace().strip('/')}"
-            text = f"reference of the contact presence refused: {refused}; {outlook}. {remedy}"
+            text = f"reference of the contact presence refused: {refused}; {consequence}. {remedy}"
             self._refuse("references refused", text)
         elif self.presence.ready:
             self.get_logger().info(

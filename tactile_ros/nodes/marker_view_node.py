@@ -55,8 +55,8 @@ class MarkerViewNode(ManagedNode):
     def configure(self) -> None:
         """Create publisher, service and subscription."""
         self.pictures = self.publisher(Image, topics.MARKER_VIEW.name, IMAGE)
-        outlook = "the next image becomes the reference"
-        self.serve_request(Trigger, "~/capture_reference", self._capture_reference, outlook)
+        success_message = "the next image becomes the reference"
+        self.serve_request(Trigger, "~/capture_reference", self._capture_reference, success_message)
         view = self.view.value
         subscribe_images(self, view, self._receive, view.age_limit, stamped=False)
 

@@ -159,13 +159,14 @@ static PyObject* py_bounded(PyObject* module, PyObject* const* args, Py_ssize_t 
 }
 
 
-PyDoc_STRVAR(apart_doc, "apart(A, B, /)\n--\n\nDistance (m) between the origins of two poses.");
+PyDoc_STRVAR(distance_doc,
+             "distance(A, B, /)\n--\n\nDistance (m) between the origins of two poses.");
 
-static PyObject* py_apart(PyObject* module, PyObject* const* args, Py_ssize_t count) {
+static PyObject* py_distance(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   double buffer[2][16], square = 0;
   const double* T[2];
   (void)module;
-  if (!has_count("apart", count, 2)) { return NULL; }
+  if (!has_count("distance", count, 2)) { return NULL; }
   for (int i = 0; i < 2; i++) {
     T[i] = borrow_array(buffer[i], args[i], 4, 4, i ? "B" : "A");
     if (!T[i]) { return NULL; }
@@ -176,15 +177,15 @@ static PyObject* py_apart(PyObject* module, PyObject* const* args, Py_ssize_t co
 
 
 PyDoc_STRVAR(
-    differ_doc,
-    "differ(a, b, by, /)\n--\n\nWhether two twists (6,) differ by more than this in a component; never "
+    any_differs_doc,
+    "any_differs(a, b, by, /)\n--\n\nWhether two twists (6,) differ by more than this in a component; never "
     "where one is not a number.");
 
-static PyObject* py_differ(PyObject* module, PyObject* const* args, Py_ssize_t count) {
+static PyObject* py_any_differs(PyObject* module, PyObject* const* args, Py_ssize_t count) {
   double a[6], b[6], by;
   int differs = 0;
   (void)module;
-  if (!has_count("differ", count, 3) || !read_array(a, args[0], 6, 0, "a") ||
+  if (!has_count("any_differs", count, 3) || !read_array(a, args[0], 6, 0, "a") ||
       !read_array(b, args[1], 6, 0, "b") || !read_numbers(&by, args + 2, 1)) {
     return NULL;
   }
@@ -193,10 +194,10 @@ static PyObject* py_differ(PyObject* module, PyObject* const* args, Py_ssize_t c
 }
 
 
-PyDoc_STRVAR(moves_doc,
-             "moves(twist, /)\n--\n\nWhether any of a twist's six components is not zero.");
+PyDoc_STRVAR(is_moving_doc,
+             "is_moving(twist, /)\n--\n\nWhether any of a twist's six components is not zero.");
 
-static PyObject* py_moves(PyObject* module, PyObject* arg) {
+static PyObject* py_is_moving(PyObject* module, PyObject* arg) {
   double buffer[6];
   int moves = 0;
   (void)module;
@@ -239,10 +240,10 @@ static PyMethodDef methods[] = {
     METHOD(braking_speed, NULL),
     METHOD(shortened, NULL),
     METHOD(bounded, bounded_doc),
-    METHOD(apart, apart_doc),
-    METHOD(differ, differ_doc),
+    METHOD(distance, distance_doc),
+    METHOD(any_differs, any_differs_doc),
     {"finite", py_finite, METH_O, finite_doc},
-    {"moves", py_moves, METH_O, moves_doc},
+    {"is_moving", py_is_moving, METH_O, is_moving_doc},
     {"speed", py_speed, METH_O, speed_doc},
     {NULL, NULL, 0, NULL},
 };

@@ -188,7 +188,7 @@ int pushed_step(Pushed* body, Touch* touch, const Tip* tip, const double* const*
 }
 
 
-void pushed_lean(Pushed* body, const double edge[4]) {
+void pushed_tilt(Pushed* body, const double edge[4]) {
   if (body->edge_friction > 0) {
     double share = body->tilted > 0 ? 1 : foot_edge_share(&body->foot, body->pressure);
     body->slid = share > 0 ? body->slid + body->moved : 0;

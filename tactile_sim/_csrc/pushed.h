@@ -48,6 +48,6 @@ int pushed_step(Pushed* body, Touch* touch, const Tip* tip, const double* const*
 
 // Take it that the object has tilted, or has not: what the edge carries, and where on it the floor
 // presses.
-void pushed_lean(Pushed* body, const double edge[4]);
+void pushed_tilt(Pushed* body, const double edge[4]);
 
 #endif  // TACTILE_DRIVERS_SIM_PUSHED_H_

@@ -163,7 +163,7 @@ static PyObject* step(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   foot_inside(&edge, foot, body->pressure);
   const double *first = foot->edges + 5 * edge,
                *second = foot->edges + 5 * ((edge + 1) % foot->count);
-  pushed_lean(body, (double[4]){first[0], first[1], second[0], second[1]});
+  pushed_tilt(body, (double[4]){first[0], first[1], second[0], second[1]});
   Py_RETURN_NONE;
 }
 
@@ -187,7 +187,7 @@ static PyObject* lean(PyObject* self, PyObject* const* args, Py_ssize_t count) {
   }
   memcpy(body->T, T, sizeof(T));
   body->tilted = tilted;
-  pushed_lean(body, edge);
+  pushed_tilt(body, edge);
   Py_RETURN_NONE;
 }
 

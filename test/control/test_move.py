@@ -69,7 +69,7 @@ def test_a_pose_that_stops_coming_brings_the_arm_to_rest_within_200_ms_and_ends_
     assert commands[-1][1].phase == FAILED and "pose is" in commands[-1][1].reason
 
 
-def test_an_arm_that_is_held_back_ends_the_move_with_how_far_it_is_from_the_pose():
+def test_an_arm_that_is_limited_by_ends_the_move_with_how_far_it_is_from_the_pose():
     plant, commands = moved(MoveGoal(THERE), Held(Plane(), START))
     assert commands[-1].phase == FAILED and not commands[-1].twist.any()
     told = re.match(r"the arm comes no nearer than ([\d.]+) mm to the pose", commands[-1].reason)

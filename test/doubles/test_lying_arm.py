@@ -33,7 +33,7 @@ class Cell:
         self.lying = False
         self.driver = lie(self.arm, lambda stamp_ns: self.lying)
         self.safe = SafeArm(scene, lambda: self.arm.stamp_ns, feels=feels)
-        self.safe.drive(self.driver)
+        self.safe.attach_driver(self.driver)
         self.safe.take_state(self.driver.state)
         self.statuses = []
 
@@ -310,13 +310,13 @@ def test_an_arm_of_whose_contact_nothing_is_heard_backs_off_or_crawls():
     cell = Cell(feels=True)
     cell.step(0.1, REST)
     state = cell.step(0.5, DOWN)
-    assert state.held_back == "no word of the contact: 0.002 m/s"
+    assert state.limited_by == "no word of the contact: 0.002 m/s"
     np.testing.assert_allclose(cell.arm.twist, DOWN * (0.002 / 0.030), atol=1e-9)
     cell.step(0.5, ALONG)
     np.testing.assert_allclose(cell.arm.twist, 0.2 * ALONG, atol=1e-9)
     cell.step(0.5, np.array([0, 0, 0, 1.0, 0, 0]))
     assert cell.arm.twist[3] == pytest.approx(0.1)
-    assert cell.step(0.5, -DOWN).held_back == ""
+    assert cell.step(0.5, -DOWN).limited_by == ""
     np.testing.assert_allclose(cell.arm.twist, -DOWN, atol=1e-9)
 
 
@@ -326,16 +326,16 @@ def test_an_arm_that_hears_of_no_contact_moves_freely_and_for_a_while_after():
     for _ in range(50):
         cell.safe.take_contact(cell.arm.stamp_ns, None)
         cell.step(0.008, DOWN)
-    assert cell.safe.state.held_back == "" and cell.arm.twist[2] == pytest.approx(0.03)
-    assert cell.step(0.2, DOWN).held_back == ""
-    assert "no word of the contact" in cell.step(0.2, DOWN).held_back
+    assert cell.safe.state.limited_by == "" and cell.arm.twist[2] == pytest.approx(0.03)
+    assert cell.step(0.2, DOWN).limited_by == ""
+    assert "no word of the contact" in cell.step(0.2, DOWN).limited_by
 
 
-def test_an_arm_without_a_sensor_feels_nothing_and_is_not_held_back():
+def test_an_arm_without_a_sensor_feels_nothing_and_is_not_limited_by():
     scene = load_scene("tracking_flat").arms["leader"]
     arm = SimArm(ArmLimits(), scene.T_base_start, SECOND)
     safe = SafeArm(scene, lambda: arm.stamp_ns)
-    safe.drive(arm)
+    safe.attach_driver(arm)
     safe.take_state(arm.state)
     assert safe.command(arm.stamp_ns, REST, ME) == "" and safe.command(arm.stamp_ns, ALONG, ME) == ""
     assert safe.state is not None and se3.norm(safe._sent[:3]) == pytest.approx(0.010)

@@ -62,7 +62,7 @@ class Cell:
             sensor=tip if sensor else None,
         )
         self.safe = SafeArm(scene, lambda: self.arm.stamp_ns, feels=feels)
-        self.safe.drive(self.arm)
+        self.safe.attach_driver(self.arm)
         self.safe.take_state(self.arm.state)
         if owned:
             self.safe.command(self.arm.stamp_ns, np.zeros(6), ME)
@@ -123,7 +123,7 @@ def test_steady_speed_never_exceeds_the_limit_as_a_norm():
     cell.drive([1.0, 1.0, 1.0, 9.0, 9.0, 9.0], 300)
     assert np.linalg.norm(cell.arm.twist[:3]) == pytest.approx(0.1)
     assert np.linalg.norm(cell.arm.twist[3:]) == pytest.approx(1.0)
-    assert cell.safe.state.limited and cell.safe.state.held_back == "speed"
+    assert cell.safe.state.limited and cell.safe.state.limited_by == "speed"
 
 
 def test_an_arm_obeys_one_commander_until_that_one_has_been_silent():
@@ -150,9 +150,9 @@ def test_a_stray_command_that_is_refused_does_not_lock_the_commander_out():
 
 def test_before_a_driver_and_before_its_first_state_nothing_is_followed():
     cell = Cell()
-    cell.safe.drive(None)
+    cell.safe.attach_driver(None)
     assert cell.drive(ALONG, 1) == "nobody drives the arm yet"
-    cell.safe.drive(cell.arm)
+    cell.safe.attach_driver(cell.arm)
     assert cell.safe.command(cell.arm.stamp_ns, ALONG, ME) == "the arm has no state yet"
 
 
@@ -181,7 +181,7 @@ def test_an_emergency_stop_lasts_until_a_reset_and_nothing_goes_on_by_itself(dri
 def test_an_emergency_stop_outlives_the_driver():
     cell = Cell()
     cell.safe.estop("")
-    cell.safe.drive(cell.arm)
+    cell.safe.attach_driver(cell.arm)
     cell.step()
     assert "emergency stop: no reason given" in cell.drive(ALONG, 1)
 
@@ -361,7 +361,7 @@ def test_no_command_takes_the_skin_deeper_than_the_protective_depth(driver, spee
         cell.drive(speed * DOWN, 1)
         deepest = max(deepest, depth_in(surface, cell))
     assert 0.0095 < deepest < 0.0101
-    assert "depth 0.01 m" in cell.safe.state.held_back
+    assert "depth 0.01 m" in cell.safe.state.limited_by
     assert cell.drive(-0.02 * DOWN, 200) == "" and depth_in(surface, cell) < 0.007  # the way out is open
 
 
@@ -417,7 +417,7 @@ def test_whatever_is_commanded_the_arm_stays_in_its_workspace_and_out_of_boxes(c
 def test_an_arm_outside_its_workspace_may_only_come_back():
     cell = Cell(workspace_upper=(0.2, 0.2, -0.01))
     cell.drive(0.05 * DOWN, 100)
-    assert cell.position[2] == 0.0 and cell.safe.state.held_back == "workspace z <= -0.01 m"
+    assert cell.position[2] == 0.0 and cell.safe.state.limited_by == "workspace z <= -0.01 m"
     cell.drive(-0.05 * DOWN, 100)
     assert cell.position[2] < -0.005
 

@@ -336,7 +336,7 @@ def test_an_arm_with_kinematics_tells_its_joints_and_minds_their_ranges(tmp_path
     cell = Cell(scene_file(tmp_path, double.host, kinematics="{description: short.yaml}"))
     try:
         cell.move()
-        cell.until(lambda: not cell.command(ALONG) and "joint 3" in cell.state.held_back, "end of the elbow")
+        cell.until(lambda: not cell.command(ALONG) and "joint 3" in cell.state.limited_by, "end of the elbow")
         cell.command(ALONG, 1.0)
         joints = np.array([state.joints for state in cell.states])
         assert abs(joints[-1, 2] - start[2]) > np.radians(2.0)
@@ -366,7 +366,7 @@ def test_an_arm_whose_kinematics_are_not_those_of_the_scene_is_not_driven(
     safe = SafeArm(arm, time.time_ns)
     driver = open_arm(arm, safe.take_state)
     try:
-        safe.drive(driver)
+        safe.attach_driver(driver)
         end = time.monotonic() + 5.0
         while not safe.bad_state and time.monotonic() < end:
             time.sleep(0.01)

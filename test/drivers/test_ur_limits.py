@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_drivers import ur, ur_link
+from tactile_drivers import ur, ur_link, ur_settings
 from tactile_drivers.rotation_vectors import pose_of, vector_of
 from tactile_drivers.safety import SafeArm
 from tactile_geometry import se3
@@ -64,13 +64,13 @@ class Bench:
         clock = SimpleNamespace(time_ns=self.now_ns, monotonic=lambda: self.now, sleep=lambda seconds: None)
         monkeypatch.setattr(ur, "time", clock)
         monkeypatch.setattr(ur, "_LinkProcess", Link)
-        monkeypatch.setattr(ur.importlib.util, "find_spec", lambda name: True)
+        monkeypatch.setattr(ur_settings.importlib.util, "find_spec", lambda name: True)
         path.write_text(SCENE)
         self.scene = load_scene(path).arms["arm"]
         self.safe = SafeArm(self.scene, self.now_ns, feels=False)
         self.told = queue.Queue()
         self.driver = open_arm(self.scene, lambda state: self.told.put(self.safe.take_state(state)))
-        self.safe.drive(self.driver)
+        self.safe.attach_driver(self.driver)
         self.link, self.speeds = self.driver._link, []
         self.step(1)
 

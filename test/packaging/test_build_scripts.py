@@ -316,8 +316,8 @@ sys.exit(3)
 def test_what_gives_way_is_finished_like_anything_else_and_its_status_counts(root: Path, tmp_path: Path):
     (tmp_path / "work.py").write_text(GIVES_WAY)
     script = f"""
-    . {root}/scripts/giving_way.sh
-    giving_way {sys.executable} {tmp_path}/work.py >{tmp_path}/out &
+    . {root}/scripts/run_idle.sh
+    run_idle {sys.executable} {tmp_path}/work.py >{tmp_path}/out &
     work=$!
     while ! grep -q . {tmp_path}/out; do sleep 0.01; done
     finish $work

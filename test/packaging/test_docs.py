@@ -229,7 +229,7 @@ def test_the_plug_ins_of_the_docs_keep_their_contracts(examples: Path, monkeypat
 def test_the_arm_driver_of_the_docs_follows_twists_and_stops(examples: Path):
     scene = load_scene(examples / "own_arm.md" / "my_lab" / "my_cell.yaml").arms["arm"]
     safe = SafeArm(scene, time.time_ns)
-    safe.drive(open_arm(scene, safe.take_state))
+    safe.attach_driver(open_arm(scene, safe.take_state))
     try:
         while safe.state is None:
             pass

@@ -181,7 +181,7 @@ def test_an_unusable_text_is_an_error_that_says_why(text, message):
 
 
 def test_too_few_samples_are_refused():
-    with pytest.raises(CalibrationError, match="at least 100 held-back samples, got 60"):
+    with pytest.raises(CalibrationError, match="at least 100 held-out samples, got 60"):
         fit_calibration(*generator(60, lambda mean, sigma: 1.0))
 
 

@@ -226,9 +226,9 @@ def test_command_writes_tables_and_figures(folder, constant_model, tmp_path, cap
 
 def test_calibration_data_turn_an_overconfident_model_honest(folder, constant_model, tmp_path, capsys):
     labels = labels_around(MU, SIGMA, 150, seed=9)
-    write_folder(tmp_path / "held_back", ((BLACK, euler_from_label(label)) for label in labels))
+    write_folder(tmp_path / "held_out", ((BLACK, euler_from_label(label)) for label in labels))
     model = constant_model(MU, 3.0 / SIGMA)
-    more = ("--json", "--no-figures", "--calibrate", str(tmp_path / "held_back"))
+    more = ("--json", "--no-figures", "--calibrate", str(tmp_path / "held_out"))
     assert run(folder, model, out=tmp_path / "out", more=more) == 0
     [result] = json.loads(capsys.readouterr().out)["models"]
     assert result["raw"]["consistency"]["joint"] == pytest.approx(9.0, rel=0.2)
@@ -317,7 +317,7 @@ def test_training_data_are_not_taken_for_a_test(
     assert "was trained on all of these data" in capsys.readouterr().err
 
 
-def test_of_training_data_only_what_was_held_back_is_evaluated(
+def test_of_training_data_only_what_was_held_out_is_evaluated(
     folder, constant_model, model_metadata, tmp_path
 ):
     sha = load_data(folder, open_models([constant_model()], threads=1)).sha256
@@ -328,7 +328,7 @@ def test_of_training_data_only_what_was_held_back_is_evaluated(
     }
     data = load_data(folder, open_models([constant_model(MU, properties=properties)], threads=1))
     [note] = data.notes
-    assert note.startswith(f"only the {SAMPLES // 4} samples held back from training")
+    assert note.startswith(f"only the {SAMPLES // 4} samples held out from training")
     whole = load_data(folder, open_models([constant_model()], threads=1))
     np.testing.assert_array_equal(data.labels, whole.labels[split_holdback(SAMPLES, 0.25)[1]])
 

@@ -86,7 +86,7 @@ def test_data_of_another_session_get_neither_margin_nor_floor(
 
 
 @pytest.mark.parametrize("holdback", [0.5, 0.0])
-def test_of_the_training_data_only_what_was_held_back_is_used(
+def test_of_the_training_data_only_what_was_held_out_is_used(
     folder, constant_model, model_metadata, tmp_path, capsys, holdback
 ):
     properties = {

@@ -457,15 +457,15 @@ def predictions(model: Path, samples) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
 
-def test_samples_held_back_are_not_trained_on_and_calibrate_the_model(training_data, tmp_path):
+def test_samples_held_out_are_not_trained_on_and_calibrate_the_model(training_data, tmp_path):
     config = short(holdback=0.3).replaced(calibration__min_samples=20)
     model = train(training_data, tmp_path / "run", config).model_path
     facts = Estimator(model).metadata.training_data
-    assert (facts["samples"], facts["held_back"]) == (67, 29)
+    assert (facts["samples"], facts["held_out"]) == (67, 29)
     data = read_dataset(training_data / "train", changes={"size": 64})
-    kept, held_back = split_holdback(96, 0.3)
-    assert sorted([*kept, *held_back]) == list(range(96))
-    samples = Samples(data.images, data.labels).taken(held_back)
+    kept, held_out = split_holdback(96, 0.3)
+    assert sorted([*kept, *held_out]) == list(range(96))
+    samples = Samples(data.images, data.labels).taken(held_out)
     mean, sigma = predictions(model, samples)
     np.testing.assert_allclose((((samples.labels - mean) / sigma) ** 2).mean(axis=0), 1.0, atol=0.05)
 

@@ -201,7 +201,7 @@ def test_ensemble_on_the_command_line_estimates_images(repeated, tmp_path, capsy
     assert np.all(np.linalg.eigvalsh(estimate.cov) > 0.0)
 
 
-def test_ensemble_is_calibrated_on_what_its_members_held_back(training_data, tmp_path):
+def test_ensemble_is_calibrated_on_what_its_members_held_out(training_data, tmp_path):
     """After which each component's NEES is 1 on them."""
     data = read_dataset(training_data / "train", changes={"size": 32})
     facts = {
@@ -209,13 +209,13 @@ def test_ensemble_is_calibrated_on_what_its_members_held_back(training_data, tmp
         "training": {"training": {"holdback": 0.4}, "calibration": {"min_samples": 20}},
     }
     paths = [member(tmp_path / f"{n}.onnx", "gaussian", n, **facts) for n in range(2)]
-    _, held_back = split_holdback(len(data), 0.4)
+    _, held_out = split_holdback(len(data), 0.4)
     path = write_ensemble(paths, tmp_path / "both.onnx", training_data)
     mean, covariance = Estimator(path).predict(
-        data.images[held_back][:, np.newaxis].astype(np.float32) / np.float32(255.0)
+        data.images[held_out][:, np.newaxis].astype(np.float32) / np.float32(255.0)
     )
     variance = np.diagonal(covariance, axis1=1, axis2=2)
-    nees = ((data.labels[held_back] - mean) ** 2 / variance).mean(axis=0)
+    nees = ((data.labels[held_out] - mean) ** 2 / variance).mean(axis=0)
     np.testing.assert_allclose(nees, 1.0, atol=0.02)
 
 

@@ -106,7 +106,7 @@ WRONG = [
     ("evaluate --data d/val --model MODEL --out file", "file: cannot be a folder"),
     ("evaluate --data d/val --model MODEL --out new --limit -1", "--limit: -1: must be a whole number"),
     ("evaluate filter --data d/val --model MODEL --out new --seed -1", "--seed: -1: must be a whole"),
-    ("evaluate --data d/val --model MODEL --out new --calibrate d/train", "at least 100 held-back samples"),
+    ("evaluate --data d/val --model MODEL --out new --calibrate d/train", "at least 100 held-out samples"),
     ("calibrate bad.onnx --data d/val --out new.onnx", "bad.onnx: is not a usable ONNX model"),
     ("calibrate MODEL --data d/val --out d", "d: is a folder, must be the name of a file"),
     ("calibrate MODEL --data nowhere --out new.onnx", "nowhere: is not a folder"),

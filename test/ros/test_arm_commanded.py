@@ -143,11 +143,11 @@ def test_what_the_sensor_feels_bounds_how_deep_any_command_takes_it(graph, bench
         state.header.frame_id = SENSOR
         states.publish(state)
         ask([0, 0, 0.05, 0, 0, 0])
-        if statuses and statuses[-1].held_back and abs(statuses[-1].twist[2]) < 1e-4:
+        if statuses and statuses[-1].limited_by and abs(statuses[-1].twist[2]) < 1e-4:
             break
     depth = (se3.inverse(T_base_surface) @ matrix_from_pose(poses[-1].pose))[2, 3]
     assert 0.009 < depth < 0.0101
-    assert statuses[-1].held_back == "depth 0.01 m"
+    assert statuses[-1].limited_by == "depth 0.01 m"
 
 
 def test_an_arm_that_says_it_is_somewhere_else_is_stopped_until_a_reset(graph, bench):

@@ -134,8 +134,8 @@ def test_an_emergency_stop_does_not_wait_for_a_command_that_hangs_in_the_driver(
 def test_an_arm_with_a_sensor_of_which_nothing_is_heard_crawls(graph, bench):
     bench(parameters={"feels": True})
     statuses = graph.collect(ArmStatus, "arm/status")
-    keep_commanding(graph, SENSOR, lambda: bool(statuses) and bool(statuses[-1].held_back))
-    assert statuses[-1].held_back == "no word of the contact: 0.002 m/s"
+    keep_commanding(graph, SENSOR, lambda: bool(statuses) and bool(statuses[-1].limited_by))
+    assert statuses[-1].limited_by == "no word of the contact: 0.002 m/s"
     graph.spin(0.3)
     assert max(abs(status.twist[1]) for status in statuses) < 0.0021
 
@@ -171,7 +171,7 @@ def test_commands_to_somebody_elses_driver_pass_the_same_stage(graph, bench):
         ask([0.0, 3.0, 0, 0, 0, 0])
         if statuses and statuses[-1].twist[1] > 0.09:
             break
-    assert statuses[-1].mode == ArmStatus.MOVING and statuses[-1].held_back == "speed"
+    assert statuses[-1].mode == ArmStatus.MOVING and statuses[-1].limited_by == "speed"
     for _ in graph.ticks(0.01):  # no command any more
         move()
         if not any(vector_from_twist(given[-1].twist)):

@@ -172,11 +172,11 @@ def test_two_arms_in_nodes_of_their_own_keep_apart_and_one_that_falls_silent_sto
 
     def near(left, right) -> bool:
         rest = max(abs(left.twist[0]), abs(right.twist[0])) < 1e-4
-        return rest and left.held_back == "0.02 m from right" and min(distances, default=1.0) < 0.05
+        return rest and left.limited_by == "0.02 m from right" and min(distances, default=1.0) < 0.05
 
     drive(0.05, near)
     assert 0.019 < min(distances) < 0.05 < distances[0]
-    assert statuses["left"][-1].held_back == "0.02 m from right"
+    assert statuses["left"][-1].limited_by == "0.02 m from right"
     drive(-0.05, lambda left, right: max(left.twist[0], right.twist[0]) < -0.04)  # the way back is open
     graph.processes.children["right"].process.kill()
-    drive(-0.05, lambda left, _: left.held_back == "no joints of right" and not any(left.twist))
+    drive(-0.05, lambda left, _: left.limited_by == "no joints of right" and not any(left.twist))

@@ -241,7 +241,7 @@ def test_no_joint_is_faster_than_it_may_be_and_towards_a_singularity_the_arm_slo
     outward = np.zeros(6)  # away from the shoulder, which stretches the elbow
     shoulder = np.array([0.0, 0.0, 0.1625])
     outward[:3] = 0.09 * T[:3, :3].T @ (T[:3, 3] - shoulder) / np.linalg.norm(T[:3, 3] - shoulder)
-    held = lambda: "singularity" in statuses[-1].held_back  # noqa: E731
+    held = lambda: "singularity" in statuses[-1].limited_by  # noqa: E731
     go_on(graph, controller, lambda: held() and not statuses[-1].twist.round(3).any(), ask, outward)
     assert controller.fastest.max() < 3.1416
     assert abs(controller.q[2]) > 0.02  # the elbow is not quite stretched

@@ -176,9 +176,9 @@ def test_an_arm_with_known_kinematics_stops_before_it_is_too_near_to_another(gra
     ask = graph.commands("arm/tool")
     for _ in graph.ticks(0.02):
         ask([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
-        if statuses and statuses[-1].held_back:
+        if statuses and statuses[-1].limited_by:
             break
-    assert statuses[-1].held_back == "0.06 m from other"
+    assert statuses[-1].limited_by == "0.06 m from other"
 
 
 def test_an_arm_of_ones_own_driver_that_is_told_too_deep_in_a_surface_is_stopped(graph, tmp_path):

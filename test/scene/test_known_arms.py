@@ -45,7 +45,7 @@ class Arms:
         for name in self.cell.arms:
             safe = SafeArm(self.scene.arms[name], lambda: self.cell.stamp_ns, feels=False)
             self.safe[name] = safe
-            safe.drive(self.cell.arm(name))
+            safe.attach_driver(self.cell.arm(name))
             safe.neighbours = neighbours(self.scene, name, self.state_of, self.cell.arms)
             safe.take_state(self.cell.status(name))
 
@@ -101,7 +101,7 @@ def test_a_joint_stops_before_the_end_of_its_range_and_says_so(tmp_path):
     chain, q = arms.scene.arms["left"].kinematics, arms.joints("left")
     assert not chain.out_of_range(q) and np.degrees((chain.upper - q).min()) < 2.0
     assert arms.cell.arm("left").mode is not ArmMode.FAULT
-    assert "joint" in arms.safe["left"].state.held_back
+    assert "joint" in arms.safe["left"].state.limited_by
     assert np.abs(arms.safe["left"].state.twist).max() < 0.01
     arms.go(0.5, left=np.array([0, 0, 0, 0, 0, -1.0]))
     assert arms.safe["left"].state.twist[5] < -0.9
@@ -110,7 +110,7 @@ def test_a_joint_stops_before_the_end_of_its_range_and_says_so(tmp_path):
 def test_an_arm_that_is_stretched_stops_before_its_singularity_and_comes_back(tmp_path):
     arms = Arms(tmp_path)
     arms.go(4.5, right=np.array([0, 0, -0.1, 0, 0, 0]))
-    assert arms.safe["right"].state.held_back == "singularity"
+    assert arms.safe["right"].state.limited_by == "singularity"
     assert arms.cell.arm("right").mode is not ArmMode.FAULT
     held = arms.position("right")
     arms.go(1.0, right=np.array([0, 0, 0.1, 0, 0, 0]))
@@ -166,12 +166,12 @@ def test_arms_that_come_towards_each_other_stop_before_they_are_too_near(tmp_pat
     for name, other, speed in (("left", "right", left), ("right", "left", right)):
         state = arms.safe[name].state
         assert np.abs(state.twist).max() < 0.001
-        assert state.held_back == (f"0.02 m from {other}" if speed else "")
+        assert state.limited_by == (f"0.02 m from {other}" if speed else "")
     arms.go(0.5, left=-0.1 * ALONG_X, right=-0.1 * ALONG_X)
     assert arms.apart() > 0.1  # every way back is free
 
 
-def test_an_arm_that_minds_no_other_is_not_held_back_by_it(tmp_path):
+def test_an_arm_that_minds_no_other_is_not_limited_by_by_it(tmp_path):
     arms = Arms(tmp_path, ("  left:\n", "  left:\n    safety: {min_arm_distance: 0.0}\n"))
     assert not arms.safe["left"].neighbours and arms.safe["right"].neighbours
     arms.go(1.8, left=0.1 * ALONG_X)
@@ -185,7 +185,7 @@ def test_an_arm_that_hears_nothing_of_the_other_does_not_move(tmp_path):
     arms.go(0.5, left=0.05 * ALONG_X)
     assert arms.safe["left"].state.twist[0] == pytest.approx(0.05)
     arms.go(0.4, left=0.05 * ALONG_X)
-    assert arms.safe["left"].state.held_back == "no joints of right"
+    assert arms.safe["left"].state.limited_by == "no joints of right"
     assert not arms.safe["left"].state.twist.any()
 
 

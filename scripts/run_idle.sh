@@ -1,8 +1,8 @@
 # Tests that wait for nothing beside those that run against the clock; sourced.
 
-# giving_way COMMAND...: run it, in a session of its own, in what others leave of the machine. For the background. Its policy
+# run_idle COMMAND...: run it, in a session of its own, in what others leave of the machine. For the background. Its policy
 # (SCHED_IDLE) counts within the session alone where the kernel shares time out by session (autogroup), whose own is 19 there.
-giving_way() {
+run_idle() {
     exec setsid bash -c '{ echo 19 >/proc/self/autogroup; } 2>/dev/null || true; exec chrt --idle 0 "$@"' - "$@"
 }
 
