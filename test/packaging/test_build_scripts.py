@@ -135,7 +135,7 @@ def required(root: Path, *extras: str) -> list[Requirement]:
 
 def test_the_locked_versions_lie_in_the_ranges_of_the_package(root: Path):
     versions = locked(root / "scripts" / "constraints.txt")
-    for requirement in required(root, "train", "cluster", "test", "lint", "lock"):
+    for requirement in required(root, "train", "cluster", "test", "lint", "docs", "lock"):
         allowed = versions[requirement.name.lower()]
         assert all(requirement.specifier.contains(version) for version in allowed), (
             f"{requirement}: `make lock`"
