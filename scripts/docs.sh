@@ -11,5 +11,5 @@ if ! missing=$(python -c 'import material, mkdocs' 2>&1); then
 fi
 step reference "reference, from the code" python scripts/reference
 rm -rf build/docs && mkdir -p build/docs
-ln -s "$root"/{README,SECURITY,CONTRIBUTING}.md "$root/docs" build/docs
+ln -s "$root"/{README,SECURITY,CONTRIBUTING}.md "$root"/{docs,examples} build/docs
 NO_MKDOCS_2_WARNING=1 step site "documentation, into out/site" python -m mkdocs build --strict --quiet
