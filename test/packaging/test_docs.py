@@ -153,7 +153,7 @@ def test_every_option_within_a_sentence_is_one_of_its_command(root: Path):
 
 def test_every_file_named_in_the_docs_exists(root: Path):
     """Paths in code style below one of our folders."""
-    folders = "bench|config|docs|launch|scripts|test|tactile_[a-z]+"
+    folders = "bench|config|docs|examples|launch|scripts|test|tactile_[a-z]+"
     named = re.compile(rf"(?<![\w/.])((?:{folders})/[\w./-]*\w\.(?:py|yaml|md|sh|rviz|txt|xml|h|c|onnx))\b")
     missing = []
     for page in pages(root):
@@ -332,6 +332,14 @@ def test_the_arm_driver_of_the_docs_follows_twists_and_stops(examples: Path):
         assert "not finite" in safe.command(time.time_ns(), np.full(6, np.nan))
     finally:
         safe.close()
+
+
+def test_the_sensor_of_the_docs_follows_a_surface(examples: Path):
+    """With its task, on an ideal sensor: a model of its own is what the page makes."""
+    scene = load_scene(examples / "my_sensor" / "my_cell.yaml")
+    task = load_task(examples / "my_sensor" / "my_task.yaml", scene.name)
+    record = run_arms_offline(scene, task, OfflineOptions(fidelity="ideal", seed=1))["arm"]
+    assert record.result["succeeded"], record.result["reason"]
 
 
 def test_settings_of_the_drivers_in_the_docs_are_declared(examples: Path):
