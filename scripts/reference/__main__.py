@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import yaml
-from graph import messages_page, nodes_page, topics_page
+from graph import launch_page, messages_page, nodes_page, topics_page
 from settings import scene_page, settings_page, tasks_page
 from text import code, first_sentences, ours, table
 
@@ -152,6 +152,7 @@ def faults_page() -> str:
 
 PAGES = {
     "commands.md": commands_page,
+    "launch.md": launch_page,
     "scene.md": scene_page,
     "tasks.md": tasks_page,
     "settings.md": settings_page,

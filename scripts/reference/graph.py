@@ -20,6 +20,11 @@ Started by `ros2 run tactile_servoing NAME`. `tactile get /arm/NAME` shows the p
 ## Every node
 
 """
+LAUNCH = """# Launch files
+
+`ros2 launch tactile_servoing FILE ARGUMENT:=VALUE`. A launch file of a task has the task's name, such as
+`surface_following.launch.py`; `servoing.launch.py` starts one arm's nodes within a launch of your own.
+"""
 TOPICS = """# Topics
 
 Below the arm's namespace, unless they begin with `/`. Quality of service: `reliable`; `latched`, where late
@@ -94,6 +99,26 @@ def topics_page() -> str:
         hears = [name for name, part in node_topics.NODES.items() if topic in part.hears + part.hears_all]
         rows.append((code(topic.name), topic.type, topic.qos, topic.publisher, ", ".join(hears)))
     return TOPICS + table("topic | type | quality of service | published by | heard by", rows)
+
+
+def launch_page() -> str:
+    """The arguments of the launch files, whose module cannot be imported without a ROS 2 install."""
+    source = (PACKAGES / "tactile_bringup/launching/launch_description.py").read_text()
+    tables = [
+        node
+        for node in ast.parse(source).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]).endswith("ARGUMENTS")
+    ]
+    values: dict[str, dict[str, tuple[str, str]]] = {}
+    exec(compile(ast.Module(tables, []), source, "exec"), values)  # type: ignore[arg-type]
+    text = LAUNCH
+    for heading, name in (
+        ("Tasks", "ARGUMENTS"),
+        ("servoing.launch.py", "SERVOING_ARGUMENTS"),
+    ):
+        rows = [(f"`{key}`", code(default), meaning) for key, (default, meaning) in values[name].items()]
+        text += f"\n## {heading}\n\n" + table("argument | default | meaning", rows)
+    return text
 
 
 def messages_page() -> str:
