@@ -58,7 +58,7 @@ lock:
 	@scripts/lock.sh
 
 clean:
-	rm -rf build install log
+	rm -rf build install log docs/reference
 
 distclean: clean
 	rm -rf .venv .venv-lowest out
