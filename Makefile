@@ -3,6 +3,7 @@
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
 # make lowest  run tests with the lowest versions that setup.cfg allows
 # make lint    ruff, mypy and clang-format
+# make docs    build the documentation into out/site
 # make model   make the shipped model again: generate simulated images, train, quantize (work in out/model)
 # make lock    renew the exact versions that all of these install (scripts/constraints.txt, scripts/lowest.txt)
 # make clean   remove what was built    (make distclean: .venv and out as well)
@@ -16,7 +17,7 @@ TASK ?= surface_following
 export PYTHON TORCH
 
 # packages: what tests need to be installed
-.PHONY: build demo packages test lowest lint model lock clean distclean
+.PHONY: build demo packages test lowest lint docs model lock clean distclean
 
 build:
 	@scripts/setup.sh
@@ -40,6 +41,11 @@ lint:
 	@. scripts/env.sh && ruff check . && ruff format --check . && mypy && \
 	    clang-format --dry-run --Werror tactile_*/_csrc/*.[ch]
 
+docs:
+	@scripts/setup.sh docs
+	@scripts/build.sh
+	@scripts/docs.sh
+
 model:
 	@scripts/setup.sh train
 	@scripts/build.sh
@@ -53,7 +59,7 @@ lock:
 	@scripts/lock.sh
 
 clean:
-	rm -rf build install log
+	rm -rf build install log docs/reference
 
 distclean: clean
 	rm -rf .venv .venv-lowest out

@@ -1,6 +1,5 @@
 """An arm of somebody else's nodes: what its scene may say, and what moveit_servo's status means."""
 
-import re
 from pathlib import Path
 
 import pytest
@@ -100,11 +99,9 @@ arms:
 """
 
 
-def test_the_scene_of_the_documentation_has_the_joints_of_its_controller(tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "own_arm.md").read_text()
-    path = tmp_path / "cell.yaml"
-    path.write_text(re.search(r"```yaml\n# my_velocity_cell.yaml\n(.*?)```", page, re.S)[1])
-    arm = load_scene(path).arms["arm"]
+def test_the_scene_of_the_examples_has_the_joints_of_its_controller():
+    scene = Path(__file__).parents[2] / "examples/external_arm/my_velocity_cell.yaml"
+    arm = load_scene(scene).arms["arm"]
     given = arm.driver_settings
     settings = given.checked(ExternalArmSettings, given.values)
     assert settings.joint_order(arm.kinematics.names) == list(range(6)) and settings.publish_tool

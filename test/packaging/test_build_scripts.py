@@ -79,6 +79,16 @@ def test_setup_without_a_usable_python_names_what_it_needs(scripts: Path):
     assert "3.10 to 3.13" in result.stderr
 
 
+def test_documentation_without_its_packages_says_what_to_type(scripts: Path):
+    python = scripts.parent / ".venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text("#!/bin/sh\necho \"ModuleNotFoundError: No module named 'material'\" >&2; exit 1\n")
+    python.chmod(0o755)
+    result = run("bash", "scripts/docs.sh", cwd=scripts.parent)
+    assert result.returncode == 1 and result.stdout == ""
+    assert "No module named 'material'" in result.stderr and "scripts/setup.sh docs" in result.stderr
+
+
 def test_failing_step_shows_the_end_of_its_output_and_where_the_rest_is(scripts: Path):
     command = ". scripts/common.sh; step check 'a check' bash -c 'echo the reason; exit 3'"
     result = run("bash", "-c", command, cwd=scripts.parent)
@@ -135,7 +145,7 @@ def required(root: Path, *extras: str) -> list[Requirement]:
 
 def test_the_locked_versions_lie_in_the_ranges_of_the_package(root: Path):
     versions = locked(root / "scripts" / "constraints.txt")
-    for requirement in required(root, "train", "cluster", "test", "lint", "lock"):
+    for requirement in required(root, "train", "cluster", "test", "lint", "docs", "lock"):
         allowed = versions[requirement.name.lower()]
         assert all(requirement.specifier.contains(version) for version in allowed), (
             f"{requirement}: `make lock`"

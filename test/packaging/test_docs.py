@@ -1,10 +1,18 @@
-"""What the documentation points at and tells to type is there; its examples of plug-ins run."""
+"""What the documentation points at and tells to type is there; its examples of plug-ins run.
+
+Its reference is written from the code (scripts/reference), here into a folder of its own, which stands for
+docs/reference.
+"""
 
 import argparse
 import configparser
+import csv
 import dataclasses
+import os
 import re
 import shlex
+import shutil
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -19,27 +27,60 @@ from tactile_bringup import driver_check
 from tactile_bringup.cli import _parser
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_bringup.plugin_check import check_plugin
+from tactile_control.pid import PidSettings
 from tactile_control.task_file import load_task
 from tactile_drivers.safety import SafeArm
+from tactile_drivers.uvc_camera import UvcCameraSettings
+from tactile_filter.filter_settings import FilterSettings
 from tactile_records.runs import metrics, object_tracking, pushing
 from tactile_records.runs.report import write_numbers
 from tactile_scene.arm import open_arm
+from tactile_scene.arm_settings import ArmLimits
+from tactile_scene.scene import SensorSettings
 from tactile_scene.scene_file import load_scene
+from tactile_scene.shapes.box import BoxSettings
 from tactile_sim.tactip import TacTip
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 PLACEHOLDER = re.compile(r"\[-|\.\.\.|[…|]")  # a line that shows options rather than to be typed
 
 
+@pytest.fixture(scope="session")
+def reference(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that stands for docs/reference."""
+    folder = tmp_path_factory.mktemp("reference")
+    script = root / "scripts" / "reference"
+    done = subprocess.run([sys.executable, str(script), str(folder)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
 def pages(root: Path) -> list[Path]:
-    return [*root.glob("*.md"), *(root / "docs").rglob("*.md")]
+    """Those that are written by hand."""
+    written = root / "docs" / "reference"
+    return [*root.glob("*.md"), *(page for page in (root / "docs").rglob("*.md") if page.parent != written)]
 
 
 def anchors(page: Path) -> set[str]:
-    """Anchors of the headings, as GitHub and GitLab make them."""
+    """Anchors of the headings, as GitHub, GitLab and the site make them."""
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
     headings = re.findall(r"^#+ (.+)$", text, re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path, place: Path, root: Path, reference: Path) -> list[str]:
+    """Relative links of a page that lead nowhere; it stands at `place`."""
+    broken, text = [], re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+    for link in LINK.findall(text):
+        target, _, anchor = link.partition("#")
+        if "://" in link:
+            continue
+        path = Path(os.path.normpath(place.parent / target)) if target else place
+        if path.parent == root / "docs" / "reference":
+            path = reference / path.name
+        if not path.exists() or (anchor and path.suffix == ".md" and anchor not in anchors(path)):
+            broken.append(f"{place.relative_to(root)}: {link}")
+    return broken
 
 
 def commands(page: Path) -> Iterator[str]:
@@ -51,17 +92,18 @@ def commands(page: Path) -> Iterator[str]:
             yield re.sub(r"\s+#.*$", "", typed[1])
 
 
-def test_every_relative_link_leads_somewhere(root: Path):
-    broken = []
-    for page in pages(root):
-        for link in LINK.findall(page.read_text()):
-            target, _, anchor = link.partition("#")
-            if "://" in link:
-                continue
-            path = page.parent / target if target else page
-            if not path.exists() or (anchor and path.suffix == ".md" and anchor not in anchors(path)):
-                broken.append(f"{page.relative_to(root)}: {link}")
+def test_every_relative_link_leads_somewhere(root: Path, reference: Path):
+    broken = [link for page in pages(root) for link in broken_links(page, page, root, reference)]
+    for page in reference.glob("*.md"):
+        broken += broken_links(page, root / "docs" / "reference" / page.name, root, reference)
     assert not broken
+
+
+def test_the_site_has_every_page_once(root: Path, reference: Path):
+    listed = re.findall(r": ([\w./]+\.md)$", (root / "mkdocs.yml").read_text(), re.M)
+    there = [str(page.relative_to(root)) for page in pages(root) if page.name != "CHANGELOG.md"]
+    there += [f"docs/reference/{page.name}" for page in reference.glob("*.md")]
+    assert sorted(listed) == sorted(there)
 
 
 def test_every_command_in_the_docs_is_one_that_tactile_takes(root: Path, capsys: pytest.CaptureFixture[str]):
@@ -113,7 +155,7 @@ def test_every_option_within_a_sentence_is_one_of_its_command(root: Path):
 
 def test_every_file_named_in_the_docs_exists(root: Path):
     """Paths in code style below one of our folders."""
-    folders = "bench|config|docs|launch|scripts|test|tactile_[a-z]+"
+    folders = "bench|config|docs|examples|launch|scripts|test|tactile_[a-z]+"
     named = re.compile(rf"(?<![\w/.])((?:{folders})/[\w./-]*\w\.(?:py|yaml|md|sh|rviz|txt|xml|h|c|onnx))\b")
     missing = []
     for page in pages(root):
@@ -140,36 +182,83 @@ def test_every_module_named_in_the_docs_can_be_found(root: Path):
     assert not missing
 
 
-def test_the_table_of_topics_is_that_of_the_code(root: Path):
-    text = (root / "docs" / "architecture.md").read_text()
+# ---- the reference ----
+
+
+def test_the_reference_has_every_topic_with_type_and_publisher(reference: Path):
+    lines = (reference / "topics.md").read_text().splitlines()
     for topic in [item for item in vars(topics).values() if isinstance(item, topics.Topic)]:
-        assert f"`{topic.name}`" in text, topic.name
-        if not topic.name.startswith("/"):
-            row = next(line for line in text.splitlines() if line.startswith(f"| `{topic.name}`"))
-            assert topic.type in row and topic.publisher in row, row
+        (row,) = [line for line in lines if line.startswith(f"| `{topic.name}` |")]
+        assert topic.type in row and topic.publisher in row, row
 
 
-def test_every_number_of_a_report_has_its_meaning_in_the_docs(root: Path):
-    text = (root / "docs" / "control.md").read_text()
-    for name, meaning in metrics.REPORT_FIELDS.items():
-        assert f"| `{name}` | {meaning} |" in text
-    tracking = (root / "docs" / "tasks.md").read_text()
-    for name in object_tracking.FIELDS.keys() - metrics.REPORT_FIELDS.keys() - {"tracking.leader"}:
-        assert f"`{name.removeprefix('tracking.').split('.')[0]}`" in tracking, name
-    for name in pushing.FIELDS.keys() - metrics.REPORT_FIELDS.keys():
-        assert f"| `{name.removeprefix('push.')}` | {pushing.FIELDS[name]} |" in tracking, name
+def test_the_reference_has_every_number_of_a_report(reference: Path):
+    text = (reference / "report.md").read_text()
+    for fields in (metrics.REPORT_FIELDS, object_tracking.FIELDS, pushing.FIELDS):
+        for name, meaning in fields.items():
+            assert f"| `{name}` | {meaning} |" in text
+
+
+def test_the_reference_has_every_setting_and_none_twice(reference: Path):
+    text = "".join((reference / name).read_text() for name in ("scene.md", "tasks.md", "settings.md"))
+    for kind in (UvcCameraSettings, ArmLimits, SensorSettings, FilterSettings, PidSettings, BoxSettings):
+        (section,) = re.findall(rf"\(`{kind.__name__}`\)\n\n(.*?)\n\n", text, re.S)
+        for item in dataclasses.fields(kind):
+            assert f"| `{item.name}` |" in section and str(item.metadata["doc"])[:20] in section, item.name
+    kinds = re.findall(r"\(`(\w+)`\)\n\n\|", text)
+    twice = {
+        "ContactSettings",
+        "TrackingSettings",
+    }  # a task's and the simulated sensor's; a task's and an arm's
+    assert len(kinds) > 50 and {name for name in kinds if kinds.count(name) > 1} <= twice
+
+
+def test_the_reference_has_every_command(reference: Path):
+    text = (reference / "commands.md").read_text()
+    for command in ("tactile launch", "tactile camera check", "tactile data collect", "tactile stop"):
+        assert f"\n## {command}\n" in text
+        parser, _ = subparser(command.split()[1:])
+        for option in parser._option_string_actions:
+            assert option in text, f"{command} {option}"
+
+
+def test_the_reference_says_which_settings_are_a_nodes_parameters(reference: Path):
+    text = (reference / "nodes.md").read_text()
+    controller = text[text.index("\n## controller") : text.index("\n## estimator")]
+    assert "| `task` | the kind of task that it runs; default `'surface_following'` | no |" in controller
+    assert "| `bounds.*` | [ContactBounds](settings.md#contactbounds) | no |" in controller
+    assert "`contact/state`" in controller and "`run_task`" in controller
+
+
+def test_each_fault_has_its_test_and_a_row_of_the_reference(root: Path, reference: Path):
+    with (root / "docs" / "faults.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) >= 380
+    for row in rows:
+        file, _, name = row["test"].partition("::")
+        found = [path for path in root.glob(f"test/**/{file}") if f"def {name}(" in path.read_text()]
+        assert len(found) == 1, f"{row['fault']}: {row['test']} is in {found or 'no file'}"
+        assert all(row[key] for key in ("section", "fault", "injected", "response")), row
+    faults = [(row["section"], row["fault"]) for row in rows]
+    assert len(set(faults)) == len(faults)
+    text = (reference / "faults.md").read_text()
+    assert all(f"| {row['fault']} | {row['injected']} |" in text for row in rows)
 
 
 # ---- examples of plug-ins ----
 
 
-def install(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write the files of a page into a folder, and make its packages as good as installed."""
+def write_files(page: Path, folder: Path) -> None:
+    """Write the files that a page shows into a folder."""
     blocks = re.findall(r"^```\w+\n# ([\w./-]+\.\w+)\n(.*?)^```", page.read_text(), re.M | re.S)
     for name, text in blocks:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
+
+
+def install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the packages of a folder as good as installed."""
     for project in folder.glob("*/pyproject.toml"):
         described = configparser.ConfigParser()  # what these files use of TOML it reads as well
         described.read_string(project.read_text().replace('"', ""))
@@ -189,14 +278,15 @@ def install(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def examples(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with all packages of the pages on tasks and drivers."""
-    for page in ("add_a_task.md", "own_arm.md"):
-        install(root / "docs" / page, tmp_path / page, monkeypatch)
+    """A folder with all example packages: those of the page on tasks, and the folder examples/."""
+    write_files(root / "docs" / "add_a_task.md", tmp_path)
+    shutil.copytree(root / "examples", tmp_path, dirs_exist_ok=True)
+    install(tmp_path, monkeypatch)
     return tmp_path
 
 
 def test_the_task_of_the_docs_runs_and_reports(examples: Path, tmp_path: Path):
-    task = load_task(examples / "add_a_task.md" / "my_tasks" / "rubbing.yaml", "plane")
+    task = load_task(examples / "my_tasks" / "rubbing.yaml", "plane")
     run = run_arms_offline(load_scene("plane"), task, OfflineOptions(fidelity="ideal", seed=1))
     numbers = write_numbers(run, "arm", tmp_path / "report.json")
     assert numbers["succeeded"], numbers["reason"]
@@ -204,7 +294,7 @@ def test_the_task_of_the_docs_runs_and_reports(examples: Path, tmp_path: Path):
 
 
 def test_the_shape_and_the_motion_of_the_docs_run(examples: Path):
-    folder = examples / "add_a_task.md" / "my_bodies"
+    folder = examples / "my_bodies"
     scene = load_scene(folder / "swinging_bowl.yaml")
     task = load_task(folder / "stay.yaml", scene.name)
     record = run_arms_offline(scene, task, OfflineOptions(fidelity="ideal", seed=1))["arm"]
@@ -216,7 +306,7 @@ def test_the_shape_and_the_motion_of_the_docs_run(examples: Path):
 @pytest.mark.live
 def test_the_plug_ins_of_the_docs_keep_their_contracts(examples: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(driver_check, "LISTEN", 0.5)
-    lab = examples / "own_arm.md" / "my_lab"
+    lab = examples / "my_lab"
     monkeypatch.chdir(lab)
     cv2.imwrite("still.png", TacTip(seed=1).image())
     for kind, name in (("task", "rubbing"), ("shape", "bowl"), ("body motion", "swing")):
@@ -227,7 +317,7 @@ def test_the_plug_ins_of_the_docs_keep_their_contracts(examples: Path, monkeypat
 
 
 def test_the_arm_driver_of_the_docs_follows_twists_and_stops(examples: Path):
-    scene = load_scene(examples / "own_arm.md" / "my_lab" / "my_cell.yaml").arms["arm"]
+    scene = load_scene(examples / "my_lab" / "my_cell.yaml").arms["arm"]
     safe = SafeArm(scene, time.time_ns)
     safe.attach_driver(open_arm(scene, safe.take_state))
     try:
@@ -246,15 +336,12 @@ def test_the_arm_driver_of_the_docs_follows_twists_and_stops(examples: Path):
         safe.close()
 
 
-def test_each_fault_of_the_docs_has_its_test(root: Path):
-    text = (root / "docs" / "safety.md").read_text()
-    rows = [line for line in text[text.index("## Faults") :].splitlines() if line.startswith("| ")][2:]
-    assert len(rows) >= 100
-    for row in rows:
-        file, _, name = row.strip("| ").split(" | ")[-1].partition("::")
-        assert f"def {name}(" in (root / file).read_text(), row
-    faults = [row.split(" | ")[0] for row in rows]
-    assert len(set(faults)) == len(faults)
+def test_the_sensor_of_the_docs_follows_a_surface(examples: Path):
+    """With its task, on an ideal sensor: a model of its own is what the page makes."""
+    scene = load_scene(examples / "my_sensor" / "my_cell.yaml")
+    task = load_task(examples / "my_sensor" / "my_task.yaml", scene.name)
+    record = run_arms_offline(scene, task, OfflineOptions(fidelity="ideal", seed=1))["arm"]
+    assert record.result["succeeded"], record.result["reason"]
 
 
 def test_settings_of_the_drivers_in_the_docs_are_declared(examples: Path):

@@ -200,12 +200,6 @@ def test_an_empty_record_can_be_reported(tmp_path):
     assert values["contact_fraction"] is None and values["succeeded"] is False
 
 
-def test_the_manual_lists_every_number_of_the_report(request):
-    text = (request.config.rootpath / "docs" / "control.md").read_text()
-    for name, meaning in REPORT_FIELDS.items():
-        assert f"| `{name}` | {meaning} |" in text
-
-
 def without_some(record, stage, count):
     """The record with `count` frames in the middle missing from a stage."""
     series = record.latency[stage]

@@ -1,4 +1,4 @@
-"""The arm node before moveit_servo: a stand-in with its rules, on the scene of the documentation.
+"""The arm node before moveit_servo: a stand-in with its rules, on the scene of the examples.
 
 Its status is moveit_msgs' ServoStatus where that is installed, which `make` does not, else one with its
 fields that is built here.
@@ -6,7 +6,6 @@ fields that is built here.
 
 import ctypes
 import importlib.util
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +23,7 @@ from tactile_ros import qos
 from tactile_ros.conversions import matrix_from_transform, ns_from_time, transform_stamped
 
 ARM_NODE = "tactile_ros.nodes.arm_node"
-PAGE = Path(__file__).parents[2] / "docs" / "own_arm.md"
+SCENE = Path(__file__).parents[2] / "examples/external_arm/my_moveit_cell.yaml"
 TIMEOUT = 0.1  # s, servo's incoming_command_timeout
 MOUNT = se3.pose_from_euler([0.0, 0.0, 0.065, 0.0, 0.0, 0.0])
 START = se3.pose_from_euler([0.4, 0.0, 0.115, np.pi, 0.0, 0.0])
@@ -134,12 +133,10 @@ def status_type(graph, request, monkeypatch):
 
 
 def start(graph) -> Servo:
-    """The node on the page's scene, and the stand-in."""
-    scene = graph.folder / "my_moveit_cell.yaml"
-    scene.write_text(re.search(r"```yaml\n# my_moveit_cell.yaml\n(.*?)```", PAGE.read_text(), re.S)[1])
+    """The node on the example's scene, and the stand-in."""
     remap = "import sys; sys.argv += ['-r', 'command/twist:=/servo_node/delta_twist_cmds']; "
     code = f"{remap}from {ARM_NODE} import main; sys.exit(main())"
-    graph.start_code(ARM_NODE, code, {"scene": str(scene), "feels": False, **FRAMES})
+    graph.start_code(ARM_NODE, code, {"scene": str(SCENE), "feels": False, **FRAMES})
     return Servo(graph)
 
 
