@@ -122,16 +122,16 @@ def settings_page() -> str:
 SCENE = {
     "limits": "ArmLimits",
     "safety": "SafetySettings",
-    "tracking": "tracking.TrackingSettings",
+    "tracking": "arm_settings.TrackingSettings",
     "sensor": "SensorSettings",
     "driver external": "ExternalArmSettings",
     "camera external": "ExternalCameraSettings",
 }
 SIMULATED = {
     "skin": "SkinSettings",
-    "contact": "settings.ContactSettings",
+    "contact": "simulated_sensors.ContactSettings",
     "markers": "MarkerSettings",
-    "camera": "settings.CameraSettings",
+    "camera": "simulated_sensors.CameraSettings",
     "ideal": "IdealSensorSettings",
     "fitted": "FittedSensorSettings",
 }
