@@ -12,7 +12,7 @@ TEMPLATES = Path(__file__).with_name("templates")
 
 #: Kind -> its groups of entry points, with the place that a name leads to.
 ENTRY_POINTS = {
-    "task": {"tasks": "$name:$Class"},
+    "task": {"tasks": "$name:$Class", "reports": "$name:REPORT"},
     "arm": {"arms": "$name:$Class", "doubles": "tactile_doubles.reported:ReportedDouble"},
     "camera": {"cameras": "$name:$Class"},
     "shape": {"shapes": "$name:$Class"},
