@@ -1,6 +1,6 @@
 """How consistent the filter is in the closed loop: NIS, whiteness and NEES with the shipped settings.
 
-    python bench/filter_consistency.py [--scenes ramp plane] [--fidelity ideal image]
+    python bench/filter/consistency.py [--scenes ramp plane] [--fidelity ideal image]
 
 Offline, simulated. NIS and NEES are divided by 6 (1: covariances mean what they claim); the correlation is
 that of each whitened innovation with the next. NEES against the truth, while in contact.
@@ -8,9 +8,14 @@ that of each whitened innovation with the next. NEES against the truth, while in
 
 from __future__ import annotations
 
-import argparse
+import sys
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import Table, parser
 
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_offline
@@ -45,31 +50,32 @@ def filtered(record: RunRecord) -> list[Belief]:
     ]
 
 
-def row(scene: str, fidelity: str) -> str:
+def row(scene: str, fidelity: str) -> list[str]:
     """One run as a row of the table."""
     record = run_offline(scene, "surface_following", OfflineOptions(fidelity=fidelity, seed=1))
     w = np.array([belief.innovation for belief in filtered(record) if belief.innovation is not None])
     lag_one = (w[1:] * w[:-1]).sum(axis=0) / (w**2).sum(axis=0)
-    cells = [
-        f"{np.square(w).mean():.2f}", ", ".join(f"{value:.2f}" for value in lag_one),
-        f"{mean_nees(record.estimate, record.truth):.2f}", f"{mean_nees(record.belief, record.truth):.2f}",
-    ]  # fmt: skip
-    return f"| {scene}, {fidelity} | " + " | ".join(cells) + " |"
+    return [
+        f"{scene}, {fidelity}",
+        f"{np.square(w).mean():.2f}",
+        ", ".join(f"{value:.2f}" for value in lag_one),
+        f"{mean_nees(record.estimate, record.truth):.2f}",
+        f"{mean_nees(record.belief, record.truth):.2f}",
+    ]
 
 
-def main() -> int:
-    """Measure and print a table in Markdown; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--scenes", nargs="+", default=["ramp", "plane"])
-    parser.add_argument("--fidelity", nargs="+", default=["ideal", "image"])
-    arguments = parser.parse_args()
-    print("| | NIS / 6 | correlation of innovations | NEES / 6, estimates | NEES / 6, beliefs |")
-    print("| --- " * 5 + "|")
-    for fidelity in arguments.fidelity:
-        for scene in arguments.scenes:
-            print(row(scene, fidelity), flush=True)
-    return 0
+def main() -> None:
+    """Measure and print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--scenes", nargs="+", default=["ramp", "plane"])
+    arguments.add_argument("--fidelity", nargs="+", default=["ideal", "image"])
+    given = arguments.parse_args()
+    heads = ("", "NIS / 6", "correlation of innovations", "NEES / 6, estimates", "NEES / 6, beliefs")
+    table = Table(heads, "one run each, seed 0")
+    for fidelity in given.fidelity:
+        for scene in given.scenes:
+            table.row(*row(scene, fidelity))
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

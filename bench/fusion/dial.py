@@ -1,34 +1,34 @@
 """What each shortcut of the fusion costs in accuracy, and what it saves: the dial between speed and accuracy.
 
-    python bench/fusion_dial.py [--quick] [--json FILE] [--plot docs/images/fusion_dial.png]
+    python bench/fusion/dial.py [--rounds 300] [--plot docs/images/fusion_dial.png]
 
 Numbers of iterations and orders of the inverse Jacobian against the converged exact answer (mode "exact"),
 at angles between the means from 1 to 179 degrees, for isotropic and strongly anisotropic covariances. Errors
 are medians over random pairs: of the mean in posterior standard deviations, of the covariance as the largest
-error of an element relative to the standard deviations of its row and column. Times are of one call from
-Python with estimates of a contact, in nanoseconds.
+error of an element relative to the standard deviations of its row and column. Times (ns) are of one call from
+Python with estimates of a contact, the best of so many rounds.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import time
+import sys
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import Array, Table, best, contact_pair, parser, random_covariance
 
 from tactile_filter.fusion import FusionResult, FusionStatus, fuse
 from tactile_geometry import se3
 
-Array = NDArray[np.float64]
 Pair = tuple[Array, Array, Array, Array]
 
 DEGREES = (1, 2, 5, 10, 20, 45, 90, 135, 179)
 SHOWN = (1, 5, 20, 45, 90, 179)
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])  # m, rad: an estimate of the contact
 VAGUE = np.repeat([0.1, 1.0], 3)  # m, rad: so vague that means far apart may belong to one pose
 
 
@@ -57,15 +57,6 @@ TABLE += [Plan(n) for n in (2, 3, 4, 5, 10)]
 TABLE += [Plan(None)]
 
 
-def random_covariance(rng: np.random.Generator, sigma: Array, spread: float) -> Array:
-    """Standard deviations around sigma within factors of 10**spread, correlated if the spread is not zero."""
-    factor = np.eye(6) + (spread > 0) * 0.5 * np.tril(rng.uniform(-1, 1, (6, 6)), -1)
-    correlated = factor @ factor.T
-    scale = sigma * 10.0 ** rng.uniform(-spread, spread, 6) / np.sqrt(np.diag(correlated))
-    result = correlated * np.outer(scale, scale)
-    return 0.5 * (result + result.T)
-
-
 def separated(degrees: float, spread: float, count: int) -> list[Pair]:
     """Pairs whose means are turned against each other by this angle and shifted in proportion."""
     rng = np.random.default_rng(int(degrees))
@@ -77,17 +68,6 @@ def separated(degrees: float, spread: float, count: int) -> list[Pair]:
         between = se3.exp(np.concatenate((0.1 * np.radians(degrees) * rng.normal(size=3), turn)))
         covs = [random_covariance(rng, VAGUE, spread) for _ in range(2)]
         pairs.append((mean, covs[0], between @ mean, covs[1]))
-    return pairs
-
-
-def contacts(count: int) -> list[Pair]:
-    """Pairs of estimates of one contact, as the filter meets them."""
-    rng = np.random.default_rng(0)
-    pairs = []
-    for _ in range(count):
-        mean = se3.exp(0.1 * rng.normal(size=6))
-        other = se3.exp(SIGMA * rng.normal(size=6)) @ mean
-        pairs.append((mean, random_covariance(rng, SIGMA, 0.3), other, random_covariance(rng, SIGMA, 0.3)))
     return pairs
 
 
@@ -109,27 +89,16 @@ def errors(pairs: list[Pair]) -> dict[str, tuple[float, float]]:
 
 
 def times(rounds: int) -> dict[str, float]:
-    """Nanoseconds a fusion, by plan; the rounds go through all in turn, so all see one load."""
-    pairs = contacts(64)
-    best = {plan.name: float("inf") for plan in PLANS}
-    for _ in range(rounds):
-        for plan in PLANS:
-            start = time.perf_counter_ns()
-            for pair in pairs:
-                plan.fuse(pair)
-            best[plan.name] = min(best[plan.name], (time.perf_counter_ns() - start) / len(pairs))
-    return best
+    """Nanoseconds a fusion of one of 64 pairs of estimates of a contact, by plan."""
+    rng = np.random.default_rng(0)
+    pairs = [contact_pair(rng) for _ in range(64)]
+    calls = {plan.name: partial(_all, plan, pairs) for plan in PLANS}
+    return {name: 1e3 * us / len(pairs) for name, us in best(calls, rounds, lambda _: 1).items()}
 
 
-def print_table(
-    title: str, by_angle: dict[int, dict[str, tuple[float, float]]], ns: dict[str, float], which: int
-):
-    """Markdown, as in docs/results/fusion.md."""
-    print(f"\n{title}\n\n| iterations x order | ns | " + " | ".join(f"{d}°" for d in SHOWN) + " |")
-    print("| --- |" + " --- |" * (1 + len(SHOWN)))
-    for plan in TABLE:
-        cells = " | ".join(f"{by_angle[d][plan.name][which]:.0e}" for d in SHOWN)
-        print(f"| {plan.name} | {ns[plan.name]:.0f} | {cells} |")
+def _all(plan: Plan, pairs: list[Pair]) -> None:
+    for pair in pairs:
+        plan.fuse(pair)
 
 
 def plot(
@@ -165,24 +134,28 @@ def plot(
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, help="write the numbers to this file")
-    parser.add_argument("--plot", type=Path, help="draw them")
-    parser.add_argument("--quick", action="store_true", help="fewer pairs and repetitions")
-    options = parser.parse_args()
-    count = 20 if options.quick else 150
-    ns = times(20 if options.quick else 300)
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--rounds", type=int, default=300, help="of the times")
+    arguments.add_argument("--pairs", type=int, default=150, help="of means at each angle")
+    arguments.add_argument("--plot", type=Path, help="draw them")
+    given = arguments.parse_args()
+    ns = times(given.rounds)
     kinds = {
-        kind: {degrees: errors(separated(degrees, spread, count)) for degrees in DEGREES}
+        kind: {degrees: errors(separated(degrees, spread, given.pairs)) for degrees in DEGREES}
         for kind, spread in (("isotropic", 0.0), ("anisotropic", 1.0))
     }
     for kind, by_angle in kinds.items():
-        print_table(f"{kind}: median error of the mean, posterior standard deviations", by_angle, ns, 0)
-        print_table(f"{kind}: median error of the covariance", by_angle, ns, 1)
-    if options.json:
-        options.json.write_text(json.dumps({"ns": ns, "errors": kinds}, indent=1) + "\n")
-    if options.plot:
-        plot(options.plot, kinds, ns)
+        for which, what in enumerate(("of the mean", "of the covariance")):
+            first = f"{kind}, error {what}"
+            table = Table(
+                (first, "ns", *(f"{d}°" for d in SHOWN)),
+                f"medians of {given.pairs} pairs; ns: best of {given.rounds}",
+            )
+            for plan in TABLE:
+                shown = (f"{by_angle[d][plan.name][which]:.0e}" for d in SHOWN)
+                table.row(plan.name, f"{ns[plan.name]:.0f}", *shown)
+    if given.plot:
+        plot(given.plot, kinds, ns)
 
 
 if __name__ == "__main__":

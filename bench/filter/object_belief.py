@@ -1,6 +1,6 @@
 """Several contacts on one object: how certain its belief is, how honest that is, and what a step costs.
 
-    python bench/object_belief.py [--runs N]
+    python bench/filter/object_belief.py [--runs N]
 
 A box, 60 mm wide, is held still from two or three sides; contacts err by 0.3 mm along and 0.1 mm across the
 surface, 6 mrad in tilt and 15 mrad in twist. Each row is N runs (200) of some steps: the deviation of the
@@ -10,12 +10,15 @@ and NEES / 6, which is 1 for a belief that is as certain as it claims, and less 
 
 from __future__ import annotations
 
-import argparse
-import time
+import sys
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import Array, Table, parser, taken
 
 from tactile_filter.consistency import nees
 from tactile_filter.object.belief import SplitGaussian
@@ -24,7 +27,6 @@ from tactile_filter.object.tracker import ContactUpdate, ObjectTracker
 from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian, ros_from_left
 
-Array = NDArray[np.float64]
 Steps = Iterator[Mapping[str, ContactUpdate | None]]
 
 STEP_NS = 16_666_667
@@ -102,12 +104,8 @@ def certainty(
 
 def step_us(tracker: ObjectTracker, names: tuple[str, ...], count: int = 400) -> float:
     """Median time of a step."""
-    taken = []
-    for k, updates in enumerate(together(names, count, np.random.default_rng(0))):
-        start = time.perf_counter_ns()
-        tracker.step(k * STEP_NS, updates)
-        taken.append(time.perf_counter_ns() - start)
-    return float(np.median(taken)) / 1e3
+    steps = list(together(names, count, np.random.default_rng(0)))
+    return float(np.median(taken(lambda k: tracker.step(k * STEP_NS, steps[k]), count)))
 
 
 def given_to(names: tuple[str, ...], **settings: float) -> Callable[[], ObjectTracker]:
@@ -116,41 +114,39 @@ def given_to(names: tuple[str, ...], **settings: float) -> Callable[[], ObjectTr
     return lambda: ObjectTracker(names, TrackerSettings(**settings), places)
 
 
-def main() -> int:
-    """Measure and print tables in Markdown; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--runs", type=int, default=200, help="runs a row (200)")
-    runs = parser.parse_args().runs
-    found: Callable[[], ObjectTracker] = lambda: ObjectTracker(PAIR)  # noqa: E731
+def main() -> None:
+    """Measure and print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--runs", type=int, default=200, help="runs a row (200)")
+    runs = arguments.parse_args().runs
+
+    def holding(*names: str) -> Callable[[np.random.Generator], Steps]:
+        return lambda random: together(names, 1, random)
+
+    def found() -> ObjectTracker:
+        return ObjectTracker(PAIR)
+
     rows = {
-        "one contact, place given": (given_to(("left",)), lambda r: together(("left",), 1, r)),
-        "two, places given": (given_to(PAIR), lambda r: together(PAIR, 1, r)),
-        "three, places given": (given_to(THREE), lambda r: together(THREE, 1, r)),
-        "two given, correlated_share 0.5": (
-            given_to(PAIR, correlated_share=0.5),
-            lambda r: together(PAIR, 1, r),
-        ),
-        "two given, correlated_share 1": (
-            given_to(PAIR, correlated_share=1.0),
-            lambda r: together(PAIR, 1, r),
-        ),
-        "two, places found by touch": (found, lambda r: together(PAIR, 4, r)),
-        "of these the second alone": (found, handed_over),
-        "both again, after each let go once": (found, regrasped),
+        "one, its place given": (given_to(("left",)), holding("left")),
+        "two, places given": (given_to(PAIR), holding(*PAIR)),
+        "three, places given": (given_to(THREE), holding(*THREE)),
+        "two, given, `correlated_share` 0.5": (given_to(PAIR, correlated_share=0.5), holding(*PAIR)),
+        "two, given, `correlated_share` 1": (given_to(PAIR, correlated_share=1.0), holding(*PAIR)),
+        "two, places found by touch": (found, lambda random: together(PAIR, 4, random)),
+        "the second of these, the first having let go": (found, handed_over),
+        "both, after each let go once": (found, regrasped),
     }
-    one, _ = certainty(given_to(("left",)), lambda r: together(("left",), 1, r), 1)
-    print("| contacts | position | rotation | NEES / 6 |\n| --- | --- | --- | --- |")
+    one, _ = certainty(given_to(("left",)), holding("left"), 1)
+    table = Table(("contacts", "position", "rotation", "NEES / 6"), f"RMS and means of {runs} runs, seed 0")
     for name, (tracker, steps) in rows.items():
         sigma, honest = certainty(tracker, steps, runs, tracker is not found)
-        position, rotation = sigma / one
-        print(f"| {name} | {position:.2f} | {rotation:.2f} | {honest:.2f} |")
-    print("\n| a step with | us |\n| --- | --- |")
+        table.row(name, *(f"{value:.2f}" for value in (*(sigma / one), honest)))
+    table = Table(("a step with", "us"), "medians of 400 steps", timed=True)
     for names in (("left",), PAIR, THREE):
-        print(f"| {len(names)} contacts, places given | {step_us(given_to(names)(), names):.0f} |")
+        table.row(f"{len(names)} contacts, places given", f"{step_us(given_to(names)(), names):.0f}")
     for names in (PAIR, THREE):
-        print(f"| {len(names)} contacts, places found | {step_us(ObjectTracker(names), names):.0f} |")
-    return 0
+        table.row(f"{len(names)} contacts, places found", f"{step_us(ObjectTracker(names), names):.0f}")
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

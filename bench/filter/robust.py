@@ -1,6 +1,6 @@
 """What the robust settings of the filter gain and lose, on errors of known kind and on those of a network.
 
-    python bench/filter_robust.py [--data FOLDER --model MODEL] [--seeds N] [--json FILE]
+    python bench/filter/robust.py [--seeds N] [--data FOLDER --model MODEL]
 
 Without data: simulated estimates with normal errors, Student t errors and outliers, all of the same
 covariance, of a contact that moves as the filter assumes. Root mean square error relative to that without
@@ -10,14 +10,16 @@ experiment (shuffled images, motion known up to sigma mm and degrees), mean abso
 
 from __future__ import annotations
 
-import argparse
-import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import SIGMA, Array, Table, parser
 
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.consistency import nees
@@ -27,10 +29,7 @@ from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.labels import label_from_euler
 from tactile_perception.evaluation.filtering import Drift, motion_filter
 
-Array = NDArray[np.float64]
-
 PERIOD_NS = 8_000_000
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])  # m, rad
 CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 MOTION_SIGMAS = (1.0, 0.1, 0.01)
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -40,7 +39,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "student_t, 10": {"robust": "student_t", "student_t_dof": 10.0},
     "huber, 2.5": {"robust": "huber", "huber_threshold": 2.5},
     "huber, 3.55": {"robust": "huber", "huber_threshold": 3.55},
-    "gate 0.999": {"gate_probability": 0.999},
+    "gate at 0.999": {"gate_probability": 0.999},
 }
 SMOOTHED = ("none", "student_t, 6")
 
@@ -124,39 +123,31 @@ def measured(
     return np.append(np.abs(errors).mean(axis=0), np.mean(squares) / 6)
 
 
-def main() -> int:
-    """Measure and print tables in Markdown; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--data", type=Path, help="labelled folder of images")
-    parser.add_argument("--model", type=Path, help="ONNX model")
-    parser.add_argument("--seeds", type=int, default=3, help="sequences that are averaged (3)")
-    parser.add_argument("--json", type=Path, help="write the numbers to this file")
-    arguments = parser.parse_args()
-    results: dict[str, Any] = {"simulated": {}, "measured": {}}
-    kinds = {"normal": normal, "Student t, 4": student_t, "5 % outliers": outliers}
-    print("| simulated: error, NEES / 6 | " + " | ".join(kinds) + " |")
-    print("| --- " * (1 + len(kinds)) + "|")
+def main() -> None:
+    """Measure and print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--data", type=Path, help="labelled folder of images")
+    arguments.add_argument("--model", type=Path, help="ONNX model")
+    arguments.add_argument("--seeds", type=int, default=3, help="sequences that are averaged (3)")
+    given = arguments.parse_args()
+    statistic = f"over seeds 0 to {given.seeds - 1}"
+    kinds = {"normal errors": normal, "Student t, 4 dof": student_t, "5 % outliers of 5 sigma": outliers}
+    table, plain = Table(("error, NEES / 6", *kinds), statistic), {}
     for name, variant in VARIANTS.items():
-        row = {kind: simulated(draw, variant, arguments.seeds).tolist() for kind, draw in kinds.items()}
-        results["simulated"][name] = row
-        cells = [f"{v[0] / results['simulated']['none'][k][0]:.3f}, {v[1]:.2f}" for k, v in row.items()]
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
-    if arguments.data and arguments.model:
-        inputs = estimates(arguments.data, arguments.model)
-        print("\n| sigma | robust | x | y | z | rx | ry | rz | NEES / 6 |")
-        print("| --- " * 9 + "|")
+        found = {kind: simulated(draw, variant, given.seeds) for kind, draw in kinds.items()}
+        plain = plain or found
+        table.row(name, *(f"{v[0] / plain[kind][0]:.3f}, {v[1]:.2f}" for kind, v in found.items()))
+    if given.data and given.model:
+        inputs = estimates(given.data, given.model)
+        table = Table(("sigma", "robust", "x", "y", "z", "rx", "ry", "rz", "NEES / 6"), statistic)
         for sigma in MOTION_SIGMAS:
             runs = [(name, variant, False) for name, variant in VARIANTS.items()]
             runs += [(f"{name}, smoothed", VARIANTS[name], True) for name in SMOOTHED]
             for name, variant, smoothed in runs:
-                values = measured(inputs, sigma, variant, arguments.seeds, smoothed)
-                results["measured"][f"{sigma} {name}"] = values.tolist()
+                values = measured(inputs, sigma, variant, given.seeds, smoothed)
                 cells = [f"{v:.3f}" for v in values[:3]] + [f"{v:.4f}" for v in values[3:6]]
-                print(f"| {sigma} | {name} | " + " | ".join(cells) + f" | {values[6]:.2f} |", flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(results, indent=1))
-    return 0
+                table.row(sigma, name, *cells, f"{values[6]:.2f}")
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

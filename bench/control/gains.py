@@ -1,15 +1,20 @@
 """Gains against latency: depth, alignment and oscillation of surface following, in the loop without ROS.
 
-    python bench/control_gains.py [--fidelity ideal] [--seeds 3]
+    python bench/control/gains.py [--fidelity ideal] [--seeds 2] [--only TEXT]
 
 Ramp and one path of the dome for each row, against the truth; docs/results/control.md has its tables.
 """
 
 from __future__ import annotations
 
-import argparse
+import sys
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import Table, parser
 
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task, task_path
@@ -63,23 +68,23 @@ def measure(scene: str, latency_ms: float, changes: dict, fidelity: str, seeds: 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fidelity", choices=("ideal", "image"), default="ideal")
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--only", default="", help="rows whose name holds this text")
-    arguments = parser.parse_args()
-    header = ["tilt gains", "latency [ms]"]
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--fidelity", choices=("ideal", "image"), default="ideal")
+    arguments.add_argument("--seeds", type=int, default=2)
+    arguments.add_argument("--only", default="", help="rows whose name holds this text")
+    given = arguments.parse_args()
+    heads = ["tilt gains", "latency"]
     for scene in SCENES:
-        header += [f"{scene}: depth RMS [mm]", "normal RMS [deg]", "depth wave [mm]", "tilt wave [deg]"]
-    print("| " + " | ".join(header) + " |\n|" + " --- |" * len(header))
+        heads += [f"{scene}: {name}" for name in ("depth RMS [mm]", "normal RMS [deg]",
+                                                  "depth wave [mm]", "tilt wave [deg]")]  # fmt: skip
+    table = Table(heads, f"means over seeds 0 to {given.seeds - 1}")
     for name, latency_ms, changes in ROWS:
-        if arguments.only not in name:
-            continue
-        cells = [name, f"{latency_ms:g}"]
-        for scene in SCENES:
-            numbers = measure(scene, latency_ms, changes, arguments.fidelity, arguments.seeds)
-            cells += [f"{value:.{digits}f}" for value, digits in zip(numbers, (3, 2, 3, 2), strict=True)]
-        print("| " + " | ".join(cells) + " |", flush=True)
+        if given.only in name:
+            cells = [name, f"{latency_ms:g} ms"]
+            for scene in SCENES:
+                numbers = measure(scene, latency_ms, changes, given.fidelity, given.seeds)
+                cells += [f"{value:.{digits}f}" for value, digits in zip(numbers, (3, 2, 3, 2), strict=True)]
+            table.row(*cells)
 
 
 if __name__ == "__main__":

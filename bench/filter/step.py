@@ -1,6 +1,6 @@
 """What a step of the filter costs, and millions of steps in a row.
 
-    python bench/filter_step.py [--steps N] [--json FILE]
+    python bench/filter/step.py [--steps N]
 
 First: median and 99th percentile of one call of `ContactFilter.step`, by settings, and of what is around it.
 Second: N steps (10 million take 90 s) over a sensor that moves back and forth, in each mode; then how far the
@@ -9,14 +9,17 @@ belief is from a pose, from a symmetric positive definite covariance, and from t
 
 from __future__ import annotations
 
-import argparse
-import json
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import SIGMA, Array, Table, parser, percentiles, taken
 
 from tactile_filter.bayes_filter import ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, nees
@@ -24,10 +27,7 @@ from tactile_filter.smoother import smooth
 from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
 
-Array = NDArray[np.float64]
-
 PERIOD_NS = 8_000_000
-SIGMA = np.array([5e-4, 5e-4, 2e-4, 8e-3, 8e-3, 2e-2])  # m, rad
 CONTACT = se3.exp([1e-3, 0.0, -3e-3, 0.1, -0.05, 0.0])
 VARIANTS: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -52,17 +52,12 @@ def inputs(count: int) -> tuple[list[PoseGaussian], list[Array]]:
     return [*estimates, *estimates[-2:0:-1]], [*poses, *poses[-2:0:-1]]
 
 
-def times_us(call: Any, count: int) -> tuple[float, float]:
+def times_us(call: Callable[[int], Any], count: int) -> list[float]:
     """Median and 99th percentile of one call, us."""
-    taken = []
-    for k in range(count):
-        start = time.perf_counter_ns()
-        call(k)
-        taken.append(time.perf_counter_ns() - start)
-    return float(np.median(taken)) / 1e3, float(np.percentile(taken, 99)) / 1e3
+    return percentiles(taken(call, count))
 
 
-def cost() -> dict[str, tuple[float, float]]:
+def cost() -> dict[str, list[float]]:
     """Times of one step by settings, and of the parts around it."""
     estimates, poses = inputs(1000)
     size = len(estimates)
@@ -88,7 +83,7 @@ def cost() -> dict[str, tuple[float, float]]:
     plain = ContactFilter()
     beliefs = [plain.step(k * PERIOD_NS, estimates[k], poses[k]) for k in range(size)]
     whole = times_us(lambda k: smooth(beliefs, poses), 3)
-    found["smooth, per step"] = (whole[0] / size, whole[1] / size)
+    found["smooth, per step"] = [us / size for us in whole]
     return found
 
 
@@ -116,25 +111,19 @@ def long_run(mode: str, steps: int) -> dict[str, float]:
     }
 
 
-def main() -> int:
-    """Measure and print tables in Markdown; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--steps", type=int, default=1_000_000, help="steps of the long run (1 million)")
-    parser.add_argument("--json", type=Path, help="write the numbers to this file")
-    arguments = parser.parse_args()
-    costs = cost()
-    print("| call | median, us | 99 %, us |\n| --- | --- | --- |")
-    for name, (median, tail) in costs.items():
-        print(f"| {name} | {median:.1f} | {tail:.1f} |")
-    runs = {mode: long_run(mode, arguments.steps) for mode in ("paper", "fast", "exact")}
-    print("\n| after many steps | " + " | ".join(runs) + " |")
-    print("| --- " * (len(runs) + 1) + "|")
+def main() -> None:
+    """Measure and print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--steps", type=int, default=1_000_000, help="steps of the long run (1 million)")
+    given = arguments.parse_args()
+    table = Table(("call", "median, us", "99 %, us"), "of all calls in a row", timed=True)
+    for name, times in cost().items():
+        table.row(name, *(f"{us:.1f}" for us in times))
+    runs = {mode: long_run(mode, given.steps) for mode in ("paper", "fast", "exact")}
+    table = Table((f"after {given.steps} steps", *runs), "one run each", timed=True)
     for name in runs["paper"]:
-        print(f"| {name} | " + " | ".join(f"{run[name]:.3g}" for run in runs.values()) + " |")
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"cost_us": costs, "long": runs}, indent=1))
-    return 0
+        table.row(name, *(f"{run[name]:.3g}" for run in runs.values()))
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()
