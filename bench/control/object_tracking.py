@@ -6,8 +6,7 @@
     python bench/control/object_tracking.py speed        # 0.5 to 6 times the paper's speed
 
 RMS errors are means over the seeds, with the deviation among them; "largest" is of all seeds. Lags are told
-of runs that ended well, up to the second within which they are searched for. --fidelity ideal --seeds 1 --only
-ours is the quickest.
+of runs that ended well, up to the second within which they are searched for.
 """
 
 from __future__ import annotations

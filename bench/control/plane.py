@@ -1,4 +1,4 @@
-"""Pushed objects and the tips that push them in the plane, N trials at once in arrays: see pushing_plane.py."""
+"""Pushed objects and the tips that push them, in the plane, N trials at once: see pushing_plane.py."""
 
 from __future__ import annotations
 

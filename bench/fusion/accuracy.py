@@ -10,8 +10,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-BENCH = Path(__file__).resolve().parents[1]
-sys.path.extend(map(str, (BENCH, BENCH.parent / "test/filter", BENCH.parent / "test/geometry")))
+sys.path.extend(
+    str(Path(__file__).resolve().parents[2] / name) for name in ("bench", "test/filter", "test/geometry")
+)
 
 from shared import Table, needs, parser
 

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-BENCH = Path(__file__).resolve().parents[1]
-sys.path.extend(map(str, (BENCH, BENCH.parent / "test/filter", BENCH.parent / "test/geometry")))
+sys.path.extend(
+    str(Path(__file__).resolve().parents[2] / name) for name in ("bench", "test/filter", "test/geometry")
+)
 
 from fusion_reference import fuse_exact, fuse_fixed
 from shared import Array, Table, best, contact_pair, needs, parser
