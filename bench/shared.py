@@ -1,6 +1,6 @@
 """What all benchmarks share: the command line, extras that `make` does not install, times, and tables.
 
-A table says above itself how it was made, in the form that docs/results/ keeps and `bench/check_results.py`
+A table says above itself how it was made, in the form that docs/results/ keeps and `make results-check`
 reads, so that a page is pasted from what was measured.
 """
 
@@ -14,7 +14,8 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[1]
-#: Units of columns that hold times of computing: no two machines agree on them.
-CLOCK = ("ns", "us", "ms", "times real time", "x real time")
 
 
 def parser(text: str) -> argparse.ArgumentParser:
@@ -120,6 +119,18 @@ def best(calls: dict[str, Callable[[], Any]], rounds: int, each: Callable[[str],
             whole = taken(lambda _, call=call, count=count: [call() for _ in range(count)], 1)[0]
             found[name] = min(found[name], float(whole) / count)
     return found
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Beside so many processes that never rest."""
+    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
 
 
 def percentiles(values: Iterable[float], *which: float) -> list[float]:

@@ -1,6 +1,6 @@
 """How fast the driver of a Franka passes commands on and states in, against the double of its controller.
 
-    python bench/franka_driver.py [--seconds 60] [--rate 250] [--priority 40]
+    python bench/drivers/franka_driver.py [--seconds 60] [--rate 250] [--priority 40]
 
 Twist to wire is from `FrankaArm.command` to the cycle of the double, in a process of its own on the same
 machine, that takes the first command which changes for it. A stamp's error is its difference from the time
@@ -9,11 +9,9 @@ at each tenth of the time. With a priority driver and double are scheduled and l
 with `priority`; `taskset -c 1` before it keeps both on a core that nothing else should use.
 """
 
-import argparse
 import itertools
 import multiprocessing.connection
 import sys
-import tempfile
 import time
 from array import array
 from collections.abc import Sequence
@@ -21,18 +19,19 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.extend(map(str, Path(__file__).resolve().parents[:2]))
 
-from ur_driver import KEPT, Resources, quantiles, schedule, show_states, started
+from shared import parser
+from ur_driver import KEPT, Resources, arm_of, quantiles, schedule, show_states, started
 
 from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.franka_controller import FrankaController
 from tactile_drivers.doubles.franka_robot import PERIOD
-from tactile_drivers.scene import load_scene
 
 HOST = "127.0.0.78"
 COMMANDS = 0.05  # s, between commands: each has been reached before the next
 SPEEDS = (0.01, 0.012)  # m/s, in turn
+START = "{position: [0.4, 0.0, 0.3], rotation_deg: [180, 0, 0]}"
 LIMITS = "{linear_acceleration: 1.0, angular_acceleration: 4.0, linear_jerk: 500.0, angular_jerk: 1000.0}"
 
 
@@ -68,19 +67,15 @@ def serve(pipe: multiprocessing.connection.Connection, priority: int, seconds: f
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--rate", type=float, default=250.0)
-    parser.add_argument("--priority", type=int, default=0)
-    arguments = parser.parse_args()
+    """Drive for so long, then print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--seconds", type=float, default=60.0)
+    arguments.add_argument("--rate", type=float, default=250.0)
+    arguments.add_argument("--priority", type=int, default=0)
+    arguments = arguments.parse_args()
     pipe = started(serve, arguments.priority, arguments.seconds)
-    with tempfile.TemporaryDirectory() as folder:
-        scene = Path(folder) / "bench.yaml"
-        settings = f"{{host: {HOST}, rate: {arguments.rate}, realtime: false}}"
-        start = "start: {position: [0.4, 0.0, 0.3], rotation_deg: [180, 0, 0]}"
-        arm = f"driver: franka\n    driver_settings: {settings}\n    limits: {LIMITS}\n    {start}\n"
-        scene.write_text(f"arms:\n  arm:\n    {arm}")
-        loaded = load_scene(scene).arms["arm"]
+    settings = f"{{host: {HOST}, rate: {arguments.rate}, realtime: false}}"
+    loaded = arm_of("franka", settings, start=START, limits=LIMITS)
     states = array("q")  # three numbers each
     seen = itertools.count()
     faults: list[str] = []

@@ -1,6 +1,6 @@
 """False alarms of the safe command stage: honest drivers against doubles of their controllers, under load.
 
-    python bench/honest_arms.py [ur franka] [--seconds 3600] [--loops 4] [--priority 20] [--loss 0.3]
+    python bench/drivers/honest_arms.py [ur franka] [--seconds 3600] [--loops 4] [--priority 20] [--loss 0.3]
 
 Each driver moves its double about, behind the stage, as an arm's node would have it: 60 commands a second, of
 which a part is lost on the way, of a motion that wanders by 20 mm and 0.1 rad at speeds up to 50 mm/s and
@@ -17,7 +17,6 @@ import multiprocessing.connection
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from pathlib import Path
@@ -25,15 +24,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.extend(map(str, Path(__file__).resolve().parents[:2]))
 
-from franka_driver import LIMITS
-from latency_under_load import busy
-from ur_driver import schedule
+from franka_driver import LIMITS, START
+from shared import busy, parser
+from ur_driver import arm_of, schedule
 
 from tactile_drivers.arm import ArmMode, open_arm
 from tactile_drivers.safety import SafeArm
-from tactile_drivers.scene import ArmScene, load_scene
 
 HOSTS = {"ur": "127.0.0.79", "franka": "127.0.0.80"}
 SETTINGS = {"ur": "{host: %s, rate: 125.0}", "franka": "{host: %s, rate: 250.0, realtime: false}"}
@@ -48,19 +46,6 @@ def wanted(elapsed: float) -> NDArray[np.float64]:
     if elapsed % EVERY < REST:
         return np.zeros(6)
     return FASTEST * np.sin(TURNS * elapsed)
-
-
-def scene_of(driver: str) -> ArmScene:
-    """An arm that this driver moves, its double's address in its settings."""
-    with tempfile.TemporaryDirectory() as folder:
-        scene = Path(folder) / "bench.yaml"
-        settings = SETTINGS[driver] % HOSTS[driver]
-        start = "start: {position: [0.4, 0.0, 0.3], rotation_deg: [180, 0, 0]}"
-        scene.write_text(
-            f"arms:\n  arm:\n    driver: {driver}\n    driver_settings: {settings}\n    "
-            f"limits: {LIMITS}\n    {start}\n"
-        )
-        return load_scene(scene).arms["arm"]
 
 
 def double(driver: str, priority: int) -> subprocess.Popen[str]:
@@ -79,7 +64,7 @@ def drive(pipe: multiprocessing.connection.Connection, driver: str, arguments: a
     """One driver behind its stage; it sends what there was to tell."""
     other = double(driver, arguments.priority)
     random = np.random.default_rng(1)
-    arm = scene_of(driver)
+    arm = arm_of(driver, SETTINGS[driver] % HOSTS[driver], start=START, limits=LIMITS)
     safe = SafeArm(arm, time.time_ns, feels=False)
     remarks: Counter[str] = Counter()
     told: Counter[str] = Counter()
@@ -121,15 +106,13 @@ def drive(pipe: multiprocessing.connection.Connection, driver: str, arguments: a
 
 def main() -> None:
     """See the module's text."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("drivers", nargs="*", choices=[*HOSTS, []])
-    parser.add_argument("--seconds", type=float, default=3600.0)
-    parser.add_argument("--loops", type=int, default=4)
-    parser.add_argument("--priority", type=int, default=20)
-    parser.add_argument("--loss", type=float, default=0.0)
-    arguments = parser.parse_args()
+    given = parser(__doc__ or "")
+    given.add_argument("drivers", nargs="*", choices=[*HOSTS, []])
+    given.add_argument("--seconds", type=float, default=3600.0)
+    given.add_argument("--loops", type=int, default=4)
+    given.add_argument("--priority", type=int, default=20)
+    given.add_argument("--loss", type=float, default=0.0)
+    arguments = given.parse_args()
     pipes, processes = [], []
     for driver in arguments.drivers or HOSTS:
         mine, theirs = multiprocessing.Pipe()

@@ -1,6 +1,6 @@
 """How fast the driver of a UR passes commands on and states in, against the double of its controller.
 
-    python bench/ur_driver.py [--seconds 60] [--rate 500] [--priority 20]
+    python bench/drivers/ur_driver.py [--seconds 60] [--rate 500] [--priority 20]
 
 Twist to wire is from `UrArm.command` to the bytes' arrival at the double, in a process of its own on the same
 machine. A stamp's error is its difference from the time at which the double made the state. Memory, threads,
@@ -8,13 +8,13 @@ descriptors and drift are those of the driver's process, at each tenth of the ti
 double are scheduled and locked into memory as nodes are with `priority`.
 """
 
-import argparse
 import asyncio
 import contextlib
 import itertools
 import multiprocessing
 import multiprocessing.connection
 import os
+import sys
 import tempfile
 import time
 from array import array
@@ -24,9 +24,13 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import parser, percentiles
+
 from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.ur_controller import UrController
-from tactile_drivers.scene import load_scene
+from tactile_drivers.scene import ArmScene, load_scene
 from tactile_ros.scheduling import set_priority, settle_garbage
 
 HOST = "127.0.0.77"
@@ -98,8 +102,19 @@ def schedule(priority: int) -> None:
 
 
 def quantiles(name: str, seconds: np.ndarray) -> None:
-    low, high, most = np.percentile(1e3 * seconds, [50, 99, 100])
+    low, high, most = percentiles(1e3 * seconds, 50, 99, 100)
     print(f"{name}: median {low:.2f} ms, p99 {high:.2f} ms, largest {most:.2f} ms ({len(seconds)})")
+
+
+def arm_of(driver: str, settings: str, **more: str) -> ArmScene:
+    """An arm of a scene that this driver moves; its settings as YAML."""
+    fields = {"driver": driver, "driver_settings": settings, **more}
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "bench.yaml"
+        scene.write_text(
+            "arms:\n  arm:\n" + "".join(f"    {name}: {text}\n" for name, text in fields.items())
+        )
+        return load_scene(scene).arms["arm"]
 
 
 def started(serve: Callable[..., None], *arguments: Any) -> Any:
@@ -121,18 +136,15 @@ def show_states(known: Sequence[tuple[int, int, int]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--rate", type=float, default=500.0)
-    parser.add_argument("--priority", type=int, default=0)
-    arguments = parser.parse_args()
+    """Drive for so long, then print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--seconds", type=float, default=60.0)
+    arguments.add_argument("--rate", type=float, default=500.0)
+    arguments.add_argument("--priority", type=int, default=0)
+    arguments = arguments.parse_args()
     pipe = started(serve, arguments.priority)
-    with tempfile.TemporaryDirectory() as folder:
-        scene = Path(folder) / "bench.yaml"
-        settings = f"{{host: {HOST}, rate: {arguments.rate}}}"
-        start = "start: {position: [0.4, 0.0, 0.3]}"
-        scene.write_text(f"arms:\n  arm:\n    driver: ur\n    driver_settings: {settings}\n    {start}\n")
-        arm = load_scene(scene).arms["arm"]
+    start = "{position: [0.4, 0.0, 0.3]}"
+    arm = arm_of("ur", f"{{host: {HOST}, rate: {arguments.rate}}}", start=start)
     states = array("q")  # three numbers each, in an eighth of the memory of tuples: it is what is measured
     seen = itertools.count()
     faults: list[str] = []

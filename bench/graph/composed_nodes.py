@@ -1,6 +1,6 @@
 """`tactile launch` with estimator, filter and controller of an arm in one process: for comparison.
 
-Takes the arguments of `tactile launch`; `bench/latency_under_load.py --composed` runs it. One hop through
+Takes the arguments of `tactile launch`; `latency_under_load.py --composed` runs it. One hop through
 the middleware costs less inside a process, but a fault of one node then ends all three.
 """
 

@@ -4,10 +4,9 @@ A task of many equal goals runs on the simulated ramp, recorded; every ten secon
 descriptors of each process and the shared memory in use are read. The table has their means over each sixth
 of the time, and the latency from exposure to command over the same, from the bag::
 
-    python bench/endurance.py [--minutes 60] [--priority 0] [--out out/endurance]
+    python bench/graph/endurance.py [--minutes 60] [--priority 0] [--out out/endurance]
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -16,6 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import parser, percentiles
 
 from tactile_base.config_paths import config_path
 from tactile_records.runs.from_bag import read_arms
@@ -79,47 +82,37 @@ def latencies(bag: Path) -> None:
     commands = record.command.rows(record.command.exposure_ns > 0)
     first = np.unique(commands.exposure_ns, return_index=True)[1]
     ms = (commands.stamp_ns[first] - commands.exposure_ns[first]) / 1e6
-    cells = [f"{np.median(part):.1f}, {np.percentile(part, 99):.1f}" for part in np.array_split(ms, PARTS)]
+    cells = ["{:.1f}, {:.1f}".format(*percentiles(part)) for part in np.array_split(ms, PARTS)]
     print("| latency p50, p99 (ms) | " + " | ".join(cells) + " |")
     print(f"\n{len(np.unique(record.command.goal))} goals, {len(ms)} beliefs acted on; {record.success=}")
 
 
 def main() -> int:
     """Run, watch and tell."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--priority", type=int, default=0, help="of the nodes, as in tactile launch")
-    parser.add_argument("--out", type=Path, default=Path("out/endurance"))
-    arguments = parser.parse_args()
+    given = parser(__doc__ or "")
+    given.add_argument("--minutes", type=float, default=60.0)
+    given.add_argument("--priority", type=int, default=0, help="of the nodes, as in tactile launch")
+    given.add_argument("--out", type=Path, default=Path("out/endurance"))
+    arguments = given.parse_args()
     folder = arguments.out.resolve()
     folder.mkdir(parents=True, exist_ok=False)
-    command = [
-        sys.executable,
-        "-m",
-        "tactile_bringup.cli",
-        "launch",
-        str(task_file(folder, arguments.minutes)),
-    ]
-    command += [
-        "--scene",
-        "ramp",
-        "--headless",
-        "--out",
-        str(folder / "run"),
-        "--record",
-        str(folder / "bag"),
-    ]
-    command += ["--priority", str(arguments.priority)]
+    task, run, bag = task_file(folder, arguments.minutes), folder / "run", folder / "bag"
+    words = (
+        f"launch {task} --scene ramp --headless --out {run} --record {bag} --priority {arguments.priority}"
+    )
+    command = [sys.executable, "-m", "tactile_bringup.cli", *words.split(" ")]
     samples = []
     with (folder / "log").open("w") as log:
-        run = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | {"ENDURANCE": str(folder)})
-        while run.poll() is None:
+        launched = subprocess.Popen(
+            command, stdout=log, stderr=log, env=os.environ | {"ENDURANCE": str(folder)}
+        )
+        while launched.poll() is None:
             time.sleep(PERIOD)
             samples.append(look(folder))
     settled = samples[3:-3]  # neither while it starts nor while it ends
     table(settled)
-    latencies(folder / "bag")
-    return run.returncode
+    latencies(bag)
+    return launched.returncode
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """False alarms: all packaged tasks with many seeds and nothing wrong, of which none may be stopped.
 
-    python bench/honest_runs.py [--seeds 10] [--fidelity ideal] [--live [--priority 20]] [--jobs 2]
-    [--scenes ...]
+    python bench/graph/honest_runs.py [--seeds 10] [--fidelity ideal] [--live [--priority 20]] [--scenes ...]
 
 In one process each, without ROS; with `--live` as `tactile launch` runs them.
 """

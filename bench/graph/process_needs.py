@@ -1,6 +1,6 @@
 """How many files and how much address space the processes of a task take: `tactile_base/process_limits.py`.
 
-    python bench/process_needs.py [TASK]
+    python bench/graph/process_needs.py [TASK]
 
 The task runs with all that can be asked for (recording with images, view of the markers, belief over the
 object), and each process of it is looked at twenty times a second until it ends.
@@ -16,12 +16,18 @@ import tempfile
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import parser
+
 PERIOD = 0.05  # s
 
 
 def main() -> int:
     """Print the most that each process has taken."""
-    task = sys.argv[1] if len(sys.argv) > 1 else "surface_following"
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("task", nargs="?", default="surface_following")
+    task = arguments.parse_args().task
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "tactile_bringup.cli", "launch", task, "--headless", "--out", folder]
         command += ["--record", f"{folder}/bag", "--record-images", "--marker-view", "--object-belief"]

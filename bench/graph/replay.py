@@ -1,16 +1,23 @@
-"""How fast recordings are replayed: python bench/replay.py BAG [BAG ...]
+"""How fast recordings are replayed.
+
+    python bench/graph/replay.py BAG [BAG ...] [--repeat 9]
 
 Reading, filter and writing of the new bag, without the start of Python and without the picture, in processor
 time, which does not count what else the machine does; and all of it by the clock. The least of several times.
+"Beliefs" are the valid ones, of which the states of a recording can hold more.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
+import sys
 import tempfile
 import time
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import Table, parser
 
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import Inputs, inputs_of
@@ -24,26 +31,17 @@ PARTS = ("read", "prepare", "filter", "write", "all")
 
 def main() -> None:
     """Measure the bags of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bags", type=Path, nargs="+")
-    parser.add_argument("--repeat", type=int, default=9)
-    arguments = parser.parse_args()
-    names = (
-        "recording",
-        "s",
-        "messages",
-        "beliefs",
-        *(f"{part} ms" for part in PARTS),
-        "x real time",
-        "x by the clock",
-    )
-    print(f"| {' | '.join(names)} |")
-    print("| --- " * len(names) + "|")
-    for bag in arguments.bags:
-        print(measured(bag, arguments.repeat))
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("bags", type=Path, nargs="+")
+    arguments.add_argument("--repeat", type=int, default=9)
+    given = arguments.parse_args()
+    heads = ("recording", "s", "messages", "beliefs", *(f"{part} ms" for part in PARTS))
+    table = Table((*heads, "x real time", "x by the clock"), f"least of {given.repeat}", timed=True)
+    for bag in given.bags:
+        table.row(*measured(bag, given.repeat))
 
 
-def measured(bag: Path, repeat: int) -> str:
+def measured(bag: Path, repeat: int) -> list[str]:
     """A line of the table."""
     parts, clock = [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -55,8 +53,7 @@ def measured(bag: Path, repeat: int) -> str:
     least = [min(column) for column in zip(*parts, strict=True)]
     cells = [bag.name, f"{inputs.span_s:.1f}", str(sum(inputs.bag.counts.values())), str(beliefs)]
     cells += [f"{value * 1e3:.0f}" for value in least]
-    cells += [f"{inputs.span_s / least[-1]:.0f}", f"{inputs.span_s / min(clock):.0f}"]
-    return f"| {' | '.join(cells)} |"
+    return [*cells, f"{inputs.span_s / least[-1]:.0f}", f"{inputs.span_s / min(clock):.0f}"]
 
 
 def once(bag: Path, out: Path) -> tuple[Inputs, int, list[float]]:

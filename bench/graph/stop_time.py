@@ -1,6 +1,6 @@
 """Time from Enter to rest for `tactile stop`, cold and ready, and for the key in the launch's terminal.
 
-    python bench/stop_time.py [surface_following] [--scene two_arms] [--loops 0 4] [--times 20]
+    python bench/graph/stop_time.py [surface_following] [--scene two_arms] [--loops 0 4] [--times 20]
 
 All arms of the task are in motion, beside so many processes that never rest; then the command is typed, or
 the key pressed, and what `arm/status` of each arm says is watched from this process. At rest: every arm is in
@@ -10,7 +10,6 @@ key the task is launched anew each time.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import fcntl
 import os
@@ -26,9 +25,9 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from latency_under_load import busy
+from shared import Table, busy, parser
 
 from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.environment import free_domain_id
@@ -225,21 +224,20 @@ WAYS = {
 
 
 def main() -> None:
-    """See the module's text."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("task", nargs="?", default="surface_following")
-    parser.add_argument("--scene", default="two_arms")
-    parser.add_argument("--loops", type=int, nargs="+", default=[0, 4])
-    parser.add_argument("--times", type=int, default=20)
-    parser.add_argument("--ways", nargs="+", choices=list(WAYS), default=list(WAYS))
-    given = parser.parse_args()
-    what = given.task, given.scene, given.times
-    print("| from | busy loops | times | median (ms) | largest (ms) |\n| --- | --- | --- | --- | --- |")
+    """A row for each way and load."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("task", nargs="?", default="surface_following")
+    arguments.add_argument("--scene", default="two_arms")
+    arguments.add_argument("--loops", type=int, nargs="+", default=[0, 4])
+    arguments.add_argument("--times", type=int, default=20)
+    arguments.add_argument("--ways", nargs="+", choices=list(WAYS), default=list(WAYS))
+    given = arguments.parse_args()
+    table = Table(("from", "busy loops", "times", "median (ms)", "largest (ms)"), "of all times", timed=True)
     for loops in given.loops:
         with busy(loops):
             for way in given.ways:
-                ms = 1e3 * np.array(WAYS[way](*what))
-                print(f"| {way} | {loops} | {len(ms)} | {np.median(ms):.0f} | {ms.max():.0f} |", flush=True)
+                ms = 1e3 * np.array(WAYS[way](given.task, given.scene, given.times))
+                table.row(way, loops, len(ms), f"{np.median(ms):.0f}", f"{ms.max():.0f}")
 
 
 if __name__ == "__main__":

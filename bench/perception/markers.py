@@ -1,6 +1,6 @@
 """What the marker view costs per frame, and how exact the detection is.
 
-    python bench/markers.py [--frames 200]
+    python bench/perception/markers.py [--frames 200]
 
 Simulated contacts over the paper's ranges: processor time of each stage, and markers missed, invented and
 displaced against the simulator's own, in camera images and in pre-processed ones.
@@ -8,14 +8,19 @@ displaced against the simulator's own, in camera images and in pre-processed one
 
 from __future__ import annotations
 
-import argparse
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import Table, parser
 
 from tactile_drivers.sampling import SamplingSettings, pose_of
 from tactile_drivers.sim.collection import press_then_shear
@@ -35,9 +40,10 @@ def timed(times: list[float], action: Callable[[], Any]) -> Any:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=200)
-    args = parser.parse_args()
+    """Measure and print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--frames", type=int, default=200)
+    args = arguments.parse_args()
     cv2.setNumThreads(1)
     sensor, preprocessor = TacTip(seed=1), Preprocessor()
     reference = detect(sensor.image())
@@ -62,12 +68,14 @@ def main() -> None:
             errors[name].append(
                 np.array([np.sum(missed >= SAME), np.sum(invented >= SAME), np.sum(near**2), len(near)])
             )
-    for name, seconds in times.items():
-        print(f"{name:24s} {1e3 * np.median(seconds):6.2f} ms")
+    table = Table(("of", "missed (%)", "invented (%)", "RMS (px)"), f"{args.frames} frames, seed 1")
     for name, rows in errors.items():
         missed, invented, square, count = np.sum(rows, axis=0)
         lost, more = (100 * number / (missed + count) for number in (missed, invented))
-        print(f"{name}: {lost:.2f} % missed, {more:.2f} % invented, RMS {np.sqrt(square / count):.3f} px")
+        table.row(name, f"{lost:.2f}", f"{more:.2f}", f"{np.sqrt(square / count):.3f}")
+    table = Table(("stage", "processor time, ms"), f"medians of {args.frames} frames", timed=True)
+    for name, seconds in times.items():
+        table.row(name, f"{1e3 * np.median(seconds):.2f}")
 
 
 if __name__ == "__main__":

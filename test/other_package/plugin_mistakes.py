@@ -26,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test" / "other_package"))
 
 import mistakes
-from other_package import ENTRY_POINTS, installed
 
+from other_package import ENTRY_POINTS, installed
 from tactile_bringup import cli, driver_check
 from tactile_bringup.plugin_check import check_plugin
 

@@ -1,6 +1,6 @@
 """Run benchmarks again whose numbers depend on no clock, and compare them with those in docs/results/.
 
-    python bench/check_results.py [--only object_belief robust] [--pages filter.md]   # or: make results-check
+    python scripts/results_check.py [--only object_belief robust] [--pages filter.md]   # or: make results-check
 
 A table of a page that stands below "By `python bench/...` of commit ...:" is what that command printed. Each
 command runs once; of each table on the page every row is looked for in the output, by its text, and every
@@ -11,6 +11,7 @@ below 1e-15 is rounding.
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 import subprocess
@@ -20,12 +21,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from shared import CLOCK, ROOT, parser
+ROOT = Path(__file__).resolve().parents[1]
 
 MADE = re.compile(r"^By `python (bench/[^`]+)` of ")
 NUMBER = re.compile(r"[-+]?\d+(?:\.(\d+))?(?:e[-+]?\d+)?")
+#: Units of columns that hold times of computing.
+CLOCK = ("ns", "us", "ms", "times real time")
 SHARE, ROUNDING = 0.03, 1e-15
 
 
@@ -135,7 +136,7 @@ def run(command: str) -> list[Block]:
 
 def main() -> int:
     """Compare; the exit status says whether all agree."""
-    arguments = parser(__doc__ or "")
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     arguments.add_argument("--only", nargs="+", default=[], help="commands that hold one of these words")
     arguments.add_argument("--pages", nargs="+", default=[], help="files of docs/results (default: all)")
     given = arguments.parse_args()
