@@ -1,6 +1,6 @@
 """Run benchmarks again whose numbers depend on no clock, and compare them with those in docs/results/.
 
-    python scripts/results_check.py [--only object_belief robust] [--pages filter.md]   # or: make results-check
+    python scripts/results_check.py [--only object_belief robust] [--pages filter.md]
 
 A table of a page that stands below "By `python bench/...` of commit ...:" is what that command printed. Each
 command runs once; of each table on the page every row is looked for in the output, by its text, and every

@@ -2,9 +2,10 @@
 
     python bench/filter/robust.py [--seeds 2]
 
-Simulated estimates with normal errors, Student t errors and outliers, all of the same covariance, of a contact
-that moves as the filter assumes. Root mean square error relative to that without a robust setting, and NEES / 6
-(1: the covariance means what it claims). On a network's errors: `tactile evaluate filter --set robust=...`.
+Simulated estimates with normal errors, Student t errors and outliers, all of the same covariance, of a
+contact that moves as the filter assumes. Root mean square error relative to that without a robust setting,
+and NEES / 6 (1: the covariance means what it claims).
+On a network's errors: `tactile evaluate filter --set robust=...`.
 """
 
 from __future__ import annotations

@@ -97,15 +97,12 @@ def main() -> int:
     folder = arguments.out.resolve()
     folder.mkdir(parents=True, exist_ok=False)
     task, run, bag = task_file(folder, arguments.minutes), folder / "run", folder / "bag"
-    words = (
-        f"launch {task} --scene ramp --headless --out {run} --record {bag} --priority {arguments.priority}"
-    )
-    command = [sys.executable, "-m", "tactile_bringup.cli", *words.split(" ")]
+    command = [sys.executable, "-m", "tactile_bringup.cli", "launch", str(task), "--scene", "ramp"]
+    command += ["--headless", "--out", str(run), "--record", str(bag), "--priority", str(arguments.priority)]
+    variables = os.environ | {"ENDURANCE": str(folder)}  # by which its processes are known again
     samples = []
     with (folder / "log").open("w") as log:
-        launched = subprocess.Popen(
-            command, stdout=log, stderr=log, env=os.environ | {"ENDURANCE": str(folder)}
-        )
+        launched = subprocess.Popen(command, stdout=log, stderr=log, env=variables)
         while launched.poll() is None:
             time.sleep(PERIOD)
             samples.append(look(folder))

@@ -38,7 +38,7 @@ def main() -> None:
         "priority",
         "processes",
         "p50, p99 (ms)",
-        "dropped: counted, in silence",
+        "dropped, in silence",
         "exit code",
     )
     table = Table(heads, "one run a row", timed=True)

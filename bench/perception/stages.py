@@ -114,13 +114,13 @@ def simulated_images(count: int, seed: int = 0) -> NDArray[np.uint8]:
 def main() -> None:
     """Measure and print."""
     arguments = parser(__doc__ or "")
-    arguments.add_argument("--model", type=Path, default="", help="ONNX model (default: the shipped one)")
+    arguments.add_argument("--model", type=Path, help="ONNX model (default: the shipped one)")
     arguments.add_argument("--threads", type=int, default=1, help="threads of the network")
     arguments.add_argument("--images", type=int, default=400)
     arguments.add_argument("--rate", type=float, default=60.0, help="images a second")
     arguments.add_argument("--opencv", action="store_true", help="add OpenCV's pre-processing")
     given = arguments.parse_args()
-    estimator, images = Estimator(given.model, given.threads), simulated_images(24)
+    estimator, images = Estimator(given.model or "", given.threads), simulated_images(24)
     measured = [
         stage_times(estimator, images, given.images, rate, given.opencv) for rate in (0.0, given.rate)
     ]

@@ -1,19 +1,14 @@
-"""Fits how a network errs on simulated images, for sensors of fidelity "fitted", and checks it on others.
+"""How a network errs on simulated images, for sensors of fidelity "fitted": `tactile fit network-error`.
 
-    python bench/fit_network_error.py [--model FILE] [--contacts 400] [--held-out 100] [--write]
-
-Simulates the skin along random ways in contact (pressed, rolled, sheared until it slips, turned), has the
-network answer, and fits `tactile_drivers.sim.network_error.ErrorModel`. Images are drawn at the network's
-size for the fit and in full for the contacts held out, on which it then prints the network's statistics
-beside the model's. About four minutes of one core. `--write` replaces the file that the package ships.
+The skin is simulated along random ways in contact (pressed, rolled, sheared until it slips, turned), the
+network answers, and `tactile_drivers.sim.network_error.ErrorModel` is fitted. Images are drawn at the
+network's size for the fit and in full for the contacts held out, on which both are compared.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +16,8 @@ from scipy.optimize import curve_fit
 
 from tactile_bringup.offline_perception import network_view
 from tactile_drivers.shapes.plane import Plane
-from tactile_drivers.sim.collection import _along_surface, _Sphere
-from tactile_drivers.sim.network_error import SHIPPED, WAY, ErrorModel, NetworkError
+from tactile_drivers.sim.collection import Sphere, along_surface
+from tactile_drivers.sim.network_error import WAY, ErrorModel, NetworkError
 from tactile_drivers.sim.tactip import ContactTruth, TacTip
 from tactile_geometry import se3
 from tactile_perception.estimating.presence import ContactPresence
@@ -38,7 +33,6 @@ TILT = 0.40  # rad: largest angle of both together
 APPROACH = 6.7e-5  # m between two exposures at 4 mm/s
 LAGS = (1, 2, 4, 8, 16, 32, 48, 64, 80)  # exposures
 RIDGE = 3.0  # keeps what hardly matters small
-NAMES = ("x", "y", "z", "phi_x", "phi_y", "phi_z")
 SHOWN = np.array([1e3] * 3 + [180.0 / np.pi] * 3)  # mm and degrees
 
 
@@ -108,7 +102,7 @@ def _kept(pose: Array) -> Array:
     return pose
 
 
-class Skin:
+class Ways:
     """One sensor pressed onto surfaces, and the network that looks at it."""
 
     def __init__(self, estimator: Estimator, full: bool) -> None:
@@ -127,13 +121,14 @@ class Skin:
         self.sensor.friction = float(rng.uniform(*FRICTION))
         curvature = float(rng.uniform(*CURVATURE))
         self.curvature = curvature if abs(curvature) > 0.1 else 0.0
-        self.surface = _Sphere(curvature) if self.curvature else Plane()
+        self.surface = Sphere(curvature) if self.curvature else Plane()
         way = way_of(rng)
         touch = self._approach(way[0]) if self.full else []
         rows = [self._exposed(seed, pose) for pose in way]
         leave = self._retreat(way[-1]) if self.full else []
         columns = [np.array(column) for column in zip(*rows, strict=True)]
-        return Contacts(*columns, touch=np.array(touch), leave=np.array(leave))
+        parts = [*columns, np.array(touch), np.array(leave)]
+        return Contacts(**{f.name: part for f, part in zip(fields(Contacts), parts, strict=True)})
 
     def _exposed(self, seed: int, pose: Array) -> tuple[int, Array, bool, Array, Array, Array, float]:
         truth = self._move(pose, pose[2])
@@ -167,7 +162,7 @@ class Skin:
         return prepare(image) if self.full else prepare.from_processed(image)
 
     def _move(self, pose: Array, depth: float) -> ContactTruth:
-        along = _along_surface(pose[0], -pose[1], self.curvature)
+        along = along_surface(pose[0], -pose[1], self.curvature)
         T_surface_f = se3.pose_from_euler([0.0, 0.0, self.sensor.settings.skin.radius, np.pi, 0.0, 0.0])
         self.sensor.advance(self.surface, along @ T_surface_f @ se3.pose_from_euler([0, 0, depth, *pose[3:]]))
         return self.sensor.truth()
@@ -188,7 +183,7 @@ def fit(data: Contacts, held: Contacts) -> ErrorModel:
         start=np.ones(6), doubt=np.zeros(6), justified=np.zeros(6),
         touch=float(np.median(held.touch)), leave=float(np.median(held.leave)),
     )  # fmt: skip
-    features = model.features(pose, data.slips)
+    features = model.features(pose, data.slips.astype(np.float64))
     bias = np.empty((features.shape[1], 6))
     for k in range(6):
         weight = 1.0 / data.sigma[:, k]
@@ -249,61 +244,24 @@ def drawn(model: ErrorModel, data: Contacts, seed: int) -> Contacts:
     return Contacts(data.contact, data.truth, data.slips, error, error, sigma, nees, data.touch, data.leave)
 
 
-def compare(network: Contacts, model: Contacts, bias: Array) -> None:
-    """Print the statistics of both."""
-    print(f"{'':34s}" + "".join(f"{name:>9s}" for name in NAMES) + "   mm, degrees")
-    for name, of in (
-        ("RMS error", lambda c: np.sqrt(np.mean(c.error**2, axis=0))),
-        ("mean error", lambda c: c.error.mean(axis=0)),
-        ("median of |error|", lambda c: np.median(np.abs(c.error), axis=0)),
-        ("95 % of |error|", lambda c: np.quantile(np.abs(c.error), 0.95, axis=0)),
-        ("RMS error where it slips", lambda c: np.sqrt(np.mean(c.error[c.slips] ** 2, axis=0))),
-        ("RMS error where it sticks", lambda c: np.sqrt(np.mean(c.error[~c.slips] ** 2, axis=0))),
-        ("median of stated sigma", lambda c: np.median(c.sigma, axis=0)),
-    ):
-        for who, contacts in (("network", network), ("model", model)):
-            print(f"{name:26s}{who:8s}" + "".join(f"{v:9.3f}" for v in of(contacts) * SHOWN))
-    explained = 1.0 - np.mean((network.error - bias) ** 2, axis=0) / np.mean(network.error**2, axis=0)
-    print(f"{'part of the square that is bias':34s}" + "".join(f"{v:9.3f}" for v in explained))
-    (way, ours), (_, theirs) = correlations(network, network.error), correlations(model, model.error)
+STATISTICS: dict[str, Callable[[Contacts], Array]] = {
+    "RMS error": lambda c: np.sqrt(np.mean(c.error**2, axis=0)),
+    "mean error": lambda c: c.error.mean(axis=0),
+    "median of |error|": lambda c: np.median(np.abs(c.error), axis=0),
+    "95 % of |error|": lambda c: np.quantile(np.abs(c.error), 0.95, axis=0),
+    "RMS error where it slips": lambda c: np.sqrt(np.mean(c.error[c.slips] ** 2, axis=0)),
+    "RMS error where it sticks": lambda c: np.sqrt(np.mean(c.error[~c.slips] ** 2, axis=0)),
+    "median of stated sigma": lambda c: np.median(c.sigma, axis=0),
+}
+
+
+def compared(network: Contacts, model: Contacts) -> Iterator[tuple[str, str, Array]]:
+    """Statistic, whose, and numbers (6,): mm and degrees; correlations without a unit."""
+    both = (("network", network), ("model", model))
+    for name, of in STATISTICS.items():
+        for who, contacts in both:
+            yield name, who, of(contacts) * SHOWN
+    (way, ours), (_, theirs) = (correlations(contacts, contacts.error) for _, contacts in both)
     for k in range(len(LAGS)):
         for who, row in (("network", ours[k]), ("model", theirs[k])):
-            text = f"correlation after {way[k] * 1e3:.2f} mm "
-            print(f"{text:27s}{who:7s}" + "".join(f"{v:9.3f}" for v in row))
-    for who, contacts in (("network", network), ("model", model)):
-        quantiles = ", ".join(f"{q:.2f}: {np.quantile(contacts.nees, q):.1f}" for q in (0.1, 0.5, 0.9, 0.95))
-        print(f"NEES of 6, {who}: mean {contacts.nees.mean():.1f}; quantiles {quantiles}")
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", default="", help="ONNX model (default: the shipped one)")
-    parser.add_argument("--contacts", type=int, default=400, help="to fit to")
-    parser.add_argument("--held-out", type=int, default=100, help="to check with")
-    parser.add_argument("--out", type=Path, help="write the model into this file")
-    parser.add_argument("--write", action="store_true", help="replace the file that the package ships")
-    arguments = parser.parse_args()
-    started = time.process_time()
-    estimator = Estimator(arguments.model)
-    data = Skin(estimator, full=False).contacts(range(arguments.contacts))
-    held = Skin(estimator, full=True).contacts(range(10**6, 10**6 + arguments.held_out))
-    model = fit(data, held)
-    print(f"{len(data.error)} exposures fitted to, {len(held.error)} held out, "
-          f"{time.process_time() - started:.0f} s")  # fmt: skip
-    bias = (model.features(held.pose, held.slips) @ model.coefficients)[:, :6]
-    compare(held, drawn(model, held, seed=1), bias)
-    print("way on which errors are forgotten (mm)", (model.way * 1e3).round(2))
-    print("spread of a contact that begins, of the spread", model.start.round(2))
-    print("doubt", model.doubt.round(3), "of which is justified", model.justified.round(2))
-    print(
-        "noise",
-        (model.noise * SHOWN).round(4),
-        f"touch {model.touch * 1e3:.3f} mm, leave {model.leave * 1e3:.3f}",
-    )
-    target = SHIPPED if arguments.write else arguments.out
-    if target:
-        model.save(target, made_by="bench/fit_network_error.py", network=estimator.path.name)
-
-
-if __name__ == "__main__":
-    main()
+            yield f"correlation after {way[k] * 1e3:.2f} mm", who, row

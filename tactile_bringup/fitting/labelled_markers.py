@@ -1,25 +1,26 @@
-"""Markers of a TacTip data folder, told apart and tracked: used by what compares simulation and reality.
+"""Markers of a labelled TacTip data folder, told apart and tracked.
 
 `tactile_perception.markers.detection` finds the markers of each image. Which is which follows from the rings
 at rest, from a regression of the marker positions on the labels, refined from shallow to deep contacts, and
 then from the neighbors: starting where the regression is right to a few pixels, each marker is expected
 where its neighbors' displacements put it, so that the matching grows over the image and follows contacts that
 slipped as well as those that stuck.
-
-    python bench/real_markers.py DATA/train      # how many markers are found, by depth
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactile_perception.datasets.dataset import TactileFolder, open_folder
+from tactile_perception.datasets.dataset import open_folder
 from tactile_perception.markers.detection import detect
+
+Array = NDArray[Any]
 
 RINGS = 10
 DEPTH_STEPS = (0.7, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.1, 6.1)  # mm
@@ -35,41 +36,45 @@ class Tracked:
 
     Attributes
     ----------
-    folder : TactileFolder
-    index : (n,) int, rows of the folder
     labels : (n, 6) mm and degrees
     rest : (331, 2) px of the camera image: column, row
     positions : (n, 331, 2) px, NaN where a marker was not found
     ring : (331,) int
     """
 
-    folder: TactileFolder
-    index: np.ndarray
-    labels: np.ndarray
-    rest: np.ndarray
-    positions: np.ndarray
-    ring: np.ndarray
+    labels: Array
+    rest: Array
+    positions: Array
+    ring: Array
 
     @property
-    def found(self) -> np.ndarray:
+    def found(self) -> Array:
         """Part of the markers found in each image (n,)."""
         return np.isfinite(self.positions[..., 0]).mean(axis=1)
 
-    def some(self, count: int, seed: int, least_found: float = 0.96) -> np.ndarray:
+    def some(self, count: int, seed: int, least_found: float = 0.96) -> Array:
         """Random images (count,) in which nearly all markers were found."""
         good = np.flatnonzero(self.found >= least_found)
         return np.random.default_rng(seed).choice(good, min(count, len(good)), replace=False)
 
 
 def track(folder: Path, samples: int | None = None) -> Tracked:
-    """Track the markers of up to `samples` images of a folder, chosen at random."""
+    """Track the markers of up to `samples` images of a folder, chosen at random.
+
+    Raises
+    ------
+    ValueError
+        There is no contact less than `DEPTH_STEPS[0]` deep, in which the markers are where they rest.
+    """
     data = open_folder(folder)
     index = np.arange(len(data))
     if samples is not None and samples < len(index):
         index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))
     labels = data.euler_mm_deg[index]
-    blobs = [detect(data.image(i)).centers for i in index]
+    blobs = [detect(data.image(int(i))).centers for i in index]
     shallow = np.flatnonzero(labels[:, 2] < DEPTH_STEPS[0])
+    if not len(shallow):
+        raise ValueError(f"{folder}: must have contacts less than {DEPTH_STEPS[0]} mm deep, has none")
     template, ring = ring_template(blobs[shallow[np.argmin(np.hypot(*labels[shallow, :2].T))]])
     features = _features(labels / np.array([5, 5, 6, 25, 25, 5]))
     positions = _refine(blobs, labels, features, template)
@@ -80,10 +85,10 @@ def track(folder: Path, samples: int | None = None) -> Tracked:
         )
         positions = np.array([_grow(b, rest, p) for b, p in zip(blobs, predicted, strict=True)])
     offset = np.array(data.preprocessing.bbox[:2])
-    return Tracked(data, index, labels, rest + offset, positions + offset, ring)
+    return Tracked(labels, rest + offset, positions + offset, ring)
 
 
-def ring_template(centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ring_template(centres: Array) -> tuple[Array, Array]:
     """Rings of 1, 6, 12, ... fitted to a shallow contact's blobs: positions (331, 2) and ring numbers."""
     middle = np.median(centres, axis=0)
     inside = centres[np.hypot(*(centres - middle).T) < 215]
@@ -99,9 +104,7 @@ def ring_template(centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return middle + radius[ring, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1), ring
 
 
-def _refine(
-    blobs: list[np.ndarray], labels: np.ndarray, features: np.ndarray, template: np.ndarray
-) -> np.ndarray:
+def _refine(blobs: list[Array], labels: Array, features: Array, template: Array) -> Array:
     """Assign blobs to markers from shallow to deep contacts."""
     predicted = np.tile(template, (len(blobs), 1, 1))
     positions = np.full_like(predicted, np.nan)
@@ -115,7 +118,7 @@ def _refine(
     return positions
 
 
-def _regressed(basis: np.ndarray, positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _regressed(basis: Array, positions: Array, chosen: Array) -> Array:
     """Positions (n, 2) of one marker by ridge regression on those of the chosen images where it was found."""
     seen = chosen[np.isfinite(positions[chosen, 0])]
     a = basis[seen]
@@ -123,7 +126,7 @@ def _regressed(basis: np.ndarray, positions: np.ndarray, chosen: np.ndarray) -> 
     return basis @ np.linalg.solve(a.T @ a + ridge, a.T @ positions[seen])
 
 
-def _grow(blobs: np.ndarray, rest: np.ndarray, predicted: np.ndarray, rounds: int = 14) -> np.ndarray:
+def _grow(blobs: Array, rest: Array, predicted: Array, rounds: int = 14) -> Array:
     """Positions (331, 2) in one image, grown from where the prediction is right to a few pixels."""
     near = cKDTree(rest).query(rest, k=NEIGHBORS + 1)[1][:, 1:]
     found = np.full_like(rest, np.nan)
@@ -139,7 +142,7 @@ def _grow(blobs: np.ndarray, rest: np.ndarray, predicted: np.ndarray, rounds: in
     return found
 
 
-def _from_neighbors(displacement: np.ndarray, rest: np.ndarray, near: np.ndarray) -> np.ndarray:
+def _from_neighbors(displacement: Array, rest: Array, near: Array) -> Array:
     """Displacement (331, 2) by a local affine fit to the neighbors'; NaN with fewer than five of them."""
     known = np.isfinite(displacement[near, 0])
     offset = (rest[near] - rest[:, None]) / np.linalg.norm(rest[near[:, 0]] - rest, axis=1).mean()
@@ -153,14 +156,14 @@ def _from_neighbors(displacement: np.ndarray, rest: np.ndarray, near: np.ndarray
     return out
 
 
-def _mutual_nearest(markers: np.ndarray, blobs: np.ndarray, reach: float) -> np.ndarray:
+def _mutual_nearest(markers: Array, blobs: Array, reach: float) -> Array:
     distance, nearest = cKDTree(blobs).query(markers)
     _, back = cKDTree(markers).query(blobs)
     found = (distance < reach) & (back[nearest] == np.arange(len(markers)))
     return np.where(found[:, None], blobs[nearest], np.nan)
 
 
-def _features(scaled: np.ndarray) -> np.ndarray:
+def _features(scaled: Array) -> Array:
     x, y, z, a, b, g = scaled.T
     columns = [np.ones_like(x), z, z * z]
     for v in (x, y, a, b, g):
@@ -168,21 +171,3 @@ def _features(scaled: np.ndarray) -> np.ndarray:
     for p, q in ((x, x), (y, y), (x, y), (a, a), (b, b), (a, b), (x, a), (x, b), (y, a), (y, b)):
         columns += [p * q, p * q * z]
     return np.stack(columns, axis=1)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--samples", type=int, default=800, help="images tracked (default 800)")
-    args = parser.parse_args()
-    tracked = track(args.data, args.samples)
-    print("depth mm   images   markers found %: inner 5 rings, outer 5 rings")
-    seen = np.isfinite(tracked.positions[..., 0])
-    for low in range(6):
-        chosen = (tracked.labels[:, 2] >= low) & (tracked.labels[:, 2] < low + 1)
-        inner, outer = seen[chosen][:, tracked.ring <= 5], seen[chosen][:, tracked.ring > 5]
-        print(f"{low}-{low + 1} {chosen.sum():13d} {100 * inner.mean():14.1f} {100 * outer.mean():14.1f}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,33 +1,32 @@
-"""Fit the simulated sensor (camera, markers, skin, friction) and the rig's errors to a real sensor's images.
+"""The simulated sensor (camera, markers, skin, friction) and a rig's errors, fitted to real images.
 
-    PYTHONSAFEPATH= python bench/fit_sensor.py DATA/train --write config/sensors/NAME.yaml [--start NAME]
-
-Tracks the markers of the images (bench/real_markers.py), simulates contacts with their labels, and fits all
-marker positions by Gauss-Newton on a soft-L1 loss: about two minutes an iteration with 180 contacts on one
-core. The sensor file is written after every iteration, and `--start` goes on from one. How well the result
-does on other contacts, by depth and shear: bench/simulator_vs_real.py DATA/val --sensor NAME.
+Markers are tracked in labelled images (`labelled_markers`), the contacts simulated with their labels, and all
+marker positions fitted by Gauss-Newton on a soft-L1 loss: `tactile fit sensor`.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from real_markers import Tracked, track
+from numpy.typing import NDArray
 
+from tactile_bringup.fitting.labelled_markers import Tracked
 from tactile_drivers.sim.camera import Camera
-from tactile_drivers.sim.collection import Mounting, SensorFile, load_sensor, press_then_shear
+from tactile_drivers.sim.collection import Mounting, SensorFile, press_then_shear
 from tactile_drivers.sim.markers import Markers
 from tactile_drivers.sim.settings import SkinSettings, TacTipSettings
 from tactile_drivers.sim.skin import Skin, load_skin
 from tactile_drivers.sim.tactip import TacTip
 
+Array = NDArray[Any]
+
 SOFT = 3.0  # px, where the loss turns from squares to absolute values
+DEPTHS = ((0.5, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6))  # mm, in which errors are told
 REST_WEIGHT = 3.0  # of the markers at rest, which are known better
 _UNIT = np.repeat([1e-3, np.pi / 180], 3)
 
@@ -90,24 +89,38 @@ PARAMETERS = (
 
 
 class Fit:
-    """Residuals of the chosen contacts as a function of a sensor file."""
+    """Residuals of chosen contacts as a function of a sensor file.
 
-    def __init__(self, tracked: Tracked, chosen: np.ndarray, sensor: SensorFile) -> None:
+    Raises
+    ------
+    ValueError
+        The simulated markers at rest are too far from the real ones to say which is which.
+    """
+
+    def __init__(self, tracked: Tracked, chosen: Array, sensor: SensorFile) -> None:
         self.labels, self.real, self.rest = tracked.labels[chosen], tracked.positions[chosen], tracked.rest
         self._seen = np.isfinite(self.real[..., 0])
-        self._moved: dict[Any, np.ndarray] = {}
+        self._moved: dict[Any, Array] = {}
         self._skins: dict[SkinSettings, Skin] = {}
         rest = Camera(sensor.sensor.camera).project(self._markers(sensor).rest)[0]
         self._order = np.linalg.norm(self.rest[:, None] - rest[None], axis=2).argmin(axis=1)
         if len(set(self._order)) != len(self._order):
-            raise SystemExit("the simulated markers at rest are too far from the real ones to be matched")
+            raise ValueError(
+                "the simulated markers at rest are too far from the real ones to be matched: start from a "
+                "sensor whose camera is nearer (--start)"
+            )
 
-    def residual(self, sensor: SensorFile) -> np.ndarray:
+    def residual(self, sensor: SensorFile) -> Array:
         """Simulated less real positions (n, 2) px of all markers seen, and of those at rest."""
         markers, camera = self._markers(sensor), Camera(sensor.sensor.camera)
-        pixels = np.array([camera.project(markers.positions(one))[0] for one in self._displaced(sensor)])
         rest = camera.project(markers.rest)[0][self._order] - self.rest
-        return np.concatenate([(pixels[:, self._order] - self.real)[self._seen], REST_WEIGHT * rest])
+        return np.concatenate([self.off(sensor)[self._seen], REST_WEIGHT * rest])
+
+    def off(self, sensor: SensorFile) -> Array:
+        """Simulated less real positions (contacts, 331, 2) px; NaN where a marker was not found."""
+        markers, camera = self._markers(sensor), Camera(sensor.sensor.camera)
+        pixels = np.array([camera.project(markers.positions(one))[0] for one in self._displaced(sensor)])
+        return pixels[:, self._order] - self.real
 
     def _markers(self, sensor: SensorFile) -> Markers:
         tip = sensor.sensor.skin
@@ -120,7 +133,7 @@ class Fit:
             self._skins[settings] = load_skin(settings)
         return self._skins[settings]
 
-    def _displaced(self, sensor: SensorFile) -> np.ndarray:
+    def _displaced(self, sensor: SensorFile) -> Array:
         """Skin displacements (contacts, nodes, 3), kept for sensors that differ in camera or markers only."""
         key = (sensor.sensor.skin, sensor.sensor.contact, sensor.collection)
         if key not in self._moved:
@@ -139,16 +152,18 @@ class Fit:
         return self._moved[key]
 
 
-def loss(residual: np.ndarray) -> float:
+def loss(residual: Array) -> float:
     """Soft L1 of the distances."""
     return float(np.sum(2 * SOFT**2 * (np.sqrt(1 + np.sum(residual**2, axis=1) / SOFT**2) - 1)))
 
 
-def improve(fit: Fit, sensor: SensorFile, damping: float) -> tuple[SensorFile, float, float]:
+def improve(
+    fit: Fit, sensor: SensorFile, damping: float, parameters: Sequence[Parameter] = PARAMETERS
+) -> tuple[SensorFile, float, float]:
     """One damped Gauss-Newton step: the new sensor (the old one where none helps), its loss, the damping."""
     start = fit.residual(sensor)
     columns = [
-        (fit.residual(p.put(sensor, p.of(sensor) + p.step)) - start).astype(np.float32) for p in PARAMETERS
+        (fit.residual(p.put(sensor, p.of(sensor) + p.step)) - start).astype(np.float32) for p in parameters
     ]
     jacobian = np.stack(columns, axis=-1)  # per step
     weight = (1 + np.sum(start**2, axis=1) / SOFT**2) ** -0.5
@@ -158,13 +173,24 @@ def improve(fit: Fit, sensor: SensorFile, damping: float) -> tuple[SensorFile, f
     for _ in range(5):
         scaled = normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(len(normal))
         new = sensor
-        for parameter, change in zip(PARAMETERS, np.linalg.solve(scaled, -gradient), strict=True):
+        for parameter, change in zip(parameters, np.linalg.solve(scaled, -gradient), strict=True):
             new = parameter.put(new, parameter.of(sensor) + change * parameter.step)
         after = loss(fit.residual(new))
         if after < before:
             return new, after, max(damping / 10, 1e-6)
         damping *= 10
     return sensor, before, damping
+
+
+def by_depth(fit: Fit, sensor: SensorFile) -> list[tuple[str, int, float, float]]:
+    """Of the contacts in each range of depth (mm): how many, median and RMS (px) of the markers' errors."""
+    distance, depth, found = np.linalg.norm(fit.off(sensor), axis=2), fit.labels[:, 2], []
+    for low, high in (*DEPTHS, (0.0, np.inf)):
+        off = distance[(depth >= low) & (depth < high)]
+        if np.isfinite(off).any():
+            name = f"{low:g} to {high:g} mm" if np.isfinite(high) else "all"
+            found.append((name, len(off), float(np.nanmedian(off)), float(np.sqrt(np.nanmean(off**2)))))
+    return found
 
 
 def write(sensor: SensorFile, path: Path, note: str) -> None:
@@ -190,40 +216,3 @@ def _rounded(value: Any) -> Any:
 
 def _group(sensor: SensorFile, group: str) -> Any:
     return sensor.collection if group == "collection" else getattr(sensor.sensor, group)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--write", type=Path, required=True, help="sensor file to write")
-    parser.add_argument("--start", help="sensor, by name or file, to start from (default: the built-in one)")
-    parser.add_argument("--contacts", type=int, default=180, help="images fitted (default 180)")
-    parser.add_argument(
-        "--tracked", type=int, default=2000, help="images in which markers are tracked (2000)"
-    )
-    parser.add_argument("--iterations", type=int, default=10, help="at most (default 10)")
-    parser.add_argument("--seed", type=int, default=1, help="of the choice of contacts")
-    args = parser.parse_args()
-    sensor = load_sensor(args.start) if args.start else SensorFile()
-    tracked = track(args.data, args.tracked)
-    chosen = tracked.some(args.contacts, args.seed)
-    fit, damping = Fit(tracked, chosen, sensor), 1e-3
-    cost = loss(fit.residual(sensor))
-    for number in range(args.iterations):
-        started = time.monotonic()
-        sensor, new, damping = improve(fit, sensor, damping)
-        left = np.linalg.norm(fit.residual(sensor), axis=1)
-        print(
-            f"{number + 1}: loss {cost:.0f} -> {new:.0f}; left: RMS {np.sqrt(np.mean(left**2)):.2f} px, "
-            f"median {np.median(left):.2f} px; {time.monotonic() - started:.0f} s", flush=True,
-        )  # fmt: skip
-        write(sensor, args.write, f"Fitted to {len(chosen)} contacts of {args.data} by bench/fit_sensor.py")
-        if cost - new < 2e-3 * cost:
-            break
-        cost = new
-    for parameter in PARAMETERS:
-        print(f"{parameter.name:28s} {parameter.of(sensor):12.5g}   (default {parameter.of(SensorFile()):g})")
-
-
-if __name__ == "__main__":
-    main()
