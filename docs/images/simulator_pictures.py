@@ -1,6 +1,6 @@
 """Pictures of the simulated sensor for docs/simulator.md.
 
-python bench/simulator_pictures.py [--out docs/images]
+python docs/images/simulator_pictures.py [--out docs/images]
 """
 
 from __future__ import annotations

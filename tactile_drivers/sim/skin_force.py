@@ -24,7 +24,7 @@ _REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper
 class SkinForces(Settings):
     """Normal force and shear stiffness over depth as powers, and friction.
 
-    The curves are fitted to the simulated TacTip on a plane by bench/held_objects.py; they scale with
+    The curves are fitted to the simulated TacTip on a plane by bench/simulation/skin_curves.py; they scale with
     `SkinSettings.gel_modulus`.
     """
 

@@ -1,6 +1,6 @@
 """C functions of this package on an emulated aarch64 processor: compiled by `zig cc`, executed by `unicorn`.
 
-Used by bench/fusion_neon.py.
+Used by fusion_neon.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """The C of SE(3) and of fusion on NEON: its tests on an emulated aarch64 processor, its bits beside x86-64's.
 
-python bench/fusion_neon.py [options of pytest]     needs: pip install ziglang unicorn, and the extra `test`
+    python test/emulated/fusion_neon.py [options of pytest]
+
+Needs `pip install ziglang unicorn` and the extra `test`.
+
 
 What the modules have without Python is compiled for aarch64 by `zig cc` (clang) with the flags of setup.py,
 and executed by `unicorn` as a Cortex-A53, which knows no more than every aarch64 has. `Emulated` takes the
@@ -15,6 +18,8 @@ atan2 and hypot are this machine's.
 
 from __future__ import annotations
 
+import argparse
+import importlib.util
 import os
 import re
 import struct
@@ -29,10 +34,10 @@ from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "bench"))
-
-from aarch64 import Machine, build  # noqa: E402
+ROOT = Path(__file__).resolve().parents[2]
+MISSING = [
+    name for name in ("ziglang", "unicorn", "pytest", "mpmath") if importlib.util.find_spec(name) is None
+]
 
 TESTS = ["geometry/test_se3"] + [
     f"filter/test_{name}" for name in ("worst_errors", "fusion", "fusion_exact", "propagation")
@@ -75,6 +80,8 @@ class Emulated:
     """
 
     def __init__(self, native: ModuleType, header: str, routines: str) -> None:
+        from aarch64 import Machine, build
+
         with tempfile.TemporaryDirectory() as folder:
             machine = Machine(build(native.__name__, Path(folder)))
         self.native, self.machine, self.select = native, machine, f"{routines}_select"
@@ -199,7 +206,7 @@ def run_extremes(fusion: ModuleType) -> None:
                 fusion.fuse(*pair, mode)
 
 
-def print_instructions(machine: Machine, fusion: ModuleType) -> None:
+def print_instructions(machine: Any, fusion: ModuleType) -> None:
     """What a fusion executes."""
     from fusion_cases import cases
 
@@ -210,8 +217,17 @@ def print_instructions(machine: Machine, fusion: ModuleType) -> None:
 
 def main() -> int:
     """Build, test, compare, count."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options = parser.parse_known_args()[1]
+    if MISSING:
+        raise SystemExit(
+            f"fusion_neon.py needs {', '.join(MISSING)}: pip install ziglang unicorn pytest mpmath"
+        )
     os.chdir(ROOT)
-    sys.path[:0] = [str(ROOT), str(ROOT / "test/filter"), str(ROOT / "test/geometry")]
+    folders = ("", "test/filter", "test/geometry", "test/emulated")
+    sys.path[:0] = [str(ROOT / name) for name in folders]
     import pytest
 
     from tactile_geometry import _se3
@@ -223,7 +239,7 @@ def main() -> int:
     emulated = EmulatedFusion(_fusion, "tactile_filter/_csrc/routines.h", "routines")
     sys.modules[_fusion.__name__] = sys.modules["tactile_filter"]._fusion = emulated
     files = [f"test/{name}.py" for name in TESTS]
-    failed = pytest.main([*files, "-q", "-o", "timeout=0", "-k", f"not {STATISTICS}", *sys.argv[1:]])
+    failed = pytest.main([*files, "-q", "-o", "timeout=0", "-k", f"not {STATISTICS}", *options])
 
     from tactile_filter import fusion
 

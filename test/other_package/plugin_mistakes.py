@@ -1,8 +1,8 @@
 """What a user reads of a mistake in a plug-in: `tactile check`, and a run of it by who has not checked.
 
-    python bench/plugin_mistakes.py [shape motion task arm camera] [--no-nodes]
+    python test/other_package/plugin_mistakes.py [shape motion task arm camera] [--no-nodes]
 
-The mistakes are those that the tests of `tactile check` make (test/other_package/mistakes.py), of each kind,
+The mistakes are those that the tests of `tactile check` make (mistakes.py), of each kind,
 installed as another package would be. Shapes, motions and tasks run without ROS (`tactile simulate`, ideal
 sensor); of drivers, and of tasks, those of `LIVE` run as nodes (`tactile launch`). All simulated: the arm is
 one that follows exactly, the camera gives a gray picture.
@@ -22,8 +22,8 @@ import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test" / "other_package"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import mistakes
 
@@ -31,7 +31,7 @@ from other_package import ENTRY_POINTS, installed
 from tactile_bringup import cli, driver_check
 from tactile_bringup.plugin_check import check_plugin
 
-TEST = Path(__file__).resolve().parents[1] / "test"
+TEST = Path(__file__).resolve().parents[1]
 GROUPS = {
     "shape": "shapes",
     "body motion": "motions",

@@ -1,8 +1,8 @@
-"""What is left of a recording that is cut or flipped: python bench/damaged_bags.py BAG [--cuts N] [--flips N]
+"""What is left of a recording that is cut or flipped: python damage_everywhere.py BAG [--cuts N] [--flips N]
 
 The bag is copied to MCAP and to sqlite3. Each file is cut at so many places and has single bits turned at so
 many others, and is then read, replayed and reported on, in a process of its own whose time and memory are
-measured. Printed are the outcomes (see `outcome` in test/records/damaged_bags.py) and the most time and
+measured. Printed are the outcomes (see `outcome` in damaged_bags.py) and the most time and
 memory, over twice the file's size; errors that are no refusals are printed whole.
 """
 
@@ -20,7 +20,7 @@ import traceback
 from collections import Counter
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test" / "records"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from damaged_bags import as_sqlite, cuts, damage, flips, outcome, use
 
