@@ -3,6 +3,7 @@
 # make test    run all tests            (ARGS="test/filter -k gate" to choose)
 # make lowest  run tests with the lowest versions that setup.cfg allows
 # make lint    ruff and mypy
+# make results-check   run benchmarks of docs/results again whose numbers depend on no clock (ARGS="--only robust")
 # make model   make the shipped model again: generate simulated images, train, quantize (work in out/model)
 # make lock    renew the exact versions that all of these install (scripts/constraints.txt, scripts/lowest.txt)
 # make clean   remove what was built    (make distclean: .venv and out as well)
@@ -16,7 +17,7 @@ TASK ?= surface_following
 export PYTHON TORCH
 
 # packages: what tests need to be installed
-.PHONY: build demo packages test lowest lint model lock clean distclean
+.PHONY: build demo packages test lowest lint results-check model lock clean distclean
 
 build:
 	@scripts/setup.sh
@@ -38,6 +39,10 @@ lowest: build
 lint:
 	@scripts/setup.sh lint train
 	@. scripts/env.sh && ruff check . && ruff format --check . && mypy
+
+results-check: build
+	@scripts/setup.sh test
+	@. scripts/env.sh && python scripts/results_check.py $(ARGS)
 
 model:
 	@scripts/setup.sh train
