@@ -64,7 +64,8 @@ def _commit() -> str:
         )
     except (OSError, subprocess.CalledProcessError):
         return "sources outside git"
-    changed = subprocess.run([*git, "diff", "--quiet", "HEAD"], check=False).returncode
+    code = ["--", ":/", ":(exclude)docs"]  # what pages say changes no number
+    changed = subprocess.run([*git, "diff", "--quiet", "HEAD", *code], cwd=ROOT, check=False).returncode
     return f"commit {commit.strip()}" + ", changed" * bool(changed)
 
 
