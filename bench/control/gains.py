@@ -83,7 +83,8 @@ def main() -> None:
             cells = [name, f"{latency_ms:g} ms"]
             for scene in SCENES:
                 numbers = measure(scene, latency_ms, changes, given.fidelity, given.seeds)
-                cells += [f"{value:.{digits}f}" for value, digits in zip(numbers, (3, 2, 3, 2), strict=True)]
+                pairs = zip(numbers, (3, 2, 3, 2), strict=True)
+                cells += ["-" if np.isnan(value) else f"{value:.{digits}f}" for value, digits in pairs]
             table.row(*cells)
 
 

@@ -21,8 +21,7 @@ import numpy as np
 
 sys.path.extend(map(str, Path(__file__).resolve().parents[:2]))
 
-from shared import parser
-from ur_driver import KEPT, Resources, arm_of, quantiles, schedule, show_states, started
+from ur_driver import KEPT, Resources, arm_of, options, quantiles, schedule, show_states, started
 
 from tactile_drivers.arm import ArmMode, ArmState, open_arm
 from tactile_drivers.doubles.franka_controller import FrankaController
@@ -68,11 +67,7 @@ def serve(pipe: multiprocessing.connection.Connection, priority: int, seconds: f
 
 def main() -> None:
     """Drive for so long, then print."""
-    arguments = parser(__doc__ or "")
-    arguments.add_argument("--seconds", type=float, default=60.0)
-    arguments.add_argument("--rate", type=float, default=250.0)
-    arguments.add_argument("--priority", type=int, default=0)
-    arguments = arguments.parse_args()
+    arguments = options(__doc__ or "", 250.0)
     pipe = started(serve, arguments.priority, arguments.seconds)
     settings = f"{{host: {HOST}, rate: {arguments.rate}, realtime: false}}"
     loaded = arm_of("franka", settings, start=START, limits=LIMITS)

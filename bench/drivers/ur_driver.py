@@ -8,6 +8,7 @@ descriptors and drift are those of the driver's process, at each tenth of the ti
 double are scheduled and locked into memory as nodes are with `priority`.
 """
 
+import argparse
 import asyncio
 import contextlib
 import itertools
@@ -106,6 +107,14 @@ def quantiles(name: str, seconds: np.ndarray) -> None:
     print(f"{name}: median {low:.2f} ms, p99 {high:.2f} ms, largest {most:.2f} ms ({len(seconds)})")
 
 
+def options(text: str, rate: float) -> argparse.Namespace:
+    """The command line of a driver's benchmark."""
+    arguments = parser(text)
+    for name, kind, value in (("seconds", float, 60.0), ("rate", float, rate), ("priority", int, 0)):
+        arguments.add_argument(f"--{name}", type=kind, default=value)
+    return arguments.parse_args()
+
+
 def arm_of(driver: str, settings: str, **more: str) -> ArmScene:
     """An arm of a scene that this driver moves; its settings as YAML."""
     fields = {"driver": driver, "driver_settings": settings, **more}
@@ -137,11 +146,7 @@ def show_states(known: Sequence[tuple[int, int, int]]) -> None:
 
 def main() -> None:
     """Drive for so long, then print."""
-    arguments = parser(__doc__ or "")
-    arguments.add_argument("--seconds", type=float, default=60.0)
-    arguments.add_argument("--rate", type=float, default=500.0)
-    arguments.add_argument("--priority", type=int, default=0)
-    arguments = arguments.parse_args()
+    arguments = options(__doc__ or "", 500.0)
     pipe = started(serve, arguments.priority)
     start = "{position: [0.4, 0.0, 0.3]}"
     arm = arm_of("ur", f"{{host: {HOST}, rate: {arguments.rate}}}", start=start)

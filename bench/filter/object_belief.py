@@ -1,9 +1,9 @@
-"""Several contacts on one object: how certain its belief is, how honest that is, and what a step costs.
+"""Several contacts on one object: how certain its belief is, and how honest that is.
 
     python bench/filter/object_belief.py [--runs N]
 
 A box, 60 mm wide, is held still from two or three sides; contacts err by 0.3 mm along and 0.1 mm across the
-surface, 6 mrad in tilt and 15 mrad in twist. Each row is N runs (200) of some steps: the deviation of the
+surface, 6 mrad in tilt and 15 mrad in twist. Each row is N runs (100) of some steps: the deviation of the
 box's middle and of its rotation as claimed, relative to that of one contact at a place that is known exactly,
 and NEES / 6, which is 1 for a belief that is as certain as it claims, and less for one that is more certain.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from shared import Array, Table, parser, taken
+from shared import Array, Table, parser
 
 from tactile_filter.consistency import nees
 from tactile_filter.object.belief import SplitGaussian
@@ -102,12 +102,6 @@ def certainty(
     return np.sqrt(variances / runs), total / (6 * runs)
 
 
-def step_us(tracker: ObjectTracker, names: tuple[str, ...], count: int = 400) -> float:
-    """Median time of a step."""
-    steps = list(together(names, count, np.random.default_rng(0)))
-    return float(np.median(taken(lambda k: tracker.step(k * STEP_NS, steps[k]), count)))
-
-
 def given_to(names: tuple[str, ...], **settings: float) -> Callable[[], ObjectTracker]:
     """Makes trackers that know where all contacts are."""
     places = {name: GIVEN[name] for name in names}
@@ -117,7 +111,7 @@ def given_to(names: tuple[str, ...], **settings: float) -> Callable[[], ObjectTr
 def main() -> None:
     """Measure and print."""
     arguments = parser(__doc__ or "")
-    arguments.add_argument("--runs", type=int, default=200, help="runs a row (200)")
+    arguments.add_argument("--runs", type=int, default=100, help="runs a row (100)")
     runs = arguments.parse_args().runs
 
     def holding(*names: str) -> Callable[[np.random.Generator], Steps]:
@@ -141,11 +135,6 @@ def main() -> None:
     for name, (tracker, steps) in rows.items():
         sigma, honest = certainty(tracker, steps, runs, tracker is not found)
         table.row(name, *(f"{value:.2f}" for value in (*(sigma / one), honest)))
-    table = Table(("a step with", "us"), "medians of 400 steps", timed=True)
-    for names in (("left",), PAIR, THREE):
-        table.row(f"{len(names)} contacts, places given", f"{step_us(given_to(names)(), names):.0f}")
-    for names in (PAIR, THREE):
-        table.row(f"{len(names)} contacts, places found", f"{step_us(ObjectTracker(names), names):.0f}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The worst errors of exp, log, the Jacobians and mode exact against 60 digits, as test/filter holds them.
+"""The worst errors of exp, log and the Jacobians against 60 digits, as test/filter holds them.
 
     python bench/fusion/accuracy.py [--count 3] [--reference]
 
@@ -16,7 +16,6 @@ sys.path.extend(
 
 from shared import Table, needs, parser
 
-from tactile_filter.fusion import fuse
 from tactile_geometry import se3
 
 
@@ -28,17 +27,12 @@ def main() -> None:
     given = arguments.parse_args()
     needs("pip install 'mpmath>=1.3,<1.4', or scripts/setup.sh test", "mpmath")
     import se3_reference
-    from fusion_cases import cases, exact_error, tolerance
     from worst_errors import TOLERANCES, worst_errors
 
     table = Table(("error", "worst", "at angle", "must hold"), f"largest of {given.count} vectors an angle")
     found = worst_errors(se3_reference if given.reference else se3, given.count)
     for name, (error, angle) in found.items():
         table.row(name, f"{error:.2e}", f"{angle:.4g}", f"{TOLERANCES[name]:.0e}")
-    table = Table(("mode exact, case", "error", "rounding", "allowed"), "in posterior standard deviations")
-    for name, pair in cases(0).items():
-        error, cost, _, _ = exact_error(pair, fuse(*pair, "exact"))
-        table.row(name, f"{error:.1e}", f"{cost:.1e}", f"{tolerance(cost):.1e}")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import yaml
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from shared import parser, percentiles
+from shared import Table, parser, percentiles
 
 from tactile_base.config_paths import config_path
 from tactile_records.runs.from_bag import read_arms
@@ -64,16 +64,12 @@ def look(folder: Path) -> dict[str, tuple[float, int, int]]:
 
 def table(samples: list[dict[str, tuple[float, int, int]]]) -> None:
     """Means over each part of the time, by process."""
-    parts = np.array_split(np.arange(len(samples)), PARTS)
-    print("| process | " + " | ".join(f"part {n + 1}" for n in range(PARTS)) + " |")
-    print("| --- |" + " --- |" * PARTS)
+    heads = ("process", *(f"part {n + 1}: MB, threads, descriptors" for n in range(PARTS)))
+    printed = Table(heads, f"means, a look every {PERIOD:g} s", timed=True)
+    parts = np.array_split(np.array(samples), PARTS)
     for name in samples[-1]:
-        cells = []
-        for part in parts:
-            rows = [samples[index][name] for index in part if name in samples[index]]
-            mean = np.mean(rows, axis=0) if rows else np.full(3, np.nan)
-            cells.append(f"{mean[0]:.1f} MB, {mean[1]:.1f}, {mean[2]:.1f}")
-        print(f"| {name.split()[0]} | " + " | ".join(cells) + " |")
+        for_each = (np.array([look[name] for look in part if name in look]).reshape(-1, 3) for part in parts)
+        printed.row(name.split()[0], *(", ".join(f"{v:.1f}" for v in one.mean(axis=0)) for one in for_each))
 
 
 def latencies(bag: Path) -> None:
