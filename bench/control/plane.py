@@ -69,7 +69,7 @@ class Plant:
         physics: Physics | None = None,
     ) -> None:
         self.physics = physics or Physics()
-        known, self.trials, self.count = read_profiles(), tuple(trials), len(trials)
+        known, self.count = read_profiles(), len(trials)
         drawn = np.array([draw(*trial) for trial in trials])
         self.friction = np.array([known.floors[floor] for _, floor, _ in trials])
         self.friction = self.friction * (1.0 + variation.friction * drawn[:, 0])
@@ -92,8 +92,6 @@ class Plant:
             self.headings.append(np.full(self.count, -0.5 * np.pi))
         self.shears = [np.zeros(self.count) for _ in range(arms)]
         self.force = np.zeros((self.count, 2))
-        self.motion = np.zeros((self.count, 3))  # of the last step: dx, dy and turn about `pivot`
-        self.pivot = self.center.copy()
         self._random = np.random.default_rng(0)
         self._noise = [np.zeros((self.count, 3)) for _ in range(arms)]
         self._slips = [np.zeros(self.count, bool) for _ in range(arms)]
@@ -155,12 +153,12 @@ class Plant:
             under = self.tips[arm] + arm_rolled[:, None] * normal - pivot
             matter[:, 0, 2], matter[:, 1, 2] = -under[:, 1], under[:, 0]
             touches.append((arm, side, shear, matter))
-        self.motion, self.pivot = self._given_way(load, stiffness), pivot
-        self.center = self.center + self.motion[:, :2] + self.motion[:, 2:] * across(self.center - pivot)
-        self.turn = self.turn + self.motion[:, 2]
+        motion = self._given_way(load, stiffness)  # dx, dy and turn about the pivot
+        self.center = self.center + motion[:, :2] + motion[:, 2:] * across(self.center - pivot)
+        self.turn = self.turn + motion[:, 2]
         self.force = np.zeros((self.count, 2))
         for arm, side, shear, matter in touches:
-            moved = np.einsum("nij,nj->ni", matter, self.motion)
+            moved = np.einsum("nij,nj->ni", matter, motion)
             self.shears[arm] = shear - (moved * side).sum(axis=1)
             normal, depth = self.contact(arm)
             press, _, sideways = _skin(skin, np.maximum(depth, 1e-6), depth > 0.0)
@@ -222,7 +220,6 @@ def _outline(profile: Any) -> _Outline:
     normals, distances, radius = np.zeros((6, 2)), np.full(6, 1e3), 0.0
     if shape == "cylinder":
         radius = float(values["radius"])
-        distances[:] = 1e3
     else:
         sides = 4 if shape == "box" else int(values["sides"])
         angles = 2.0 * np.pi * np.arange(sides) / sides - 0.5 * np.pi

@@ -1,7 +1,7 @@
-"""Writes coefficients.h: the power series of se3_exact.h, each coefficient as the sum of two doubles, and the
+"""Writes coefficients.h: the series of se3_exact.h, each coefficient as the sum of two doubles, and the
 polynomials of fusion_lanes.h.
 
-    python tactile_geometry/_csrc/coefficients.py > tactile_geometry/_csrc/coefficients.h
+    python scripts/coefficients.py > tactile_geometry/_csrc/coefficients.h
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def main() -> None:
         ),
         series("FIRST_POLE", "4 pi^2, 16 pi^2", [4 * mp.pi**2, 16 * mp.pi**2]),
     ]
-    print("// Written by coefficients.py. Series in powers of t^2, each a sum of two doubles.")
+    print("// Written by scripts/coefficients.py. Series in powers of t^2, each a sum of two doubles.")
     print('#ifndef TACTILE_COEFFICIENTS_H_\n#define TACTILE_COEFFICIENTS_H_\n\n#include "dd.h"\n')
     print("\n".join(blocks).replace("FIRST_POLE", "POLES"))
     print("\n".join(fits()))
