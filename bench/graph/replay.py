@@ -4,7 +4,7 @@
 
 Reading, filter and writing of the new bag, without the start of Python and without the picture, in processor
 time, which does not count what else the machine does; and all of it by the clock. The least of several times.
-"Beliefs" are the valid ones, of which the states of a recording can hold more.
+"Valid beliefs" are fewer than the states of a recording, of which some have none.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def main() -> None:
     arguments.add_argument("bags", type=Path, nargs="+")
     arguments.add_argument("--repeat", type=int, default=9)
     given = arguments.parse_args()
-    heads = ("recording", "s", "messages", "beliefs", *(f"{part} ms" for part in PARTS))
+    heads = ("recording", "s", "messages", "valid beliefs", *(f"{part} ms" for part in PARTS))
     table = Table((*heads, "x real time", "x by the clock"), f"least of {given.repeat}", timed=True)
     for bag in given.bags:
         table.row(*measured(bag, given.repeat))
