@@ -4,6 +4,7 @@
 # make lowest  run tests with the lowest versions that setup.cfg allows
 # make lint    ruff, mypy and clang-format
 # make docs    build the documentation into out/site
+# make results-check   run benchmarks of docs/results again whose numbers depend on no clock (ARGS="--only robust")
 # make model   make the shipped model again: generate simulated images, train, quantize (work in out/model)
 # make lock    renew the exact versions that all of these install (scripts/constraints.txt, scripts/lowest.txt)
 # make clean   remove what was built    (make distclean: .venv and out as well)
@@ -17,7 +18,7 @@ TASK ?= surface_following
 export PYTHON TORCH
 
 # packages: what tests need to be installed
-.PHONY: build demo packages test lowest lint docs model lock clean distclean
+.PHONY: build demo packages test lowest lint docs results-check model lock clean distclean
 
 build:
 	@scripts/setup.sh
@@ -45,6 +46,10 @@ docs:
 	@scripts/setup.sh docs
 	@scripts/build.sh
 	@scripts/docs.sh
+
+results-check: build
+	@scripts/setup.sh test
+	@. scripts/env.sh && python scripts/results_check.py $(ARGS)
 
 model:
 	@scripts/setup.sh train

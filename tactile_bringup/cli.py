@@ -29,6 +29,7 @@ COMMANDS = (
     "tactile_bringup.commands.evaluate",
     "tactile_bringup.commands.calibrate",
     "tactile_bringup.commands.quantize",
+    "tactile_bringup.commands.fit",
     "tactile_bringup.commands.markers",
     "tactile_bringup.commands.camera",
     "tactile_bringup.commands.cell",

@@ -3,7 +3,7 @@
 Python's message classes cost 0.1 to 0.3 ms a message, once to build it and once to convert it, and more on a
 core that has just woken up. A `Layout` packs or reads all numbers of a message at once; where they are is
 known from the message's definition (`tactile_wire.cdr`). An image is copied once each way, where the
-message classes make three copies: 1 ms of 3.5 for 640x480 (bench/ros_latency.py).
+message classes make three copies: 1 ms of 3.5 for 640x480.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class Sample:
     friction: float
 
 
-class _Sphere:
+class Sphere:
     """A sphere of signed radius 1 / curvature that touches the plane z = 0 at the origin, from below."""
 
     def __init__(self, curvature: float) -> None:
@@ -204,7 +204,7 @@ def press_then_shear(
     The surface is a plane, or a sphere of that `curvature` in 1/m, along which the shear then runs. With a
     `mounting` the pose is what the arm means.
     """
-    surface = Plane() if abs(curvature) < _FLAT else _Sphere(curvature)
+    surface = Plane() if abs(curvature) < _FLAT else Sphere(curvature)
 
     def move(T: Array) -> None:
         sensor.advance(surface, T if mounting is None else mounting.place(T))
@@ -215,10 +215,10 @@ def press_then_shear(
     for depth in (-clearance, z):
         move(T_surface_f @ se3.pose_from_euler([0.0, 0.0, depth, alpha, beta, 0.0]))
     turned = T_surface_f @ se3.pose_from_euler([0.0, 0.0, z, alpha, beta, gamma])
-    move(_along_surface(x, -y, curvature) @ turned)
+    move(along_surface(x, -y, curvature) @ turned)
 
 
-def _along_surface(x: float, y: float, curvature: float) -> Array:
+def along_surface(x: float, y: float, curvature: float) -> Array:
     """Motion (4, 4) that carries the surface's origin by x, y along it: a turn about a sphere's centre."""
     if abs(curvature) < _FLAT:
         return se3.pose_from_euler([x, y, 0.0, 0.0, 0.0, 0.0])

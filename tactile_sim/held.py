@@ -14,8 +14,8 @@ rest of the load accelerates. Where `tilt` is above 1 it turns about the edge un
 Off the plate, or tilted too far, it has fallen, for good. Under the tip's force it yields like a spring in
 series with the skin.
 
-Assumed: no inertia but that of a free slide (bench/held_objects.py compares it with the weight), no torsion
-from the tip, and a hand that holds the object until `hand_time` after the first touch.
+Assumed: no inertia but that of a free slide (docs/simulator.md compares it with the weight), no
+torsion from the tip, and a hand that holds the object until `hand_time` after the first touch.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 What a network says of a soft tip is wrong by a smooth function of the contact (its bias), and by what that
 function does not know: the way on which the contact came about, friction, curvature. The latter stays while
 the contact stays as it is, and changes on the way to another one; only a small part is new in each image.
-`bench/fit_network_error.py` fits all of it to a network's answers and writes the file that is loaded here::
+`tactile fit network-error` fits all of it to a network's answers and writes the file that is loaded here::
 
     errors = NetworkError(load_error_model(), seed=1)
     errors.begin()                                   # a new contact

@@ -14,7 +14,7 @@ Where a scene says so (`edge_friction`), the leading edge catches and the object
 else of a step is in C (`_csrc/pushed.c`).
 
 Assumed: no inertia; one friction for sticking and sliding; the shape of the limit surface that of an even
-pressure, whose centre alone moves (bench/pushed_objects.py says what this is off by); the skin's torsion
+pressure, whose centre alone moves (docs/simulator.md says what this is off by); the skin's torsion
 presses nothing.
 """
 

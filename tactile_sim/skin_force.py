@@ -24,8 +24,8 @@ _REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper
 class SkinForces(Settings):
     """Normal force and shear stiffness over depth as powers, and friction.
 
-    The curves are fitted to the simulated TacTip on a plane by bench/held_objects.py; they scale with
-    `SkinSettings.gel_modulus`.
+    The curves are fitted to the simulated TacTip on a plane by bench/simulation/skin_curves.py; they scale
+    with `SkinSettings.gel_modulus`.
     """
 
     friction_tip: float = setting(0.9, lower=0.0, upper=5.0, doc="between object and the tip's skin")

@@ -1,209 +1,230 @@
-r"""Speed against accuracy: image size, network size, arithmetic and threads, each measured.
+"""Speed against accuracy: image size, network size, arithmetic and threads, each measured.
 
-    PYTHONSAFEPATH= python bench/perception/dial.py [DATA] [--out out/dial] [--only "64 M" ...] \
-        [--run NAME=RUN ...]
+    python bench/perception/dial.py --untrained                             # times alone, of random weights
+    python bench/perception/dial.py DATA [--only "64 M" ...] [--run NAME=RUN ...] [--out out/dial]
 
-DATA is a folder of the public layout with train/ and val/ in it; without it, simulated samples are generated.
-Each network of config/perception/dial.yaml is trained on it by the same file (a finished run is not
-trained again; --epochs shortens it), quantized to 8-bit integers, and measured: errors and calibration on
-val/, and the time of a whole estimate, pre-processing included, one after another and at 60 Hz. `--run` adds
-networks that were trained otherwise; `--only` without names trains none; `--untrained` measures times alone
-and needs no data. Leaves dial.csv, dial.md and pareto.png in --out.
-
-All models are timed in turn, over and over, so that what else the machine does meets them all alike.
+DATA is a folder of the public layout with train/ and val/ in it. Each network of
+config/perception/dial.yaml is trained on it (a finished run in --out is not trained again), then measured
+as it is and in 8-bit integers, with further runs given by --run. Errors and calibration are on DATA/val;
+times of whole estimates of simulated images, pre-processing included: in bursts, models in turn, and with a
+camera's pauses at 60 Hz. Needs PyTorch and onnx (`scripts/setup.sh train`).
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
+import sys
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import onnxruntime
-from candidates import Candidate, candidates, data_folder, untrained
-from numpy.typing import NDArray
-from report import draw_pareto, markdown_table
+
+sys.path.extend(map(str, Path(__file__).resolve().parents[:2]))
+
+from shared import Array, Table, needs, parser, percentiles
 from stages import simulated_images
 
-from tactile_perception.estimating.labels import COMPONENTS
+from tactile_base.config_paths import config_path
+from tactile_base.yaml_file import read_yaml
+from tactile_bringup.cli import main as tactile
+from tactile_bringup.commands.quantize import training_images
+from tactile_perception.estimating.model_metadata import ModelMetadata
+from tactile_perception.estimating.plots import log_axis
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import evaluate, load_data
 from tactile_perception.evaluation.metrics import LEVELS
 from tactile_perception.evaluation.models import open_models
+from tactile_perception.evaluation.report import paper_tables
 
-_BURST = 10
-_PACE_HZ = 60.0
+BURST, PACE_HZ = 10, 60.0
+TIMES = ("CPU p50 / p99", "wall p50 / p99", "at 60 Hz", "two threads")
+ERRORS = ("rho_x, rho_y, rho_z (mm)", "phi_x, phi_y, phi_z (rad)", "/ paper", "NEES / 6", "95 % covers")
 
 
-@dataclass
-class Row:
-    """What was measured of one model; times in ms over a whole estimate, errors in mm and rad."""
+@dataclass(frozen=True)
+class Model:
+    """A model file; `arithmetic` is fp32 or int8."""
 
     name: str
     arithmetic: str
     path: Path
-    schedule: str
-    mae: tuple[float, ...] = (np.nan,) * 6
-    nees: float = np.nan
-    coverage95: tuple[float, float] = (np.nan, np.nan)
-    network_p50: float = np.nan
-    p50: float = np.nan
-    p99: float = np.nan
-    cpu_p50: float = np.nan
-    cpu_p99: float = np.nan
-    p50_two_threads: float = np.nan
-    p99_two_threads: float = np.nan
-    paced_p50: float = np.nan
-    paced_p99: float = np.nan
-
-    @property
-    def megabytes(self) -> float:
-        """Size of the model file."""
-        return self.path.stat().st_size / 1e6
 
 
-def main() -> None:
-    arguments = _arguments()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    images = simulated_images(24)
-    if arguments.untrained:
-        models = untrained(arguments.out, arguments.only, images)
-        rows = [Row(*vars(model).values()) for model in models]
-    else:
-        data = data_folder(arguments.data, arguments.out)
-        models = candidates(data, arguments.out, arguments.only, dict(arguments.run), arguments.epochs)
-        rows = accuracies(models, data / "val")
-    measure_times(models, rows, images, arguments.images)
-    _write_csv(rows, arguments.out / "dial.csv")
-    table = markdown_table(rows)
-    (arguments.out / "dial.md").write_text(table + "\n")
-    print(table)
-    print(f"bf16: {bf16_support()}")
-    if not arguments.untrained:
-        draw_pareto(rows, arguments.out / "pareto.png", f"errors on {data.name}/val")
-    print(f"results in {arguments.out}")
+def configs(names: list[str] | None) -> Iterator[tuple[str, Any]]:
+    """Names and training configurations of `config/perception/dial.yaml`, all or those named."""
+    from tactile_perception.training.config import TrainConfig
+
+    root = read_yaml(config_path("perception/dial.yaml"))
+    root.allow("config", "networks")
+    base = TrainConfig.from_file(config_path(f"perception/{root.text('config')}"))
+    for name, network in root.sections("networks").items():
+        if names is None or name in names:
+            yield name, base.merged({"network": network.values})
 
 
-def accuracies(models: list[Candidate], validation: Path) -> list[Row]:
-    """Errors and calibration of each model, as its file says to calibrate it."""
-    opened = open_models([model.path for model in models], threads=1)
-    results = evaluate(load_data(validation, opened), opened)
-    rows = []
-    for model, result in zip(models, results, strict=True):
-        consistency = result.best.consistency
-        assert consistency is not None
-        covered = consistency.coverage[LEVELS.index(0.95)]
-        rows.append(
-            Row(
-                *vars(model).values(),
-                mae=tuple(result.accuracy.mae.tolist()),
-                nees=consistency.joint,
-                coverage95=(float(covered.min()), float(covered.max())),
-            )
+def untrained(out: Path, names: list[str] | None, images: np.ndarray) -> Iterator[Model]:
+    """Networks with random weights, whose integers camera images calibrate."""
+    import torch
+
+    from tactile_perception.training.export import export_onnx
+    from tactile_perception.training.network import PoseNetwork
+    from tactile_perception.training.quantization import quantize
+
+    for name, config in configs(names):
+        torch.manual_seed(0)
+        settings = PreprocessingSettings(size=config.network.image_size)
+        path = out / "untrained" / f"{name.replace(' ', '_')}.onnx"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        export_onnx(
+            PoseNetwork(config.network).eval(), path, ModelMetadata(settings, {}, {"untrained": True})
         )
-    return rows
+        prepare = Preprocessor(settings)
+        prepared = np.array([prepare.resized(prepare.binary(image)) for image in images])
+        yield Model(name, "fp32", path)
+        yield Model(name, "int8", quantize(path, prepared, path.with_name(f"{path.stem}_int8.onnx")))
 
 
-def measure_times(models: list[Candidate], rows: list[Row], images: NDArray[np.uint8], count: int) -> None:
-    """Fill in the times of `rows`, over `count` images for each model."""
+def trained(data: Path, out: Path, names: list[str] | None, runs: dict[str, Path]) -> Iterator[Model]:
+    """The dial's networks, trained if need be, and further runs, both as they are and in integers."""
+    import yaml
+
+    from tactile_perception.training.quantization import QuantizationSettings, quantize
+
+    paths = {name: run / "model.onnx" if run.is_dir() else run for name, run in runs.items()}
+    for name, config in configs(names):
+        folder = out / name.replace(" ", "_")
+        if not (folder / "result.json").exists():
+            file = out / f"{folder.name}.yaml"
+            file.write_text(yaml.safe_dump(config.plain()))
+            if tactile(["train", str(data), "--out", str(folder), "--config", str(file)]):
+                raise SystemExit(f"{name}: not trained")
+        paths[name] = folder / "model.onnx"
+    for name, path in paths.items():
+        quantized = out / f"{name.replace(' ', '_')}_int8.onnx"
+        if not quantized.exists() or quantized.stat().st_mtime < path.stat().st_mtime:
+            quantize(path, training_images(data, path, QuantizationSettings().images), quantized)
+        yield Model(name, "fp32", path)
+        yield Model(name, "int8", quantized)
+
+
+def accuracies(models: list[Model], validation: Path) -> Iterator[tuple[float, list[str]]]:
+    """Of each model, calibrated as its file says: errors over the paper's, and cells of the table."""
+    opened = open_models([model.path for model in models], threads=1)
+    paper = paper_tables().networks["GDN"][1]
+    for result in evaluate(load_data(validation, opened), opened):
+        mae, consistency = np.array(result.accuracy.mae), result.best.consistency
+        assert consistency is not None
+        covered = 100 * consistency.coverage[LEVELS.index(0.95)]
+        ratio = float(np.exp(np.log(mae / paper).mean()))
+        yield (
+            ratio,
+            [
+                ", ".join(f"{value:.3f}" for value in mae[:3]),
+                ", ".join(f"{value:.4f}" for value in mae[3:]),
+                f"{ratio:.2f}",
+                f"{consistency.joint:.2f}",
+                f"{covered.min():.0f} to {covered.max():.0f} %",
+            ],
+        )
+
+
+def times(models: list[Model], images: np.ndarray, count: int) -> list[dict[str, list[float]]]:
+    """Median and 99 % (ms) by column of `TIMES`; models take turns in bursts, so that all see one load."""
+    found: list[dict[str, list[float]]] = [{} for _ in models]
     for threads in (1, 2):
         estimators = [Estimator(model.path, threads) for model in models]
-        measured = _interleaved(estimators, images, count)
-        for row, seconds, network, cpu in zip(rows, *measured, strict=True):
-            p50, p99 = (float(1e3 * np.percentile(seconds, q)) for q in (50, 99))
-            if threads == 1:
-                row.p50, row.p99, row.network_p50 = p50, p99, float(1e3 * np.median(network))
-                row.cpu_p50, row.cpu_p99 = (float(1e3 * np.percentile(cpu, q)) for q in (50, 99))
-            else:
-                row.p50_two_threads, row.p99_two_threads = p50, p99
-        if threads == 1:
-            for row, seconds in zip(rows, _paced(estimators, images, count // 3), strict=True):
-                row.paced_p50, row.paced_p99 = (float(1e3 * np.percentile(seconds, q)) for q in (50, 99))
+        wall, cpu, paced = np.empty((3, len(models), count))
+        for start in range(0, count, BURST):
+            for k, estimator in enumerate(estimators):
+                estimator.estimate(images[0])
+                for number in range(start, min(start + BURST, count)):
+                    cpu[k, number], wall[k, number] = _estimated(estimator, images[number % len(images)])
+        for number in range(count // 3 if threads == 1 else 0):
+            for k, estimator in enumerate(estimators):
+                image = images[number % len(images)].copy()
+                time.sleep(1.0 / PACE_HZ)
+                _, paced[k, number] = _estimated(estimator, image)
+        for k, columns in enumerate(found):
+            if threads == 2:
+                columns[TIMES[3]] = percentiles(wall[k])
+                continue
+            for name, values in zip(TIMES, (cpu[k], wall[k], paced[k, : count // 3]), strict=False):
+                columns[name] = percentiles(values)
+    return found
 
 
-def _interleaved(estimators: list[Estimator], images: NDArray[np.uint8], count: int) -> NDArray[np.float64]:
-    """Seconds (3, models, count) of estimates, of the network in them, and of CPU; in bursts, in turn."""
-    total, network, cpu = result = np.empty((3, len(estimators), count))
-    for start in range(0, count, _BURST):
-        for index, estimator in enumerate(estimators):
-            estimator.estimate(images[0])
-            for number in range(start, min(start + _BURST, count)):
-                started, cpu_started = time.perf_counter(), time.process_time()
-                estimator.estimate(images[number % len(images)])
-                total[index, number] = time.perf_counter() - started
-                cpu[index, number] = time.process_time() - cpu_started
-                network[index, number] = estimator.times.infer
-    return result
+def _estimated(estimator: Estimator, image: np.ndarray) -> tuple[float, float]:
+    """Milliseconds of processor time and by the clock."""
+    started, cpu = time.perf_counter(), time.process_time()
+    estimator.estimate(image)
+    return 1e3 * (time.process_time() - cpu), 1e3 * (time.perf_counter() - started)
 
 
-def _paced(estimators: list[Estimator], images: NDArray[np.uint8], count: int) -> NDArray[np.float64]:
-    """Seconds (models, count) of estimates with a camera's pauses between them."""
-    result = np.empty((len(estimators), count))
-    for number in range(count):
-        for index, estimator in enumerate(estimators):
-            image = images[number % len(images)].copy()
-            time.sleep(1.0 / _PACE_HZ)
-            started = time.perf_counter()
-            estimator.estimate(image)
-            result[index, number] = time.perf_counter() - started
-    return result
+def plot(models: list[Model], ms: Array, ratios: Array, path: Path, title: str) -> None:
+    """Error against time; the line joins what nothing beats in both."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes, names = figure.subplots(), list(dict.fromkeys(model.name for model in models))
+    for model, x, y in zip(models, ms, ratios, strict=True):
+        color, int8 = f"C{names.index(model.name) % 10}", model.arithmetic == "int8"
+        axes.plot(x, y, "s" if int8 else "o", color=color, markerfacecolor=color if int8 else "none")
+        axes.annotate(f"{model.name} {model.arithmetic}", (x, y), xytext=(6, 4), textcoords="offset points")
+    least = [i for i in np.argsort(ms) if ratios[i] <= ratios[ms <= ms[i]].min()]
+    axes.plot(ms[least], ratios[least], "-", color="0.6", zorder=0)
+    log_axis(axes, "x")
+    axes.set(xlabel="median CPU time of an estimate (ms), pre-processing included", title=title)
+    axes.set(ylabel="mean absolute error / the paper's (geometric mean)")
+    figure.savefig(path, dpi=110)
 
 
-def bf16_support() -> str:
-    """What onnxruntime says to a convolution in bfloat16 on this CPU."""
-    from onnx import TensorProto, helper
-
-    kind = TensorProto.BFLOAT16
-    weight = helper.make_tensor("weight", kind, [1, 1, 3, 3], [0.0] * 9)
-    graph = helper.make_graph(
-        [helper.make_node("Conv", ["x", "weight"], ["y"], kernel_shape=[3, 3])],
-        "bf16",
-        [helper.make_tensor_value_info("x", kind, [1, 1, 8, 8])],
-        [helper.make_tensor_value_info("y", kind, [1, 1, 6, 6])],
-        [weight],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 22)], ir_version=10)
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4
-    try:
-        onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions share no base class of their own
-        return f"onnxruntime {onnxruntime.__version__} on this CPU: {str(error).splitlines()[0]}"
-    return f"onnxruntime {onnxruntime.__version__} on this CPU runs convolutions in bfloat16"
-
-
-def _write_csv(rows: list[Row], path: Path) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        plain = [name for name in asdict(rows[0]) if name not in ("mae", "coverage95", "path")]
-        plain.append("megabytes")
-        writer.writerow([*plain, *(f"mae_{name}" for name in COMPONENTS), "coverage95_min", "coverage95_max"])
-        for row in rows:
-            writer.writerow([*(getattr(row, name) for name in plain), *row.mae, *row.coverage95])
-
-
-def _named_run(text: str) -> tuple[str, Path]:
+def named_run(text: str) -> tuple[str, Path]:
+    """NAME=RUN."""
     name, equals, path = text.partition("=")
     if not equals:
         raise argparse.ArgumentTypeError(f"{text}: must have the form NAME=RUN")
     return name, Path(path)
 
 
-def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("data", type=Path, nargs="?", help="data folder with train/ and val/ in it")
-    parser.add_argument("--out", type=Path, default=Path("out/dial"))
-    parser.add_argument("--only", nargs="*", metavar="NAME", help="networks of config/perception/dial.yaml")
-    parser.add_argument("--epochs", type=int, help="in place of the training file's")
-    parser.add_argument("--run", type=_named_run, action="append", default=[], metavar="NAME=RUN")
-    parser.add_argument(
-        "--untrained", action="store_true", help="times only, of networks with random weights"
+def main() -> None:
+    """Measure and print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("data", type=Path, nargs="?", help="data folder with train/ and val/ in it")
+    arguments.add_argument("--out", type=Path, default=Path("out/dial"))
+    arguments.add_argument(
+        "--only", nargs="*", metavar="NAME", help="networks of config/perception/dial.yaml"
     )
-    parser.add_argument("--images", type=int, default=300, help="images timed for each model")
-    return parser.parse_args()
+    arguments.add_argument("--run", type=named_run, action="append", default=[], metavar="NAME=RUN")
+    arguments.add_argument("--untrained", action="store_true", help="times only, of random weights")
+    arguments.add_argument("--images", type=int, default=300, help="images timed for each model")
+    given = arguments.parse_args()
+    if (given.data is None) != given.untrained:
+        arguments.error("needs a data folder, or --untrained for times alone")
+    needs("scripts/setup.sh train", "torch", "onnx")
+    given.out.mkdir(parents=True, exist_ok=True)
+    images, ratios = simulated_images(24), []
+    errors: list[list[str]] = []
+    if given.untrained:
+        models = list(untrained(given.out, given.only, images))
+    else:
+        models = list(trained(given.data, given.out, given.only, dict(given.run)))
+        ratios, errors = map(list, zip(*accuracies(models, given.data / "val"), strict=True))
+    measured = times(models, images, given.images)
+    heads = ("network", "arithmetic", "MB", *TIMES, *(ERRORS if errors else ()))
+    table = Table(heads, f"p50 / p99 of {given.images} estimates, ms", timed=True)
+    for k, model in enumerate(models):
+        shown = (" / ".join(f"{value:.2f}" for value in measured[k][name]) for name in TIMES)
+        size = f"{model.path.stat().st_size / 1e6:.2f}"
+        table.row(model.name, model.arithmetic, size, *shown, *(errors[k] if errors else ()))
+    if errors:
+        cpu = np.array([columns[TIMES[0]][0] for columns in measured])
+        plot(models, cpu, np.array(ratios), given.out / "pareto.png", f"errors on {given.data.name}/val")
 
 
 if __name__ == "__main__":

@@ -3,53 +3,39 @@
     python bench/perception/stages.py [--model FILE] [--images 400] [--rate 60] [--opencv]
 
 A node at 60 Hz sleeps 14 of 16 ms and finds its caches taken by others and its core slowed down: the second
-column is what it pays. Images are simulated. `--opencv` adds the same pre-processing by OpenCV's functions.
+pair of columns is what it pays. Images are simulated. "look" is the check of the image itself, which a
+percept adds to an estimate. `--opencv` adds the same pre-processing by OpenCV's functions.
 """
 
 from __future__ import annotations
 
-import argparse
+import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from shared import Table, parser, percentiles
+
 from tactile_geometry import se3
+from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimator import Estimator
 from tactile_scene.shapes.plane import Plane
 from tactile_sim.tactip import TacTip
 
-STAGES = ("pre-processing", "presence", "network", "conversion", "all")
 _CAPTURED = 10
 
 
-def main() -> None:
-    arguments = _arguments()
-    images = simulated_images(24)
-    estimator = Estimator(arguments.model or "", arguments.threads)
-    opencv = OpenCvPreprocessing(estimator.preprocessor.settings) if arguments.opencv else None
-    measured = [
-        stage_times(estimator, images, arguments.images, rate, opencv) for rate in (0, arguments.rate)
-    ]
-    print(f"{estimator.path.name}, {arguments.threads} thread(s)")
-    print(f"{'ms: p50 / p99':26s}{'one after another':>20s}{f'at {arguments.rate:g} Hz':>20s}")
-    for name in measured[0]:
-        print(f"{name:26s}" + "".join(f"{_percentiles(times[name]):>20s}" for times in measured))
-
-
 def stage_times(
-    estimator: Estimator,
-    images: NDArray[np.uint8],
-    count: int,
-    rate: float = 0.0,
-    opencv: OpenCvPreprocessing | None = None,
+    estimator: Estimator, images: NDArray[np.uint8], count: int, rate: float, opencv: bool
 ) -> dict[str, list[float]]:
-    """Seconds of each stage of the estimator node's work on `count` images.
+    """Milliseconds of each stage of the estimator node's work on `count` images.
 
     Parameters
     ----------
@@ -57,33 +43,34 @@ def stage_times(
     rate : images a second; 0: one after another
     """
     presence = ContactPresence(PresenceSettings(reference_frames=_CAPTURED))
+    check, result = ImageCheck(ImageCheckSettings(repeats=True)), {}
+    with_opencv = OpenCvPreprocessing(estimator.preprocessor.settings)
     for image in images[:_CAPTURED]:
         presence.update(estimator.preprocessor(image))
-    result: dict[str, list[float]] = {name: [] for name in STAGES + (("OpenCV",) if opencv else ())}
     due = time.perf_counter()
     for number in range(count):
         due += 1.0 / rate if rate else 0.0
         time.sleep(max(0.0, due - time.perf_counter()))
         image = images[number % len(images)].copy()  # as if it had just arrived
-        started = time.perf_counter()
+        stamps = [time.perf_counter()]
         prepared = estimator.preprocessor(image)
-        prepared_at = time.perf_counter()
+        stamps.append(time.perf_counter())
         presence.update(prepared)
-        judged_at = time.perf_counter()
+        stamps.append(time.perf_counter())
         estimator.estimate_prepared(prepared)
-        ended = time.perf_counter()
-        stages = (
-            prepared_at - started,
-            judged_at - prepared_at,
-            estimator.times.infer,
-            estimator.times.convert,
-            ended - started,
-        )
-        for name, seconds in zip(STAGES, stages, strict=True):
-            result[name].append(seconds)
-        if opencv is not None:
-            opencv(image)
-            result["OpenCV"].append(time.perf_counter() - ended)
+        stamps.append(time.perf_counter())
+        view = estimator.preprocessor.view(SIDE)
+        check.exposure(image)
+        check.look(view, True)
+        stamps.append(time.perf_counter())
+        one, two, _, look = np.diff(stamps)
+        found = {"pre-processing": one, "presence": two, "network": estimator.times.infer}
+        found |= {"conversion": estimator.times.convert, "all": stamps[3] - stamps[0], "look": look}
+        if opencv:
+            with_opencv(image)
+            found["pre-processing by OpenCV"] = time.perf_counter() - stamps[-1]
+        for name, seconds in found.items():
+            result.setdefault(name, []).append(1e3 * seconds)
     return result
 
 
@@ -124,18 +111,23 @@ def simulated_images(count: int, seed: int = 0) -> NDArray[np.uint8]:
     return np.array(images)
 
 
-def _percentiles(seconds: Sequence[float]) -> str:
-    return " / ".join(f"{1e3 * np.percentile(seconds, q):.3f}" for q in (50, 99))
-
-
-def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--model", type=Path, help="ONNX model (default: the shipped one)")
-    parser.add_argument("--threads", type=int, default=1, help="threads of the network")
-    parser.add_argument("--images", type=int, default=400)
-    parser.add_argument("--rate", type=float, default=60.0, help="images a second")
-    parser.add_argument("--opencv", action="store_true", help="add OpenCV's pre-processing")
-    return parser.parse_args()
+def main() -> None:
+    """Measure and print."""
+    arguments = parser(__doc__ or "")
+    arguments.add_argument("--model", type=Path, help="ONNX model (default: the shipped one)")
+    arguments.add_argument("--threads", type=int, default=1, help="threads of the network")
+    arguments.add_argument("--images", type=int, default=400)
+    arguments.add_argument("--rate", type=float, default=60.0, help="images a second")
+    arguments.add_argument("--opencv", action="store_true", help="add OpenCV's pre-processing")
+    given = arguments.parse_args()
+    estimator, images = Estimator(given.model or "", given.threads), simulated_images(24)
+    measured = [
+        stage_times(estimator, images, given.images, rate, given.opencv) for rate in (0.0, given.rate)
+    ]
+    heads = (estimator.path.name, "p50, ms", "p99, ms", f"at {given.rate:g} Hz: p50, ms", "p99, ms")
+    table = Table(heads, f"{given.images} images, {given.threads} thread(s)", timed=True)
+    for name in measured[0]:
+        table.row(name, *(f"{ms:.3f}" for times in measured for ms in percentiles(times[name])))
 
 
 if __name__ == "__main__":

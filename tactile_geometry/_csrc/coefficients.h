@@ -1,4 +1,4 @@
-// Written by bench/fusion_coefficients.py. Series in powers of t^2, each a sum of two doubles.
+// Written by scripts/coefficients.py. Series in powers of t^2, each a sum of two doubles.
 #ifndef TACTILE_COEFFICIENTS_H_
 #define TACTILE_COEFFICIENTS_H_
 

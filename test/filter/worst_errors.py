@@ -1,6 +1,6 @@
 """Worst errors of exp, log and the Jacobians against 60 digits over all angles.
 
-Also printed by bench/fusion_accuracy.py.
+Also printed by bench/fusion/accuracy.py.
 """
 
 import math

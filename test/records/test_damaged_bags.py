@@ -1,6 +1,6 @@
 """Bags that were cut or flipped somewhere: what is readable is read, what is missing is told.
 
-These are samples; bench/damaged_bags.py goes through hundreds of places (docs/replay.md has its results).
+These are samples; damage_everywhere.py goes through hundreds of places (docs/replay.md has its results).
 """
 
 import sqlite3

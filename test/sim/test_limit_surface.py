@@ -71,6 +71,34 @@ def test_the_edge_takes_load_from_where_a_linear_pressure_leaves_the_far_side():
     assert round_foot.edge_share([0.99 * 0.01, 0.0]) == 0.0 < round_foot.edge_share([1.01 * 0.01, 0.0])
 
 
+def load_over_ellipsoid(foot, points, press):
+    """Friction and torque of a foot that turns about points all around, over the ellipsoid's."""
+    center, used = press @ points, []
+    off = points - center
+    for distance in 0.08 * np.geomspace(0.02, 20, 20):
+        for direction in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+            arms = off - distance * np.array([np.cos(direction), np.sin(direction)])
+            along = np.column_stack([-arms[:, 1], arms[:, 0]]) / np.hypot(*arms.T)[:, None]
+            torque = press @ (off[:, 0] * along[:, 1] - off[:, 1] * along[:, 0])
+            used.append(np.hypot(np.linalg.norm(press @ along), torque / foot.arm))
+    return np.array(used)
+
+
+@pytest.mark.parametrize(
+    "sides, radius, most_inside", [(4, 0.0566, 0.14), (60, 0.04, 0.125), (6, 0.04, 0.125)]
+)
+def test_friction_of_pressed_points_is_inside_the_ellipsoid_to_two_parts_in_a_thousand(
+    sides, radius, most_inside
+):
+    foot = Foot.around(regular(sides, radius))
+    points = even_points(foot, 8000)
+    for ahead in (0.0, 0.5, 1.0):  # of the way of the pressure's centre to the edge of the core
+        slope = np.linalg.solve(foot.spread, [0.0, 1.0])
+        press = 1.0 + ahead * (points @ slope) / (foot.corners @ slope).max()
+        used = load_over_ellipsoid(foot, points, press / press.sum())
+        assert 1.0 - most_inside < used.min() and used.max() < 1.002
+
+
 def springs(rng, count):
     """Stiffness (3, 3) of `count` tips on a foot."""
     K = np.zeros((3, 3))

@@ -1,0 +1,173 @@
+"""Markers of a labelled TacTip data folder, told apart and tracked.
+
+`tactile_perception.markers.detection` finds the markers of each image. Which is which follows from the rings
+at rest, from a regression of the marker positions on the labels, refined from shallow to deep contacts, and
+then from the neighbors: starting where the regression is right to a few pixels, each marker is expected
+where its neighbors' displacements put it, so that the matching grows over the image and follows contacts that
+slipped as well as those that stuck.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.markers.detection import detect
+
+Array = NDArray[Any]
+
+RINGS = 10
+DEPTH_STEPS = (0.7, 0.8, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.1, 6.1)  # mm
+NEIGHBORS = 18
+REACH = 6.0  # px, about a third of the distance between markers
+CONSISTENT = 4.0  # px between a marker and where its neighbors put it
+PASSES = 3  # of regression and growth
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Tracked markers of a folder.
+
+    Attributes
+    ----------
+    labels : (n, 6) mm and degrees
+    rest : (331, 2) px of the camera image: column, row
+    positions : (n, 331, 2) px, NaN where a marker was not found
+    ring : (331,) int
+    """
+
+    labels: Array
+    rest: Array
+    positions: Array
+    ring: Array
+
+    @property
+    def found(self) -> Array:
+        """Part of the markers found in each image (n,)."""
+        return np.isfinite(self.positions[..., 0]).mean(axis=1)
+
+    def some(self, count: int, seed: int, least_found: float = 0.96) -> Array:
+        """Random images (count,) in which nearly all markers were found."""
+        good = np.flatnonzero(self.found >= least_found)
+        return np.random.default_rng(seed).choice(good, min(count, len(good)), replace=False)
+
+
+def track(folder: Path, samples: int | None = None) -> Tracked:
+    """Track the markers of up to `samples` images of a folder, chosen at random.
+
+    Raises
+    ------
+    ValueError
+        There is no contact less than `DEPTH_STEPS[0]` deep, in which the markers are where they rest.
+    """
+    data = open_folder(folder)
+    index = np.arange(len(data))
+    if samples is not None and samples < len(index):
+        index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))
+    labels = data.euler_mm_deg[index]
+    blobs = [detect(data.image(int(i))).centers for i in index]
+    shallow = np.flatnonzero(labels[:, 2] < DEPTH_STEPS[0])
+    if not len(shallow):
+        raise ValueError(f"{folder}: must have contacts less than {DEPTH_STEPS[0]} mm deep, has none")
+    template, ring = ring_template(blobs[shallow[np.argmin(np.hypot(*labels[shallow, :2].T))]])
+    features = _features(labels / np.array([5, 5, 6, 25, 25, 5]))
+    positions = _refine(blobs, labels, features, template)
+    rest = np.nanmedian(positions[shallow], axis=0)
+    for _ in range(PASSES):
+        predicted = np.stack(
+            [_regressed(features, positions[:, m], np.arange(len(index))) for m in range(len(rest))], axis=1
+        )
+        positions = np.array([_grow(b, rest, p) for b, p in zip(blobs, predicted, strict=True)])
+    offset = np.array(data.preprocessing.bbox[:2])
+    return Tracked(labels, rest + offset, positions + offset, ring)
+
+
+def ring_template(centres: Array) -> tuple[Array, Array]:
+    """Rings of 1, 6, 12, ... fitted to a shallow contact's blobs: positions (331, 2) and ring numbers."""
+    middle = np.median(centres, axis=0)
+    inside = centres[np.hypot(*(centres - middle).T) < 215]
+    middle = (inside.max(axis=0) + inside.min(axis=0)) / 2
+    order = np.argsort(np.hypot(*(inside - middle).T))
+    ring = np.concatenate([[k] * max(6 * k, 1) for k in range(RINGS + 1)])
+    azimuth = np.concatenate([2 * np.pi * np.arange(max(6 * k, 1)) / max(6 * k, 1) for k in range(RINGS + 1)])
+    sorted_radius = np.hypot(*(inside[order] - middle).T)
+    radius = np.array(
+        [np.median(sorted_radius[np.flatnonzero(ring[: len(order)] == k)]) for k in range(RINGS + 1)]
+    )
+    radius[0] = 0.0
+    return middle + radius[ring, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1), ring
+
+
+def _refine(blobs: list[Array], labels: Array, features: Array, template: Array) -> Array:
+    """Assign blobs to markers from shallow to deep contacts."""
+    predicted = np.tile(template, (len(blobs), 1, 1))
+    positions = np.full_like(predicted, np.nan)
+    for step, depth in enumerate(DEPTH_STEPS):
+        chosen = np.flatnonzero(labels[:, 2] < depth)
+        for i in chosen:
+            positions[i] = _mutual_nearest(predicted[i], blobs[i], 12 if step == 0 else 9)
+        basis = features if step > 1 else features[:, :1]
+        for m in range(len(template)):
+            predicted[:, m] = _regressed(basis, positions[:, m], chosen)
+    return positions
+
+
+def _regressed(basis: Array, positions: Array, chosen: Array) -> Array:
+    """Positions (n, 2) of one marker by ridge regression on those of the chosen images where it was found."""
+    seen = chosen[np.isfinite(positions[chosen, 0])]
+    a = basis[seen]
+    ridge = 1e-2 * np.eye(a.shape[1])
+    return basis @ np.linalg.solve(a.T @ a + ridge, a.T @ positions[seen])
+
+
+def _grow(blobs: Array, rest: Array, predicted: Array, rounds: int = 14) -> Array:
+    """Positions (331, 2) in one image, grown from where the prediction is right to a few pixels."""
+    near = cKDTree(rest).query(rest, k=NEIGHBORS + 1)[1][:, 1:]
+    found = np.full_like(rest, np.nan)
+    for _ in range(rounds):
+        found = _mutual_nearest(predicted, blobs, REACH)
+        expected = _from_neighbors(found - rest, rest, near)
+        found[np.linalg.norm(found - rest - expected, axis=1) > CONSISTENT] = np.nan
+        expected = rest + _from_neighbors(found - rest, rest, near)
+        expected = np.where(np.isfinite(expected), expected, predicted)
+        if np.abs(expected - predicted).max() < 0.05:
+            break
+        predicted = expected
+    return found
+
+
+def _from_neighbors(displacement: Array, rest: Array, near: Array) -> Array:
+    """Displacement (331, 2) by a local affine fit to the neighbors'; NaN with fewer than five of them."""
+    known = np.isfinite(displacement[near, 0])
+    offset = (rest[near] - rest[:, None]) / np.linalg.norm(rest[near[:, 0]] - rest, axis=1).mean()
+    weight = np.exp(-0.5 * (np.linalg.norm(offset, axis=2) / 1.2) ** 2) * known
+    basis = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
+    weighted = basis * weight[:, :, None]
+    normal = np.einsum("nki,nkj->nij", weighted, basis) + np.diag([1e-9, 0.02, 0.02])
+    right = np.einsum("nki,nkd->nid", weighted, np.where(known[:, :, None], displacement[near], 0.0))
+    out = np.linalg.solve(normal, right)[:, 0]
+    out[known.sum(axis=1) < 5] = np.nan
+    return out
+
+
+def _mutual_nearest(markers: Array, blobs: Array, reach: float) -> Array:
+    distance, nearest = cKDTree(blobs).query(markers)
+    _, back = cKDTree(markers).query(blobs)
+    found = (distance < reach) & (back[nearest] == np.arange(len(markers)))
+    return np.where(found[:, None], blobs[nearest], np.nan)
+
+
+def _features(scaled: Array) -> Array:
+    x, y, z, a, b, g = scaled.T
+    columns = [np.ones_like(x), z, z * z]
+    for v in (x, y, a, b, g):
+        columns += [v, v * z, v * z * z, np.sqrt(z) * v]
+    for p, q in ((x, x), (y, y), (x, y), (a, a), (b, b), (a, b), (x, a), (x, b), (y, a), (y, b)):
+        columns += [p * q, p * q * z]
+    return np.stack(columns, axis=1)
