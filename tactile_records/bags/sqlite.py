@@ -20,8 +20,8 @@ from tactile_records.bags.unpacking import MESSAGE_COST, TooLarge, Unpacker
 
 _LEAF = b"\r"  # first byte of a page that holds rows of a table
 _MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages"
-_MOVE = "UPDATE sqlite_master SET rootpage = ? WHERE name = 'messages'"
 _SENSIBLE = "WHERE typeof(id) || typeof(timestamp) || typeof(data) = 'integerintegerblob'"
+_MOVE = "UPDATE sqlite_master SET rootpage = ? WHERE name = 'messages'"
 
 
 def read_sqlite(file: Path, bag: Bag, unpacker: Unpacker) -> bool:
@@ -68,22 +68,21 @@ def _rows(
     try:
         if missing > 0:  # of a page that the end cuts sqlite would make messages that end in zeros
             raise sqlite3.DatabaseError(f"the file ends early, {missing} bytes of it are missing")
-        for number, *row in database.execute(
-            "SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"
-        ):
-            if isinstance(number, int) and number <= last:
+        for number, topic, stamp_ns, data in database.execute(f"{_MESSAGES} ORDER BY id"):
+            types = type(number), type(stamp_ns), type(data)
+            if types[0] is int and number <= last:
                 raise sqlite3.DatabaseError(f"row {number} comes after row {last}")
-            if row[0] in topics and [type(value) for value in (number, *row[1:])] == [int, int, bytes]:
+            if topic in topics and types == (int, int, bytes):
                 last = number
-                yield tuple(row)
+                yield topic, stamp_ns, data
             else:
                 senseless.append(f"{number!r:.40}")
     except sqlite3.DatabaseError as error:
         faults.append(str(error))
-        for number, *row in _rows_of_pages(file, page):
-            if number > last and row[0] in topics:  # there may be older ones, of a page that was given up
+        for number, topic, stamp_ns, data in _rows_of_pages(file, page):
+            if number > last and topic in topics:  # there may be older ones, of a page that was given up
                 last = number
-                yield tuple(row)
+                yield topic, stamp_ns, data
     if senseless:
         faults.append(f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]}")
 
@@ -97,9 +96,8 @@ def _rows_of_pages(file: Path, page: int) -> Iterator[tuple[Any, ...]]:
         shutil.copyfile(file, copy)
         with copy.open("r+b") as stream:
             stream.truncate(left)
-            leaves = [
-                n for n in range(2, pages + 1) if stream.seek((n - 1) * page) and stream.read(1) == _LEAF
-            ]
+            starts = range(page, left, page)
+            leaves = [start for start in starts if stream.seek(start) and stream.read(1) == _LEAF]
             for place, value in ((18, b"\1\1"), (28, pages.to_bytes(4, "big"))):
                 stream.seek(place)  # without write-ahead log; of so many pages
                 stream.write(value)
@@ -107,11 +105,9 @@ def _rows_of_pages(file: Path, page: int) -> Iterator[tuple[Any, ...]]:
             database.execute("PRAGMA writable_schema = ON")
             database.execute("PRAGMA journal_mode = OFF")
             database.execute("DELETE FROM sqlite_master WHERE type != 'table'")
-            for number in leaves:
+            for start in leaves:
                 try:
-                    database.execute(
-                        "UPDATE sqlite_master SET rootpage = ? WHERE name = 'messages'", (number,)
-                    )
+                    database.execute(_MOVE, (start // page + 1,))
                     database.execute("PRAGMA writable_schema = RESET")  # reads the schema anew
                     database.execute("PRAGMA writable_schema = ON")
                     for row in database.execute(f"{_MESSAGES} {_SENSIBLE}"):

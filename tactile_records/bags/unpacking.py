@@ -44,7 +44,7 @@ class Unpacker:
     def unpack(self, data: bytes, compression: str = "zstd") -> bytes:
         """One frame, whole.
 
-        Raises `TooLarge`; `ZstdError` or `RuntimeError` for a damaged one, `ValueError` for another compression.
+        Raises `TooLarge`; `ZstdError`, `RuntimeError` or `ValueError` for a damaged one.
         """
         if compression == "zstd":
             data = self._zstd_frame(data)
