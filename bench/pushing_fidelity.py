@@ -29,9 +29,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from pushing_options import Option, outcome
 from pushing_plane import Physics
 
+from tactile_base.jobs import JobRows, Row
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.experiment import Common, Trial, numbers_of, table_of, trial_run
-from tactile_bringup.trials import Row, TrialRows
 from tactile_control.phases import PhaseMachine
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.sim.cell import Cell
@@ -218,7 +218,7 @@ def main() -> None:
         part_times(Trial(Common(arguments.table, fidelity=arguments.fidelities[0]), thing, floor, 0))
         return
     arguments.out.mkdir(parents=True, exist_ok=True)
-    kept = TrialRows(arguments.out / "trials.jsonl")
+    kept = JobRows(arguments.out / "trials.jsonl")
     pushes = [
         Push(Trial(Common(arguments.table, fidelity=fidelity), thing, floor, number))
         for number in range(arguments.trials)

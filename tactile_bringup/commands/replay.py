@@ -14,8 +14,9 @@ from rich.console import Console
 
 from tactile_base.config_paths import named_file
 from tactile_base.console import number_table, say
+from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import add_set_option, refusing
+from tactile_bringup.commands.changes import add_job_options, add_set_option, refusing, workers_of
 
 if TYPE_CHECKING:
     from tactile_records.replay.inputs import Inputs
@@ -53,7 +54,7 @@ def register(subparsers: Any) -> None:
     add("--all-events", action="store_true", help="take what the live filter had dropped, too")
     add("--copy", choices=("inputs", "all"), help="put the filter's inputs, or all topics, into the new bag")
     add("--check", action="store_true", help="fail unless the beliefs are the recorded ones")
-    add("--jobs", type=int, default=0, help="processes for a sweep (default: one a core)")
+    add_job_options(parser, those="with --sweep: ")
     add("--no-plot", action="store_true", help="draw no pictures")
     parser.set_defaults(run=run)
 
@@ -71,7 +72,9 @@ def run(arguments: argparse.Namespace) -> int:
     plans = make_plans(base, arguments.changes, arguments.sweep, folder, profile is not None)
     room_for_results(folder, REPORT, source=arguments.bag)
     _make_room(folder, plans)
-    results = run_plans(plans, inputs, _options(arguments, inputs), arguments.jobs)
+    with Progress() as progress:
+        options, workers = _options(arguments, inputs), workers_of(arguments)
+        results = run_plans(plans, inputs, options, workers, progress)
     seconds, busy = time.perf_counter() - started, _processor_time() - busy
     console = Console()
     if not console.is_terminal:

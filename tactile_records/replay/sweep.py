@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import multiprocessing
-import os
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from tactile_base.jobs import Workers, run_jobs
+from tactile_base.progress import Progress
 from tactile_base.settings import SettingError, unknown_name
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.filter_settings import load_filter_settings
@@ -126,23 +128,40 @@ def make_plans(
 
 
 def run_plans(
-    plans: Sequence[Plan], inputs: Inputs, options: Options, jobs: int = 0
+    plans: Sequence[Plan], inputs: Inputs, options: Options, workers: Workers, progress: Progress
 ) -> list[list[RunResult]]:
-    """Results of all arms for each plan; `jobs` processes, 0 for one a core. Writes each plan's bag."""
-    jobs = min(len(plans), jobs or len(os.sched_getaffinity(0)))
-    tasks = [(plan, inputs, options) for plan in plans]
-    if jobs <= 1:
-        return [run_plan(*task) for task in tasks]
-    _shared[:] = tasks  # children inherit it: nothing of the bag is copied
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        return pool.map(_run_shared, range(len(tasks)), chunksize=1)
+    """Results of all arms for each plan, whose bag is written here, wherever it runs."""
+    sent = replace(inputs, bag=inputs.bag.without_messages())
+    work = PlannedRun(sent, options, files=bool(workers.scheduler))
+    if len(plans) == 1:
+        workers = replace(workers, processes=1)
+    done = run_jobs(work, plans, workers, progress.say)
+    results = {}
+    for outcome in progress.counted(done, "runs", len(plans), "runs") if len(plans) > 1 else done:
+        plan = outcome.job
+        results[plan.name], files = outcome.result()
+        for name, data in files.items():
+            plan.bag.mkdir(parents=True, exist_ok=True)
+            (plan.bag / name).write_bytes(data)
+    return [results[plan.name] for plan in plans]
 
 
-_shared: list[tuple[Plan, Inputs, Options]] = []
+@dataclass(frozen=True)
+class PlannedRun:
+    """Runs a plan in any process; its results and, where they are asked for, the files of its bag."""
 
+    inputs: Inputs
+    options: Options
+    files: bool = False
 
-def _run_shared(index: int) -> list[RunResult]:
-    return run_plan(*_shared[index])
+    def __call__(self, plan: Plan) -> tuple[list[RunResult], dict[str, bytes]]:
+        if not self.files:
+            shutil.rmtree(plan.bag, ignore_errors=True)  # of a process that was killed while it wrote
+            return run_plan(plan, self.inputs, self.options), {}
+        with TemporaryDirectory(prefix="tactile_replay_") as folder:
+            there = replace(plan, bag=Path(folder) / plan.bag.name)
+            results = run_plan(there, self.inputs, self.options)
+            return results, {path.name: path.read_bytes() for path in there.bag.iterdir()}
 
 
 def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clusters import local_cluster
 
 from tactile_bringup.commands import data as data_command
 from tactile_perception.datasets.dataset import read_dataset
@@ -56,6 +57,13 @@ def test_a_longer_run_goes_on_from_a_shorter_one_to_the_same_data(data, tmp_path
 
 def test_two_processes_give_the_same_data_as_one(data, tmp_path):
     assert generate(tmp_path, "--train", "6", "--val", "0", "--seed", "5", "--jobs", "2") == 0
+    assert read_dataset(tmp_path / "train").sha256 == read_dataset(data / "train").sha256
+
+
+def test_the_workers_of_a_cluster_give_the_same_data(data, tmp_path):
+    with local_cluster() as address:
+        options = "--train", "6", "--val", "0", "--seed", "5", "--scheduler", address
+        assert generate(tmp_path, *options) == 0
     assert read_dataset(tmp_path / "train").sha256 == read_dataset(data / "train").sha256
 
 

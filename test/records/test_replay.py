@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import replay_bags as bags
+from clusters import local_cluster
 from replay_bags import START_NS, STEP_NS, believed, recording
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
@@ -260,7 +261,7 @@ def bytes_of(folder) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def test_the_same_bag_gives_the_same_bytes_on_any_number_of_cores(tmp_path, capsys):
+def test_the_same_bag_gives_the_same_bytes_on_any_number_of_cores_and_on_a_cluster(tmp_path, capsys):
     bag = with_live(recording(arms=("arm",))).write(tmp_path / "bag")
     sweep = ("--sweep", "fusion_mode=paper,fast,exact", "--sweep", "process_noise_rotation=0.001,0.01")
     for name, jobs in (("a", "1"), ("b", "2"), ("c", "3")):
@@ -269,6 +270,9 @@ def test_the_same_bag_gives_the_same_bytes_on_any_number_of_cores(tmp_path, caps
     assert len(first) == 6 * 2 + 1 and first == bytes_of(tmp_path / "b") == bytes_of(tmp_path / "c")
     states = {data for name, data in first.items() if name.endswith(".mcap")}
     assert len(states) == 6  # the settings make a difference
+    with local_cluster() as address:
+        assert replay(bag, tmp_path / "d", *sweep, "--smooth", "--scheduler", address) == 0
+    assert first == bytes_of(tmp_path / "d")
 
 
 def test_the_new_bag_is_opened_by_other_readers_and_says_what_it_is_of(tmp_path, capsys):
