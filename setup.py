@@ -21,7 +21,6 @@ C_MODULES = {
     "tactile_drivers._native": ["tactile_drivers/_csrc/*.c"],
     "tactile_drivers.sim._contact": ["tactile_drivers/sim/_csrc/*.c", f"{GEOMETRY}/se3.c"],
     "tactile_control._laws": ["tactile_control/_csrc/*.c"],
-    "tactile_perception._image": ["tactile_perception/_csrc/*.c"],
 }
 
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.
