@@ -81,8 +81,8 @@ def simulated(draw: Callable[[np.random.Generator], Array], variant: dict[str, A
 def estimates(data: Path, model: Path) -> tuple[list[PoseGaussian], Array, Array]:
     """Estimates, true poses of the sensor and labels of all images of a folder."""
     from tactile_perception.datasets.dataset import open_folder
+    from tactile_perception.estimating.estimator import Estimator
     from tactile_perception.estimating.sources import folder_frames, usable_order
-    from tactile_perception.estimator import Estimator
 
     folder, estimator = open_folder(data), Estimator(model, 1)
     found, poses, labels = [], [], []

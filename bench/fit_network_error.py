@@ -25,8 +25,8 @@ from tactile_drivers.sim.collection import _along_surface, _Sphere
 from tactile_drivers.sim.network_error import SHIPPED, WAY, ErrorModel, NetworkError
 from tactile_drivers.sim.tactip import ContactTruth, TacTip
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.presence import ContactPresence
-from tactile_perception.estimator import Estimator
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ import numpy as np
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence
-from tactile_perception.estimator import Estimator
 
 
 def milliseconds(action: Callable[[], Any]) -> float:

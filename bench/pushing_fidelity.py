@@ -152,7 +152,7 @@ def show(rows: list[Row], fidelities: list[str]) -> None:
 
 def batch_times() -> None:
     """Time of the shipped network for one image in batches of several, on one thread."""
-    from tactile_perception.estimator import Estimator
+    from tactile_perception.estimating.estimator import Estimator
 
     estimator = Estimator()
     size = estimator.metadata.preprocessing.size

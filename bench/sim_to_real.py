@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.labels import COMPONENTS, labels_from_euler, network_from_pose
-from tactile_perception.estimator import Estimator, shipped_model
 
 DEPTHS = ((0.5, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6.5))  # mm
 

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from tactile_base.config_paths import config_path
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.cli import main as tactile
-from tactile_bringup.commands.quantize import training_images
 from tactile_perception.estimating.model_metadata import ModelMetadata
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.training.config import TrainConfig
 from tactile_perception.training.export import export_onnx
 from tactile_perception.training.network import PoseNetwork
-from tactile_perception.training.quantization import QuantizationSettings, quantize
+from tactile_perception.training.quantization import QuantizationSettings, quantize, training_images
 
 CONFIG = "perception/dial.yaml"
 SIMULATED = {"--train": "2000", "--val": "500", "--seed": "1"}

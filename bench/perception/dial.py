@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from report import draw_pareto, markdown_table
 from stages import simulated_images
 
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import COMPONENTS
-from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import evaluate, load_data
 from tactile_perception.evaluation.metrics import LEVELS
 from tactile_perception.evaluation.models import open_models

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import Estimator
 
 STAGES = ("pre-processing", "presence", "network", "conversion", "all")
 _CAPTURED = 10

@@ -137,7 +137,7 @@ def _configuration() -> str:
 
 
 def _model() -> str:
-    from tactile_perception.estimator import Estimator
+    from tactile_perception.estimating.estimator import Estimator
 
     return str(Estimator().path)
 

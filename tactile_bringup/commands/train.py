@@ -13,7 +13,7 @@ from rich.console import Console
 
 from tactile_base.console import number_table, say
 from tactile_base.jobs import run_jobs
-from tactile_base.whole_file import check_file, write_csv
+from tactile_base.whole_file import check_file, copy_whole, write_csv
 from tactile_bringup.commands.changes import (
     add_job_options,
     add_set_option,
@@ -22,7 +22,7 @@ from tactile_bringup.commands.changes import (
     refusing,
     workers_of,
 )
-from tactile_bringup.commands.quantize import install, quantize_run
+from tactile_bringup.commands.quantize import quantize_run
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS, errors_in_words
 from tactile_perception.estimating.model_metadata import MODEL_NAME, QUANTIZED_NAME
 from tactile_perception.training.config import profile
@@ -112,7 +112,7 @@ def _train_one(arguments: argparse.Namespace) -> int:
     if _quantized(arguments):
         model = quantize_run(arguments.out, arguments.data, arguments.val)
     if arguments.install:
-        install(model, arguments.install)
+        copy_whole(model, arguments.install)
     return 0
 
 

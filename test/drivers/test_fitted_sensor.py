@@ -14,7 +14,7 @@ from tactile_drivers.sim.network_error import NetworkError, load_error_model
 from tactile_drivers.sim.settings import FittedSensorSettings
 from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
-from tactile_perception.estimator import Estimator
+from tactile_perception.estimating.estimator import Estimator
 
 CONTACTS = 48
 

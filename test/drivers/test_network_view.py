@@ -11,9 +11,9 @@ from tactile_drivers.shapes.sphere import Sphere, SphereSettings
 from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.estimating.presence import ContactPresence
-from tactile_perception.estimator import Estimator
 
 
 @pytest.fixture(scope="module")

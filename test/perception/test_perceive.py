@@ -6,11 +6,11 @@ import pytest
 from tactile_drivers.shapes.plane import Plane
 from tactile_drivers.sim.tactip import TacTip
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import Estimator
 
 FREE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
 TOUCHED = np.full((480, 640), 90, np.uint8)

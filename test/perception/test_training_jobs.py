@@ -13,9 +13,9 @@ onnx = pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')
 
 from tactile_bringup.commands import train as train_command  # noqa: E402
 from tactile_perception.datasets.dataset import read_dataset  # noqa: E402
+from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.model_metadata import ModelMetadata  # noqa: E402
 from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
-from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.training.data import split_holdback  # noqa: E402
 from tactile_perception.training.ensemble import EnsembleError, write_ensemble  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402

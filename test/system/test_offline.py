@@ -10,7 +10,7 @@ from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task, task_path
 from tactile_drivers.sim.cell import Cell
-from tactile_perception.estimator import shipped_model
+from tactile_perception.estimating.estimator import shipped_model
 from tactile_records.runs import metrics
 
 IDEAL = OfflineOptions(fidelity="ideal", seed=1)
