@@ -16,6 +16,7 @@ from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.bags.contents import Recorded
 from tactile_records.replay.inputs import Inputs
+from tactile_records.replay.kept import FOLDER, KeptRuns
 from tactile_records.replay.output import write_bag
 from tactile_records.replay.report import RunResult
 from tactile_records.replay.run import agreement, run_filter, series_of, smooth_run
@@ -128,21 +129,34 @@ def make_plans(
 
 
 def run_plans(
-    plans: Sequence[Plan], inputs: Inputs, options: Options, workers: Workers, progress: Progress
+    plans: Sequence[Plan],
+    inputs: Inputs,
+    options: Options,
+    workers: Workers,
+    progress: Progress,
+    kept: KeptRuns,
 ) -> list[list[RunResult]]:
-    """Results of all arms for each plan, whose bag is written here, wherever it runs."""
+    """Results of all arms for each plan, whose bag is written here, wherever it runs, or those that are kept."""
+    results = {plan.name: found for plan in plans if (found := kept.results(plan)) is not None}
+    missing = [plan for plan in plans if plan.name not in results]
+    if results:
+        progress.say(f"{len(results)} of {len(plans)} runs are done already")
     sent = replace(inputs, bag=inputs.bag.without_messages())
     work = PlannedRun(sent, options, files=bool(workers.scheduler))
     if len(plans) == 1:
         workers = replace(workers, processes=1)
-    done = run_jobs(work, plans, workers, progress.say)
-    results = {}
-    for outcome in progress.counted(done, "runs", len(plans), "runs") if len(plans) > 1 else done:
+    done = run_jobs(work, missing, workers, progress.say)
+    for outcome in progress.counted(done, "runs", len(missing), "runs") if len(plans) > 1 else done:
         plan = outcome.job
         results[plan.name], files = outcome.result()
-        for name, data in files.items():
-            plan.bag.mkdir(parents=True, exist_ok=True)
-            (plan.bag / name).write_bytes(data)
+        if files:
+            there = _empty(plan)
+            there.mkdir(parents=True)
+            for name, data in files.items():
+                (there / name).write_bytes(data)
+            there.rename(plan.bag)
+        if len(plans) > 1:
+            kept.keep(plan, results[plan.name])
     return [results[plan.name] for plan in plans]
 
 
@@ -156,12 +170,21 @@ class PlannedRun:
 
     def __call__(self, plan: Plan) -> tuple[list[RunResult], dict[str, bytes]]:
         if not self.files:
-            shutil.rmtree(plan.bag, ignore_errors=True)  # of a process that was killed while it wrote
-            return run_plan(plan, self.inputs, self.options), {}
+            empty = _empty(plan)
+            results = run_plan(replace(plan, bag=empty), self.inputs, self.options)
+            empty.rename(plan.bag)
+            return results, {}
         with TemporaryDirectory(prefix="tactile_replay_") as folder:
             there = replace(plan, bag=Path(folder) / plan.bag.name)
             results = run_plan(there, self.inputs, self.options)
             return results, {path.name: path.read_bytes() for path in there.bag.iterdir()}
+
+
+def _empty(plan: Plan) -> Path:
+    """Where a run's bag is until it is whole; what a process left there that was killed is gone."""
+    there = plan.bag.parent / FOLDER / plan.bag.name
+    shutil.rmtree(there, ignore_errors=True)
+    return there
 
 
 def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:
