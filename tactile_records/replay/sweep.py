@@ -136,7 +136,7 @@ def run_plans(
     progress: Progress,
     kept: KeptRuns,
 ) -> list[list[RunResult]]:
-    """Results of all arms for each plan, whose bag is written here, wherever it runs, or those that are kept."""
+    """Results of all arms for each plan, kept or new; its bag is written here, wherever it runs."""
     results = {plan.name: found for plan in plans if (found := kept.results(plan)) is not None}
     missing = [plan for plan in plans if plan.name not in results]
     if results:
