@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from tactile_geometry import se3
 from tactile_records.replay.run import Agreement
-from tactile_records.runs.euler_poses import euler_poses, euler_sigmas
+from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas
 from tactile_records.runs.metrics import angle_between, inverses, without_nan
 from tactile_records.runs.record import BeliefSeries, TruthSeries
 
 Array = NDArray[Any]
 
-COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
-UNITS = np.array([1e3, 1e3, 1e3, *(180.0 / np.pi,) * 3])  # to mm and degrees
 RECORDED = "recorded"
 DOF = 6
 
