@@ -102,6 +102,20 @@ def wait_for(condition, timeout_s: float = 30.0) -> bool:
     return condition()
 
 
+def test_a_worker_that_is_killed_costs_no_sample(data, tmp_path):
+    command = [sys.executable, "-m", "tactile_bringup.cli", "data", "generate", str(tmp_path)]
+    options = ["--train", "60", "--val", "0", "--seed", "5", "--jobs", "2"]
+    journal = tmp_path / "train" / "targets_images.partial.csv"
+    with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True) as process:
+        assert wait_for(lambda: journal.exists() and journal.read_text().count("\n") > 2)
+        os.kill(children(process.pid)[0], signal.SIGKILL)
+        said = " ".join(process.stderr.read().split())
+    assert process.returncode == 0 and "its process was killed by SIGKILL; it is run again" in said
+    samples, whole = read_dataset(tmp_path / "train"), read_dataset(data / "train")
+    assert len(samples) == 60 and samples.report.problems == {}
+    np.testing.assert_array_equal(samples.images[: len(whole)], whole.images)
+
+
 def test_a_killed_run_leaves_no_process_behind_and_goes_on_to_the_same_data(data, tmp_path):
     command = [sys.executable, "-m", "tactile_bringup.cli", "data", "generate", str(tmp_path)]
     options = ["--train", "400", "--val", "0", "--seed", "5", "--jobs", "2"]
