@@ -104,12 +104,12 @@ def _rows_of_pages(file: Path, page: int) -> Iterator[tuple[Any, ...]]:
         with closing(sqlite3.connect(copy, isolation_level=None)) as database:
             database.execute("PRAGMA writable_schema = ON")
             database.execute("PRAGMA journal_mode = OFF")
-            database.execute("DELETE FROM sqlite_master WHERE type != 'table'")
+            database.execute("DELETE FROM sqlite_master WHERE name != 'messages'")
             for start in leaves:
                 try:
+                    database.execute("PRAGMA writable_schema = ON")
                     database.execute(_MOVE, (start // page + 1,))
                     database.execute("PRAGMA writable_schema = RESET")  # reads the schema anew
-                    database.execute("PRAGMA writable_schema = ON")
                     for row in database.execute(f"{_MESSAGES} {_SENSIBLE}"):
                         left -= len(row[3])
                         if left < 0:
