@@ -25,6 +25,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -124,7 +125,7 @@ def _attempt(work: Callable[[T], R], job: T) -> tuple[R | None, Exception | None
 class _Process(Generic[T]):
     """A process that does one job after the other; it ends with this one."""
 
-    def __init__(self, work: Callable[[T], Any], threads: int) -> None:
+    def __init__(self, work: bytes, threads: int) -> None:
         self.pipe, theirs = Pipe()
         end = str(theirs.fileno())
         self._process = subprocess.Popen(
@@ -142,11 +143,11 @@ class _Process(Generic[T]):
 
     def start(self, job: T) -> None:
         self.job = job
-        self._send(job)
+        self._send(bytes(ForkingPickler.dumps(job)))
 
-    def _send(self, value: Any) -> None:
+    def _send(self, pickled: bytes) -> None:
         with contextlib.suppress(ConnectionError):  # it was killed; nothing will come of it
-            self.pipe.send(value)
+            self.pipe.send_bytes(pickled)
 
     def end(self) -> None:
         self._process.terminate()
@@ -166,10 +167,11 @@ def _in_processes(
     idle: list[_Process[T]] = []
     busy: dict[Any, _Process[T]] = {}
     threads = max(1, len(os.sched_getaffinity(0)) // count)
+    pickled = bytes(ForkingPickler.dumps(work))  # once, as it may be large
     try:
         while waiting or busy:
             while waiting and len(busy) < count:
-                process = idle.pop() if idle else _Process(work, threads)
+                process = idle.pop() if idle else _Process(pickled, threads)
                 busy[process.pipe] = process
                 process.start(waiting.popleft())
             for pipe in wait(list(busy)):
