@@ -95,6 +95,8 @@ class McapReader:
             at, position = position, position + _RECORD.size + length
             if opcode not in _OPCODES or position > (starts[-1] if starts else len(self._data)):
                 if not self._has_end:
+                    if opcode == Opcode.CHUNK:
+                        self._take_part_of_chunk(at)
                     break
                 self._report_damage(at, "no record of MCAP")
                 position = starts[-1] if starts else len(self._data)
@@ -129,6 +131,21 @@ class McapReader:
             if metadata.name == GAP:
                 values = metadata.metadata
                 self._bag.gaps.append(Gap(values["topic"], *(int(values[name]) for name in Gap._fields[1:])))
+
+    def _take_part_of_chunk(self, at: int) -> None:
+        """What can be unpacked of the chunk that the end of the file cuts; it may be all there is."""
+        rest = self._data[at + _RECORD.size :]
+        stream = ReadDataStream(BytesIO(rest))
+        try:
+            stream.read(8 + 8 + 8 + 4)  # first and last time, size, checksum
+            compression = stream.read_prefixed_string()
+            stream.read8()  # length of the data
+            data = self._unpacker.unpack(rest[stream.count :], compression, part=True)
+            self._take_records(data)
+        except TooLarge:
+            raise
+        except _DAMAGE:
+            return  # the early end is reported all the same, and nothing of it counts as read
 
     def _take_records(self, data: bytes) -> None:
         """The records in a chunk: nearly all are messages, and this loop is what reading a bag costs."""

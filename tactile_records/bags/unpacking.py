@@ -41,13 +41,13 @@ class Unpacker:
                 f"{ALLOWED / 1e6:.0f} MB; the rest was not read"
             )
 
-    def unpack(self, data: bytes, compression: str = "zstd") -> bytes:
-        """One frame, whole.
+    def unpack(self, data: bytes, compression: str = "zstd", part: bool = False) -> bytes:
+        """One frame, whole; or `part` of one, whose end is missing.
 
         Raises `TooLarge`; `ZstdError`, `RuntimeError` or `ValueError` for a damaged one.
         """
         if compression == "zstd":
-            data = self._zstd_frame(data)
+            data = self._zstd_frame(data, part)
         elif compression == "lz4":
             most = min(self.left, _LZ4_RATIO * len(data))
             data = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most + 1))
@@ -56,9 +56,9 @@ class Unpacker:
         self.take(len(data))
         return data
 
-    def _zstd_frame(self, data: bytes) -> bytes:
+    def _zstd_frame(self, data: bytes, part: bool) -> bytes:
         size = zstandard.frame_content_size(data)
-        if size < 0:  # not known
+        if size < 0 or part:  # not known
             with self._zstd.stream_reader(data) as stream:
                 return bytes(stream.read(self.left + 1))
         if size > self.left:
