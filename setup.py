@@ -21,7 +21,6 @@ C_MODULES = {
     "tactile_scene._native": ["tactile_scene/_csrc/*.c"],
     "tactile_sim._contact": ["tactile_sim/_csrc/*.c", f"{GEOMETRY}/se3.c"],
     "tactile_control._laws": ["tactile_control/_csrc/*.c"],
-    "tactile_perception._image": ["tactile_perception/_csrc/*.c"],
 }
 
 # Executables of `ros2 run tactile_servoing NAME` -> the module whose main() they call.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import os
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -92,3 +93,10 @@ def check_file(path: Path) -> None:
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a folder, must be the name of a file")
     check_folder(path.absolute().parent)
+
+
+def copy_whole(source: Path, path: Path) -> None:
+    """Copy a file, whole or not at all; the folder is made if it is not there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        shutil.copyfile(source, temporary)

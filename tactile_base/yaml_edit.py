@@ -1,4 +1,8 @@
-"""Values set in the text of a YAML file, with all else in it, comments too, as its author wrote it."""
+"""Values set in the text of a YAML file, with all else in it, comments too, as its author wrote it.
+
+Not by a round trip through ruamel.yaml: that joins lists over several lines, and so loses the comments in
+them, writes `null` as nothing, and moves aligned values and their comments (test/base/test_yaml_edit.py).
+"""
 
 from __future__ import annotations
 

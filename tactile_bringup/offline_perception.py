@@ -14,7 +14,7 @@ from tactile_sim.frame import Frame
 from tactile_sim.network_view import ViewSettings
 
 if TYPE_CHECKING:
-    from tactile_perception.estimator import Estimator
+    from tactile_perception.estimating.estimator import Estimator
 
 Perception = Callable[[Frame], Percept]
 
@@ -46,8 +46,8 @@ def perception(scene: Scene, arm: str, model: Path | None) -> tuple[Perception |
     if not scene.gives_images(arm):
         return _own_answer, None
     # here, since runs without images do without onnxruntime
+    from tactile_perception.estimating.estimator import Estimator
     from tactile_perception.estimating.presence import ContactPresence
-    from tactile_perception.estimator import Estimator
 
     drawn = scene.simulation.sensors[arm].at_input
     estimator = Estimator(model or scene.model_file(arm) or "")

@@ -5,24 +5,17 @@ plane ("Data Collection" in the paper). Friction and errors of the arm's pose di
 that what is trained on them does not rely on one friction or on a perfect arm. A sample depends only on the
 settings, the seed and its index: a run that was interrupted goes on with the indices that are missing::
 
-    for sample in generate(CollectionSettings(), seed=1, indices=range(6000), processes=2):
+    for sample in generate(CollectionSettings(), seed=1, indices=range(6000)):
         ...
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-import multiprocessing
-import os
 import threading
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +32,6 @@ from tactile_sim.tactip import ContactTruth, TacTip
 from tactile_sim.variation import VariationSettings, varied
 
 Array = NDArray[np.float64]
-R = TypeVar("R")
 _FLAT = 1e-6  # 1/m: as good as a plane
 _SCALE = np.array([1e-3] * 3 + [np.pi / 180] * 3)  # mm and degrees to m and rad
 
@@ -227,74 +219,35 @@ def along_surface(x: float, y: float, curvature: float) -> Array:
     return se3.exp(np.concatenate([np.cross(centre, phi), phi]))
 
 
-def generate(
-    settings: CollectionSettings, seed: int, indices: Iterable[int], sensor: TacTipSettings | None = None,
-    processes: int = 1, each: Callable[[Sample], R] | None = None, variation: VariationSettings | None = None,
-) -> Iterator[R]:  # fmt: skip
-    """Samples at `indices`, in that order, on any number of processes with the same result.
+@dataclass(frozen=True)
+class Collector:
+    """Makes the sample of an index; can be sent to other processes, and called by several threads.
 
-    Parameters
+    Attributes
     ----------
     settings, seed
         What, with an index, determines a sample.
     sensor
         The sensor; its step is replaced by that of `settings`.
-    each
-        Called on every sample in the process that made it (so it must be picklable for more than one), to
-        store the image there or make it smaller; its results are yielded. Without it the samples are.
     variation
         How the images differ from those of an exactly known sensor; None: not at all.
     """
-    sensor = sensor or TacTipSettings()
-    model = replace(sensor, contact=sensor.contact.replaced(max_step=settings.max_step))
-    task = _Task(settings, seed, model, each, variation)
-    if processes <= 1:
-        _start(task)
-        yield from map(_run, indices)
-        return
-    spawn = multiprocessing.get_context("spawn")
-    # unlike Pool, the executor fails if a worker does
-    with ProcessPoolExecutor(processes, spawn, _start, (task,)) as pool:
-        yield from _in_order(pool, iter(indices), ahead=4 * processes)
 
-
-def _in_order(pool: ProcessPoolExecutor, indices: Iterator[int], ahead: int) -> Iterator[R]:
-    """Results in the order of the indices, with a bounded number of them under way."""
-    pending = deque(pool.submit(_run, index) for index in itertools.islice(indices, ahead))
-    while pending:
-        yield pending.popleft().result()
-        pending.extend(pool.submit(_run, index) for index in itertools.islice(indices, 1))
-
-
-@dataclass(frozen=True)
-class _Task:
     settings: CollectionSettings
     seed: int
-    sensor: TacTipSettings
-    each: Callable[[Sample], object] | None
-    variation: VariationSettings | None
+    sensor: TacTipSettings = field(default_factory=TacTipSettings)
+    variation: VariationSettings | None = None
+
+    def __call__(self, index: int) -> Sample:
+        if getattr(_of_thread, "collector", None) is not self:
+            contact = self.sensor.contact.replaced(max_step=self.settings.max_step)
+            _of_thread.collector, _of_thread.sensor = self, TacTip(replace(self.sensor, contact=contact))
+        return collect(_of_thread.sensor, self.settings, self.seed, index, self.variation)
 
 
-_worker: tuple[_Task, TacTip] | None = None  # what this process collects with
+_of_thread = threading.local()  # a sensor has a history
 
 
-def _start(task: _Task) -> None:
-    global _worker
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    _worker = (task, TacTip(task.sensor))
-
-
-def _end_with(parent: BaseProcess) -> None:
-    """End this process when its parent does: a killed one cannot tell its workers to."""
-    parent.join()
-    os._exit(1)
-
-
-def _run(index: int):  # type: ignore[no-untyped-def]
-    if _worker is None:
-        raise RuntimeError("a worker was asked for a sample before it was started")
-    task, sensor = _worker
-    sample = collect(sensor, task.settings, task.seed, index, task.variation)
-    return sample if task.each is None else task.each(sample)
+def generate(settings: CollectionSettings, seed: int, indices: Iterable[int]) -> Iterator[Sample]:
+    """Samples at `indices` of the built-in sensor, in that order."""
+    return map(Collector(settings, seed), indices)

@@ -31,10 +31,10 @@ from tactile_base.config_paths import config_path
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.cli import main as tactile
 from tactile_bringup.commands.quantize import training_images
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.model_metadata import ModelMetadata
 from tactile_perception.estimating.plots import log_axis
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
-from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import evaluate, load_data
 from tactile_perception.evaluation.metrics import LEVELS
 from tactile_perception.evaluation.models import open_models

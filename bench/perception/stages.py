@@ -22,10 +22,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from shared import Table, parser, percentiles
 
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import Estimator
 from tactile_scene.shapes.plane import Plane
 from tactile_sim.tactip import TacTip
 

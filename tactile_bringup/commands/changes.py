@@ -1,9 +1,10 @@
-"""What commands have in common: settings changed by NAME=VALUE, numbers, and how they refuse."""
+"""What commands have in common: settings changed by NAME=VALUE, numbers, where jobs run, how they refuse."""
 
 from __future__ import annotations
 
 import argparse
 import functools
+import os
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from tactile_base.console import say
+from tactile_base.jobs import Workers
 from tactile_base.raised import LIBRARY, raised_at, raised_by, raised_in_plugin, told
 from tactile_base.settings import SettingError
 from tactile_base.yaml_file import name_and_value
@@ -47,6 +49,28 @@ def _whole(text: str, least: int) -> int:
     if value < least:
         raise argparse.ArgumentTypeError(f"{text}: must be a whole number from {least} on")
     return value
+
+
+def add_job_options(parser: Any, default: int | None = None, those: str = "") -> None:
+    """Add `--jobs` and `--scheduler`, of the commands whose work is many jobs; `workers_of` reads them.
+
+    Parameters
+    ----------
+    default : of processes; None: as many as cores
+    those : which runs they are of, where the command has others
+    """
+    cores = len(os.sched_getaffinity(0))
+    shown = f"as many as cores: {cores}" if default is None else default
+    parser.add_argument("--jobs", type=positive_int, default=default or cores, metavar="N",
+        help=f"{those}processes at a time ({shown})")  # fmt: skip
+    parser.add_argument("--scheduler", default="", metavar="ADDRESS",
+        help=f"{those}run on the workers of this Dask scheduler instead (without TLS it runs anybody's code)",
+    )  # fmt: skip
+
+
+def workers_of(arguments: argparse.Namespace) -> Workers:
+    """Where the jobs of a command run."""
+    return Workers(arguments.jobs, arguments.scheduler)
 
 
 def in_words(error: Exception) -> str:

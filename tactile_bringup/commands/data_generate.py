@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 import time
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from tactile_base.console import say
+from tactile_base.jobs import run_jobs
 from tactile_base.progress import Progress, duration
 from tactile_base.whole_file import check_folder
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.commands.changes import (
+    add_job_options,
     add_set_option,
     changed_settings,
     natural_int,
-    positive_int,
     refusing,
+    workers_of,
 )
-from tactile_perception.datasets.writer import DatasetWriter, write_processed
+from tactile_perception.datasets.writer import DatasetWriter, as_png, write_processed
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_records.collecting.parameters import check_same_run
 from tactile_scene.sampling import VALIDATION_START
-from tactile_sim.collection import CollectionSettings, Sample, SensorFile, generate, load_sensor
+from tactile_sim.collection import CollectionSettings, Collector, SensorFile, load_sensor
 
 
 def register(commands: Any) -> None:
@@ -43,8 +44,7 @@ def register(commands: Any) -> None:
     add("--train", type=natural_int, metavar="N", help="training samples (6000; none with --val alone)")
     add("--val", type=natural_int, metavar="N", help="validation samples (2000; none with --train alone)")
     add("--seed", type=natural_int, default=0)
-    cores = len(os.sched_getaffinity(0))
-    add("--jobs", type=positive_int, default=cores, help=f"processes (as many as cores: {cores})")
+    add_job_options(parser)
     add("--sensor", metavar="NAME", help="one of config/sensors, or a file (default: the built-in sensor)")
     add("--config", type=Path, help="YAML file with collection settings (SI)")
     add_set_option(parser, "change one of them")
@@ -99,23 +99,27 @@ def _generate_split(
     started = time.monotonic()
     with DatasetWriter(folder, preprocessing) as writer:
         missing = sorted(set(range(1, count + 1)) - writer.done)
-        store = partial(store_sample, folder, Preprocessor(preprocessing), start)
-        samples = generate(
-            settings, arguments.seed, [start + number - 1 for number in missing], sensor.sensor,
-            processes=arguments.jobs, each=store, variation=sensor.variation,
-        )  # fmt: skip
+        collector = Collector(settings, arguments.seed, sensor.sensor, sensor.variation)
+        work = ProcessedSample(collector, preprocessing, start)
         with Progress(console) as progress:
-            for number, euler in progress.counted(samples, name, len(missing), "samples"):
-                writer.add_row(number, euler)
+            samples = run_jobs(work, missing, workers_of(arguments), progress.say)
+            for sample in progress.counted(samples, name, len(missing), "samples"):
+                png, euler_mm_deg = sample.result()
+                write_processed(folder, sample.job, png)
+                writer.add_row(sample.job, euler_mm_deg)
         path, there = writer.finish(), len(writer.done)
     took = duration(time.monotonic() - started)
     say(console, f"{path}: {there} samples, {len(missing)} new in {took}")
 
 
-def store_sample(
-    folder: Path, preprocessor: Preprocessor, start: int, sample: Sample
-) -> tuple[int, list[float]]:
-    """Pre-process and store a sample's image in the process that made it; gives its number and label."""
-    number = sample.index - start + 1
-    write_processed(folder, number, preprocessor.binary(sample.image))
-    return number, sample.euler_mm_deg.tolist()
+@dataclass(frozen=True)
+class ProcessedSample:
+    """Makes the sample of a number: its image as it is stored, and its label."""
+
+    collector: Collector
+    preprocessing: PreprocessingSettings
+    start: int  # index of number 1
+
+    def __call__(self, number: int) -> tuple[bytes, list[float]]:
+        sample = self.collector(self.start + number - 1)
+        return as_png(Preprocessor(self.preprocessing).binary(sample.image)), sample.euler_mm_deg.tolist()

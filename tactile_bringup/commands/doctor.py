@@ -28,7 +28,6 @@ COMPILED = (
     "tactile_geometry._se3",
     "tactile_filter._fusion",
     "tactile_sim._contact",
-    "tactile_perception._image",
 )
 SHARED_MEMORY_NEEDED = 64 * 1024 * 1024  # bytes: images and port segments of two arms
 
@@ -137,7 +136,7 @@ def _configuration() -> str:
 
 
 def _model() -> str:
-    from tactile_perception.estimator import Estimator
+    from tactile_perception.estimating.estimator import Estimator
 
     return str(Estimator().path)
 

@@ -47,9 +47,9 @@ def register(subparsers: Any) -> None:
 @refusing("estimate")
 def run_estimate(arguments: argparse.Namespace) -> int:
     """`tactile estimate`: returns the exit status."""
+    from tactile_perception.estimating.estimator import Estimator, shipped_model
     from tactile_perception.estimating.model_metadata import SIMULATED_ONLY
     from tactile_perception.estimating.run import run_estimates
-    from tactile_perception.estimator import Estimator, shipped_model
 
     console = Console(stderr=True)
     if not arguments.motion_sigma >= 0.0:

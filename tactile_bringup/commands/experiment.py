@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +13,18 @@ from rich.console import Console
 from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import check_folder
-from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int, refusing
+from tactile_bringup.commands.changes import (
+    add_job_options,
+    add_set_option,
+    natural_int,
+    positive_int,
+    refusing,
+    workers_of,
+)
 
 if TYPE_CHECKING:
+    from tactile_base.jobs import Row
     from tactile_bringup.experiment import Common, Trial
-    from tactile_bringup.trials import Row
 
 WIDTH = 160  # columns of the table where there is no terminal
 
@@ -51,16 +57,7 @@ def register(subparsers: Any) -> None:
     add("--latency", type=float, default=10.0, metavar="MS", help="exposure to command in ms (default: 10)")
     add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
     add("--arm", default="", metavar="NAME", help="run this arm only (default: all with a role)")
-    cores = len(os.sched_getaffinity(0))
-    add(
-        "--jobs", type=positive_int, default=cores, metavar="N", help=f"processes (as many as cores: {cores})"
-    )
-    add(
-        "--scheduler",
-        default="",
-        metavar="ADDRESS",
-        help="run on the workers of this Dask scheduler instead (without TLS it runs anybody's code)",
-    )
+    add_job_options(parser)
     add("--out", type=Path, metavar="FOLDER", help="(default: out/pushing/TABLE-CONTROLLER-FIDELITY)")
     parser.set_defaults(run=run)
 
@@ -129,20 +126,20 @@ def _run_missing(
     trials: list[Trial], common: Common, folder: Path, arguments: argparse.Namespace
 ) -> list[Row]:
     """Run what is not done yet; the rows of all."""
+    from tactile_base.jobs import JobRows, run_jobs
     from tactile_bringup.experiment import check_trial, trial_row
-    from tactile_bringup.trials import TrialRows, run_trials
     from tactile_records.collecting.parameters import check_same_run
 
     check_trial(trials[0])
     check_same_run(folder, {"experiment": arguments.what, **dataclasses.asdict(common)})
-    rows = TrialRows(folder / "trials.jsonl")
+    rows = JobRows(folder / "trials.jsonl")
     missing = rows.missing(trials)
     with Progress() as progress:
         if len(missing) < len(trials):
             progress.say(f"{len(trials) - len(missing)} of {len(trials)} trials are done already")
-        made = run_trials(trial_row, missing, arguments.jobs, arguments.scheduler)
-        for row in progress.counted(made, "trials", len(missing), "trials"):
-            rows.add(row)
+        made = run_jobs(trial_row, missing, workers_of(arguments), progress.say)
+        for done in progress.counted(made, "trials", len(missing), "trials"):
+            rows.add(done.result())
     return rows.of(trials)
 
 

@@ -111,8 +111,8 @@ def _check(arguments: argparse.Namespace, sensor: Any) -> None:
 def run_fit_network_error(arguments: argparse.Namespace) -> int:
     """`tactile fit network-error`: returns the exit status."""
     from tactile_bringup.fitting.network_error import Ways, compared, drawn, fit
+    from tactile_perception.estimating.estimator import Estimator
     from tactile_perception.estimating.labels import COMPONENTS
-    from tactile_perception.estimator import Estimator
 
     check_file(arguments.out)
     room_for_files(arguments.out)

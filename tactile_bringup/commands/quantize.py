@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from tactile_base.console import number_table
-from tactile_base.whole_file import check_file, room_for_files, whole_file
+from tactile_base.whole_file import check_file, copy_whole, room_for_files
 from tactile_bringup.commands.changes import add_set_option, changed_settings, refusing
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.model_metadata import QUANTIZED_NAME, trained_model
@@ -43,7 +42,7 @@ def register(subparsers: Any) -> None:
 @refusing("quantize")
 def run_quantize(arguments: argparse.Namespace) -> int:
     """`tactile quantize`: returns the exit status."""
-    from tactile_perception.training.quantization import QuantizationSettings, quantize
+    from tactile_perception.training.quantization import QuantizationSettings, quantize, training_images
 
     settings = QuantizationSettings().replaced(**changed_settings(arguments.changes, "images=300"))
     source, out = _paths(arguments.model, arguments.out)
@@ -57,26 +56,19 @@ def run_quantize(arguments: argparse.Namespace) -> int:
     print(f"model: {out}")
     _compare([source, out], validation)
     if arguments.install:
-        install(out, arguments.install)
+        copy_whole(out, arguments.install)
     return 0
 
 
 def quantize_run(run: Path, data: Path, validation: Path | None = None) -> Path:
     """Quantize the model of a run folder as it is meant to be, print the comparison; returns the new file."""
-    from tactile_perception.training.quantization import QuantizationSettings, quantize
+    from tactile_perception.training.quantization import QuantizationSettings, quantize, training_images
 
     source, out = _paths(run, None)
     quantize(source, training_images(data, source, QuantizationSettings().images), out)
     print(f"quantized model: {out}")
     _compare([source, out], _validation(data, validation))
     return out
-
-
-def install(model: Path, path: Path) -> None:
-    """Copy a model file to where it is used."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_bytes(model.read_bytes())
 
 
 def _validation(data: Path, given: Path | None) -> Path | None:
@@ -95,18 +87,6 @@ def _paths(model: Path, out: Path | None) -> tuple[Path, Path]:
     if out.resolve() == source.resolve():
         raise ValueError(f"{out}: is the model itself; --out must name another file")
     return source, out
-
-
-def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
-    """`count` images, spread over the folder's table, prepared as the model wants them.
-
-    Fewer where the folder has fewer or some of these cannot be read.
-    """
-    from tactile_perception.datasets.dataset import read_dataset, training_part
-    from tactile_perception.estimator import Estimator
-
-    preprocessing = Estimator(model).metadata.preprocessing
-    return read_dataset(training_part(folder), preprocessing, limit=count).images
 
 
 def _compare(paths: Sequence[Path], validation: Path | None) -> None:

@@ -14,8 +14,10 @@ from rich.console import Console
 
 from tactile_base.config_paths import named_file
 from tactile_base.console import number_table, say
+from tactile_base.progress import Progress
+from tactile_base.version import version
 from tactile_base.whole_file import room_for_results
-from tactile_bringup.commands.changes import add_set_option, refusing
+from tactile_bringup.commands.changes import add_job_options, add_set_option, refusing, workers_of
 
 if TYPE_CHECKING:
     from tactile_records.replay.inputs import Inputs
@@ -53,7 +55,7 @@ def register(subparsers: Any) -> None:
     add("--all-events", action="store_true", help="take what the live filter had dropped, too")
     add("--copy", choices=("inputs", "all"), help="put the filter's inputs, or all topics, into the new bag")
     add("--check", action="store_true", help="fail unless the beliefs are the recorded ones")
-    add("--jobs", type=int, default=0, help="processes for a sweep (default: one a core)")
+    add_job_options(parser, those="with --sweep: ")
     add("--no-plot", action="store_true", help="draw no pictures")
     parser.set_defaults(run=run)
 
@@ -61,6 +63,7 @@ def register(subparsers: Any) -> None:
 @refusing("replay", status=EXIT_USAGE)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
+    from tactile_records.replay.kept import KeptRuns
     from tactile_records.replay.sweep import base_settings, make_plans, run_plans
 
     folder = arguments.out or Path("out") / "replay" / arguments.bag.resolve().stem
@@ -70,18 +73,35 @@ def run(arguments: argparse.Namespace) -> int:
     base = base_settings(inputs, profile)
     plans = make_plans(base, arguments.changes, arguments.sweep, folder, profile is not None)
     room_for_results(folder, REPORT, source=arguments.bag)
-    _make_room(folder, plans)
-    results = run_plans(plans, inputs, _options(arguments, inputs), arguments.jobs)
+    kept = KeptRuns(folder, _same(arguments, inputs))
+    _make_room(folder, [plan for plan in plans if kept.results(plan) is None])
+    with Progress() as progress:
+        options, workers = _options(arguments, inputs), workers_of(arguments)
+        results = run_plans(plans, inputs, options, workers, progress, kept)
     seconds, busy = time.perf_counter() - started, _processor_time() - busy
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH
     agree = _deliver(arguments, folder, inputs, plans, results, console)
+    kept.remove()
     speed = inputs.span_s * len(plans) / seconds if seconds else 0.0
     runs = f"{len(plans)} run{'s' * (len(plans) > 1)}"
     times = f"{inputs.span_s:.1f} s recorded, {runs} in {seconds:.2f} s ({busy:.2f} s of processor time)"
     say(console, f"{times}: {speed:.0f} times real time")
     return EXIT_OK if agree or not arguments.check else EXIT_DIFFERS
+
+
+def _same(arguments: argparse.Namespace, inputs: Inputs) -> dict[str, Any]:
+    """What runs of an interrupted sweep have to agree in, beside their settings, to be taken as they are."""
+    inside = [arguments.bag] if arguments.bag.is_file() else inputs.bag.folder.iterdir()
+    files = [path for path in (*inside, arguments.model) if path is not None and path.is_file()]
+    states = {str(path): [path.stat().st_size, path.stat().st_mtime_ns] for path in files}
+    options = ("bag", "source", "model", "base", "smooth", "all_events", "copy")
+    return {
+        "version": version(),
+        "files": states,
+        **{name: str(getattr(arguments, name)) for name in options},
+    }
 
 
 def _processor_time() -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,17 @@ import numpy as np
 from rich.console import Console
 
 from tactile_base.console import number_table, say
-from tactile_base.whole_file import check_file, write_csv
-from tactile_bringup.commands.changes import add_set_option, positive_int, refusing
-from tactile_bringup.commands.quantize import install, quantize_run
+from tactile_base.jobs import run_jobs
+from tactile_base.whole_file import check_file, copy_whole, write_csv
+from tactile_bringup.commands.changes import (
+    add_job_options,
+    add_set_option,
+    in_words,
+    positive_int,
+    refusing,
+    workers_of,
+)
+from tactile_bringup.commands.quantize import quantize_run
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS, errors_in_words
 from tactile_perception.estimating.model_metadata import MODEL_NAME, QUANTIZED_NAME
 from tactile_perception.training.config import profile
@@ -48,12 +57,7 @@ def register(subparsers: Any) -> None:
     add(
         "--repeat", type=positive_int, metavar="N", help="N networks of different seeds, in OUT/seed_0 and on"
     )
-    add("--jobs", type=positive_int, default=1, metavar="N", help="with --repeat: runs at a time")
-    add(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="with --repeat: run on the workers of this Dask scheduler (SECURITY.md)",
-    )
+    add_job_options(parser, default=1, those="with --repeat: ")
     parser.set_defaults(run=run_train)
     _register_ensemble(subparsers)
 
@@ -108,7 +112,7 @@ def _train_one(arguments: argparse.Namespace) -> int:
     if _quantized(arguments):
         model = quantize_run(arguments.out, arguments.data, arguments.val)
     if arguments.install:
-        install(model, arguments.install)
+        copy_whole(model, arguments.install)
     return 0
 
 
@@ -162,13 +166,15 @@ def _train_many(arguments: argparse.Namespace) -> int:
         else:
             say(console, _line(job.name, job.folder.result()))
 
-    if arguments.scheduler:
-        jobs.run_cluster(waiting, arguments.scheduler, report)
-    elif arguments.jobs > 1:
-        jobs.run_processes(waiting, arguments.jobs, report)
-    else:
+    if arguments.jobs == 1 and not arguments.scheduler:
         for job in waiting:
             report(job, _train_here(job, console))
+    else:
+        tell = functools.partial(say, console)
+        for done in run_jobs(jobs.train_job, waiting, workers_of(arguments), tell, apart=True):
+            if done.value is not None:
+                jobs.store_files(done.job, done.value)
+            report(done.job, "" if done.error is None else in_words(done.error))
     _print_repeat(arguments.out, runs)
     if _quantized(arguments):
         for job in runs:

@@ -16,8 +16,8 @@ from scipy.optimize import curve_fit
 
 from tactile_bringup.offline_perception import network_view
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.presence import ContactPresence
-from tactile_perception.estimator import Estimator
 from tactile_scene.shapes.plane import Plane
 from tactile_sim.collection import Sphere, along_surface
 from tactile_sim.network_error import WAY, ErrorModel, NetworkError

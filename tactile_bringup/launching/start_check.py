@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from ament_index_python.resources import get_resources
 
 from tactile_base.process_limits import GRAPH, LimitError, require
-from tactile_perception.estimator import Estimator, ModelError
+from tactile_perception.estimating.estimator import Estimator, ModelError
 
 if TYPE_CHECKING:
     from tactile_bringup.graph import Graph

@@ -99,10 +99,10 @@ class DatasetWriter:
     def add_image(self, number: int, image: Image) -> None:
         """Store a camera image; 0 is the number of the image without contact, which has no row."""
         if self.kind != "raw":
-            write_processed(self.folder, number, self._preprocessor.binary(image), self._durable)
+            write_processed(self.folder, number, as_png(self._preprocessor.binary(image)), self._durable)
         if self.kind != "processed":
             path = self.folder / layout.RAW_IMAGES_NAME / image_name(number)
-            _write_png(path, image, self._durable)
+            _write(path, as_png(image), self._durable)
 
     def add_row(
         self, number: int, euler_mm_deg: Iterable[float], extra: Mapping[str, float | int] | None = None
@@ -183,17 +183,22 @@ class DatasetWriter:
         (self.folder / layout.IMAGE_PARAMS_NAME).write_text(json.dumps(params, indent=2) + "\n")
 
 
-def write_processed(folder: Path | str, number: int, binary: Image, durable: bool = False) -> None:
+def write_processed(folder: Path | str, number: int, png: bytes, durable: bool = False) -> None:
     """Write one cropped and thresholded image of the public layout, whole or not at all."""
-    _write_png(Path(folder) / layout.IMAGES_NAME / image_name(number), binary, durable)
+    _write(Path(folder) / layout.IMAGES_NAME / image_name(number), png, durable)
 
 
-def _write_png(path: Path, image: Image, durable: bool) -> None:
+def as_png(image: Image) -> bytes:
+    """An image as it is stored."""
     ok, encoded = cv2.imencode(".png", image)
     if not ok:
-        raise ImageError(f"{path}: could not be encoded as PNG")
+        raise ImageError(f"an image of {image.shape} {image.dtype} cannot be encoded as PNG")
+    return bytes(encoded)
+
+
+def _write(path: Path, data: bytes, durable: bool) -> None:
     with whole_file(path) as temporary, temporary.open("wb") as file:
-        file.write(encoded.tobytes())
+        file.write(data)
         _sync(file, durable)
 
 

@@ -15,7 +15,7 @@ from tactile_perception.estimating.labels import EstimateError
 from tactile_perception.estimating.presence import ContactPresence
 
 if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
-    from tactile_perception.estimator import Estimator
+    from tactile_perception.estimating.estimator import Estimator
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,10 @@
 
 Where `redraw_radius` says so, the markers of the thresholded image are found and drawn again before it is
 resized.
-
-The steps that the published settings need are in C (`_csrc`), in integers; what these do not cover (another
-median, Gaussian weights, enlarging) is OpenCV's.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -17,13 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_perception import _image
 from tactile_perception.estimating.image import Image, ImageError, check_image
 from tactile_perception.markers.detection import detect, redrawn
 
 _THRESHOLD_METHODS = {"mean": cv2.ADAPTIVE_THRESH_MEAN_C, "gaussian": cv2.ADAPTIVE_THRESH_GAUSSIAN_C}
-#: Limits of the C functions: 16-bit sums over this many pixels.
-_C_MAX_BLOCK = _C_MAX_RATIO = 255
 
 
 @dataclass(frozen=True)
@@ -154,20 +147,13 @@ class Preprocessor:
 
     def _binarize(self, image: Image, result: Image) -> None:
         settings = self.settings
-        crop = self._cropped(_adjacent_columns(check_image(image, None, "camera image")))
-        if settings.median == 5:
-            _image.median5(self._smooth, crop)
-            crop = self._smooth
-        elif settings.median:
+        crop = self._cropped(_row_by_row(check_image(image, None, "camera image")))
+        if settings.median:
             crop = np.asarray(cv2.medianBlur(crop, settings.median, dst=self._smooth), np.uint8)
-        if settings.threshold_method == "mean" and settings.threshold_block <= _C_MAX_BLOCK:
-            offset = math.ceil(settings.threshold_offset)
-            _image.threshold_mean(result, crop, settings.threshold_block, offset, self._mask)
-        else:
-            method = _THRESHOLD_METHODS[settings.threshold_method]
-            block, offset_gray = settings.threshold_block, settings.threshold_offset
-            cv2.adaptiveThreshold(crop, 255, method, cv2.THRESH_BINARY, block, offset_gray, dst=result)
-            cv2.bitwise_and(result, self._mask, dst=result)
+        method = _THRESHOLD_METHODS[settings.threshold_method]
+        block, offset = settings.threshold_block, settings.threshold_offset
+        cv2.adaptiveThreshold(crop, 255, method, cv2.THRESH_BINARY, block, offset, dst=result)
+        cv2.bitwise_and(result, self._mask, dst=result)
 
     def _cropped(self, image: Image) -> Image:
         """The part that the settings want; an image of just that size has been cropped by its camera."""
@@ -192,16 +178,13 @@ class Preprocessor:
 
 def _shrink(crop: Image, result: Image) -> None:
     """The mean over areas, into `result` (side, side)."""
-    side = len(result)
-    if side <= min(crop.shape) and crop.shape[0] <= _C_MAX_RATIO * side:
-        _image.shrink(result, _adjacent_columns(crop))
-    else:
-        cv2.resize(crop, (side, side), dst=result, interpolation=cv2.INTER_AREA)
+    cv2.resize(_row_by_row(crop), result.shape, dst=result, interpolation=cv2.INTER_AREA)
 
 
-def _adjacent_columns(image: Image) -> Image:
-    """The image, copied if the pixels of a row do not lie side by side in memory."""
-    return image if image.strides[1] == 1 else np.ascontiguousarray(image)
+def _row_by_row(image: Image) -> Image:
+    """The image, copied unless it lies in memory as OpenCV takes it."""
+    adjacent = image.strides[1] == 1 and image.strides[0] >= image.shape[1]
+    return image if adjacent else np.ascontiguousarray(image)
 
 
 def as_input(resized: Image) -> NDArray[np.float32]:

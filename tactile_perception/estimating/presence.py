@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
-from tactile_perception import _image
 
 Prepared = NDArray[np.float32]
 #: Spreads of the score without contact that the thresholds stay away from, however small they are set.
@@ -187,7 +187,18 @@ class ContactPresence:
         assert self._reference is not None and self._noise is not None
         window = round(self.settings.window * len(image) / _WINDOW_REFERS_TO)
         window = min(max(window, 1), _LARGEST_WINDOW)
-        return _image.largest_change(image, self._reference, self._noise, window)
+        return largest_change(image, self._reference, self._noise, window)
+
+
+def largest_change(image: Prepared, reference: Prepared, noise: Prepared, window: int) -> float:
+    """Largest mean over window x window pixels of max(0, |image - reference| - noise).
+
+    All are (rows, cols) and within 0 and 1. A change of more than 1, or NaN, counts as 1.
+    """
+    change = np.abs(image - reference) - noise
+    np.fmin(change, np.float32(1.0), out=change)  # of NaN and 1 that is 1
+    np.maximum(change, np.float32(0.0), out=change)
+    return float(cv2.blur(change, (window, window), borderType=cv2.BORDER_REFLECT_101).max())
 
 
 def _mean_and_noise(stack: Prepared) -> tuple[Prepared, Prepared]:

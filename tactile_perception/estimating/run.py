@@ -14,10 +14,10 @@ from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.smoother import smooth
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating import labels
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import EULER_COLUMNS, NETWORK_COLUMNS, network_row
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.sources import Frame
-from tactile_perception.estimator import Estimator
 
 Array = NDArray[np.float64]
 

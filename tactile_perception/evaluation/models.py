@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_perception.estimating.estimator import Estimator, ModelError
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
 from tactile_perception.estimating.preprocessing import as_input
-from tactile_perception.estimator import Estimator, ModelError
 from tactile_perception.evaluation.metrics import Predictions
 
 #: What the heads that `tactile train` knows are called in tables.

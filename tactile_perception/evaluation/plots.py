@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_TITLES, NETWORK_UNITS
 from tactile_perception.estimating.plots import (
@@ -23,7 +22,6 @@ from tactile_perception.evaluation.evaluate import Assessment, EvaluationData, M
 from tactile_perception.evaluation.metrics import CURVE, shear_of
 from tactile_perception.evaluation.report import groups
 
-Array = NDArray[np.float64]
 #: Cells with fewer samples stay empty.
 _FEWEST = 5
 

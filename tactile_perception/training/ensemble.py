@@ -9,6 +9,7 @@ from pathlib import Path
 import onnx
 
 from tactile_perception.datasets.dataset import read_dataset, training_part
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.model_metadata import (
     COVARIANCE,
     INPUT_NAME,
@@ -18,7 +19,6 @@ from tactile_perception.estimating.model_metadata import (
     trained_model,
     unseen_rows,
 )
-from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import CalibrationSettings
 from tactile_perception.training.export import GraphWriter, save_model
 from tactile_perception.training.recalibration import fit_on

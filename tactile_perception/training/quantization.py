@@ -25,6 +25,8 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 
 from tactile_base.settings import Settings, setting
 from tactile_base.whole_file import whole_file
+from tactile_perception.datasets.dataset import read_dataset, training_part
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import (
     CHECKSUM,
@@ -59,6 +61,15 @@ class QuantizationSettings(Settings):
         True,
         doc="weights in 7 of 8 bits: CPUs without VNNI add products in pairs, which 8 bits may overflow",
     )
+
+
+def training_images(folder: Path, model: Path, count: int) -> NDArray[np.uint8]:
+    """`count` images, spread over the folder's table, prepared as the model wants them: (N, size, size).
+
+    Fewer where the folder has fewer or some of these cannot be read.
+    """
+    preprocessing = Estimator(model).metadata.preprocessing
+    return read_dataset(training_part(folder), preprocessing, limit=count).images
 
 
 def quantize(

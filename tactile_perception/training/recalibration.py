@@ -12,8 +12,8 @@ import onnx
 from numpy.typing import NDArray
 
 from tactile_perception.datasets.dataset import TactileDataset, read_dataset
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.model_metadata import is_training_data, unseen_rows
-from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.calibration import (
     Calibration,
     CalibrationError,

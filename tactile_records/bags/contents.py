@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -78,6 +78,11 @@ def noted(note: Mapping[str, str], name: str) -> dict[str, dict[str, Any]]:
     return found
 
 
+def everything(topic: str, type_name: str) -> bool:
+    """Keeps the messages of all topics."""
+    return True
+
+
 @dataclass
 class Bag:
     """What could be read of a bag.
@@ -104,7 +109,7 @@ class Bag:
     """
 
     folder: Path
-    wanted: Wanted = lambda topic, type_name: True
+    wanted: Wanted = everything
     messages: list[Recorded] = field(default_factory=list)
     note: dict[str, str] = field(default_factory=dict)
     definitions: dict[str, str] = field(default_factory=dict)
@@ -113,6 +118,10 @@ class Bag:
     problems: list[str] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
     _stores: dict[str, Any] = field(default_factory=dict)
+
+    def without_messages(self) -> Bag:
+        """What is left to be sent to another process, where the messages are not needed."""
+        return replace(self, wanted=everything, messages=[], _stores={})
 
     @property
     def complete(self) -> bool:

@@ -1,11 +1,9 @@
 """Reads MCAP files, also damaged ones and those whose writer was killed: what is whole is read.
 
-Records are read by `mcap`. Its readers end at the first damage, with all that is behind it, and give nothing
-of the chunk that the end of a file cuts, which in bags of `ros2 bag` is most of a megabyte. So the way from
-record to record is our own, and so is that from message to message within a chunk: theirs makes reading a bag
-two and a half times as long. Types and topics are those of the summary at the file's end where that is whole,
-since the first chunk, which has them too, may be damaged; of chunks that were not read it tells the time.
-Format: https://mcap.dev/spec
+Records are read by `mcap`, whose own readers end at the first damage and make reading a bag two and a half
+times as long. So the way from record to record is ours, and that from message to message within a chunk.
+Types and topics are those of the summary at the file's end where that is whole, since the first chunk, which
+has them too, may be damaged; of chunks that were not read it tells the time. Format: https://mcap.dev/spec
 """
 
 from __future__ import annotations
@@ -13,16 +11,15 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
-from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator
 from io import BytesIO
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, ChunkIndex, Metadata, Schema, Statistics
+from mcap.stream_reader import StreamReader
 from mcap.well_known import SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
@@ -30,13 +27,12 @@ from tactile_records.bags.contents import Bag, Gap, Recorded
 from tactile_records.bags.unpacking import MESSAGE_COST, TooLarge, Unpacker
 from tactile_records.bags.writer import GAP
 
-_OPCODES, _FIRST_PRIVATE_OPCODE = frozenset(map(int, Opcode)), 0x80
+_OPCODES = frozenset({*map(int, Opcode), *range(0x80, 0x100)})  # from 0x80 on they are private
+_ANNOUNCING: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)  # to compare with an enum takes longer
 _RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, time of reception, of publication
-_CHUNK = struct.Struct("<QQQII")  # first and last time, size, checksum, length of the compression's name
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
-_LENGTH = struct.Struct("<Q")
 # What reading a damaged record raises; ValueError includes wrong checksums and texts.
 _DAMAGE = (McapError, ValueError, LookupError, OverflowError, RuntimeError, struct.error, zstandard.ZstdError)
 
@@ -49,32 +45,22 @@ class McapReader:
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, bool]] = {}  # topic, type, whether it is kept
         self._counts: Counter[int] = Counter()  # messages by channel
-        self._unannounced: Counter[int] = Counter()
-        self._chunks: list[ChunkIndex] = []  # by the summary, in the order of the file
-        self._starts: list[int] = []  # of these
+        self._chunks: dict[int, ChunkIndex] = {}  # by where they start; those that were read are taken out
         self._has_end = False
-        self._read_chunks: set[int] = set()  # offsets
         self._statistics: Statistics | None = None
 
     def read(self) -> bool:
         """Read all that is readable; False if it is no MCAP file or holds nothing at all."""
         if self._data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
-            if self._data[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
-                self._report("is not an MCAP file: it does not start as one")
-                return False
-            self._report_damage(0, "it does not start as an MCAP file, and ends as one")
+            self._report("is not an MCAP file: it does not start as one")
+            return False
         self._read_summary()
-        position: int | None = len(MCAP0_MAGIC)
         try:
-            while position is not None:
-                position = self._read_from(position)
+            self._read_data()
         except TooLarge as error:
             self._report(str(error))
-        self._report_unannounced()
         self._report_missing()
         return bool(self._channels) or not self._bag.problems
-
-    # ---- the summary ----
 
     def _read_summary(self) -> None:
         """Types, topics, chunks and counts, where the end of the file is as it was written."""
@@ -85,205 +71,146 @@ class McapReader:
         if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size or not 0 < start <= end:
             return
         self._has_end = True
-        whole = crc in (0, zlib.crc32(self._data[start : end + _FOOTER.size - 4]))
-        if not whole:
+        if crc not in (0, zlib.crc32(self._data[start : end + _FOOTER.size - 4])):
             self._report_damage(start, "the summary has a wrong checksum")
-        for at, opcode, stop in _records(self._data[start:end]):
-            content = ReadDataStream(BytesIO(self._data[start + at + _RECORD.size : start + stop]))
-            try:
-                if opcode == Opcode.CHUNK_INDEX:
-                    self._add_chunk(ChunkIndex.read(content))
-                elif whole and opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._announce(opcode, content)
-                elif whole and opcode == Opcode.STATISTICS:
-                    self._statistics = Statistics.read(content)
-            except _DAMAGE as error:
-                self._report_damage(start + at, _text(error))
-        self._chunks.sort(key=lambda chunk: chunk.chunk_start_offset)
-        self._starts = [chunk.chunk_start_offset for chunk in self._chunks]
+            return
+        try:
+            for record in StreamReader(BytesIO(self._data[start:]), skip_magic=True).records:
+                if isinstance(record, ChunkIndex):
+                    self._chunks[record.chunk_start_offset] = record
+                elif isinstance(record, Schema | Channel):
+                    self._announce(record)
+                elif isinstance(record, Statistics):
+                    self._statistics = record
+        except _DAMAGE as error:
+            self._report_damage(start, _text(error))
 
-    def _add_chunk(self, chunk: ChunkIndex) -> None:
-        """A chunk, if opcode or length say so there as well: the summary may be damaged, too."""
-        start = chunk.chunk_start_offset
-        if start + _RECORD.size <= len(self._data):
-            opcode, length = _RECORD.unpack_from(self._data, start)
-            if opcode == Opcode.CHUNK or length + _RECORD.size == chunk.chunk_length:
-                self._chunks.append(chunk)
-
-    # ---- the data ----
-
-    def _read_from(self, position: int) -> int | None:
-        """Read records until the end or the next damaged one; where to go on after that, None for nowhere."""
-        for at, opcode, stop in _records(self._data, position):
-            following = self._next_chunk(at)
-            known = opcode in _OPCODES or opcode >= _FIRST_PRIVATE_OPCODE
-            if not known or stop > (len(self._data) if following is None else following):
-                return self._leave(at, opcode, following)
-            if opcode == Opcode.FOOTER or (opcode == Opcode.DATA_END and self._has_end):
-                return None
-            try:
-                self._take(opcode, at, stop)
-            except TooLarge:
-                raise
-            except _DAMAGE as error:
-                self._report_damage(at, _text(error))
-        self._report_early_end()
-        return None
-
-    def _next_chunk(self, at: int) -> int | None:
-        """Where the next chunk behind a place starts, by the summary."""
-        place = bisect_right(self._starts, at)
-        return self._starts[place] if place < len(self._starts) else None
-
-    def _leave(self, at: int, opcode: int, following: int | None) -> int | None:
-        """What stands here is no record, or one that the end of the file cuts."""
-        if self._has_end:
-            self._report_damage(at, "no record of MCAP")
-            return following
-        if opcode == Opcode.CHUNK:
-            self._take_part_of_chunk(at)
-        self._report_early_end()
-        return None
+    def _read_data(self) -> None:
+        """All records; behind one that is none the summary tells where the next chunk starts."""
+        starts, position = sorted(self._chunks, reverse=True), len(MCAP0_MAGIC)
+        while position + _RECORD.size <= len(self._data):
+            while starts and starts[-1] <= position:
+                starts.pop()
+            opcode, length = _RECORD.unpack_from(self._data, position)
+            at, position = position, position + _RECORD.size + length
+            if opcode not in _OPCODES or position > (starts[-1] if starts else len(self._data)):
+                if not self._has_end:
+                    if opcode == Opcode.CHUNK:
+                        self._take_part_of_chunk(at)
+                    break
+                self._report_damage(at, "no record of MCAP")
+                position = starts[-1] if starts else len(self._data)
+            elif opcode == Opcode.DATA_END:
+                break
+            else:
+                try:
+                    self._take(opcode, at, position)
+                except TooLarge:
+                    raise
+                except _DAMAGE as error:
+                    self._report_damage(at, _text(error))
+        if not self._has_end:
+            without = "without its footer: its writer was killed"
+            self._report(
+                f"the file ends early, after {len(self._data)} bytes and {without}; {self._read_so_far}"
+            )
 
     def _take(self, opcode: int, at: int, stop: int) -> None:
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+        content = ReadDataStream(BytesIO(self._data[at + _RECORD.size : stop]))
+        if opcode == Opcode.MESSAGE or opcode in _ANNOUNCING:
             self._take_records(self._data[at:stop])
         elif opcode == Opcode.CHUNK:
-            self._take_chunk(at, stop)
+            chunk = Chunk.read(content)
+            data = self._unpacker.unpack(chunk.data, chunk.compression)
+            if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+                raise McapError("wrong checksum")
+            self._take_records(data)
+            self._chunks.pop(at, None)
         elif opcode == Opcode.METADATA:
-            self._take_metadata(Metadata.read(ReadDataStream(BytesIO(self._data[at + _RECORD.size : stop]))))
-
-    def _take_chunk(self, at: int, stop: int) -> None:
-        size, crc, compression, packed = self._chunk(at, stop)
-        with packed:
-            if compression == "zstd":
-                data = self._unpacker.zstd(packed, size)
-            elif compression == "lz4":
-                data = self._unpacker.lz4(packed)
-            elif compression:
-                raise McapError(f"compression '{compression}' is not known")
-            else:
-                data = bytes(packed)
-        if crc not in (0, zlib.crc32(data)):
-            raise McapError("wrong checksum")
-        self._read_chunks.add(at)
-        self._take_records(data)
+            metadata = Metadata.read(content)
+            if metadata.name == GAP:
+                values = metadata.metadata
+                self._bag.gaps.append(Gap(values["topic"], *(int(values[name]) for name in Gap._fields[1:])))
 
     def _take_part_of_chunk(self, at: int) -> None:
-        """What can be decompressed of the chunk that the end of the file cuts."""
+        """What can be unpacked of the chunk that the end of the file cuts; it may be all there is."""
+        rest = self._data[at + _RECORD.size :]
+        stream = ReadDataStream(BytesIO(rest))
         try:
-            _, _, compression, packed = self._chunk(at, len(self._data))
-            with packed:
-                self._take_records(self._unpacker.part(packed, compression))
+            stream.read(8 + 8 + 8 + 4)  # first and last time, size, checksum
+            compression = stream.read_prefixed_string()
+            stream.read8()  # length of the data
+            data = self._unpacker.unpack(rest[stream.count :], compression, part=True)
+            self._take_records(data)
         except TooLarge:
             raise
         except _DAMAGE:
             return  # the early end is reported all the same, and nothing of it counts as read
 
-    def _chunk(self, at: int, stop: int) -> tuple[int, int, str, memoryview]:
-        """Size, checksum, compression and compressed data of a chunk."""
-        at += _RECORD.size
-        _, _, size, crc, length = _CHUNK.unpack_from(self._data, at)
-        at += _CHUNK.size
-        compression = str(self._data[at : min(at + length, stop)], "utf-8")
-        at += length
-        (length,) = _LENGTH.unpack_from(self._data, at)
-        at += _LENGTH.size
-        return size, crc, compression, memoryview(self._data)[at : min(at + length, stop)]
-
     def _take_records(self, data: bytes) -> None:
         """The records in a chunk: nearly all are messages, and this loop is what reading a bag costs."""
         bag, channels = self._bag, self._channels
         keep, counts, before = bag.messages.append, dict.fromkeys(channels, 0), len(bag.messages)
-        position, end, last = 0, len(data), len(data) - _MESSAGE.size
+        position, end = 0, len(data)
+        data += bytes(_MESSAGE.size)  # a short last record is unpacked like all others
         while position < end:
-            record = data[position:].ljust(_MESSAGE.size, b"\0") if position > last else None
-            opcode, length, channel, _, received_ns, published_ns = (
-                _MESSAGE.unpack_from(data, position) if record is None else _MESSAGE.unpack_from(record)
-            )
+            opcode, length, channel, _, received_ns, published_ns = _MESSAGE.unpack_from(data, position)
             start, position = position, position + _RECORD.size + length
             if position > end:
                 break
             if opcode == _MESSAGE_OPCODE:
                 if channel not in channels:
-                    self._unannounced[channel] += 1
-                    continue
+                    continue  # its announcement was in a chunk that is damaged
                 topic, type_name, kept = channels[channel]
                 counts[channel] = counts.get(channel, 0) + 1
                 if kept:
                     cdr = data[start + _MESSAGE.size : position]
                     keep(Recorded(topic, type_name, cdr, received_ns, published_ns))
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._announce(opcode, ReadDataStream(BytesIO(data[start + _RECORD.size : position])))
+            elif opcode in _ANNOUNCING:
+                stream = ReadDataStream(BytesIO(data[start + _RECORD.size : position]))
+                self._announce(_ANNOUNCING[opcode].read(stream))
         self._counts.update(counts)
         for channel, count in counts.items():
             bag.counts[channels[channel][0]] += count
         self._unpacker.take(MESSAGE_COST * (len(bag.messages) - before))
 
-    def _take_metadata(self, metadata: Metadata) -> None:
-        if metadata.name == GAP:
-            values = metadata.metadata
-            numbers = (int(values[name]) for name in Gap._fields[1:])
-            self._bag.gaps.append(Gap(values["topic"], *numbers))
-
-    def _announce(self, opcode: int, stream: ReadDataStream) -> None:
+    def _announce(self, record: Schema | Channel) -> None:
         """A type or a topic; the first announcement holds."""
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            if schema.id not in self._schemas and schema.encoding == SchemaEncoding.ROS2:
-                self._bag.definitions[schema.name] = schema.data.decode()
-            self._schemas.setdefault(schema.id, schema.name)
-            return
-        channel = Channel.read(stream)
-        if channel.id not in self._channels:
-            topic, type_name = channel.topic, self._schemas.get(channel.schema_id, "")
-            self._channels[channel.id] = topic, type_name, self._bag.wanted(topic, type_name)
+        if isinstance(record, Schema):
+            if record.id not in self._schemas and record.encoding == SchemaEncoding.ROS2:
+                self._bag.definitions[record.name] = record.data.decode()
+            self._schemas.setdefault(record.id, record.name)
+        elif record.id not in self._channels:
+            topic, type_name = record.topic, self._schemas.get(record.schema_id, "")
+            self._channels[record.id] = topic, type_name, self._bag.wanted(topic, type_name)
             self._bag.add_topic(topic, type_name)
-
-    # ---- what was not read ----
 
     def _report_missing(self) -> None:
         """How many messages of each topic are missing, and from when, by the summary."""
-        if self._statistics is None:
-            return
+        counts = self._statistics.channel_message_counts if self._statistics else {}
         missing = [
             f"{self._counts[channel]} of {count} on {self._channels[channel][0]}"
-            for channel, count in self._statistics.channel_message_counts.items()
+            for channel, count in counts.items()
             if self._counts[channel] < count and channel in self._channels
         ]
-        lost = [chunk for chunk in self._chunks if chunk.chunk_start_offset not in self._read_chunks]
         if not missing:
             return
         text = f"messages that were read: {', '.join(missing)}"
-        if lost:
+        if lost := self._chunks.values():
             start_ns = min(chunk.message_start_time for chunk in lost)
             end_ns = max(chunk.message_end_time for chunk in lost)
             text += f"; the others are from {start_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s (Unix time)"
         self._report(text)
 
-    def _report_unannounced(self) -> None:
-        for channel, count in self._unannounced.items():
-            self._report(f"{count} messages of channel {channel}, which was not announced")
-
     def _report(self, text: str) -> None:
         self._bag.problems.append(f"{self._name}: {text}")
 
     def _report_damage(self, at: int, what: str) -> None:
-        read = f"{self._bag.read} messages before that were read"
-        self._report(f"damaged near byte {at} of {len(self._data)}: {what}; {read}")
+        self._report(f"damaged near byte {at} of {len(self._data)}: {what}; {self._read_so_far}")
 
-    def _report_early_end(self) -> None:
-        read = f"{self._bag.read} messages before that were read"
-        without = "without its footer: its writer was killed"
-        self._report(f"the file ends early, after {len(self._data)} bytes and {without}; {read}")
-
-
-def _records(data: mmap.mmap | bytes, position: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Offset and opcode of each record, and where the next one starts; that may lie past the end."""
-    while position + _RECORD.size <= len(data):
-        opcode, length = _RECORD.unpack_from(data, position)
-        yield position, opcode, position + _RECORD.size + length
-        position += _RECORD.size + length
+    @property
+    def _read_so_far(self) -> str:
+        return f"{self._bag.read} messages before that were read"
 
 
 def _text(error: Exception) -> str:

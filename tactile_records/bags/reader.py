@@ -94,7 +94,7 @@ def _unpack_messages(name: str, bag: Bag, first: int, unpacker: Unpacker) -> Non
     del bag.messages[first:]
     for message in packed:
         try:
-            bag.messages.append(message._replace(data=unpacker.zstd(message.data)))
+            bag.messages.append(message._replace(data=unpacker.unpack(message.data)))
         except TooLarge as error:
             bag.problems.append(f"{name}: {error}")
             break

@@ -1,4 +1,8 @@
-"""Reads the sqlite3 files of `ros2 bag`; of damaged and truncated ones the rows that sqlite still finds."""
+"""Reads the sqlite3 files of `ros2 bag`; of damaged and truncated ones the rows that sqlite still finds.
+
+A large file has the page by which its messages are found in its middle. Where that is lost, or one that it
+leads to, sqlite is given every page that holds rows as if it were the whole table.
+"""
 
 from __future__ import annotations
 
@@ -12,37 +16,20 @@ from typing import Any
 from urllib.parse import quote
 
 from tactile_records.bags.contents import Bag, Recorded
-from tactile_records.bags.sqlite_pages import Row, page_size, stray_rows
 from tactile_records.bags.unpacking import MESSAGE_COST, TooLarge, Unpacker
+
+_LEAF = b"\r"  # first byte of a page that holds rows of a table
+_MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages"
+_SENSIBLE = "WHERE typeof(id) || typeof(timestamp) || typeof(data) = 'integerintegerblob'"
+_MOVE = "UPDATE sqlite_master SET rootpage = ? WHERE name = 'messages'"
 
 
 def read_sqlite(file: Path, bag: Bag, unpacker: Unpacker) -> bool:
     """Read one file into `bag`, as far as `unpacker` allows; False if nothing in it can be read."""
-    missing, size = _missing(file)
-    if not missing:
-        return _read(file, bag, unpacker, [])
-    # Of a page that the end of the file cuts sqlite would make messages that end in zeros: leave it out.
-    with TemporaryDirectory(prefix="tactile_bag_") as folder:
-        whole = Path(folder) / file.name
-        shutil.copyfile(file, whole)
-        with whole.open("r+b") as stream:
-            stream.truncate(size)
-        return _read(whole, bag, unpacker, [f"the file ends early, {missing} bytes of it are missing"])
-
-
-def _missing(file: Path) -> tuple[int, int]:
-    """How many bytes the file is shorter than its header says, and the size of its whole pages."""
-    with file.open("rb") as stream:
-        head = stream.read(32)
-    page, pages, size = max(page_size(head), 1), int.from_bytes(head[28:32], "big"), file.stat().st_size
-    return max(0, page * pages - size), size // page * page
-
-
-def _read(file: Path, bag: Bag, unpacker: Unpacker, faults: list[str]) -> bool:
+    before, faults = bag.read, list[str]()
     # A bag whose recorder was killed may have its last rows in a write-ahead log, which only a reader that
     # takes part in the locking sees.
     mode = "mode=ro" if file.with_name(f"{file.name}-wal").exists() else "immutable=1"
-    before = bag.read
     try:
         with closing(sqlite3.connect(f"file:{quote(str(file))}?{mode}", uri=True)) as database:
             database.execute("PRAGMA writable_schema = ON")  # else a truncated file is refused as a whole
@@ -50,10 +37,7 @@ def _read(file: Path, bag: Bag, unpacker: Unpacker, faults: list[str]) -> bool:
             topics = _read_topics(database, bag, faults)
             _read_definitions(database, bag, faults)
             kept = {number: bag.wanted(*topic) for number, topic in topics.items()}
-            rows = _rows(database, file.stat().st_size, topics.keys(), faults)
-            if faults:  # the end of the file is missing, and with it perhaps what finds the messages
-                rows = _rows_or_strays(rows, file, topics.keys(), faults)
-            for _, number, stamp_ns, data in rows:
+            for number, stamp_ns, data in _rows(database, file, topics.keys(), faults):
                 topic, type_name = topics[number]
                 bag.counts[topic] += 1
                 if kept[number]:
@@ -63,13 +47,76 @@ def _read(file: Path, bag: Bag, unpacker: Unpacker, faults: list[str]) -> bool:
         faults.append(str(error))
     except sqlite3.DatabaseError as error:
         bag.problems.append(f"{file.name}: {'; '.join([*faults, str(error)])}")
-        return False
+        return bag.read > before
     if faults:
         read = bag.read - before
         found = f"{read} messages of it were read, `sqlite3 {file.name} .recover` may find more"
         bag.problems.append(f"{file.name}: damaged: {'; '.join(dict.fromkeys(faults))}; {found}")
         return read > 0
     return True
+
+
+def _rows(
+    database: sqlite3.Connection, file: Path, topics: Collection[int], faults: list[str]
+) -> Iterator[tuple[int, int, bytes]]:
+    """Topic, stamp (ns) and data of the messages by their ids; page by page where sqlite meets damage."""
+    with file.open("rb") as stream:
+        head = stream.read(32)
+    page = {1: 65536}.get(stored := int.from_bytes(head[16:18], "big"), stored)
+    missing = page * int.from_bytes(head[28:32], "big") - file.stat().st_size
+    last, senseless = 0, list[str]()
+    try:
+        if missing > 0:  # of a page that the end cuts sqlite would make messages that end in zeros
+            raise sqlite3.DatabaseError(f"the file ends early, {missing} bytes of it are missing")
+        for number, topic, stamp_ns, data in database.execute(f"{_MESSAGES} ORDER BY id"):
+            types = type(number), type(stamp_ns), type(data)
+            if types[0] is int and number <= last:
+                raise sqlite3.DatabaseError(f"row {number} comes after row {last}")
+            if topic in topics and types == (int, int, bytes):
+                last = number
+                yield topic, stamp_ns, data
+            else:
+                senseless.append(f"{number!r:.40}")
+    except sqlite3.DatabaseError as error:
+        faults.append(str(error))
+        for number, topic, stamp_ns, data in _rows_of_pages(file, page):
+            if number > last and topic in topics:  # there may be older ones, of a page that was given up
+                last = number
+                yield topic, stamp_ns, data
+    if senseless:
+        faults.append(f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]}")
+
+
+def _rows_of_pages(file: Path, page: int) -> Iterator[tuple[Any, ...]]:
+    """Rows of each page that holds some, read in a copy whose table `messages` is that page alone."""
+    pages = file.stat().st_size // page if page >= 512 else 0
+    left = page * pages
+    with TemporaryDirectory(prefix="tactile_bag_") as folder:
+        copy = Path(folder) / file.name
+        shutil.copyfile(file, copy)
+        with copy.open("r+b") as stream:
+            stream.truncate(left)
+            starts = range(page, left, page)
+            leaves = [start for start in starts if stream.seek(start) and stream.read(1) == _LEAF]
+            for place, value in ((18, b"\1\1"), (28, pages.to_bytes(4, "big"))):
+                stream.seek(place)  # without write-ahead log; of so many pages
+                stream.write(value)
+        with closing(sqlite3.connect(copy, isolation_level=None)) as database:
+            database.execute("PRAGMA writable_schema = ON")
+            database.execute("PRAGMA journal_mode = OFF")
+            database.execute("DELETE FROM sqlite_master WHERE name != 'messages'")
+            for start in leaves:
+                try:
+                    database.execute("PRAGMA writable_schema = ON")
+                    database.execute(_MOVE, (start // page + 1,))
+                    database.execute("PRAGMA writable_schema = RESET")  # reads the schema anew
+                    for row in database.execute(f"{_MESSAGES} {_SENSIBLE}"):
+                        left -= len(row[3])
+                        if left < 0:
+                            return  # a file that was made for it has rows that share their bytes, endlessly
+                        yield row
+                except sqlite3.DatabaseError:
+                    continue  # this page is damaged, which is told already
 
 
 def _refuse_computed(database: sqlite3.Connection) -> None:
@@ -83,52 +130,6 @@ def _refuse_computed(database: sqlite3.Connection) -> None:
         hidden = [row[1] for row in database.execute(f"PRAGMA table_xinfo({name})") if row[6]]
         if hidden:
             raise sqlite3.DatabaseError(f"column {hidden[0]} of {name} is computed, must be stored")
-
-
-def _rows(
-    database: sqlite3.Connection, size: int, topics: Collection[int], faults: list[str]
-) -> Iterator[Row]:
-    """The messages by their ids; behind a damaged page those that sqlite finds when asked for later ids."""
-    query = "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id"
-    last, step, senseless = 0, 1, []
-    while last < size:  # there are fewer rows than bytes
-        try:
-            for row in database.execute(query, (last,)):
-                number, topic, stamp_ns, data = row
-                if isinstance(number, int):
-                    if number <= last:
-                        raise sqlite3.DatabaseError(f"row {number} comes after row {last}")
-                    last, step = number, 1
-                types = type(number), type(stamp_ns), type(data)
-                if topic in topics and types == (int, int, bytes):
-                    yield row
-                else:
-                    senseless.append(number)
-            break
-        except sqlite3.DatabaseError as error:
-            faults.append(str(error))
-            last, step = last + step, step + step // 4 + 1
-    if senseless:
-        faults.append(
-            f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]!r:.40}"
-        )
-
-
-def _rows_or_strays(
-    rows: Iterator[Row], file: Path, topics: Collection[int], faults: list[str]
-) -> Iterator[Row]:
-    """The rows; where there is none, those that stand in the file nevertheless."""
-    if (first := next(rows, None)) is not None:
-        yield first
-        yield from rows
-        return
-    last = 0
-    for row in stray_rows(file):
-        if row[0] > last and row[1] in topics:  # of a page that was given up there may be older ones
-            last = row[0]
-            yield row
-    if last:
-        faults.append("the page by which messages are found is missing")
 
 
 def _read_topics(database: sqlite3.Connection, bag: Bag, faults: list[str]) -> dict[int, tuple[str, str]]:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import lz4.frame
 import zstandard
 
-ALLOWED, TIMES_FILE = (
-    100_000_000,
-    40,
-)  # bytes that any file may take in memory, and more for each of its bytes
+ALLOWED, TIMES_FILE = 100_000_000, 40  # bytes that any file may take in memory, and more for each of its own
 MESSAGE_COST = 250  # bytes that a message takes in memory beside its data
 BLOCK = 1 << 20
 _WINDOW = 1 << 27  # what zstd writes at most without `--long`
 _LZ4_RATIO = 255  # lz4 compresses to no less than this part
-
-Data = bytes | memoryview
 
 
 class TooLarge(ValueError):
@@ -46,45 +41,29 @@ class Unpacker:
                 f"{ALLOWED / 1e6:.0f} MB; the rest was not read"
             )
 
-    def zstd(self, data: Data, announced: int | None = None) -> bytes:
-        """One frame, whole; raises `ZstdError` for a damaged one and `TooLarge`.
+    def unpack(self, data: bytes, compression: str = "zstd", part: bool = False) -> bytes:
+        """One frame, whole; or `part` of one, whose end is missing.
 
-        Parameters
-        ----------
-        announced : int, optional
-            Size by what stands around it. A frame that says to be too large and not that is damaged.
+        Raises `TooLarge`; `ZstdError`, `RuntimeError` or `ValueError` for a damaged one.
         """
-        size = zstandard.frame_content_size(data)
-        if size > self.left:
-            if announced not in (None, size):
-                raise zstandard.ZstdError(f"says to hold {size} bytes, {announced} are expected")
-            self.take(size)
-        if size < 0:  # not known
-            with self._zstd.stream_reader(data) as stream:
-                unpacked = stream.read(self.left + 1)
-        else:
-            unpacked = self._zstd.decompress(data, max_output_size=max(size, 1))
-        self.take(len(unpacked))
-        return unpacked
-
-    def lz4(self, data: Data) -> bytes:
-        """One frame; raises `RuntimeError` for a damaged one and `TooLarge`."""
-        most = min(self.left, _LZ4_RATIO * len(data))
-        unpacked = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most + 1))
-        self.take(len(unpacked))
-        return unpacked
-
-    def part(self, data: Data, compression: str) -> bytes:
-        """What can be decompressed of data whose end is missing."""
         if compression == "zstd":
-            stream: Any = self._zstd.stream_reader(data)
-            unpacked = b"".join(_blocks(stream, self.left))
+            data = self._zstd_frame(data, part)
         elif compression == "lz4":
-            return self.lz4(data)
-        else:
-            unpacked = bytes(data)
-        self.take(len(unpacked))
-        return unpacked
+            most = min(self.left, _LZ4_RATIO * len(data))
+            data = bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most + 1))
+        elif compression:
+            raise ValueError(f"compression '{compression}' is not known")
+        self.take(len(data))
+        return data
+
+    def _zstd_frame(self, data: bytes, part: bool) -> bytes:
+        size = zstandard.frame_content_size(data)
+        if size < 0 or part:  # not known
+            with self._zstd.stream_reader(data) as stream:
+                return bytes(stream.read(self.left + 1))
+        if size > self.left:
+            self.take(size)
+        return self._zstd.decompress(data, max_output_size=max(size, 1))
 
     def file(self, packed: IO[bytes], target: Path) -> None:
         """A file that is compressed as a whole, as far as it goes; raises `ZstdError` and `TooLarge`."""
@@ -92,15 +71,3 @@ class Unpacker:
             while block := stream.read(BLOCK):
                 self.take(len(block))
                 out.write(block)
-
-
-def _blocks(stream: IO[bytes], most: int) -> list[bytes]:
-    """What can be read, block by block, until the first damage."""
-    blocks: list[bytes] = []
-    try:
-        while most >= 0 and (block := stream.read(BLOCK)):
-            blocks.append(block)
-            most -= len(block)
-    except zstandard.ZstdError:
-        pass
-    return blocks

@@ -23,7 +23,6 @@ GAP = 0.3  # s; a longer time without contact is drawn as this
 MOST_POINTS = 2000  # a line
 LEGEND_COLUMNS = 3
 BANDS = 3  # more runs than this are drawn without bands
-DOF = 6
 
 
 def compare(arm: ArmInputs, results: Sequence[RunResult], title: str, path: Path) -> None:

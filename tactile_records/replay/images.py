@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import ESTIMATE, IMAGE, PRESENCE, Topic, compressed, sensor_frame
 from tactile_perception.estimating.encodings import decompressed, gray_of
+from tactile_perception.estimating.estimator import Estimator, ModelError
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import Estimator, ModelError
 from tactile_records.bags.contents import Recorded, noted
 from tactile_records.bags.message_columns import Needed, lacking, rows_of
 from tactile_records.bags.reader import Bag

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,12 @@ from numpy.typing import NDArray
 
 from tactile_geometry import se3
 from tactile_records.replay.run import Agreement
-from tactile_records.runs.euler_poses import euler_poses, euler_sigmas
-from tactile_records.runs.metrics import inverses
+from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas
+from tactile_records.runs.metrics import angle_between, inverses, without_nan
 from tactile_records.runs.record import BeliefSeries, TruthSeries
 
 Array = NDArray[Any]
 
-COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
-UNITS = np.array([1e3, 1e3, 1e3, *(180.0 / np.pi,) * 3])  # to mm and degrees
 RECORDED = "recorded"
 DOF = 6
 
@@ -70,7 +67,7 @@ def numbers(result: RunResult, truth: TruthSeries) -> dict[str, Any]:
         "rms": dict(zip(COMPONENTS, _rms(error * UNITS).tolist(), strict=True)),
         "bias": dict(zip(COMPONENTS, _mean(error * UNITS).tolist(), strict=True)),
         "sigma": dict(zip(COMPONENTS, _rms(sigma * UNITS).tolist(), strict=True)),
-        "normal_rms_deg": float(np.degrees(_rms(_normal_angles(X_fs[mine], T_fs)))),
+        "normal_rms_deg": float(np.degrees(_rms(angle_between(X_fs[mine][:, 2, :3], T_fs[:, 2, :3])))),
         "in_2_sigma": float(_mean((np.abs(error) <= 2.0 * sigma).reshape(-1))),
         "nees_per_dof": _nees_per_dof(series.rows(mine), T_fs),
         "nis_per_dof": float(_mean(series.nis[with_nis] / series.nis_dof[with_nis])),
@@ -80,7 +77,7 @@ def numbers(result: RunResult, truth: TruthSeries) -> dict[str, Any]:
 
 def write_report(path: Path, values: dict[str, Any]) -> None:
     """Write report.json; NaN becomes null."""
-    path.write_text(json.dumps(_without_nan(values), indent=2, sort_keys=True) + "\n")
+    path.write_text(json.dumps(without_nan(values), indent=2, sort_keys=True) + "\n")
 
 
 TABLE = (
@@ -140,12 +137,6 @@ def _euler_difference(a: Array, b: Array) -> Array:
     return difference
 
 
-def _normal_angles(X_fs: Array, T_fs: Array) -> Array:
-    """Angles (N,) between the surface normals in {s} of poses (N, 4, 4) of {s} in {f}."""
-    cross = np.cross(X_fs[:, 2, :3], T_fs[:, 2, :3])
-    return np.arctan2(np.linalg.norm(cross, axis=1), (X_fs[:, 2, :3] * T_fs[:, 2, :3]).sum(axis=1))
-
-
 def _nees_per_dof(series: BeliefSeries, T_fs: Array) -> float:
     """Mean normalized error squared of X_sf over its degrees of freedom: 1 for a consistent filter."""
     if not len(series):
@@ -169,11 +160,3 @@ def _mean(values: Array) -> Array:
 
 def _text(value: float, digits: int, unit: str = "") -> str:
     return f"{value:.{digits}f}{unit}" if np.isfinite(value) else "–"
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import itertools
-import multiprocessing
-import os
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from tactile_base.jobs import Workers, run_jobs
+from tactile_base.progress import Progress
 from tactile_base.settings import SettingError, unknown_name
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.bags.contents import Recorded
 from tactile_records.replay.inputs import Inputs
+from tactile_records.replay.kept import FOLDER, KeptRuns
 from tactile_records.replay.output import write_bag
+from tactile_records.replay.plan import Plan
 from tactile_records.replay.report import RunResult
 from tactile_records.replay.run import agreement, run_filter, series_of, smooth_run
 from tactile_records.replay.settings import NAMES, recorded_settings
@@ -22,19 +26,6 @@ from tactile_records.replay.track import ArmInputs
 
 SINGLE = "replay"
 Value = bool | int | float | str
-
-
-@dataclass(frozen=True)
-class Plan:
-    """One run: its name, the bag that it writes, and the settings of each arm's filter.
-
-    `given` are the names of settings that do not follow the changes in the recording.
-    """
-
-    name: str
-    bag: Path
-    settings: Mapping[str, FilterSettings]
-    given: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -126,23 +117,62 @@ def make_plans(
 
 
 def run_plans(
-    plans: Sequence[Plan], inputs: Inputs, options: Options, jobs: int = 0
+    plans: Sequence[Plan],
+    inputs: Inputs,
+    options: Options,
+    workers: Workers,
+    progress: Progress,
+    kept: KeptRuns,
 ) -> list[list[RunResult]]:
-    """Results of all arms for each plan; `jobs` processes, 0 for one a core. Writes each plan's bag."""
-    jobs = min(len(plans), jobs or len(os.sched_getaffinity(0)))
-    tasks = [(plan, inputs, options) for plan in plans]
-    if jobs <= 1:
-        return [run_plan(*task) for task in tasks]
-    _shared[:] = tasks  # children inherit it: nothing of the bag is copied
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        return pool.map(_run_shared, range(len(tasks)), chunksize=1)
+    """Results of all arms for each plan, kept or new; its bag is written here, wherever it runs."""
+    results = {plan.name: found for plan in plans if (found := kept.results(plan)) is not None}
+    missing = [plan for plan in plans if plan.name not in results]
+    if results:
+        progress.say(f"{len(results)} of {len(plans)} runs are done already")
+    sent = replace(inputs, bag=inputs.bag.without_messages())
+    work = PlannedRun(sent, options, files=bool(workers.scheduler))
+    if len(plans) == 1:
+        workers = replace(workers, processes=1)
+    done = run_jobs(work, missing, workers, progress.say)
+    for outcome in progress.counted(done, "runs", len(missing), "runs") if len(plans) > 1 else done:
+        plan = outcome.job
+        results[plan.name], files = outcome.result()
+        if files:
+            there = _empty(plan)
+            there.mkdir(parents=True)
+            for name, data in files.items():
+                (there / name).write_bytes(data)
+            there.rename(plan.bag)
+        if len(plans) > 1:
+            kept.keep(plan, results[plan.name])
+    return [results[plan.name] for plan in plans]
 
 
-_shared: list[tuple[Plan, Inputs, Options]] = []
+@dataclass(frozen=True)
+class PlannedRun:
+    """Runs a plan in any process; its results and, where they are asked for, the files of its bag."""
+
+    inputs: Inputs
+    options: Options
+    files: bool = False
+
+    def __call__(self, plan: Plan) -> tuple[list[RunResult], dict[str, bytes]]:
+        if not self.files:
+            empty = _empty(plan)
+            results = run_plan(replace(plan, bag=empty), self.inputs, self.options)
+            empty.rename(plan.bag)
+            return results, {}
+        with TemporaryDirectory(prefix="tactile_replay_") as folder:
+            there = replace(plan, bag=Path(folder) / plan.bag.name)
+            results = run_plan(there, self.inputs, self.options)
+            return results, {path.name: path.read_bytes() for path in there.bag.iterdir()}
 
 
-def _run_shared(index: int) -> list[RunResult]:
-    return run_plan(*_shared[index])
+def _empty(plan: Plan) -> Path:
+    """Where a run's bag is until it is whole; what a process left there that was killed is gone."""
+    there = plan.bag.parent / FOLDER / plan.bag.name
+    shutil.rmtree(there, ignore_errors=True)
+    return there
 
 
 def run_plan(plan: Plan, inputs: Inputs, options: Options) -> list[RunResult]:

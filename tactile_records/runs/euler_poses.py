@@ -13,6 +13,9 @@ from tactile_records.runs.record import GaussianSeries
 
 Array = NDArray[Any]
 
+COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
+UNITS = np.array([1e3, 1e3, 1e3, *(180.0 / np.pi,) * 3])  # of the components: mm, deg
+
 
 def euler_poses(T: Array) -> Array:
     """Euler contact poses (N, 6) of (N, 4, 4), m and rad; NaN where the pose is."""

@@ -136,7 +136,7 @@ def normal_angle(X_fs: Array, reference: Array) -> Array:
     angle, known = np.full(len(X_fs), np.nan), np.isfinite(reference).all(axis=1)
     kinds, which = np.unique(reference[known], axis=0, return_inverse=True)
     wanted = np.array([se3.pose_from_euler(kind)[2, :3] for kind in kinds]).reshape(-1, 3)
-    angle[known] = _angle_between(X_fs[known, 2, :3], wanted[which.ravel()])
+    angle[known] = angle_between(X_fs[known, 2, :3], wanted[which.ravel()])
     return angle
 
 
@@ -269,7 +269,7 @@ def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:
     mine, true = _matched(record, series)
     X_fs, T_fs = inverses(series.mean[mine]), record.truth.T_fs[true]
     depth_mm = (depth_of(X_fs) - depth_of(T_fs)) * 1e3
-    angle_deg = np.degrees(_angle_between(X_fs[:, 2, :3], T_fs[:, 2, :3]))
+    angle_deg = np.degrees(angle_between(X_fs[:, 2, :3], T_fs[:, 2, :3]))
     return {"depth_rms_mm": rms(depth_mm), "depth_bias_mm": mean(depth_mm), "normal_rms_deg": rms(angle_deg)}
 
 
@@ -344,7 +344,7 @@ def _silent(record: RunRecord) -> int:
 # ---- small things ----
 
 
-def _angle_between(a: Array, b: Array) -> Array:
+def angle_between(a: Array, b: Array) -> Array:
     """Angle (N,) rad between rows of unit vectors, exact near 0 and pi."""
     cross = np.linalg.norm(np.cross(a, np.broadcast_to(b, a.shape)), axis=1)
     return np.arctan2(cross, np.sum(a * b, axis=1))
@@ -367,8 +367,11 @@ def largest(values: Array) -> float:
 
 
 def without_nan(value: Any) -> Any:
+    """Numbers as JSON has them: what is not finite becomes null."""
     if isinstance(value, dict):
         return {name: without_nan(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -12,11 +12,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from tactile_records.runs import metrics
+from tactile_records.runs.euler_poses import COMPONENTS, UNITS
 from tactile_records.runs.figures import AXES, BELIEF, CONTACT_PICTURES, REFERENCE, TRUTH, message
 from tactile_records.runs.metrics import largest, loop_rows, percent, rms, task_row, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import Run, TaskReport
-from tactile_records.runs.tracking import COMPONENTS, UNITS, Tracking, leader_of, tracking
+from tactile_records.runs.tracking import Tracking, leader_of, tracking
 
 Array = NDArray[Any]
 

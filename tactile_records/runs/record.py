@@ -245,10 +245,10 @@ class RunRecord:
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
             if isinstance(value, Series | SurfaceMesh | LooseBody):
-                arrays |= _columns(item.name, value)
+                arrays |= columns(item.name, value)
             elif item.name == "latency":
                 for stage, series in value.items():
-                    arrays |= _columns(f"latency/{stage}", series)
+                    arrays |= columns(f"latency/{stage}", series)
             elif isinstance(value, np.ndarray):
                 arrays[item.name] = value
             else:
@@ -267,10 +267,10 @@ class RunRecord:
         for item in dataclasses.fields(cls):
             value = getattr(record, item.name)
             if isinstance(value, Series | SurfaceMesh | LooseBody):
-                setattr(record, item.name, _from_columns(type(value), item.name, arrays))
+                setattr(record, item.name, from_columns(type(value), item.name, arrays))
             elif isinstance(value, np.ndarray):
                 setattr(record, item.name, arrays.get(item.name, value))  # older files have fewer
-        record.latency = {s: _from_columns(StageSeries, f"latency/{s}", arrays) for s in stages}
+        record.latency = {s: from_columns(StageSeries, f"latency/{s}", arrays) for s in stages}
         return record
 
     def _held(self, values: Array, stamp_ns: Array, before: Any) -> Array:
@@ -280,9 +280,11 @@ class RunRecord:
         return np.where(index >= 0, values[np.maximum(index, 0)], before)
 
 
-def _columns(prefix: str, value: Any) -> dict[str, Array]:
+def columns(prefix: str, value: Any) -> dict[str, Array]:
+    """The arrays of a data class by name, for one .npz file with others."""
     return {f"{prefix}/{f.name}": getattr(value, f.name) for f in dataclasses.fields(value)}
 
 
-def _from_columns(kind: Any, prefix: str, arrays: dict[str, Array]) -> Any:
+def from_columns(kind: Any, prefix: str, arrays: dict[str, Array]) -> Any:
+    """The data class that `columns` took apart."""
     return kind(**{f.name: arrays[f"{prefix}/{f.name}"] for f in dataclasses.fields(kind)})

@@ -15,8 +15,6 @@ from tactile_records.runs.record import PoseSeries, RunRecord
 
 Array = NDArray[Any]
 
-COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
-UNITS = np.array([1e3, 1e3, 1e3, *np.degrees([1.0, 1.0, 1.0])])  # of the components: mm, deg
 LONGEST_LAG = 1.0  # s
 STEP = 0.01  # s; at which velocities are compared
 

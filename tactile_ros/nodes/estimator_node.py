@@ -27,11 +27,11 @@ from tactile_base import topics
 from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
 from tactile_msgs.msg import ContactPresence as PresenceMessage
+from tactile_perception.estimating.estimator import Estimator, EstimatorSettings, ModelError
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import Estimator, EstimatorSettings, ModelError
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode

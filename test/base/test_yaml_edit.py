@@ -45,6 +45,21 @@ def test_comments_and_order_of_what_is_not_set_stay():
     assert len(found) == len(kept) + 3
 
 
+@pytest.mark.parametrize(
+    "others",
+    [
+        "      gain:    1.0   # aligned\n      reach:   1e-3  # too\n",
+        "      in_tool: { position: [ 0, 0, 0.06 ] }\n",
+        "      matrix: [\n        1, 0,  # x\n        0, 1]  # y\n",
+        "      mask: null\n      tip: ~\n",
+        "      tags:\n        - 'a'\n        - \"b\"\n",
+    ],
+)
+def test_what_is_not_set_stays_letter_by_letter(others):
+    text = f"arms:\n  left:\n    sensor:\n      camera: external\n{others}"
+    assert with_values(text, ["arms", "left", "sensor"], {"camera": "uvc"}) == text.replace("external", "uvc")
+
+
 def test_setting_the_same_values_again_changes_nothing():
     once = with_values(TEXT, ["arms", "left", "sensor"], NEW)
     assert with_values(once, ["arms", "left", "sensor"], NEW) == once

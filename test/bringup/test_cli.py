@@ -11,7 +11,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.version import version
 from tactile_base.whole_file import room_for_results
 from tactile_bringup import cli
-from tactile_perception.estimator import shipped_model
+from tactile_perception.estimating.estimator import shipped_model
 
 WITHOUT_MCAP_AND_RUCKIG = """
 import importlib.util

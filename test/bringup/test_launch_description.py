@@ -13,7 +13,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.topics import ROBOT_DESCRIPTION
 from tactile_bringup.graph import GraphOptions, load_graph
 from tactile_bringup.launching.view import write_view
-from tactile_perception.estimator import shipped_model
+from tactile_perception.estimating.estimator import shipped_model
 
 needs_launch = pytest.mark.skipif(
     importlib.util.find_spec("launch_ros") is None, reason="launch_ros is not installed (it has no wheels)"

@@ -70,7 +70,6 @@ def test_the_data_of_the_packages_is_installed(root: Path):
         "tactile_control._laws",
         "tactile_scene._native",
         "tactile_sim._contact",
-        "tactile_perception._image",
     ],
 )
 def test_c_modules_are_built(module: str):

@@ -13,6 +13,7 @@ from folders import write_folder
 from tactile_bringup.commands import estimate as commands
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.labels import (
     label_from_euler,
@@ -29,7 +30,6 @@ from tactile_perception.estimating.sources import (
     usable_order,
     video_frames,
 )
-from tactile_perception.estimator import Estimator, shipped_model
 from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)

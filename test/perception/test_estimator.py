@@ -10,9 +10,9 @@ import pytest
 from scipy.linalg import expm, logm
 from tangent import hat, vee
 
+from tactile_perception.estimating.estimator import Estimator, ModelError, shipped_model
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.labels import NETWORK_SCALE, EstimateError, pose_gaussian
-from tactile_perception.estimator import Estimator, ModelError, shipped_model
 from tactile_perception.evaluation.calibration import Calibration
 
 MEAN = np.array([1.2, -2.0, -3.5, 0.3, -0.4, 0.08])

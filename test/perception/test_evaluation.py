@@ -15,9 +15,9 @@ from scipy.stats import multivariate_normal
 
 from tactile_bringup.commands import evaluate as evaluate_command
 from tactile_perception.datasets.dataset import DatasetReport, open_folder
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import euler_from_label, network_from_pose
 from tactile_perception.estimating.model_metadata import split_holdback, unseen_rows
-from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
 from tactile_perception.evaluation.metrics import (
     Predictions,

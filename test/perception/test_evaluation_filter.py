@@ -13,10 +13,10 @@ from folders import write_folder
 from tactile_bringup.commands import evaluate as evaluate_command
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_perception.datasets.dataset import DatasetReport, open_folder
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import labels_from_euler
 from tactile_perception.estimating.run import run_estimates
 from tactile_perception.estimating.sources import folder_frames, usable_order
-from tactile_perception.estimator import Estimator
 from tactile_perception.evaluation.evaluate import EvaluationData, assess, evaluate, load_data
 from tactile_perception.evaluation.filter_experiment import Experiment, run_experiment
 from tactile_perception.evaluation.filtering import (

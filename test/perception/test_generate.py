@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clusters import local_cluster
 
 from tactile_bringup.commands import data as data_command
 from tactile_perception.datasets.dataset import read_dataset
@@ -59,6 +60,13 @@ def test_two_processes_give_the_same_data_as_one(data, tmp_path):
     assert read_dataset(tmp_path / "train").sha256 == read_dataset(data / "train").sha256
 
 
+def test_the_workers_of_a_cluster_give_the_same_data(data, tmp_path):
+    with local_cluster() as address:
+        options = "--train", "6", "--val", "0", "--seed", "5", "--scheduler", address
+        assert generate(tmp_path, *options) == 0
+    assert read_dataset(tmp_path / "train").sha256 == read_dataset(data / "train").sha256
+
+
 def test_a_sensor_file_changes_the_images_and_is_kept_apart(data, tmp_path, capsys):
     sensor = tmp_path / "sensor.yaml"
     sensor.write_text("camera: {rotation_deg: 10.0}\ncollection: {depth_offset: -1.0e-4}\nvariation: {}\n")
@@ -92,6 +100,20 @@ def wait_for(condition, timeout_s: float = 30.0) -> bool:
     while time.monotonic() < deadline and not condition():
         time.sleep(0.02)
     return condition()
+
+
+def test_a_worker_that_is_killed_costs_no_sample(data, tmp_path):
+    command = [sys.executable, "-m", "tactile_bringup.cli", "data", "generate", str(tmp_path)]
+    options = ["--train", "60", "--val", "0", "--seed", "5", "--jobs", "2"]
+    journal = tmp_path / "train" / "targets_images.partial.csv"
+    with subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True) as process:
+        assert wait_for(lambda: journal.exists() and journal.read_text().count("\n") > 2)
+        os.kill(children(process.pid)[0], signal.SIGKILL)
+        said = " ".join(process.stderr.read().split())
+    assert process.returncode == 0 and "its process was killed by SIGKILL; it is run again" in said
+    samples, whole = read_dataset(tmp_path / "train"), read_dataset(data / "train")
+    assert len(samples) == 60 and samples.report.problems == {}
+    np.testing.assert_array_equal(samples.images[: len(whole)], whole.images)
 
 
 def test_a_killed_run_leaves_no_process_behind_and_goes_on_to_the_same_data(data, tmp_path):

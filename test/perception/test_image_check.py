@@ -5,13 +5,13 @@ import pytest
 
 from tactile_doubles.lying_camera import LYING_CAMERAS
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.layout import Layout, LayoutError
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_perception.estimating.stillness import FRAMES
-from tactile_perception.estimator import Estimator, shipped_model
 from tactile_scene.shapes.plane import Plane
 from tactile_sim.tactip import TacTip
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
 from tactile_perception.estimating.perceive import Perceiver
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_perception.estimator import Estimator
 from tactile_scene.shapes.plane import Plane
 from tactile_sim.tactip import TacTip
 

@@ -1,14 +1,13 @@
 """Contact presence on simulated images and under noise."""
 
-import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter
 
 from tactile_base.settings import SettingError
 from tactile_geometry import se3
-from tactile_perception import _image
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
-from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_perception.estimating.presence import ContactPresence, PresenceSettings, largest_change
 from tactile_scene.shapes.plane import Plane
 from tactile_sim.tactip import TacTip
 
@@ -148,31 +147,15 @@ def test_change_is_the_largest_mean_over_a_window(window, shape):
     image, reference = rng.random((2, *shape), dtype=np.float32)
     noise = 0.3 * rng.random(shape, dtype=np.float32)
     excess = np.maximum(np.abs(image - reference) - noise, 0.0).astype(np.float64)
-    expected = cv2.blur(excess, (window, window), borderType=cv2.BORDER_REFLECT_101).max()
-    assert _image.largest_change(image, reference, noise, window) == pytest.approx(expected, abs=2e-5)
-
-
-@pytest.mark.parametrize("window", [0, 130])
-def test_a_window_of_another_size_is_refused(window):
-    image = np.zeros((8, 8), np.float32)
-    with pytest.raises(ValueError, match=f"window = {window}: must be 1 to 129"):
-        _image.largest_change(image, image, image, window)
-
-
-def test_images_of_another_type_or_shape_are_refused():
-    image = np.zeros((8, 8), np.float32)
-    swapped = image.astype(image.dtype.newbyteorder())
-    unaligned = np.zeros(4 * 64 + 1, np.uint8)[1:].view(np.float32).reshape(8, 8)
-    for other in (image.astype(np.float64), image[1:], image[:, ::2], image[0], swapped, unaligned):
-        with pytest.raises(TypeError, match="float32 of one shape"):
-            _image.largest_change(image, other, image, 3)
+    expected = uniform_filter(excess, window, mode="mirror").max()
+    assert largest_change(image, reference, noise, window) == pytest.approx(expected, abs=2e-5)
 
 
 @pytest.mark.parametrize("value", [7.0, -7.0, 1e30, np.inf, np.nan, -np.nan])
 def test_what_is_no_image_is_a_full_change(value):
     """Numbers that a prepared image never has must not overflow the sums."""
     image, nothing = np.full((128, 128), value, np.float32), np.zeros((128, 128), np.float32)
-    assert _image.largest_change(image, nothing, nothing, 129) == pytest.approx(1.0, abs=1e-5)
+    assert largest_change(image, nothing, nothing, 129) == pytest.approx(1.0, abs=1e-5)
 
 
 def taken(presence, preprocessor, sensor) -> str:

@@ -6,7 +6,7 @@ from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.cli import main as tactile
-from tactile_perception.estimator import Estimator
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.training.config import Profile, profile, profiles, read_profiles
 
 

@@ -10,8 +10,8 @@ torch = pytest.importorskip("torch", reason="making a network needs PyTorch (the
 
 from tactile_base.settings import SettingError  # noqa: E402
 from tactile_bringup.cli import main as tactile  # noqa: E402
+from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.preprocessing import as_input  # noqa: E402
-from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
 from tactile_perception.training.network import PoseNetwork  # noqa: E402
 from tactile_perception.training.quantization import (  # noqa: E402

@@ -103,7 +103,7 @@ def test_their_layout_tells_how_the_camera_is_mounted(name, sample):
 def test_a_short_training_on_them_gives_a_working_estimator(tmp_path):
     pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
     pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
-    from tactile_perception.estimator import Estimator
+    from tactile_perception.estimating.estimator import Estimator
     from tactile_perception.training.settings import NetworkSettings, TrainingSettings
     from tactile_perception.training.train import TrainConfig, train
 

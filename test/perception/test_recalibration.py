@@ -10,9 +10,9 @@ from folders import write_folder
 
 from tactile_bringup.commands import calibrate as calibrate_command
 from tactile_perception.datasets.dataset import read_dataset
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import euler_from_label
 from tactile_perception.estimating.model_metadata import split_holdback
-from tactile_perception.estimator import Estimator
 
 pytest.importorskip("torch", reason="the training package needs PyTorch (the extra 'train')")
 

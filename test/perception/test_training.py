@@ -14,8 +14,8 @@ pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 from tactile_base.settings import SettingError  # noqa: E402
 from tactile_bringup.commands import train as train_command  # noqa: E402
 from tactile_perception.datasets.dataset import DatasetError, read_dataset  # noqa: E402
+from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.labels import labels_from_euler, network_from_pose  # noqa: E402
-from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.evaluation.calibration import CalibrationError  # noqa: E402
 from tactile_perception.training.augmentation import AugmentationError, Augmenter  # noqa: E402
 from tactile_perception.training.data import Samples, load_data, split_holdback  # noqa: E402

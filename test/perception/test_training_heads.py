@@ -6,9 +6,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
+from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.model_metadata import ModelMetadata  # noqa: E402
 from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
-from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
 from tactile_perception.training.heads import make_head, mean_nll, softbound  # noqa: E402
 from tactile_perception.training.network import (  # noqa: E402

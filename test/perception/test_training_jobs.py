@@ -6,15 +6,16 @@ import sys
 
 import numpy as np
 import pytest
+from clusters import local_cluster
 
 torch = pytest.importorskip("torch", reason="training needs PyTorch (the extra 'train')")
 onnx = pytest.importorskip("onnx", reason="export needs onnx (the extra 'train')")
 
 from tactile_bringup.commands import train as train_command  # noqa: E402
 from tactile_perception.datasets.dataset import read_dataset  # noqa: E402
+from tactile_perception.estimating.estimator import Estimator  # noqa: E402
 from tactile_perception.estimating.model_metadata import ModelMetadata  # noqa: E402
 from tactile_perception.estimating.preprocessing import PreprocessingSettings  # noqa: E402
-from tactile_perception.estimator import Estimator  # noqa: E402
 from tactile_perception.training.data import split_holdback  # noqa: E402
 from tactile_perception.training.ensemble import EnsembleError, write_ensemble  # noqa: E402
 from tactile_perception.training.export import export_onnx  # noqa: E402
@@ -133,12 +134,7 @@ def test_a_cluster_without_dask_is_told_what_to_install(training_data, tmp_path,
 
 
 def test_a_cluster_gives_the_same_networks(repeated, training_data, tmp_path):
-    distributed = pytest.importorskip("distributed", reason="needs Dask (the extra 'cluster')")
-    local = distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp"
-    )
-    with local as cluster:
-        address = cluster.scheduler_address
+    with local_cluster() as address:
         assert train(training_data, tmp_path, "--repeat", 2, "--scheduler", address) == 0
     assert weights(tmp_path / "seed_1" / "model.onnx") == weights(repeated / "seed_1" / "model.onnx")
 

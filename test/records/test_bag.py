@@ -4,6 +4,7 @@ import os
 import random
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -262,24 +263,74 @@ def test_a_truncated_sqlite_bag_gives_what_sqlite_still_finds(tmp_path, part):
     assert not bag.complete and "ends early" in bag.problem
 
 
-def test_a_truncated_sqlite_bag_gives_its_messages_without_the_page_that_leads_to_them(tmp_path):
-    """That page stands in the middle of a large file."""
+@pytest.mark.parametrize("zeros", [False, True])
+def test_a_sqlite_bag_gives_its_messages_without_the_page_that_leads_to_them(tmp_path, zeros):
+    """That page stands in the middle of a large file, whose end is missing, or zeros."""
     with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
         connection = bag.add_connection(TWIST.name, TWIST.type, typestore=STORE)
         for index in range(5000):
             bag.write(connection, 1000 + index, index.to_bytes(1000, "little"))
     file = next((tmp_path / "run").glob("*.db3"))
     whole = file.stat().st_size
-    with file.open("r+b") as stream:
-        stream.truncate(whole // 4)
+
+    def cut(size: int) -> None:
+        with file.open("r+b") as stream:
+            stream.truncate(size)
+            stream.truncate(whole if zeros else size)
+
+    cut(whole // 4)
     bag = read_bag(tmp_path / "run")
     read = [int.from_bytes(message.data, "little") for message in bag.messages]
-    assert read == list(range(len(read))) and len(read) > 1000
-    assert not bag.complete and "page by which messages are found is missing" in bag.problem
-    with file.open("r+b") as stream:
-        stream.truncate(5 * 4096)  # before any message
-    with pytest.raises(BagError, match=r"nothing in it can be read.*ends early.*sqlite3 run.db3 .recover"):
+    assert read == sorted(set(read)) and len(read) > 1000 and read[-1] < len(read) + 4  # those of a page
+    assert not bag.complete and ("malformed" if zeros else "ends early") in bag.problem
+    cut(5 * 4096)  # before any message
+    with pytest.raises(BagError, match=r"nothing in it can be read.*sqlite3 run.db3 .recover"):
         read_bag(tmp_path / "run")
+
+
+@pytest.mark.parametrize("page_size", [512, 4096, 65536])
+def test_messages_of_all_sizes_are_read_page_by_page_as_sqlite_reads_them(tmp_path, page_size):
+    file, random_ = tmp_path / "bag_0.db3", random.Random(3)
+    stamps = [0, 1, -1, 127, 128, 40_000, 2**23, 2**31, 2**47, 2**62, -(2**40)]
+    sizes = random_.choices(
+        [0, 1, 50, 300, 450, 4050, 4100, 9000, 70_000], [9, 9, 30, 30, 9, 4, 4, 4, 1], k=3000
+    )
+    rows = [(k, 1, stamps[k % len(stamps)], random_.randbytes(size)) for k, size in enumerate(sizes, 1)]
+    with sqlite3.connect(file) as database:
+        database.execute(f"PRAGMA page_size = {page_size}")
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT)")
+        columns = "topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, data BLOB NOT NULL"
+        database.execute(f"CREATE TABLE messages(id INTEGER PRIMARY KEY, {columns})")
+        database.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+        database.execute("INSERT INTO topics VALUES (1, '/x', 'std_msgs/msg/String')")
+        database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
+    database.close()
+    with file.open("ab") as stream:
+        stream.truncate(file.stat().st_size - 1)
+    read = [(message.received_ns, message.data) for message in read_bag(file).messages]
+    assert read == [row[2:] for row in rows][: len(read)] and len(read) > len(rows) - 200
+
+
+def test_sqlite_rows_that_share_their_bytes_do_not_multiply(tmp_path):
+    """Cells of all pages that point to one long record, in a file whose end is missing."""
+    file, size = tmp_path / "bag_0.db3", 4096
+    with sqlite3.connect(file) as database:
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT)")
+        database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        database.execute("INSERT INTO topics VALUES (1, '/x', 'std_msgs/msg/String')")
+        database.execute("INSERT INTO messages VALUES (7, 1, 1, ?)", (bytes(2_000_000),))
+    database.close()
+    data = bytearray(file.read_bytes())
+    (leaf,) = [n for n in range(0, len(data), size) if data[n] == 13 and n > size]
+    count = 480  # cells, all of them at the place of the one that there is
+    data[leaf + 3 : leaf + 5] = count.to_bytes(2, "big")
+    data[leaf + 8 : leaf + 8 + 2 * count] = data[leaf + 8 : leaf + 10] * count
+    file.write_bytes(data + data[leaf : leaf + size] * 200)
+    with file.open("r+b") as stream:
+        stream.seek(28)
+        stream.write((10**6).to_bytes(4, "big"))
+    bag = read_bag(file)
+    assert len(bag.messages) == 1 and "ends early" in bag.problem
 
 
 def test_rows_behind_a_damaged_page_of_a_sqlite_bag_are_read(tmp_path):

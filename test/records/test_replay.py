@@ -1,12 +1,17 @@
 """A replayed bag gives the beliefs that the live filter has, to the bit, and the same bytes every time."""
 
 import json
+import os
 import random
 import re
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 import replay_bags as bags
+from clusters import local_cluster
 from replay_bags import START_NS, STEP_NS, believed, recording
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
@@ -17,9 +22,12 @@ from tactile_filter.belief import invalid_belief
 from tactile_records.bags.contents import Gap
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
+from tactile_records.replay.kept import KeptRuns
+from tactile_records.replay.report import RunResult
 from tactile_records.replay.run import Agreement, agreement, run_filter
-from tactile_records.replay.sweep import make_plans
+from tactile_records.replay.sweep import SINGLE, Plan, make_plans
 from tactile_records.replay.topics import ReplayError
+from tactile_records.runs.record import BeliefSeries
 
 
 def replayed(folder, settings=None, **options):
@@ -260,7 +268,7 @@ def bytes_of(folder) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def test_the_same_bag_gives_the_same_bytes_on_any_number_of_cores(tmp_path, capsys):
+def test_the_same_bag_gives_the_same_bytes_on_any_number_of_cores_and_on_a_cluster(tmp_path, capsys):
     bag = with_live(recording(arms=("arm",))).write(tmp_path / "bag")
     sweep = ("--sweep", "fusion_mode=paper,fast,exact", "--sweep", "process_noise_rotation=0.001,0.01")
     for name, jobs in (("a", "1"), ("b", "2"), ("c", "3")):
@@ -269,6 +277,47 @@ def test_the_same_bag_gives_the_same_bytes_on_any_number_of_cores(tmp_path, caps
     assert len(first) == 6 * 2 + 1 and first == bytes_of(tmp_path / "b") == bytes_of(tmp_path / "c")
     states = {data for name, data in first.items() if name.endswith(".mcap")}
     assert len(states) == 6  # the settings make a difference
+    with local_cluster() as address:
+        assert replay(bag, tmp_path / "d", *sweep, "--smooth", "--scheduler", address) == 0
+    assert first == bytes_of(tmp_path / "d")
+
+
+def test_a_sweep_that_was_killed_goes_on_with_the_runs_that_are_missing(tmp_path, capsys):
+    bag = with_live(recording(300, arms=("arm", "other"))).write(tmp_path / "bag")
+    sweep = ("--sweep", "iterations=1,2,3,4", "--sweep", "process_noise_rotation=0.001,0.01", "--smooth")
+    words = ["replay", str(bag), "--out", str(tmp_path / "killed"), "--no-plot", *sweep]
+    script = f"from tactile_bringup.cli import main\nmain({words!r} + ['--jobs', '2'])"
+    path = os.pathsep.join(filter(None, sys.path))
+    process = subprocess.Popen([sys.executable, "-c", script], env={**os.environ, "PYTHONPATH": path})
+    deadline = time.monotonic() + 90
+    while len(kept := list((tmp_path / "killed").glob(".runs/*.npz"))) < 2:
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    bags = {
+        path.stem: (tmp_path / "killed" / path.stem / "metadata.yaml").stat().st_mtime_ns for path in kept
+    }
+    assert replay(bag, tmp_path / "killed", *sweep, "--jobs", "1") == 0
+    assert "of 8 runs are done already" in capsys.readouterr().err
+    for name, written_ns in bags.items():
+        assert (tmp_path / "killed" / name / "metadata.yaml").stat().st_mtime_ns == written_ns
+    assert replay(bag, tmp_path / "whole", *sweep, "--jobs", "1") == 0
+    assert bytes_of(tmp_path / "killed") == bytes_of(tmp_path / "whole")
+
+
+def test_runs_of_another_recording_or_setting_are_not_taken(tmp_path):
+    plan, other = (Plan(SINGLE, tmp_path / SINGLE, {"arm": FilterSettings(iterations=n)}) for n in (1, 2))
+    kept = KeptRuns(tmp_path, {"files": {"a": [1, 2]}})
+    kept.keep(plan, [RunResult(SINGLE, "arm", BeliefSeries(), events=3)])
+    assert kept.results(plan) is None  # its bag is gone
+    plan.bag.mkdir()
+    assert [(found.arm, found.events) for found in kept.results(plan)] == [("arm", 3)]
+    assert kept.results(other) is None
+    assert KeptRuns(tmp_path, {"files": {"a": [1, 3]}}).results(plan) is None
+    (file,) = (tmp_path / ".runs").iterdir()
+    file.write_bytes(file.read_bytes()[:-9])
+    assert kept.results(plan) is None
 
 
 def test_the_new_bag_is_opened_by_other_readers_and_says_what_it_is_of(tmp_path, capsys):

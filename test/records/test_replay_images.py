@@ -12,9 +12,9 @@ from tactile_bringup.cli import main
 from tactile_filter.bayes_filter import FilterSettings
 from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
+from tactile_perception.estimating.estimator import ModelError
 from tactile_perception.estimating.labels import EstimateError
 from tactile_perception.estimating.presence import PresenceSettings
-from tactile_perception.estimator import ModelError
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay import images as replay_images
 from tactile_records.replay.images import estimated, wanted_with_images

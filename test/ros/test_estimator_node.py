@@ -14,9 +14,9 @@ from std_srvs.srv import Trigger
 from tactile_doubles.lying_camera import LYING_CAMERAS
 from tactile_geometry import se3
 from tactile_msgs.msg import ContactPresence, StageLatency
+from tactile_perception.estimating.estimator import Estimator, shipped_model
 from tactile_perception.estimating.model_metadata import INPUT_NAME, INVERSE_SIGMA, MEAN, ModelMetadata
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
-from tactile_perception.estimator import Estimator, shipped_model
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
 from tactile_scene.shapes.plane import Plane

@@ -1,12 +1,15 @@
 """Labelled samples: the paper's sampling rules, determinism, and what a label means."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
+from tactile_base.jobs import Workers, run_jobs
 from tactile_base.settings import SettingError
 from tactile_geometry import se3
 from tactile_scene.sampling import SamplingSettings, pose_of, sample_pose
-from tactile_sim.collection import CollectionSettings, Sample, collect, generate
+from tactile_sim.collection import CollectionSettings, Collector, collect, generate
 from tactile_sim.tactip import TacTip
 
 
@@ -53,21 +56,16 @@ def test_the_pose_of_a_sample_is_known_without_collecting_it():
     np.testing.assert_array_equal(sample.euler_mm_deg, expected)
 
 
-def test_processes_change_neither_order_nor_content():
-    settings = CollectionSettings()
-    alone = list(generate(settings, 1, range(5)))
-    spread = list(generate(settings, 1, range(5), processes=2))
-    assert [sample.index for sample in spread] == [0, 1, 2, 3, 4]
-    for one, other in zip(alone, spread, strict=True):
-        assert np.array_equal(one.image, other.image) and np.array_equal(one.euler_mm_deg, other.euler_mm_deg)
-
-
-def test_a_worker_that_fails_ends_the_collection():
-    def local(sample: Sample) -> int:  # cannot be sent to another process
-        return sample.index
-
-    with pytest.raises(Exception, match="local"):
-        list(generate(CollectionSettings(), 1, range(3), processes=2, each=local))
+def test_threads_and_processes_change_no_sample():
+    collector = Collector(CollectionSettings(), 1)
+    alone = list(generate(collector.settings, 1, range(5)))
+    with ThreadPoolExecutor(3) as pool:
+        threads = list(pool.map(collector, range(5)))
+    apart = {done.job: done.result() for done in run_jobs(collector, range(5), Workers(2))}
+    for one, *others in zip(alone, threads, [apart[index] for index in range(5)], strict=True):
+        for other in others:
+            assert np.array_equal(one.image, other.image)
+            assert np.array_equal(one.euler_mm_deg, other.euler_mm_deg)
 
 
 def test_the_label_is_the_pose_but_for_slip_and_noise_of_the_arm():

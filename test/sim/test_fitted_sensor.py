@@ -7,7 +7,7 @@ from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_bringup.offline_perception import network_view
 from tactile_control.task_file import load_task, task_path
 from tactile_geometry import se3
-from tactile_perception.estimator import Estimator
+from tactile_perception.estimating.estimator import Estimator
 from tactile_scene.scene_file import load_scene
 from tactile_scene.shapes.plane import Plane
 from tactile_scene.shapes.sphere import Sphere, SphereSettings

@@ -6,9 +6,9 @@ import pytest
 from tactile_base.settings import SettingError
 from tactile_bringup.offline_perception import network_view
 from tactile_geometry import se3
+from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.estimating.presence import ContactPresence
-from tactile_perception.estimator import Estimator
 from tactile_scene.scene_file import load_scene
 from tactile_scene.shapes.plane import Plane
 from tactile_scene.shapes.sphere import Sphere, SphereSettings

@@ -10,7 +10,7 @@ import pytest
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
 from tactile_doubles.lying_estimates import LYING_ESTIMATES, REFUSED_COVARIANCES
-from tactile_perception.estimator import shipped_model
+from tactile_perception.estimating.estimator import shipped_model
 
 BEGINS = {"plane": 6.0, "ramp": 6.0, "dome": 6.0, "tracking_flat": 8.0, "pushing": 8.0, "dual_pushing": 12.0}
 TASKS = {"tracking_flat": "object_tracking", "pushing": "pushing", "dual_pushing": "dual_pushing"}

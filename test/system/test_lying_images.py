@@ -6,7 +6,7 @@ import pytest
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_doubles.lying_camera import LYING_CAMERAS, ImageLies
-from tactile_perception.estimator import shipped_model
+from tactile_perception.estimating.estimator import shipped_model
 
 pytestmark = pytest.mark.skipif(
     not shipped_model().is_file(), reason="the shipped model is not there: `make model` trains it"

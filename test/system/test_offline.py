@@ -9,7 +9,7 @@ from tactile_base.settings import SettingError
 from tactile_bringup.cli import main
 from tactile_bringup.offline import OfflineOptions, run_offline
 from tactile_control.task_file import load_task, task_path
-from tactile_perception.estimator import shipped_model
+from tactile_perception.estimating.estimator import shipped_model
 from tactile_records.runs import metrics
 from tactile_sim.cell import Cell
 

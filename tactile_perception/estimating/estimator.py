@@ -68,7 +68,7 @@ class StageTimes:
 
 def shipped_model() -> Path:
     """Path of the model that comes with the package, trained on the simulated TacTip."""
-    return Path(__file__).parent / "models" / "tactip_sim.onnx"
+    return Path(__file__).parents[1] / "models" / "tactip_sim.onnx"
 
 
 class Estimator:
