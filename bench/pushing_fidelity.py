@@ -32,7 +32,7 @@ from pushing_plane import Physics
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.experiment import Common, Trial, numbers_of, table_of, trial_run
 from tactile_bringup.trials import Row, TrialRows
-from tactile_control.phases import PhaseMachine
+from tactile_control.phase_machine import PhaseMachine
 from tactile_drivers.safety import SafeArm
 from tactile_drivers.sim.cell import Cell
 from tactile_drivers.sim.simulation import FIDELITIES

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from tactile_base.contract import Contract
 from tactile_base.registry import Registry
-from tactile_control.phases import DONE, FAILED, PhaseMachine
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import DONE, FAILED
 
 
-def _phases(kind: type[PhaseMachine[Any, Any]]) -> Iterator[str]:
+def _phases(kind: type[PhaseMachine]) -> Iterator[str]:
     """What its phases lack."""
     for name in (kind.work, DONE, FAILED):
         if name not in kind.phases:
             yield f"phases {list(kind.phases)} lack '{name}'"
 
 
-TASKS: Registry[type[PhaseMachine[Any, Any]]] = Registry(
+TASKS: Registry[type[PhaseMachine]] = Registry(
     "task",
     "tactile_servoing.tasks",
     {

@@ -1,4 +1,4 @@
-"""Data collection as a state machine: approach, rotate, contact, shear, image, retreat, again and again.
+"""Data collection: approach, rotate, contact, shear, image, retreat, again and again.
 
 The paper's Algorithm "Data collection" for an arm that takes twists. A library without ROS and without a
 clock of its own: whoever owns the time calls `step(now_ns, inputs)` at the control rate, sends the twist of
@@ -12,12 +12,13 @@ what comes back and, where that holds a `Capture`, stores the image of its expos
 
 Phases: go_to_start -> reference -> (touch) -> (rotate -> contact -> shear -> capture -> retreat) for each
 sample -> done, or failed. The label is where the arm says that the sensor was at the exposure, not where it
-was sent. How a task stops and fails is told in `phases`.
+was sent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,28 +37,209 @@ from tactile_control.collection import (
     CollectionCommand,
     CollectionGoal,
     CollectionInputs,
+    CollectionMotionSettings,
     DataCollectionSettings,
     Exposure,
     Target,
 )
-from tactile_control.motion import Odometer, TravelSettings, Waypoint, pose_difference, twist_towards
+from tactile_control.motion import TravelSettings, pose_difference
+from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
-    DONE,
-    FAILED,
     GO_TO_START,
     RETREAT,
-    STOPPING,
-    PhaseMachine,
+    GoToPose,
+    LiftOff,
+    Phase,
+    PhaseFailed,
     StampedPose,
+    Stopping,
+    StraightTo,
     newer,
 )
-from tactile_control.touch_off import TouchFailed, TouchOff, at
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 
+OVER, DOWN, UP = "over", "down", "up"  # steps of a touch
+NEEDS = ("pose", "image")
+_NEAR = 1e-3  # m; a touch need not begin and end more exactly than this
 
-class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
+
+class CollectionPhase(Phase["DataCollection"]):
+    """A phase that looks at the images, in the contact frame {f}."""
+
+    needs = NEEDS
+
+    @property
+    def motion(self) -> CollectionMotionSettings:
+        """Speeds, tolerances and times."""
+        return self.task.settings.motion
+
+    @property
+    def exposure(self) -> Exposure:
+        """The newest image."""
+        assert self.task.image is not None
+        return self.task.image
+
+    @property
+    def X_fs(self) -> Array:
+        """The sensor (4, 4) in {f}."""
+        return self.task.in_contact_frame(self.T_base_sensor)
+
+
+class Rest(CollectionPhase):
+    """At rest until an exposure of that rest has come."""
+
+    def begin(self) -> None:
+        self.still: StampedPose | None = None
+
+    def resting(self) -> bool:
+        """Whether the commanded twist is zero and the pose has not moved for `settle_time`."""
+        pose = self.task.pose
+        assert pose is not None
+        if self.still is None or not self._near(pose.T, self.still.T) or not self.task.at_rest:
+            self.still = pose
+            return False
+        return (pose.stamp_ns - self.still.stamp_ns) * NANOSECOND >= self.motion.settle_time
+
+    def rested(self) -> bool:
+        """Whether the newest exposure was made after rest had settled, where the sensor rests."""
+        assert self.still is not None
+        rest = (self.exposure.stamp_ns - self.still.stamp_ns) * NANOSECOND
+        return rest >= self.motion.settle_time and self._near(self.exposure.T_base_sensor, self.still.T)
+
+    def late(self, what: str) -> None:
+        """Fail where rest, or an image, takes too long."""
+        if self.elapsed > self.motion.capture_timeout + self.motion.settle_time:
+            raise PhaseFailed(f"{what} within {self.motion.capture_timeout:g} s")
+
+    def tempered(self, twist: Array, waiting: str) -> tuple[Array, str]:
+        if waiting:  # for an input: nobody knows whether the arm rests
+            self.still = None
+        return twist, waiting
+
+    def _near(self, T: Array, other: Array) -> bool:
+        position, rotation = pose_difference(T, other)
+        return (
+            se3.norm(position) <= self.motion.still_distance and se3.norm(rotation) <= self.motion.still_angle
+        )
+
+
+class Reference(Rest):
+    """Off the surface until the image without contact is known."""
+
+    name = REFERENCE
+
+    def over(self) -> bool:
+        if self.exposure.in_contact is not None and self.resting():
+            if self.exposure.in_contact:
+                raise PhaseFailed("the image shows contact where there is none: the reference is no good")
+            return True
+        self.late("no image without contact was taken")
+        return False
+
+    def next_phase(self) -> str:
+        return TOUCH if self.task.settings.touch.points else ROTATE
+
+
+class Touch(CollectionPhase, StraightTo["DataCollection"]):
+    """Finds the surface: over each place, down until the image shows contact, up again."""
+
+    def __init__(self, task: DataCollection) -> None:
+        super().__init__(task, TOUCH, ROTATE, goal=self._goal, pace=self._pace)
+
+    def begin(self) -> None:
+        settings = self.task.settings.touch
+        self.places = geometry.places(settings.points, settings.radius)
+        self._go(OVER)
+
+    def _go(self, step: str) -> None:
+        self.step, self.step_ns = step, self.task.now_ns
+
+    def _goal(self) -> Array:
+        touches, search = self.task.touches, self.task.settings.touch.search
+        x, y = touches[-1][:2] if self.step == UP else self.places[len(touches)]
+        return self.task.in_base(geometry.at(x, y, 2.0 * search if self.step == DOWN else -search))
+
+    def _pace(self) -> TravelSettings:
+        if self.step == DOWN:
+            return self.motion.in_contact.replaced(speed=self.task.settings.touch.speed)
+        return self.motion.in_air
+
+    def over(self) -> bool:
+        settings, touches = self.task.settings.touch, self.task.touches
+        fresh, depth = self.exposure.stamp_ns >= self.step_ns, self.X_fs[2, 3]
+        if self.step == UP and depth <= -settings.search + _NEAR:
+            self._go(OVER)
+            if len(touches) == len(self.places):
+                found = np.array(touches)
+                self.task.T_base_f = geometry.frame_from_touches(self.task.T_base_f, found, settings.depth)
+                return True
+        elif self.step == DOWN and fresh and self.exposure.in_contact:
+            touches.append(self.task.in_contact_frame(self.exposure.T_base_sensor)[:3, 3])
+            self._go(UP)
+        elif self.step == DOWN and depth > settings.search:
+            around = f"{settings.search * 1e3:.1f} mm above and below"
+            raise PhaseFailed(f"no contact within {around} where the surface should be")
+        elif self.step == OVER and fresh:
+            position, _ = pose_difference(self.T_base_sensor, self.goal())
+            if se3.norm(position) <= _NEAR:
+                if self.exposure.in_contact:
+                    above = f"{settings.search * 1e3:.1f} mm above the surface"
+                    raise PhaseFailed(f"the image shows contact {above}")
+                self._go(DOWN)
+        if self.elapsed > self.motion.motion_timeout * settings.points:
+            raise PhaseFailed(f"{len(touches) + 1} touches took too long")
+        return False
+
+
+class Rotate(CollectionPhase, StraightTo["DataCollection"]):
+    """Back over the point of first touch, turned to the contact angles, in the air."""
+
+    def over(self) -> bool:
+        """Out of contact, too, in an image exposed since it began."""
+        self.there = super().over()
+        if not self.there:
+            return False
+        seen = self.exposure.in_contact
+        if seen is not None and not seen and self.exposure.stamp_ns >= self.task.since_ns:
+            return True
+        if self.elapsed > self.motion.capture_timeout:
+            raise PhaseFailed(
+                f"the image shows contact {self.motion.clearance * 1e3:.1f} mm off the surface: the surface "
+                "is nearer than it is said to be (find it by touch), or the reference image is no good"
+            )
+        return False
+
+    def twist(self) -> Array:
+        return np.zeros(6) if self.there else super().twist()
+
+
+class TakeImage(Rest):
+    """At rest in contact."""
+
+    name, leads_to = CAPTURE, RETREAT
+
+    def over(self) -> bool:
+        if not (self.resting() and self.rested()):
+            self.late("the arm did not rest, or no image came,")
+            return False
+        exposure, target = self.exposure, self.task.target
+        X_fs = self.task.in_contact_frame(exposure.T_base_sensor)
+        if X_fs[2, 3] >= self.motion.certain_depth and not exposure.in_contact:
+            raise PhaseFailed(
+                f"the image shows no contact at a depth of {X_fs[2, 3] * 1e3:.1f} mm: the surface is "
+                "further away than it is said to be (find it by touch)"
+            )
+        label = se3.euler_from_pose(X_fs)
+        self.task.capture = Capture(
+            target.number, exposure.stamp_ns, label, target.euler, exposure.T_base_sensor
+        )
+        self.task.collected += 1
+        return True
+
+
+class DataCollection(PhaseMachine):
     """Collects one sample after the other; see the module's text.
 
     Parameters
@@ -67,6 +249,11 @@ class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
     T_base_f : ndarray (4, 4)
         Contact frame of the flat surface (see `collection_geometry`); touches correct it.
 
+    Attributes
+    ----------
+    touches : list of ndarray (3,)
+        Positions of the sensor's centre in {f} at which a touch has found the surface.
+
     Raises
     ------
     ValueError
@@ -75,261 +262,105 @@ class DataCollection(PhaseMachine[CollectionInputs, CollectionCommand]):
 
     settings_class = DataCollectionSettings
     goal_class = CollectionGoal
+    command_class = CollectionCommand
     phases = PHASES
     work = CAPTURE
     node = "collector"
 
+    settings: DataCollectionSettings
+
     def __init__(self, settings: DataCollectionSettings, targets: Sequence[Target], T_base_f: Array) -> None:
         if not targets:
             raise ValueError("no sample to collect")
-        handlers = {
-            GO_TO_START: self._go_to_start,
-            REFERENCE: self._reference,
-            TOUCH: self._touch,
-            ROTATE: self._rotate,
-            CONTACT: self._contact,
-            SHEAR: self._shear,
-            CAPTURE: self._capture,
-            RETREAT: self._retreat,
-            STOPPING: self._stopping,
-        }
-        super().__init__(GO_TO_START, handlers, settings.limiter, settings.watchdog)
-        self.settings = settings
+        super().__init__(settings, CollectionGoal(samples=len(targets)))
         self.targets = list(targets)
         self.T_base_f = se3.checked_pose("contact frame", T_base_f)
         self.collected = 0
-        self.touch = TouchOff(settings.touch)
-        self._odometer = Odometer(1e-4)
-        self._exposure: Exposure | None = None
-        self._goal: Array | None = None
-        self._still: StampedPose | None = None
-        self._captured: Capture | None = None
+        self.touches: list[Array] = []
+        self.image: Exposure | None = None
+        self.capture: Capture | None = None
 
-    # ---- what the owner calls ----
+    # ---- what a `PhaseMachine` fills in ----
 
-    def configure(self, settings: DataCollectionSettings) -> None:
-        """Replace the settings; they hold from the next step on."""
-        self.settings = settings
-        self.limiter.configure(settings.limiter)
-        self.watchdog.configure(settings.watchdog)
+    def make_phases(self) -> Iterable[Phase[Any]]:
+        """See `PhaseMachine`."""
 
-    # ---- inputs ----
+        def to(X_fs: Callable[[], Array], pace: str, what: str = "the start") -> dict[str, Any]:
+            """A way to a pose in {f}, at a pace off the surface or in contact."""
+            goal, travel = lambda: self.in_base(X_fs()), lambda: getattr(self.settings.motion, pace)
+            return {"goal": goal, "pace": travel, "what": what}
 
-    def _take(self, inputs: CollectionInputs) -> None:
-        pose, exposure = inputs.sensor_pose, inputs.exposure
-        if newer(pose, self._pose):
-            se3.checked_pose("sensor pose", pose.T)
-            self._pose = pose
-            self._odometer.add(pose.T[:3, 3])
-        if newer(exposure, self._exposure):
-            se3.checked_pose("sensor pose at the exposure", exposure.T_base_sensor)
-            self._exposure = exposure
+        def start() -> Array:
+            return geometry.at(0.0, 0.0, -self.settings.motion.standoff)
 
-    def _stamps(self) -> dict[str, int | None]:
-        """Stamps of what this phase needs; leaving the surface needs no image."""
-        stamps = {"pose": self._pose.stamp_ns if self._pose else None}
-        if self.phase not in (RETREAT, STOPPING):
-            stamps["image"] = self._exposure.stamp_ns if self._exposure else None
-        return stamps
+        def turned() -> Array:
+            return geometry.above(self.target.euler, self.settings.motion.clearance)
 
-    # ---- phases: each returns the twist wanted now ----
+        def pressed() -> Array:
+            return geometry.pressed(self.target.euler)
 
-    def _go_to_start(self, now_ns: int) -> Array:
-        motion = self.settings.motion
-        twist = self._go_to(self._in_base(at(0.0, 0.0, -motion.standoff)), motion.in_air, now_ns)
-        if twist is None:
-            self._enter(REFERENCE)
-            return np.zeros(6)
-        return twist
+        def sheared() -> Array:
+            return se3.pose_from_euler(self.target.euler)
 
-    def _reference(self, now_ns: int) -> Array:
-        """At rest off the surface until the image without contact is known."""
-        exposure, motion = self._exposure, self.settings.motion
-        if exposure is not None and exposure.in_contact is not None and self._resting(now_ns):
-            if exposure.in_contact:
-                return self._fail("the image shows contact where there is none: the reference is no good")
-            self._enter(TOUCH if self.settings.touch.points else ROTATE)
-            return np.zeros(6)
-        if self._in_phase(now_ns) > motion.capture_timeout + motion.settle_time:
-            return self._fail(f"no image without contact was taken within {motion.capture_timeout:g} s")
-        return np.zeros(6)
+        def lifted() -> Array:
+            motion = self.settings.motion
+            gap = motion.standoff if self.ends else motion.clearance
+            return geometry.lifted(self.in_contact_frame(self.T_base_sensor), gap)
 
-    def _touch(self, now_ns: int) -> Array:
-        """Touch the surface in places, then correct the contact frame by what was found."""
-        exposure, motion = self._exposure, self.settings.motion
-        assert exposure is not None
-        X_exposed = self._in_contact_frame(exposure.T_base_sensor)
-        try:
-            move = self.touch.step(
-                now_ns, self._X_fs(), exposure.stamp_ns, X_exposed, bool(exposure.in_contact)
-            )
-        except TouchFailed as error:
-            return self._fail(str(error))
-        if self.touch.done:
-            self.T_base_f = self.touch.corrected(self.T_base_f)
-            self._enter(ROTATE)
-            return np.zeros(6)
-        if self._in_phase(now_ns) > motion.motion_timeout * self.settings.touch.points:
-            return self._fail(f"{len(self.touch.touches) + 1} touches took too long")
-        pace = motion.in_contact.replaced(speed=self.settings.touch.speed)
-        return twist_towards(
-            self._sensor_pose(), self._in_base(move.X_fs), pace if move.slowly else motion.in_air
+        return (
+            GoToPose(self, GO_TO_START, REFERENCE, NEEDS, **to(start, "in_air")),
+            Reference(self),
+            Touch(self),
+            Rotate(self, ROTATE, CONTACT, NEEDS, **to(turned, "in_air", "the start of the contact")),
+            StraightTo(self, CONTACT, SHEAR, NEEDS, **to(pressed, "in_contact", "the depth")),
+            StraightTo(self, SHEAR, CAPTURE, NEEDS, **to(sheared, "in_contact", "the shear")),
+            TakeImage(self),
+            LiftOff(self, RETREAT, ROTATE, **to(lifted, "in_air")),
+            Stopping(self),
         )
 
-    def _rotate(self, now_ns: int) -> Array:
-        """Back over the point of first touch, turned to the contact angles, in the air."""
-        target, motion = self._target(), self.settings.motion
-        if self._late(now_ns):
-            return self._fail(f"the start of the contact was not reached within {motion.motion_timeout:g} s")
-        twist = self._towards(geometry.above(target.euler, motion.clearance), motion.in_air)
-        if twist is not None:
-            return twist
-        if self._clear():
-            self._enter(CONTACT)
-        elif self._in_phase(now_ns) > motion.capture_timeout:
-            return self._fail(
-                f"the image shows contact {motion.clearance * 1e3:.1f} mm off the surface: the surface is "
-                "nearer than it is said to be (find it by touch), or the reference image is no good"
-            )
-        return np.zeros(6)
+    def first_phase(self) -> str:
+        """See `PhaseMachine`."""
+        return GO_TO_START
 
-    def _contact(self, now_ns: int) -> Array:
-        return self._slow_leg(now_ns, geometry.pressed(self._target().euler), SHEAR, "depth")
+    def take(self, inputs: CollectionInputs) -> None:
+        """See `PhaseMachine`."""
+        super().take(inputs)
+        if newer(inputs.exposure, self.image):
+            se3.checked_pose("sensor pose at the exposure", inputs.exposure.T_base_sensor)
+            self.image = inputs.exposure
 
-    def _shear(self, now_ns: int) -> Array:
-        return self._slow_leg(now_ns, se3.pose_from_euler(self._target().euler), CAPTURE, "shear")
+    def progress(self) -> float:
+        """By the samples."""
+        return self.collected / len(self.targets)
 
-    def _capture(self, now_ns: int) -> Array:
-        """At rest until an exposure of that rest has come."""
-        exposure, motion, target = self._exposure, self.settings.motion, self._target()
-        assert exposure is not None
-        if self._resting(now_ns) and self._rested(exposure):
-            X_fs = self._in_contact_frame(exposure.T_base_sensor)
-            if X_fs[2, 3] >= motion.certain_depth and not exposure.in_contact:
-                return self._fail(
-                    f"the image shows no contact at a depth of {X_fs[2, 3] * 1e3:.1f} mm: the surface is "
-                    "further away than it is said to be (find it by touch)"
-                )
-            euler = se3.euler_from_pose(X_fs)
-            self._captured = Capture(
-                target.number, exposure.stamp_ns, euler, target.euler, exposure.T_base_sensor
-            )
-            self.collected += 1
-            self._enter(RETREAT)
-        elif self._in_phase(now_ns) > motion.capture_timeout + motion.settle_time:
-            return self._fail(f"the arm did not rest, or no image came, within {motion.capture_timeout:g} s")
-        return np.zeros(6)
+    def details(self) -> dict[str, Any]:
+        """How far it is, and what to store now."""
+        capture, self.capture = self.capture, None
+        left = self.collected < len(self.targets)
+        return {
+            "number": self.target.number if left else 0,
+            "collected": self.collected,
+            "total": len(self.targets),
+            "capture": capture,
+        }
 
-    def _retreat(self, now_ns: int) -> Array:
-        motion = self.settings.motion
-        ends = bool(self.reason) or self.collected == len(self.targets)
-        gap = motion.standoff if ends else motion.clearance
-        if self._goal is None:
-            self._goal = geometry.lifted(self._X_fs(), gap)
-        if self._X_fs()[2, 3] <= -gap + 10.0 * motion.position_tolerance:
-            return self._next_or_end()
-        if self._late(now_ns):
-            return self._retreat_late(motion.motion_timeout)
-        return twist_towards(self._sensor_pose(), self._in_base(self._goal), motion.in_air)
+    # ---- what its phases share ----
 
-    def _stopping(self, now_ns: int) -> Array:
-        if self._at_rest():
-            self._enter(RETREAT)
-        return np.zeros(6)
-
-    # ---- parts of phases ----
-
-    def _next_or_end(self) -> Array:
-        """On to the next sample, or to the end."""
-        if self.reason:
-            self._enter(FAILED)
-        else:
-            self._enter(DONE if self.collected == len(self.targets) else ROTATE)
-        return np.zeros(6)
-
-    def _slow_leg(self, now_ns: int, X_fs: Array, following: str, what: str) -> Array:
-        """On the way in contact; a leg that ends begins the next phase."""
-        motion = self.settings.motion
-        if self._late(now_ns):
-            return self._fail(f"the {what} was not reached within {motion.motion_timeout:g} s")
-        twist = self._towards(X_fs, motion.in_contact)
-        if twist is None:
-            self._enter(following)
-            return np.zeros(6)
-        return twist
-
-    def _towards(self, X_fs: Array, pace: TravelSettings) -> Array | None:
-        """Twist towards a pose in {f}; None where it is reached."""
-        goal = self._in_base(X_fs)
-        reached = Waypoint(goal, pace.position_tolerance, pace.angle_tolerance).reached(self._sensor_pose())
-        return None if reached else twist_towards(self._sensor_pose(), goal, pace)
-
-    def _clear(self) -> bool:
-        """No contact in an image exposed since this phase began."""
-        exposure = self._exposure
-        assert exposure is not None
-        known = exposure.in_contact is not None
-        return known and not exposure.in_contact and exposure.stamp_ns >= self._phase_since_ns
-
-    def _resting(self, now_ns: int) -> bool:
-        """Whether the commanded twist is zero and the pose has not moved for `settle_time`."""
-        motion, pose = self.settings.motion, self._pose
-        assert pose is not None
-        moved = self._still is None or not self._near(pose.T, self._still.T)
-        if moved or not self._at_rest():
-            self._still = pose
-            return False
-        assert self._still is not None
-        return (pose.stamp_ns - self._still.stamp_ns) * NANOSECOND >= motion.settle_time
-
-    def _rested(self, exposure: Exposure) -> bool:
-        """Whether an exposure was made after rest had settled, where the sensor rests."""
-        assert self._still is not None
-        rest = (exposure.stamp_ns - self._still.stamp_ns) * NANOSECOND
-        settled = rest >= self.settings.motion.settle_time
-        return settled and self._near(exposure.T_base_sensor, self._still.T)
-
-    def _near(self, T: Array, other: Array) -> bool:
-        position, rotation = pose_difference(T, other)
-        motion = self.settings.motion
-        return bool(
-            np.linalg.norm(position) <= motion.still_distance
-            and np.linalg.norm(rotation) <= motion.still_angle
-        )
-
-    def _target(self) -> Target:
+    @property
+    def target(self) -> Target:
+        """The sample under way."""
         return self.targets[self.collected]
 
-    def _in_base(self, X_fs: Array) -> Array:
+    @property
+    def ends(self) -> bool:
+        """Whether a retreat is the last one."""
+        return self.ending or self.collected == len(self.targets)
+
+    def in_base(self, X_fs: Array) -> Array:
+        """A pose in {f} (4, 4) in the base."""
         return np.asarray(self.T_base_f @ X_fs)
 
-    def _in_contact_frame(self, T_base_sensor: Array) -> Array:
+    def in_contact_frame(self, T_base_sensor: Array) -> Array:
+        """A pose in the base (4, 4) in {f}."""
         return np.asarray(se3.inverse(self.T_base_f) @ T_base_sensor)
-
-    def _X_fs(self) -> Array:
-        return self._in_contact_frame(self._sensor_pose())
-
-    def _late(self, now_ns: int) -> bool:
-        return self._in_phase(now_ns) > self.settings.motion.motion_timeout
-
-    def _enter(self, phase: str) -> None:
-        super()._enter(phase)
-        self._goal = self._still = None
-
-    # ---- output ----
-
-    def _answer(self, wanted: Array, waiting: str) -> CollectionCommand:
-        if waiting:
-            self._still = None
-        captured, self._captured = self._captured, None
-        return CollectionCommand(
-            **{
-                **vars(self._command(wanted, waiting)),
-                "travelled": self._odometer.length,
-                "progress": self.collected / len(self.targets),
-            },
-            number=self._target().number if self.collected < len(self.targets) else 0,
-            collected=self.collected,
-            total=len(self.targets),
-            capture=captured,
-        )

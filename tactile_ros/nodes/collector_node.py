@@ -186,6 +186,7 @@ class CollectorNode(TaskNode):
         inputs = CollectionInputs(StampedPose(*pose) if pose else None, self.exposure)
         self.run.task.remark = self.upstream.cause
         command = self.run.task.step(now_ns, inputs)
+        assert isinstance(command, CollectionCommand)
         self.send_twist(command.twist)
         self._publish_status(now_ns, command)
         self._after(now_ns, command)
@@ -218,7 +219,7 @@ class CollectorNode(TaskNode):
             if image is not None and before == REFERENCE and command.phase in (TOUCH, ROTATE):
                 run.store.keep_reference(image)
             if before == TOUCH and command.phase == ROTATE:
-                touches = len(run.task.touch.touches)
+                touches = len(run.task.touches)
                 text = run.store.keep_surface(run.task.T_base_f, self._assumed_frame(), touches)
                 self.get_logger().info(text)
             if image is not None and capture is not None:

@@ -172,7 +172,7 @@ TASKS = {
     "phase 'dancing' is not among its phases": stepping(leaves_first),
     "does not end within 60 s": stepping(lambda self, c: replace(c, done=False)),
     " ms and more; images come every 8 to 17 ms": stepping(sleeps),
-    "could not convert string to float: 'fast'": like(SurfaceFollowing, _stamps=fails),
+    "could not convert string to float: 'fast'": like(SurfaceFollowing, before_phase=fails),
 }
 
 
