@@ -165,7 +165,8 @@ class InContact(ContactPhase):
 
     def tempered(self, twist: Array, waiting: str) -> tuple[Array, str]:
         """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
-        pace, check = self.task.look_at_beliefs()
+        check = min(self.task.checks, key=lambda check: (check.pace(), -check.doubt))
+        self.task.pace = pace = check.pace()
         if pace == 0.0:
             raise PhaseFailed(check.contradiction)
         if pace < 1.0 and not waiting:
@@ -182,7 +183,8 @@ class Settle(InContact):
 
     def begin(self) -> None:
         self.settled_ns: int | None = None
-        self.task.begin_checks()
+        for check in self.task.checks:
+            check.begin()
 
     def missing(self) -> list[str]:
         """The belief has to be of an image exposed since the touch: one from before was of no contact."""
@@ -228,7 +230,7 @@ class Servo(InContact):
     leads_to = RETREAT
 
     def begin(self) -> None:
-        self.task.begin_work()
+        self.task.check.work()
 
     def velocity(self) -> Array:
         """Of the reference (6,), in its own frame {s'}."""

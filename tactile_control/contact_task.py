@@ -91,7 +91,6 @@ class ContactTask(PhaseMachine):
         Of the task's `goal_class`.
     start : ndarray (4, 4), optional
         T_base_sensor in the air from where to approach; without, the approach begins where the arm stands.
-
     """
 
     settings: ContactTaskSettings
@@ -103,8 +102,8 @@ class ContactTask(PhaseMachine):
         self.servoing = ServoingController(settings.servoing, settings.pid)
         self.predictor = ContactPredictor(settings.prediction)
         self.check = SurfaceCheck(settings.surface, settings.servoing.reference[2])
-        self.width = WidthCheck(settings.surface)
-        self.carried = CarriedCheck(settings.surface)
+        self.width, self.carried = WidthCheck(settings.surface), CarriedCheck(settings.surface)
+        self.checks: tuple[Check, ...] = (self.check, self.width, self.carried)
         self._T_base_work: Array | None = None
         self.dry: Array | None = None  # where the sensor was when it touched first, to be felt there again
         self.touched_ns = 0  # when the contact began
@@ -114,7 +113,7 @@ class ContactTask(PhaseMachine):
         self._track = TransformBuffer(TRACK_NS)
         self._hold: StampedPose | None = None
         self._servo: ServoingOutput | None = None
-        self._pace = 1.0
+        self.pace = 1.0  # how much of the last twist was followed
 
     def configure(self, settings: ContactTaskSettings) -> None:
         """Replace the settings; they hold from the next step on, gains without a jump of the twist."""
@@ -202,7 +201,7 @@ class ContactTask(PhaseMachine):
     @property
     def limited(self) -> bool:
         """Whether the last twist was slower than wanted: an integral would only wind up."""
-        return "speed" in self.held_back or self._pace < 1.0
+        return "speed" in self.held_back or self.pace < 1.0
 
     # ---- its phases ----
 
@@ -272,22 +271,6 @@ class ContactTask(PhaseMachine):
             self._contact_ns = max(self._contact_ns, presence.stamp_ns)
         absent = (presence.stamp_ns - self._contact_ns) * NANOSECOND
         return absent > self.settings.contact.lost_contact_time
-
-    def begin_checks(self) -> None:
-        """A new contact: nothing is known of it."""
-        for check in (self.check, self.width, self.carried):
-            check.begin()
-
-    def begin_work(self) -> None:
-        """The task's own phases begin."""
-        self.check.work()
-
-    def look_at_beliefs(self) -> tuple[float, Check]:
-        """How much of a twist is to be followed (0 to 1), and the check that says so."""
-        checks: tuple[Check, ...] = (self.check, self.width, self.carried)
-        check = min(checks, key=lambda check: (check.pace(), -check.doubt))
-        self._pace = check.pace()
-        return self._pace, check
 
     # ---- inputs ----
 

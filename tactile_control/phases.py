@@ -275,7 +275,7 @@ class StraightTo(Phase[T]):
     Parameters
     ----------
     goal : callable, optional
-        Gives the pose (4, 4); by default the task's start.
+        Gives the pose (4, 4), asked once each time that the phase begins; by default the task's start.
     pace : callable, optional
         Gives how fast, how near and how long (`TravelSettings`); by default the task's `travel`.
     what : str
@@ -296,16 +296,25 @@ class StraightTo(Phase[T]):
         self.pace = pace or (lambda: task.settings.travel)
         self.what = what
 
+    def begin(self) -> None:
+        self._T_base_goal: Array | None = None
+
+    @property
+    def T_base_goal(self) -> Array:
+        """The pose (4, 4)."""
+        if self._T_base_goal is None:
+            self._T_base_goal = self.goal()
+        return self._T_base_goal
+
     def over(self) -> bool:
         pace = self.pace()
         if self.elapsed > pace.timeout:
             raise PhaseFailed(f"{self.what} was not reached within {pace.timeout:g} s")
-        return Waypoint(self.goal(), pace.position_tolerance, pace.angle_tolerance).reached(
-            self.T_base_sensor
-        )
+        goal = Waypoint(self.T_base_goal, pace.position_tolerance, pace.angle_tolerance)
+        return goal.reached(self.T_base_sensor)
 
     def twist(self) -> Array:
-        return twist_towards(self.T_base_sensor, self.goal(), self.pace())
+        return twist_towards(self.T_base_sensor, self.T_base_goal, self.pace())
 
 
 class GoToPose(StraightTo[T]):
@@ -315,6 +324,7 @@ class GoToPose(StraightTo[T]):
     needs: tuple[str, ...] = ("pose",)
 
     def begin(self) -> None:
+        super().begin()
         self.waypoints: list[Waypoint] | None = None
 
     def over(self) -> bool:
@@ -323,10 +333,9 @@ class GoToPose(StraightTo[T]):
         if self.task.meets_something:
             raise PhaseFailed(f"touched something on the way to {self.what}")
         if self.waypoints is None:
-            goal = self.goal()
-            if (way := se3.norm(goal[:3, 3] - pose[:3, 3])) > pace.distance:
+            if (way := se3.norm(self.T_base_goal[:3, 3] - pose[:3, 3])) > pace.distance:
                 raise PhaseFailed(f"{self.what} is {way:.3g} m away (limit {pace.distance:g} m)", here=True)
-            self.waypoints = way_to_start(pose, goal, pace)
+            self.waypoints = way_to_start(pose, self.T_base_goal, pace)
         if self.elapsed > pace.timeout:
             raise PhaseFailed(f"{self.what} was not reached within {pace.timeout:g} s")
         while self.waypoints and self.waypoints[0].reached(pose):
@@ -339,27 +348,18 @@ class GoToPose(StraightTo[T]):
 
 
 class LiftOff(StraightTo[T]):
-    """Straight off the surface, to a pose that `goal` gives where it begins; then on, or to the end."""
+    """Straight off the surface, which need not end exactly; then on, or to the end."""
 
     name = RETREAT
     needs: tuple[str, ...] = ("pose",)
-    near = 5e-4  # m; it need not end more exactly than this
-
-    def begin(self) -> None:
-        self.T_lifted: Array | None = None
+    near = 5e-4  # m
 
     def over(self) -> bool:
-        pace = self.pace()
-        self.T_lifted = self.goal() if self.T_lifted is None else self.T_lifted
-        if se3.norm(pose_difference(self.T_base_sensor, self.T_lifted)[0]) <= self.near:
+        if se3.norm(pose_difference(self.T_base_sensor, self.T_base_goal)[0]) <= self.near:
             return True
-        if self.elapsed > pace.timeout:
-            raise PhaseFailed(f"the retreat took longer than {pace.timeout:g} s")
+        if self.elapsed > (limit := self.pace().timeout):
+            raise PhaseFailed(f"the retreat took longer than {limit:g} s")
         return False
-
-    def twist(self) -> Array:
-        assert self.T_lifted is not None
-        return twist_towards(self.T_base_sensor, self.T_lifted, self.pace())
 
     def next_phase(self) -> str:
         return self.task.end if self.task.ends else self.leads_to

@@ -12,9 +12,14 @@ from tactile_control.phases import DONE, FAILED
 
 def _phases(kind: type[PhaseMachine]) -> Iterator[str]:
     """What its phases lack."""
+    from tactile_control.contact_task import ContactTask
+
     for name in (kind.work, DONE, FAILED):
         if name not in kind.phases:
             yield f"phases {list(kind.phases)} lack '{name}'"
+    own = [getattr(kind, name, None) is getattr(ContactTask, name) for name in ("finished", "own_phases")]
+    if all(own) and not kind.endless:
+        yield "has no finished(elapsed) and no own_phases(): nothing ends it"
 
 
 TASKS: Registry[type[PhaseMachine]] = Registry(

@@ -154,6 +154,7 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
         self._go(OVER)
 
     def _go(self, step: str) -> None:
+        super().begin()  # another pose
         self.step, self.step_ns = step, self.task.now_ns
 
     def _goal(self) -> Array:
@@ -182,7 +183,7 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
             around = f"{settings.search * 1e3:.1f} mm above and below"
             raise PhaseFailed(f"no contact within {around} where the surface should be")
         elif self.step == OVER and fresh:
-            position, _ = pose_difference(self.T_base_sensor, self.goal())
+            position, _ = pose_difference(self.T_base_sensor, self.T_base_goal)
             if se3.norm(position) <= _NEAR:
                 if self.exposure.in_contact:
                     above = f"{settings.search * 1e3:.1f} mm above the surface"

@@ -77,20 +77,15 @@ class Go(GoToPose["Move"]):
     """To the goal's pose, as a task goes to its start; given up where the arm comes no nearer."""
 
     def __init__(self, task: Move) -> None:
-        super().__init__(task, MOVE, DONE, goal=self.pose, what="the pose")
+        super().__init__(
+            task, MOVE, DONE, goal=lambda: task.goal.pose_from(task.T_base_sensor), what="the pose"
+        )
         self.begin()
 
     def begin(self) -> None:
         super().begin()
-        self.T_base_goal: Array | None = None
         self.whole, self.nearest = 0.0, np.inf  # m of way, at first and left at the least
         self.held_s, self.stepped_ns = 0.0, 0
-
-    def pose(self) -> Array:
-        """The pose (4, 4), by where the arm is at first."""
-        if self.T_base_goal is None:
-            self.T_base_goal = self.task.goal.pose_from(self.T_base_sensor)
-        return self.T_base_goal
 
     def over(self) -> bool:
         if super().over():
@@ -102,7 +97,7 @@ class Go(GoToPose["Move"]):
         if left < self.nearest - settings.nearer:
             self.nearest, self.held_s = left, 0.0
         if self.held_s > settings.patience:
-            distance = se3.norm(self.goal()[:3, 3] - self.T_base_sensor[:3, 3])
+            distance = se3.norm(self.T_base_goal[:3, 3] - self.T_base_sensor[:3, 3])
             raise PhaseFailed(
                 f"the arm comes no nearer than {distance * 1e3:.1f} mm to the pose: held_back of arm/status "
                 "says what keeps it from there"

@@ -140,7 +140,7 @@ class Over(StraightTo["Touching"]):
             gap = self.task.settings.task.clearance * 1e3
             raise PhaseFailed(f"touched something {gap:g} mm off the surface: set task.clearance")
         super().over()  # in time
-        presence, there = self.task.presence, Waypoint(self.goal(), _NEAR, _TURNED)
+        presence, there = self.task.presence, Waypoint(self.T_base_goal, _NEAR, _TURNED)
         at_ease = presence is not None and not presence.in_contact and presence.stamp_ns >= self.task.since_ns
         return at_ease and there.reached(self.T_base_sensor)
 
