@@ -57,12 +57,12 @@ class Leave(ContactPhase):
     name = LEAVE
 
     def over(self) -> bool:
-        return self.gone >= self.contact.retreat_distance and not self.touching
+        return self.moved >= self.contact.retreat_distance and not self.touching
 
     def twist(self) -> Array:
-        far = self.gone >= LEAVE_WITHIN * self.contact.retreat_distance
+        far = self.moved >= LEAVE_WITHIN * self.contact.retreat_distance
         if far or self.elapsed > self.contact.retreat_timeout:
-            raise PhaseFailed(f"still in contact after backing off by {self.gone * 1e3:.1f} mm")
+            raise PhaseFailed(f"still in contact after backing off by {self.moved * 1e3:.1f} mm")
         return along_z(-self.contact.retreat_speed)
 
     def next_phase(self) -> str:
@@ -83,7 +83,7 @@ class Descend(ContactPhase):
 
     def twist(self) -> Array:
         contact = self.contact
-        if self.gone > contact.approach_distance:
+        if self.moved > contact.approach_distance:
             raise PhaseFailed(f"no contact within {contact.approach_distance * 1e3:.1f} mm of approach")
         if self.elapsed > contact.approach_timeout:
             raise PhaseFailed(f"no contact within {contact.approach_timeout:g} s of approach")
@@ -98,7 +98,7 @@ class Touch(Descend):
     def over(self) -> bool:
         if self.touching:
             self.task.contact_seen()
-            self.task.dry = self.T_base_sensor[:3, 3].copy()
+            self.task.dry_touched = self.T_base_sensor[:3, 3].copy()
         return self.touching
 
 
@@ -108,11 +108,11 @@ class Lift(ContactPhase):
     name, leads_to = LIFT, APPROACH
 
     def over(self) -> bool:
-        return self.gone >= LIFT_BY and not self.touching
+        return self.moved >= LIFT_BY and not self.touching
 
     def twist(self) -> Array:
-        if self.gone >= LIFT_WITHIN:
-            gone = f"{self.gone * 1e3:.1f} mm"
+        if self.moved >= LIFT_WITHIN:
+            gone = f"{self.moved * 1e3:.1f} mm"
             raise PhaseFailed(f"the contact that was felt does not end {gone} off: is it one?")
         return along_z(-self.contact.approach_speed)
 
@@ -126,7 +126,7 @@ class Approach(Descend):
         self.touched: Array | None = None  # where the sensor was at the first touch
 
     def over(self) -> bool:
-        pose, dry = self.T_base_sensor, self.task.dry
+        pose, dry = self.T_base_sensor, self.task.dry_touched
         if not self.touching:
             self.touched = None
         elif self.touched is None:
@@ -152,7 +152,7 @@ class InContact(ContactPhase):
     needs = ("pose", "presence", "belief")
     ends_moving = True
 
-    def broken_off(self) -> str:
+    def interrupted(self) -> str:
         """Contact lost: asked before the watchdog, since without contact the last belief grows old."""
         if not self.task.contact_lost():
             return ""
@@ -163,7 +163,7 @@ class InContact(ContactPhase):
             raise PhaseFailed(f"contact was lost {self.task.reapproaches} times")
         return APPROACH
 
-    def tempered(self, twist: Array, waiting: str) -> tuple[Array, str]:
+    def adjust(self, twist: Array, waiting: str) -> tuple[Array, str]:
         """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
         check = min(self.task.checks, key=lambda check: (check.pace(), -check.doubt))
         self.task.pace = pace = check.pace()
@@ -261,7 +261,7 @@ class Retreat(ContactPhase):
     needs = ("pose",)
 
     def over(self) -> bool:
-        return self.gone >= self.contact.retreat_distance
+        return self.moved >= self.contact.retreat_distance
 
     def twist(self) -> Array:
         if self.elapsed > self.contact.retreat_timeout:
@@ -269,4 +269,4 @@ class Retreat(ContactPhase):
         return along_z(-self.contact.retreat_speed)
 
     def next_phase(self) -> str:
-        return self.task.end if self.task.ends else self.leads_to or self.task.end
+        return self.task.outcome if self.task.nothing_left else self.leads_to or self.task.outcome

@@ -61,7 +61,7 @@ from tactile_geometry.transform_buffer import TransformBuffer, TransformUnavaila
 Array = NDArray[np.float64]
 
 TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
-STEEPEST, TINY = 0.2, 1e-12  # cosine of a slope that `across` takes for no steeper; m/s
+STEEPEST, TINY = 0.2, 1e-12  # cosine of a slope that `along_surface` takes for no steeper; m/s
 
 # progress at which each phase begins; the work takes the large middle part
 PROGRESS = {
@@ -105,7 +105,9 @@ class ContactTask(PhaseMachine):
         self.width, self.carried = WidthCheck(settings.surface), CarriedCheck(settings.surface)
         self.checks: tuple[Check, ...] = (self.check, self.width, self.carried)
         self._T_base_work: Array | None = None
-        self.dry: Array | None = None  # where the sensor was when it touched first, to be felt there again
+        self.dry_touched: Array | None = (
+            None  # where the sensor was when it touched first, to be felt there again
+        )
         self.touched_ns = 0  # when the contact began
         self.reapproaches = 0
         self._contact_ns: int | None = None  # when there was contact last
@@ -175,7 +177,7 @@ class ContactTask(PhaseMachine):
         """The sensor's centre (3,) in the frame `T_base_work`, m: by the arm's pose alone."""
         return se3.point_in(self.T_base_work, self.T_base_sensor[:3, 3])
 
-    def across(self, velocity: Array) -> Array:
+    def along_surface(self, velocity: Array) -> Array:
         """Reference velocity (6,) in {s'} over the surface, of one (2,) along x and y of `T_base_work`, m/s.
 
         It is projected onto the surface along z there, at the same speed: who steers by `place` goes along a
@@ -229,7 +231,7 @@ class ContactTask(PhaseMachine):
     @property
     def meets_something(self) -> bool:
         """In contact for longer than a skin that comes back explains."""
-        touching = self.part is not None and self.part.touching
+        touching = self.current_phase is not None and self.current_phase.touching
         return touching and self.elapsed > self.settings.contact.lost_contact_time
 
     def before_phase(self) -> None:
@@ -259,7 +261,7 @@ class ContactTask(PhaseMachine):
 
     def contact_made(self) -> None:
         """An approach has made a contact: another feature than before, and the way to it is no motion."""
-        self.dry = self._servo = None
+        self.dry_touched = self._servo = None
         self.servoing.reset()
         self.predictor.reset()
 
@@ -283,7 +285,7 @@ class ContactTask(PhaseMachine):
             self._track.set_transform("base", "sensor", pose.stamp_ns, pose.T)
         if newer(inputs.presence, self.presence):
             self.presence = inputs.presence
-            if isinstance(self.part, InContact) and inputs.presence.in_contact:
+            if isinstance(self.current_phase, InContact) and inputs.presence.in_contact:
                 self.check.see(newer(belief, self.belief), inputs.presence.still)
         if newer(belief, self.belief):
             se3.checked_pose("belief", belief.T)
@@ -299,9 +301,9 @@ class ContactTask(PhaseMachine):
             return
         if self.follows_motion():
             self.predictor.update(stamp_ns, X_sf, T_base_sensor)
-        if isinstance(self.part, InContact) and stamp_ns >= self.touched_ns:
+        if isinstance(self.current_phase, InContact) and stamp_ns >= self.touched_ns:
             self.check.add(stamp_ns, X_sf, T_base_sensor)
-        if isinstance(self.part, Servo) and self.T_world_base is not None:
+        if isinstance(self.current_phase, Servo) and self.T_world_base is not None:
             T_world_sensor = se3.compose(self.T_world_base, T_base_sensor)
             self._hold = StampedPose(stamp_ns, se3.compose(T_world_sensor, X_sf))
             self.width.hear(self.partner_hold)
@@ -322,8 +324,8 @@ class ContactTask(PhaseMachine):
 
     def details(self) -> dict[str, Any]:
         """What it is servoed to and by, and where it holds what it works at."""
-        servo = self._servo if isinstance(self.part, InContact) else None
-        said: dict[str, Any] = {"hold": self._hold if isinstance(self.part, Servo) else None}
+        servo = self._servo if isinstance(self.current_phase, InContact) else None
+        said: dict[str, Any] = {"hold": self._hold if isinstance(self.current_phase, Servo) else None}
         if servo is not None and self.belief is not None:
             said |= {
                 "error": servo.error,

@@ -81,8 +81,6 @@ class PhaseMachine(ABC):
         Those in force: as the goal has adapted them.
     phase, reason : str
         What it does; why it fails, '' as long as it does not.
-    ending : bool
-        It fails, or was asked to end: what is left of the goal is left out.
     now_ns, since_ns : int
         Time of this step; when the phase began.
     pose, presence, belief : StampedPose, StampedPresence, StampedPose or None
@@ -129,7 +127,7 @@ class PhaseMachine(ABC):
         self.reason = self.traceback = self.remark = self.partner = ""
         self.T_world_base: Array | None = None
         self.partner_hold: StampedPose | None = None
-        self.ending = self._stepped = self._worked = False
+        self._ending = self._stepped = self._worked = False
         self._progress = 0.0
         self._wanted = np.zeros(6)
         self._refused = self._lacks = self.held_back = ""
@@ -157,9 +155,9 @@ class PhaseMachine(ABC):
         return False
 
     @property
-    def ends(self) -> bool:
-        """Whether what is left of the goal is left out, or nothing is left."""
-        return self.ending
+    def nothing_left(self) -> bool:
+        """Whether it is to end: it fails, was asked to, or has done all that its goal says."""
+        return self._ending
 
     def progress(self) -> float:
         """How far it is, 0 to 1, by what is known now; what is told of it never goes back."""
@@ -196,7 +194,7 @@ class PhaseMachine(ABC):
         """Ask the task to end: it comes to rest, leaves the surface if it may touch, fails with `reason`."""
         if self.phase in (DONE, FAILED, STOPPING) or self.reason:
             return
-        self.reason, self.ending = reason or "stopped", True
+        self.reason, self._ending = reason or "stopped", True
         self.enter(RETREAT if self.phase == RETREAT else STOPPING)
 
     def abort(self, reason: str) -> None:
@@ -224,7 +222,7 @@ class PhaseMachine(ABC):
     # ---- what phases use ----
 
     @property
-    def part(self) -> Phase[Any] | None:
+    def current_phase(self) -> Phase[Any] | None:
         """The phase that it is in; None at its end."""
         return self._parts.get(self.phase)
 
@@ -245,14 +243,14 @@ class PhaseMachine(ABC):
         return bool(np.abs(self.limiter.twist).max() <= AT_REST)
 
     @property
-    def end(self) -> str:
+    def outcome(self) -> str:
         """The phase that it ends in, as things stand."""
         return FAILED if self.reason else DONE
 
     def enter(self, phase: str) -> None:
         """Go on with the phase of that name."""
         self.phase, self.since_ns, self.T_begun = phase, self.now_ns, None
-        self.ending = self.ending or phase == STOPPING
+        self._ending = self._ending or phase == STOPPING
         self.watchdog.reset()
         self._begin()
 
@@ -262,12 +260,12 @@ class PhaseMachine(ABC):
         """The twist for the limiter, and why it is less than what the phase wants ('' where it is not)."""
         try:
             self.before_phase()
-            if self.part and (phase := self.part.broken_off()):
+            if self.current_phase and (phase := self.current_phase.interrupted()):
                 self.enter(phase)
                 self._wanted = np.zeros(6)
                 return self._wanted, ""
             twist, waiting = self._watched_twist()
-            return self.part.tempered(twist, waiting) if self.part else (twist, waiting)
+            return self.current_phase.adjust(twist, waiting) if self.current_phase else (twist, waiting)
         except PhaseFailed as failed:
             self._phase_failed(failed)
             self._wanted = np.zeros(6)
@@ -275,7 +273,7 @@ class PhaseMachine(ABC):
 
     def _watched_twist(self) -> tuple[Array, str]:
         """The twist that the phase wants, as far as the age of its inputs allows it."""
-        part = self.part
+        part = self.current_phase
         if part is None or self._waiting(part):
             self._wanted = np.zeros(6)
             return self._wanted, ""
@@ -308,8 +306,8 @@ class PhaseMachine(ABC):
         return f"{self.remark}, so {reason}{self._refused}" if self.remark else reason + self._refused
 
     def _begin(self) -> None:
-        if self.part is not None:
-            self.part.begin()
+        if self.current_phase is not None:
+            self.current_phase.begin()
 
     def _mind_pause(self, seconds: float) -> None:
         """After a time without a step the arm has stopped, and what it touched may be gone."""

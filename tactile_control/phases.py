@@ -235,11 +235,11 @@ class Phase(Generic[T]):
         """What it needs and has yet to come."""
         return [name for name in self.needs if getattr(self.task, name) is None]
 
-    def broken_off(self) -> str:
+    def interrupted(self) -> str:
         """The phase to go to at once, whatever inputs are too old; '' to go on."""
         return ""
 
-    def tempered(self, twist: Array, waiting: str) -> tuple[Array, str]:
+    def adjust(self, twist: Array, waiting: str) -> tuple[Array, str]:
         """What of a twist is to be followed, and why not all of it ('' for no reason)."""
         return twist, waiting
 
@@ -262,7 +262,7 @@ class Phase(Generic[T]):
         return presence is not None and presence.in_contact and presence.stamp_ns >= self.task.since_ns
 
     @property
-    def gone(self) -> float:
+    def moved(self) -> float:
         """Distance from where the sensor was when this was asked first in this phase, m."""
         if self.task.T_begun is None:
             self.task.T_begun = self.T_base_sensor.copy()
@@ -362,7 +362,7 @@ class LiftOff(StraightTo[T]):
         return False
 
     def next_phase(self) -> str:
-        return self.task.end if self.task.ends else self.leads_to
+        return self.task.outcome if self.task.nothing_left else self.leads_to
 
 
 class Stopping(Phase[T]):
@@ -375,4 +375,4 @@ class Stopping(Phase[T]):
         return self.task.at_rest
 
     def next_phase(self) -> str:
-        return RETREAT if self.task.may_touch else self.task.end
+        return RETREAT if self.task.may_touch else self.task.outcome

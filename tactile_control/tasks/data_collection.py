@@ -113,7 +113,7 @@ class Rest(CollectionPhase):
         if self.elapsed > self.motion.capture_timeout + self.motion.settle_time:
             raise PhaseFailed(f"{what} within {self.motion.capture_timeout:g} s")
 
-    def tempered(self, twist: Array, waiting: str) -> tuple[Array, str]:
+    def adjust(self, twist: Array, waiting: str) -> tuple[Array, str]:
         if waiting:  # for an input: nobody knows whether the arm rests
             self.still = None
         return twist, waiting
@@ -305,7 +305,7 @@ class DataCollection(PhaseMachine):
 
         def lifted() -> Array:
             motion = self.settings.motion
-            gap = motion.standoff if self.ends else motion.clearance
+            gap = motion.standoff if self.nothing_left else motion.clearance
             return geometry.lifted(self.in_contact_frame(self.T_base_sensor), gap)
 
         return (
@@ -354,9 +354,9 @@ class DataCollection(PhaseMachine):
         return self.targets[self.collected]
 
     @property
-    def ends(self) -> bool:
+    def nothing_left(self) -> bool:
         """Whether a retreat is the last one."""
-        return self.ending or self.collected == len(self.targets)
+        return super().nothing_left or self.collected == len(self.targets)
 
     def in_base(self, X_fs: Array) -> Array:
         """A pose in {f} (4, 4) in the base."""

@@ -249,9 +249,9 @@ class Touching(PhaseMachine):
         return self.seen_ns >= self.since_ns and self.elapsed > self.settings.task.lost_contact_time
 
     @property
-    def ends(self) -> bool:
+    def nothing_left(self) -> bool:
         """Nothing is left to touch, or it is left out."""
-        return self.ending or self.done == len(self.touches)
+        return super().nothing_left or self.done == len(self.touches)
 
     def progress(self) -> float:
         """By touches done, and the time of the one under way."""
@@ -293,7 +293,7 @@ class Touching(PhaseMachine):
 
     def _lifted(self) -> Array:
         """Straight off the surface from where it is; the last time to the height of the start."""
-        z = 0.0 if self.ends or self.height is None else self.height - self.settings.task.clearance
+        z = 0.0 if self.nothing_left or self.height is None else self.height - self.settings.task.clearance
         T = self.T_base_sensor.copy()
         T[:3, 3] += self.T_base_start[:3, 2] * min(0.0, z - self.z_in_start(T))
         return T

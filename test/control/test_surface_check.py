@@ -285,6 +285,6 @@ def test_in_doubt_an_arm_goes_slower_but_for_the_way_out():
     task = SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.1))
     task.check.doubt = 1.0
     for z, slowed in ((0.02, 0.005), (-0.02, -0.02)):
-        twist, said = Servo(task, FOLLOW).tempered(np.array([0.0, 0.01, z, 0.1, 0.0, 0.0]), "")
+        twist, said = Servo(task, FOLLOW).adjust(np.array([0.0, 0.01, z, 0.1, 0.0, 0.0]), "")
         np.testing.assert_allclose(twist, [0.0, 0.0025, slowed, 0.025, 0.0, 0.0])
         assert said.startswith("slower: ")

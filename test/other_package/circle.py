@@ -54,7 +54,9 @@ class Circle(ContactTask):
         outward = from_centre / distance
         along = np.array([-outward[1], outward[0]])
         settings = self.settings.task
-        return self.across(settings.speed * along - settings.gain * (distance - self.goal.radius) * outward)
+        return self.along_surface(
+            settings.speed * along - settings.gain * (distance - self.goal.radius) * outward
+        )
 
     def finished(self, elapsed):
         """Once round."""
