@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingGroups, Settings
-from tactile_control.motion import TravelSettings, Waypoint, pose_difference, twist_towards, way_to_start
+from tactile_control.motion import TravelSettings, Waypoint, twist_towards, way_to_start
 from tactile_geometry import se3
 
 if TYPE_CHECKING:
@@ -272,15 +272,11 @@ class Phase(Generic[T]):
 class StraightTo(Phase[T]):
     """Straight to a pose in the base, slower near it.
 
-    Parameters
-    ----------
-    goal : callable, optional
-        Gives the pose (4, 4), asked once each time that the phase begins; by default the task's start.
-    pace : callable, optional
-        Gives how fast, how near and how long (`TravelSettings`); by default the task's `travel`.
-    what : str
-        The pose, as a message calls it.
+    `goal` gives the pose (4, 4), asked once each time that the phase begins, `pace` how fast, how near and how
+    long; by default the task's start and its `travel` settings. `what` is the pose, as a message calls it.
     """
+
+    late = "was not reached within"
 
     def __init__(
         self,
@@ -297,54 +293,41 @@ class StraightTo(Phase[T]):
         self.what = what
 
     def begin(self) -> None:
-        self._T_base_goal: Array | None = None
+        self.waypoints: list[Waypoint] | None = None
 
-    @property
-    def T_base_goal(self) -> Array:
-        """The pose (4, 4)."""
-        if self._T_base_goal is None:
-            self._T_base_goal = self.goal()
-        return self._T_base_goal
+    def way(self) -> list[Waypoint]:
+        """From where it begins."""
+        pace = self.pace()
+        return [Waypoint(self.goal(), pace.position_tolerance, pace.angle_tolerance)]
 
     def over(self) -> bool:
-        pace = self.pace()
-        if self.elapsed > pace.timeout:
-            raise PhaseFailed(f"{self.what} was not reached within {pace.timeout:g} s")
-        goal = Waypoint(self.T_base_goal, pace.position_tolerance, pace.angle_tolerance)
-        return goal.reached(self.T_base_sensor)
+        self.waypoints = self.way() if self.waypoints is None else self.waypoints
+        while self.waypoints and self.waypoints[0].reached(self.T_base_sensor):
+            self.waypoints.pop(0)
+        if self.waypoints and self.elapsed > (limit := self.pace().timeout):
+            raise PhaseFailed(f"{self.what} {self.late} {limit:g} s")
+        return not self.waypoints
 
     def twist(self) -> Array:
-        return twist_towards(self.T_base_sensor, self.T_base_goal, self.pace())
+        return twist_towards(self.T_base_sensor, (self.waypoints or self.way())[0].T_base_goal, self.pace())
 
 
 class GoToPose(StraightTo[T]):
-    """Through the air to a pose in the base: up along its -z, across, and down."""
+    """Through the air to a pose in the base, up along its -z, across, and down; nothing may be touched."""
 
     name = GO_TO_START
     needs: tuple[str, ...] = ("pose",)
 
-    def begin(self) -> None:
-        super().begin()
-        self.waypoints: list[Waypoint] | None = None
+    def way(self) -> list[Waypoint]:
+        goal, pose, limit = self.goal(), self.T_base_sensor, self.pace().distance
+        if (distance := se3.norm(goal[:3, 3] - pose[:3, 3])) > limit:
+            raise PhaseFailed(f"{self.what} is {distance:.3g} m away (limit {limit:g} m)", here=True)
+        return way_to_start(pose, goal, self.pace())
 
     def over(self) -> bool:
-        """At the pose; fails where that is far away or takes long, and where something is touched."""
-        pose, pace = self.T_base_sensor, self.pace()
         if self.task.meets_something:
             raise PhaseFailed(f"touched something on the way to {self.what}")
-        if self.waypoints is None:
-            if (way := se3.norm(self.T_base_goal[:3, 3] - pose[:3, 3])) > pace.distance:
-                raise PhaseFailed(f"{self.what} is {way:.3g} m away (limit {pace.distance:g} m)", here=True)
-            self.waypoints = way_to_start(pose, self.T_base_goal, pace)
-        if self.elapsed > pace.timeout:
-            raise PhaseFailed(f"{self.what} was not reached within {pace.timeout:g} s")
-        while self.waypoints and self.waypoints[0].reached(pose):
-            self.waypoints.pop(0)
-        return not self.waypoints
-
-    def twist(self) -> Array:
-        assert self.waypoints
-        return twist_towards(self.T_base_sensor, self.waypoints[0].T_base_goal, self.pace())
+        return super().over()
 
 
 class LiftOff(StraightTo[T]):
@@ -352,14 +335,10 @@ class LiftOff(StraightTo[T]):
 
     name = RETREAT
     needs: tuple[str, ...] = ("pose",)
-    near = 5e-4  # m
+    late, near = "took longer than", 5e-4  # m
 
-    def over(self) -> bool:
-        if se3.norm(pose_difference(self.T_base_sensor, self.T_base_goal)[0]) <= self.near:
-            return True
-        if self.elapsed > (limit := self.pace().timeout):
-            raise PhaseFailed(f"the retreat took longer than {limit:g} s")
-        return False
+    def way(self) -> list[Waypoint]:
+        return [Waypoint(self.goal(), self.near, np.inf)]
 
     def next_phase(self) -> str:
         return self.task.outcome if self.task.nothing_left else self.leads_to

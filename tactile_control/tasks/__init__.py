@@ -32,7 +32,7 @@ TASKS: Registry[type[PhaseMachine]] = Registry(
         "trajectory": "tactile_control.tasks.trajectory:Trajectory",
         "move": "tactile_control.tasks.move:Move",
         "touching": "tactile_control.tasks.touching:Touching",
-        "data_collection": "tactile_control.tasks.data_collection:DataCollection",
+        "data_collection": "tactile_records.collecting.task:DataCollection",
     },
     Contract(
         ("settings", "goal", "start"),

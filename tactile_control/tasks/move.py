@@ -97,7 +97,8 @@ class Go(GoToPose["Move"]):
         if left < self.nearest - settings.nearer:
             self.nearest, self.held_s = left, 0.0
         if self.held_s > settings.patience:
-            distance = se3.norm(self.T_base_goal[:3, 3] - self.T_base_sensor[:3, 3])
+            assert self.waypoints
+            distance = se3.norm(self.waypoints[-1].T_base_goal[:3, 3] - self.T_base_sensor[:3, 3])
             raise PhaseFailed(
                 f"the arm comes no nearer than {distance * 1e3:.1f} mm to the pose: held_back of arm/status "
                 "says what keeps it from there"

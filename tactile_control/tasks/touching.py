@@ -135,14 +135,16 @@ class Over(StraightTo["Touching"]):
 
     ends_moving = True
 
+    def way(self) -> list[Waypoint]:
+        return [Waypoint(self.goal(), _NEAR, _TURNED)]
+
     def over(self) -> bool:
         if self.task.meets_something:
             gap = self.task.settings.task.clearance * 1e3
             raise PhaseFailed(f"touched something {gap:g} mm off the surface: set task.clearance")
-        super().over()  # in time
-        presence, there = self.task.presence, Waypoint(self.T_base_goal, _NEAR, _TURNED)
+        presence = self.task.presence
         at_ease = presence is not None and not presence.in_contact and presence.stamp_ns >= self.task.since_ns
-        return at_ease and there.reached(self.T_base_sensor)
+        return super().over() and at_ease
 
 
 class Touch(StraightTo["Touching"]):

@@ -17,7 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, setting
-from tactile_control.collection import (
+from tactile_control.phases import StampedPose
+from tactile_drivers.sampling import SamplingSettings, pose_of
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformInFuture, TransformUnavailable
+from tactile_msgs.action import RunTask
+from tactile_perception.datasets.layout import DatasetError
+from tactile_perception.datasets.writer import IMAGE_KINDS
+from tactile_perception.estimating.image import ImageError, check_image
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_records.collecting.sample_store import SampleStore
+from tactile_records.collecting.settings import (
     REFERENCE,
     ROTATE,
     TASK,
@@ -29,18 +40,7 @@ from tactile_control.collection import (
     Exposure,
     Target,
 )
-from tactile_control.phases import StampedPose
-from tactile_control.tasks.data_collection import DataCollection
-from tactile_drivers.sampling import SamplingSettings, pose_of
-from tactile_geometry import se3
-from tactile_geometry.transform_buffer import TransformInFuture, TransformUnavailable
-from tactile_msgs.action import RunTask
-from tactile_perception.datasets.layout import DatasetError
-from tactile_perception.datasets.writer import IMAGE_KINDS
-from tactile_perception.estimating.image import ImageError, check_image
-from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
-from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_records.collecting.sample_store import SampleStore
+from tactile_records.collecting.task import DataCollection
 from tactile_ros.conversions import MessageError
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError

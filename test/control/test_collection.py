@@ -7,7 +7,10 @@ import pytest
 from kinematic_plant import MS, TIP_RADIUS, Plane, Plant, pointing_down
 
 from tactile_base.settings import SettingError
-from tactile_control.collection import (
+from tactile_control.phases import StampedPose
+from tactile_geometry import se3
+from tactile_records.collecting.geometry import contact_frame
+from tactile_records.collecting.settings import (
     PHASES,
     CollectionInputs,
     CollectionMotionSettings,
@@ -16,10 +19,7 @@ from tactile_control.collection import (
     Target,
     TouchSettings,
 )
-from tactile_control.collection_geometry import contact_frame
-from tactile_control.phases import StampedPose
-from tactile_control.tasks.data_collection import DataCollection
-from tactile_geometry import se3
+from tactile_records.collecting.task import DataCollection
 
 START = pointing_down((0.3, 0.1, TIP_RADIUS + 0.012))
 POSES = [

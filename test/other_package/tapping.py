@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from tactile_base.settings import Settings, setting
 from tactile_control.contact_phases import APPROACH, INTO_CONTACT, Retreat, Servo
 from tactile_control.contact_task import ContactTask, ContactTaskSettings
@@ -46,9 +44,6 @@ class TappingGoal(Goal):
 
 class Hold(Servo):
     """At the depth for a while; the last time it leads to the end."""
-
-    def velocity(self):
-        return np.zeros(6)
 
     def finished(self):
         return self.elapsed >= self.task.settings.task.hold

@@ -24,8 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND
-from tactile_control import collection_geometry as geometry
-from tactile_control.collection import (
+from tactile_control.motion import TravelSettings, pose_difference
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import (
+    GO_TO_START,
+    RETREAT,
+    GoToPose,
+    LiftOff,
+    Phase,
+    PhaseFailed,
+    StampedPose,
+    Stopping,
+    StraightTo,
+    newer,
+)
+from tactile_geometry import se3
+from tactile_records.collecting import geometry
+from tactile_records.collecting.settings import (
     CAPTURE,
     CONTACT,
     PHASES,
@@ -42,21 +57,6 @@ from tactile_control.collection import (
     Exposure,
     Target,
 )
-from tactile_control.motion import TravelSettings, pose_difference
-from tactile_control.phase_machine import PhaseMachine
-from tactile_control.phases import (
-    GO_TO_START,
-    RETREAT,
-    GoToPose,
-    LiftOff,
-    Phase,
-    PhaseFailed,
-    StampedPose,
-    Stopping,
-    StraightTo,
-    newer,
-)
-from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 
@@ -149,12 +149,12 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
         super().__init__(task, TOUCH, ROTATE, goal=self._goal, pace=self._pace)
 
     def begin(self) -> None:
+        super().begin()
         settings = self.task.settings.touch
         self.places = geometry.places(settings.points, settings.radius)
         self._go(OVER)
 
     def _go(self, step: str) -> None:
-        super().begin()  # another pose
         self.step, self.step_ns = step, self.task.now_ns
 
     def _goal(self) -> Array:
@@ -183,7 +183,7 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
             around = f"{settings.search * 1e3:.1f} mm above and below"
             raise PhaseFailed(f"no contact within {around} where the surface should be")
         elif self.step == OVER and fresh:
-            position, _ = pose_difference(self.T_base_sensor, self.T_base_goal)
+            position, _ = pose_difference(self.T_base_sensor, self.goal())
             if se3.norm(position) <= _NEAR:
                 if self.exposure.in_contact:
                     above = f"{settings.search * 1e3:.1f} mm above the surface"
@@ -248,7 +248,7 @@ class DataCollection(PhaseMachine):
     settings : DataCollectionSettings
     targets : sequence of Target
     T_base_f : ndarray (4, 4)
-        Contact frame of the flat surface (see `collection_geometry`); touches correct it.
+        Contact frame of the flat surface (see `geometry`); touches correct it.
 
     Attributes
     ----------
