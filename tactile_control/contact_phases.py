@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tactile_base.stamps import NANOSECOND
 from tactile_control.contact_settings import ContactSettings
 from tactile_control.motion import along_z
-from tactile_control.phases import GO_TO_START, RETREAT, GoToPose, Phase, PhaseFailed
+from tactile_control.phases import GO_TO_START, RETREAT, Phase, PhaseFailed
 from tactile_geometry import se3
 
 if TYPE_CHECKING:
@@ -64,18 +64,6 @@ class Leave(ContactPhase):
         if far or self.elapsed > self.contact.retreat_timeout:
             raise PhaseFailed(f"still in contact after backing off by {self.moved * 1e3:.1f} mm")
         return along_z(-self.contact.retreat_speed)
-
-    def next_phase(self) -> str:
-        return self.task.first_phase()
-
-
-class GoToStart(GoToPose["ContactTask"]):
-    """Through the air to the start."""
-
-    needs = ("pose", "presence")
-
-    def next_phase(self) -> str:
-        return self.task.into_contact
 
 
 class Descend(ContactPhase):
@@ -216,9 +204,6 @@ class Settle(InContact):
 
     def twist(self) -> Array:
         return self.servo.twist
-
-    def next_phase(self) -> str:
-        return self.task.own_phase
 
 
 class Servo(InContact):

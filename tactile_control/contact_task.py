@@ -29,7 +29,6 @@ from tactile_control.contact_phases import (
     SETTLE,
     TOUCH,
     Approach,
-    GoToStart,
     InContact,
     Leave,
     Lift,
@@ -45,6 +44,7 @@ from tactile_control.phases import (
     GO_TO_START,
     RETREAT,
     Goal,
+    GoToPose,
     Phase,
     StampedPose,
     Stopping,
@@ -82,15 +82,7 @@ class ContactTask(PhaseMachine):
 
     A task names its phase `work` and fills in `reference_velocity`, `finished`, and where it has them
     `failure` and `fraction`; or it has phases of its own (`own_phases`).
-
-    Parameters
-    ----------
-    settings : ContactTaskSettings
-        Of the task's `settings_class`.
-    goal : Goal
-        Of the task's `goal_class`.
-    start : ndarray (4, 4), optional
-        T_base_sensor in the air from where to approach; without, the approach begins where the arm stands.
+    It approaches from its `start` in the air; without one, from where the arm stands.
     """
 
     settings: ContactTaskSettings
@@ -105,9 +97,7 @@ class ContactTask(PhaseMachine):
         self.width, self.carried = WidthCheck(settings.surface), CarriedCheck(settings.surface)
         self.checks: tuple[Check, ...] = (self.check, self.width, self.carried)
         self._T_base_work: Array | None = None
-        self.dry_touched: Array | None = (
-            None  # where the sensor was when it touched first, to be felt there again
-        )
+        self.dry_touched: Array | None = None  # where a dry touch was, to be felt there again
         self.touched_ns = 0  # when the contact began
         self.reapproaches = 0
         self._contact_ns: int | None = None  # when there was contact last
@@ -210,9 +200,17 @@ class ContactTask(PhaseMachine):
     def make_phases(self) -> Iterable[Phase[Any]]:
         """Those of every task in contact, and its own in between."""
         own = self.own_phases()
-        self.own_phase = own[0].name
-        into = Leave(self), GoToStart(self), Touch(self), Lift(self), Approach(self), Settle(self)
-        return [*into, *own, Stopping(self, needs=()), Retreat(self)]
+        return (
+            Leave(self, leads_to=self.first_phase()),
+            GoToPose(self, leads_to=self.into_contact, needs=("pose", "presence")),
+            Touch(self),
+            Lift(self),
+            Approach(self),
+            Settle(self, leads_to=own[0].name),
+            *own,
+            Stopping(self, needs=()),
+            Retreat(self),
+        )
 
     def first_phase(self) -> str:
         """To the start, or into contact."""

@@ -42,10 +42,6 @@ class FreeTask(PhaseMachine):
         """See `PhaseMachine`."""
         return GoToPose(self, leads_to=MOVE), self.move(), Stopping(self)
 
-    def first_phase(self) -> str:
-        """See `PhaseMachine`."""
-        return MOVE if self.start is None else GO_TO_START
-
     def details(self) -> dict[str, Any]:
         """What it carries is held by the controlled frame."""
         if self.pose is None or self.T_world_base is None:

@@ -27,6 +27,7 @@ from tactile_control.motion import Odometer
 from tactile_control.phases import (
     DONE,
     FAILED,
+    GO_TO_START,
     RETREAT,
     STOPPING,
     Command,
@@ -48,56 +49,29 @@ PAUSE = 0.2  # s without a step, after which the arm has stopped by itself: the 
 
 
 class PhaseMachine(ABC):
-    """Base of tasks; see the module's text. One object runs one goal.
-
-    Parameters
-    ----------
-    settings : SettingGroups
-        Of `settings_class`.
-    goal : Goal
-        Of `goal_class`.
-    start : ndarray (4, 4), optional
-        Where it begins, in the base; without, where the arm stands.
+    """Base of tasks; see the module's text. One object runs one goal, from `start` if it has one.
 
     Attributes
     ----------
-    settings_class, goal_class
-        What can be set of the task, and what a goal says.
-    phases : tuple of str
-        Names of its phases, for people, in their usual order.
-    work : str
-        The one of them in which it does what it is for.
-    node : str
-        Which node runs it.
-    needs_sensor : bool
-        Whether it needs a tactile sensor.
-    minds_contact : bool
-        Whether it wants to know of a contact where the arm has a sensor, though it needs none.
-    endless : bool
-        Whether it goes on until it is asked to `finish`.
-    command_class
-        What a step says.
-    settings : SettingGroups
-        Those in force: as the goal has adapted them.
-    phase, reason : str
-        What it does; why it fails, '' as long as it does not.
-    now_ns, since_ns : int
-        Time of this step; when the phase began.
-    pose, presence, belief : StampedPose, StampedPresence, StampedPose or None
-        The newest of each input.
-    traceback : str
-        Where an exception in the task came from; '' for none.
-    remark : str
-        What whoever calls knows of inputs that do not come; it is told where one is missing or too old.
-    held_back : str
-        What the limiter held back in the last step, as `Command.limited`.
-    T_world_base : ndarray (4, 4) or None
-        Where the arm's base stands; None: not known.
-    partner_hold : StampedPose or None
-        The newest `Command.hold` of another arm that works on the same object.
-    partner : str
-        Why another arm that works on the same object does not go on (`partners`); as long as it says so this
-        one rests too, as when an input is missing. It does not keep the task from leaving the surface.
+    settings_class, goal_class : what can be set of the task, and what a goal says
+    phases : names of its phases, for people, in their usual order
+    work : the one of them in which it does what it is for
+    node : which node runs it
+    needs_sensor : whether it needs a tactile sensor
+    minds_contact : whether it wants to know of a contact where the arm has a sensor, though it needs none
+    endless : whether it goes on until it is asked to `finish`
+    command_class : what a step says
+    settings, goal, start : the settings in force, as the goal has adapted them; T_base_start (4, 4) or None
+    phase, reason : what it does; why it fails, '' as long as it does not
+    now_ns, since_ns : time of this step; when the phase began
+    pose, presence, belief : the newest of each input, or None
+    held_back : what the limiter held back in the last step, as `Command.limited`
+    traceback : where an exception in the task came from; '' for none
+    remark : what whoever calls knows of inputs that do not come; it is told where one is missing or too old
+    T_world_base : where the arm's base stands (4, 4); None: not known
+    partner_hold : the newest `Command.hold` of another arm that works on the same object
+    partner : why that arm does not go on (`partners`); as long as it says so this one rests too, as when an
+        input is missing. It does not keep the task from leaving the surface.
     """
 
     settings_class: ClassVar[type[SettingGroups]]
@@ -140,9 +114,9 @@ class PhaseMachine(ABC):
     def make_phases(self) -> Iterable[Phase[Any]]:
         """Its phases, but for DONE and FAILED, in which nothing is done."""
 
-    @abstractmethod
     def first_phase(self) -> str:
         """The phase that it begins with."""
+        return self.work if self.start is None else GO_TO_START
 
     @property
     def may_touch(self) -> bool:

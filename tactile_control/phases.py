@@ -96,36 +96,25 @@ class Command:
 
     Attributes
     ----------
-    twist : ndarray (6,)
-        [v, omega] in the controlled frame to send now: after watchdog and limiter.
-    unlimited : ndarray (6,)
-        The same before watchdog and limiter.
-    phase : str
-        What the task does.
-    done, succeeded : bool
-        The task is over and the twist is zero; whether it did what it was asked to.
-    reason : str
-        Why it failed, is about to, or waits; '' where all is well.
-    limited : str
-        What the limiter held back in this step, '' for nothing: speeding up and braking are no trouble.
-    error, feedforward : ndarray (6,)
-        What is left to correct (m, rad) and the part of the twist that does not come of it; NaN and zero.
-    reference : ndarray (6,)
-        The contact pose that is servoed to, Euler (x, y, z, alpha, beta, gamma) of X_fs', m and rad; NaN.
-    progress : float
-        0 to 1 over all phases; it never goes back.
-    travelled : float
-        Way of the sensor's centre so far, m.
-    exposure_ns : int
-        Stamp of the belief that the twist is based on, 0 for none.
-    at_work : bool
-        Its own phase (`PhaseMachine.work`) has begun, and it is not over.
-    hold : StampedPose or None
-        Where it holds what it works at, in the world: the believed feature, T_world_feature; of an arm that
-        feels nothing the controlled frame, T_world_tool.
-    trouble : str
-        Why it does not go on with what it is for, to those who work together with it: something that it
-        needs is missing or too old, or it ends before it has done it. '' also where it rests because of them.
+    twist : (6,) [v, omega] in the controlled frame to send now: after watchdog and limiter
+    unlimited : (6,) the same before watchdog and limiter
+    phase : what the task does
+    done, succeeded : the task is over and the twist is zero; whether it did what it was asked to
+    reason : why it failed, is about to, or waits; '' where all is well
+    limited : what the limiter held back in this step, '' for nothing: speeding up and braking are no trouble
+    error, feedforward : (6,) what is left to correct (m, rad), and the part of the twist that does not come
+        of it; NaN and zero
+    reference : (6,) the contact pose that is servoed to, Euler (x, y, z, alpha, beta, gamma) of X_fs', m and
+        rad; NaN
+    progress : 0 to 1 over all phases; it never goes back
+    travelled : way of the sensor's centre so far, m
+    exposure_ns : stamp of the belief that the twist is based on, 0 for none
+    at_work : its own phase (`PhaseMachine.work`) has begun, and it is not over
+    hold : where it holds what it works at, in the world: the believed feature, T_world_feature; of an arm
+        that feels nothing the controlled frame, T_world_tool
+    trouble : why it does not go on with what it is for, to those who work together with it: something that
+        it needs is missing or too old, or it ends before it has done it. '' also where it rests because of
+        them.
     """
 
     twist: Array
@@ -184,23 +173,13 @@ T = TypeVar("T", bound="PhaseMachine")
 class Phase(Generic[T]):
     """What a task does for a while. One object lasts for the whole run, and may be entered again.
 
-    Parameters
-    ----------
-    task : PhaseMachine
-        Whose phase it is.
-    name, leads_to, needs : optional
-        In place of those of the class.
-
     Attributes
     ----------
-    name : str
-        As the status tells it, one of the task's `phases`.
-    leads_to : str
-        The phase that follows when it is over.
-    needs : tuple of str
-        Inputs without which it does not move: of "pose", "presence", "belief".
-    ends_moving : bool
-        In the step in which it is over its twist is sent, not zero.
+    task : whose phase it is
+    name : as the status tells it, one of the task's `phases`
+    leads_to : the phase that follows when it is over
+    needs : inputs without which it does not move, of "pose", "presence", "belief"
+    ends_moving : in the step in which it is over its twist is sent, not zero
     """
 
     name = leads_to = ""
@@ -272,8 +251,8 @@ class Phase(Generic[T]):
 class StraightTo(Phase[T]):
     """Straight to a pose in the base, slower near it.
 
-    `goal` gives the pose (4, 4), asked once each time that the phase begins, `pace` how fast, how near and how
-    long; by default the task's start and its `travel` settings. `what` is the pose, as a message calls it.
+    `goal` gives the pose (4, 4), asked once each time that the phase begins, `pace` how fast, how near and
+    how long; by default the task's start and its `travel` settings. `what` is the pose, as a message has it.
     """
 
     late = "was not reached within"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND
 from tactile_control.free_task import FreeTaskSettings
-from tactile_control.motion import TravelSettings, Waypoint
+from tactile_control.motion import TravelSettings, Waypoint, path_twist
 from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
     DONE,
@@ -177,10 +177,8 @@ class Press(Phase["Touching"]):
         return True
 
     def twist(self) -> Array:
-        ahead, behind = (self._on_path(self.elapsed + step) for step in (_DIFFERENCE, -_DIFFERENCE))
-        X_error = se3.inverse(self.T_base_sensor) @ self._on_path(self.elapsed)
-        twist = se3.log(se3.inverse(behind) @ ahead) / (2.0 * _DIFFERENCE)
-        return np.asarray(se3.adjoint(X_error) @ twist + self.task.settings.task.gain * se3.log(X_error))
+        own, error = path_twist(self._on_path, self.elapsed, 1.0, _DIFFERENCE, self.T_base_sensor)
+        return np.asarray(own + self.task.settings.task.gain * error)
 
     def _on_path(self, elapsed: float) -> Array:
         """Where the sensor is to be (4, 4) that long after its touch, s."""

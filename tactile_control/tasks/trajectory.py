@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_control.free_task import MOVE, FreeTask, FreeTaskSettings
+from tactile_control.motion import path_twist
 from tactile_control.phases import DONE, Goal, Phase, PhaseFailed
 from tactile_geometry import se3
 
@@ -125,17 +126,13 @@ class Along(Phase["Trajectory"]):
             self.moved_ns, self.rate = pose.stamp_ns, 0.0
         self.last_ns = now_ns
         self._advance(pose.stamp_ns)
-        self.X_error = se3.inverse(pose.T) @ self.pose(self.path_s)
-        self.error = se3.log(self.X_error)
+        self.feedforward, self.error = path_twist(self.pose, self.path_s, self.rate, _DIFFERENCE, pose.T)
         off = float(np.linalg.norm(self.error[:3]))
         if off > self.task.settings.task.largest_error:
             raise PhaseFailed(f"the arm is {1e3 * off:.1f} mm off its trajectory")
         return self.path_s >= self.task.goal.duration and self._arrived(pose.stamp_ns)
 
     def twist(self) -> Array:
-        ahead, behind = self.pose(self.path_s + _DIFFERENCE), self.pose(self.path_s - _DIFFERENCE)
-        twist = se3.log(se3.inverse(behind) @ ahead) * (self.rate / (2.0 * _DIFFERENCE))
-        self.feedforward = se3.adjoint(self.X_error) @ twist
         return self.feedforward + self.task.settings.task.gain * self.error
 
     def _arrived(self, stamp_ns: int) -> bool:

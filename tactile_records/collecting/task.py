@@ -287,38 +287,32 @@ class DataCollection(PhaseMachine):
         """See `PhaseMachine`."""
 
         def to(X_fs: Callable[[], Array], pace: str, what: str = "the start") -> dict[str, Any]:
-            """A way to a pose in {f}, at a pace off the surface or in contact."""
+            """A way to a pose in {f}, at a pace of the settings."""
             goal, travel = lambda: self.in_base(X_fs()), lambda: getattr(self.settings.motion, pace)
             return {"goal": goal, "pace": travel, "what": what}
 
-        def start() -> Array:
-            return geometry.at(0.0, 0.0, -self.settings.motion.standoff)
-
-        def turned() -> Array:
-            return geometry.above(self.target.euler, self.settings.motion.clearance)
-
-        def pressed() -> Array:
-            return geometry.pressed(self.target.euler)
-
-        def sheared() -> Array:
-            return se3.pose_from_euler(self.target.euler)
-
-        def lifted() -> Array:
-            motion = self.settings.motion
-            gap = motion.standoff if self.nothing_left else motion.clearance
-            return geometry.lifted(self.in_contact_frame(self.T_base_sensor), gap)
-
+        start = to(lambda: geometry.at(0.0, 0.0, -self.settings.motion.standoff), "in_air")
+        turned = to(lambda: geometry.above(self.target.euler, self.settings.motion.clearance), "in_air",
+                    "the start of the contact")  # fmt: skip
+        pressed = to(lambda: geometry.pressed(self.target.euler), "in_contact", "the depth")
+        sheared = to(lambda: se3.pose_from_euler(self.target.euler), "in_contact", "the shear")
         return (
-            GoToPose(self, GO_TO_START, REFERENCE, NEEDS, **to(start, "in_air")),
+            GoToPose(self, GO_TO_START, REFERENCE, NEEDS, **start),
             Reference(self),
             Touch(self),
-            Rotate(self, ROTATE, CONTACT, NEEDS, **to(turned, "in_air", "the start of the contact")),
-            StraightTo(self, CONTACT, SHEAR, NEEDS, **to(pressed, "in_contact", "the depth")),
-            StraightTo(self, SHEAR, CAPTURE, NEEDS, **to(sheared, "in_contact", "the shear")),
+            Rotate(self, ROTATE, CONTACT, NEEDS, **turned),
+            StraightTo(self, CONTACT, SHEAR, NEEDS, **pressed),
+            StraightTo(self, SHEAR, CAPTURE, NEEDS, **sheared),
             TakeImage(self),
-            LiftOff(self, RETREAT, ROTATE, **to(lifted, "in_air")),
+            LiftOff(self, RETREAT, ROTATE, **to(self._lifted, "in_air")),
             Stopping(self),
         )
+
+    def _lifted(self) -> Array:
+        """Straight off the surface in {f}, the last time further."""
+        motion = self.settings.motion
+        gap = motion.standoff if self.nothing_left else motion.clearance
+        return geometry.lifted(self.in_contact_frame(self.T_base_sensor), gap)
 
     def first_phase(self) -> str:
         """See `PhaseMachine`."""
