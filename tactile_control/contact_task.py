@@ -21,26 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND, SECOND_NS
+from tactile_control import contact_phases
 from tactile_control.carried_check import CarriedCheck
-from tactile_control.contact_phases import (
-    APPROACH,
-    LEAVE,
-    LIFT,
-    SETTLE,
-    TOUCH,
-    Approach,
-    InContact,
-    Leave,
-    Lift,
-    Retreat,
-    Servo,
-    Settle,
-    Touch,
-)
+from tactile_control.contact_phases import APPROACH, LEAVE, LIFT, SETTLE, TOUCH, InContact, Servo
 from tactile_control.contact_settings import ContactTaskSettings
 from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
-    DONE,
     GO_TO_START,
     RETREAT,
     Goal,
@@ -64,16 +50,7 @@ TRACK_NS = SECOND_NS  # the sensor's poses are remembered for this long
 STEEPEST, TINY = 0.2, 1e-12  # cosine of a slope that `along_surface` takes for no steeper; m/s
 
 # progress at which each phase begins; the work takes the large middle part
-PROGRESS = {
-    LEAVE: 0.0,
-    GO_TO_START: 0.0,
-    TOUCH: 0.02,
-    LIFT: 0.03,
-    APPROACH: 0.04,
-    SETTLE: 0.07,
-    RETREAT: 0.97,
-    DONE: 1.0,
-}
+PROGRESS = {TOUCH: 0.02, LIFT: 0.03, APPROACH: 0.04, SETTLE: 0.07, RETREAT: 0.97}
 WORK_PROGRESS = 0.1
 
 
@@ -201,15 +178,15 @@ class ContactTask(PhaseMachine):
         """Those of every task in contact, and its own in between."""
         own = self.own_phases()
         return (
-            Leave(self, leads_to=self.first_phase()),
+            contact_phases.Leave(self, leads_to=self.first_phase()),
             GoToPose(self, leads_to=self.into_contact, needs=("pose", "presence")),
-            Touch(self),
-            Lift(self),
-            Approach(self),
-            Settle(self, leads_to=own[0].name),
+            contact_phases.Touch(self),
+            contact_phases.Lift(self),
+            contact_phases.Approach(self),
+            contact_phases.Settle(self, leads_to=own[0].name),
             *own,
             Stopping(self, needs=()),
-            Retreat(self),
+            contact_phases.Retreat(self),
         )
 
     def first_phase(self) -> str:
@@ -275,7 +252,6 @@ class ContactTask(PhaseMachine):
     # ---- inputs ----
 
     def take(self, inputs: TaskInputs) -> None:
-        """See `PhaseMachine`."""
         pose, belief = inputs.sensor_pose, inputs.belief
         if newer(pose, self.pose):
             se3.checked_pose("sensor pose", pose.T)

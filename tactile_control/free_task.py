@@ -39,7 +39,6 @@ class FreeTask(PhaseMachine):
         """The phase MOVE, which leads to DONE."""
 
     def make_phases(self) -> Iterable[Phase[Any]]:
-        """See `PhaseMachine`."""
         return GoToPose(self, leads_to=MOVE), self.move(), Stopping(self)
 
     def details(self) -> dict[str, Any]:

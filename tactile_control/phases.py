@@ -249,13 +249,13 @@ class Phase(Generic[T]):
 
 
 class StraightTo(Phase[T]):
-    """Straight to a pose in the base, slower near it.
+    """Straight to a pose in the base, slower near it; where that goes through the air nothing may be touched.
 
     `goal` gives the pose (4, 4), asked once each time that the phase begins, `pace` how fast, how near and
     how long; by default the task's start and its `travel` settings. `what` is the pose, as a message has it.
     """
 
-    late = "was not reached within"
+    what, late, in_air = "the start", "was not reached within", True
 
     def __init__(
         self,
@@ -263,13 +263,13 @@ class StraightTo(Phase[T]):
         *names: Any,
         goal: Callable[[], Array] | None = None,
         pace: Callable[[], TravelSettings] | None = None,
-        what: str = "the start",
+        what: str = "",
         **more: Any,
     ) -> None:
         super().__init__(task, *names, **more)
         self.goal: Callable[[], Any] = goal or (lambda: task.start)
         self.pace = pace or (lambda: task.settings.travel)
-        self.what = what
+        self.what = what or self.what
 
     def begin(self) -> None:
         self.waypoints: list[Waypoint] | None = None
@@ -280,6 +280,8 @@ class StraightTo(Phase[T]):
         return [Waypoint(self.goal(), pace.position_tolerance, pace.angle_tolerance)]
 
     def over(self) -> bool:
+        if self.in_air and self.task.meets_something:
+            raise PhaseFailed(f"touched something on the way to {self.what}")
         self.waypoints = self.way() if self.waypoints is None else self.waypoints
         while self.waypoints and self.waypoints[0].reached(self.T_base_sensor):
             self.waypoints.pop(0)
@@ -292,7 +294,7 @@ class StraightTo(Phase[T]):
 
 
 class GoToPose(StraightTo[T]):
-    """Through the air to a pose in the base, up along its -z, across, and down; nothing may be touched."""
+    """Through the air to a pose in the base: up along its -z, across, and down."""
 
     name = GO_TO_START
     needs: tuple[str, ...] = ("pose",)
@@ -303,18 +305,14 @@ class GoToPose(StraightTo[T]):
             raise PhaseFailed(f"{self.what} is {distance:.3g} m away (limit {limit:g} m)", here=True)
         return way_to_start(pose, goal, self.pace())
 
-    def over(self) -> bool:
-        if self.task.meets_something:
-            raise PhaseFailed(f"touched something on the way to {self.what}")
-        return super().over()
-
 
 class LiftOff(StraightTo[T]):
     """Straight off the surface, which need not end exactly; then on, or to the end."""
 
     name = RETREAT
     needs: tuple[str, ...] = ("pose",)
-    late, near = "took longer than", 5e-4  # m
+    what, late, in_air = "the retreat", "took longer than", False
+    near = 5e-4  # m
 
     def way(self) -> list[Waypoint]:
         return [Waypoint(self.goal(), self.near, np.inf)]

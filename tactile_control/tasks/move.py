@@ -131,19 +131,16 @@ class Move(FreeTask):
     _free = _touched = False  # whether it was out of contact, and is in one since
 
     def move(self) -> Go:
-        """See `FreeTask`."""
         self._go = Go(self)
         return self._go
 
     def take(self, inputs: TaskInputs) -> None:
-        """See `PhaseMachine`."""
         super().take(inputs)
         if inputs.presence is not None:
             self._touched = self._touched or (self._free and inputs.presence.in_contact)
             self._free = self._free or not inputs.presence.in_contact
 
     def before_phase(self) -> None:
-        """See `PhaseMachine`."""
         if self._touched and self.phase in (GO_TO_START, MOVE):
             raise PhaseFailed(TOUCHED)
 

@@ -218,7 +218,6 @@ class Touching(PhaseMachine):
         self.seen_ns = 0  # when contact was seen last
 
     def make_phases(self) -> Iterable[Phase[Any]]:
-        """See `PhaseMachine`."""
         return (
             GoToPose(self, leads_to=OVER, needs=("pose", "presence")),
             Over(self, OVER, TOUCH, goal=lambda: self.above(0.0), what="a place over the surface"),
@@ -231,11 +230,9 @@ class Touching(PhaseMachine):
         )
 
     def first_phase(self) -> str:
-        """See `PhaseMachine`."""
         return OVER if self.start is None else GO_TO_START
 
     def take(self, inputs: TaskInputs) -> None:
-        """See `PhaseMachine`."""
         super().take(inputs)
         if self.start is None and self.pose is not None:
             self.start = self.pose.T.copy()

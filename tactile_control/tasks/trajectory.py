@@ -174,7 +174,6 @@ class Trajectory(FreeTask):
     goal: TrajectoryGoal
 
     def move(self) -> Along:
-        """See `FreeTask`."""
         self._along = Along(self)
         self._along.begin()
         return self._along

@@ -315,11 +315,9 @@ class DataCollection(PhaseMachine):
         return geometry.lifted(self.in_contact_frame(self.T_base_sensor), gap)
 
     def first_phase(self) -> str:
-        """See `PhaseMachine`."""
         return GO_TO_START
 
     def take(self, inputs: CollectionInputs) -> None:
-        """See `PhaseMachine`."""
         super().take(inputs)
         if newer(inputs.exposure, self.image):
             se3.checked_pose("sensor pose at the exposure", inputs.exposure.T_base_sensor)

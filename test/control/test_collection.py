@@ -314,6 +314,19 @@ def test_an_arm_that_does_not_move_is_noticed():
     assert "the start was not reached within 20 s" in commands[-1].reason
 
 
+def test_a_retreat_that_takes_too_long_is_told_beside_the_reason_for_it():
+    task, bench = collection(), Bench()
+    follow = bench.step
+
+    def step(twist):
+        follow(np.zeros(6) if task.phase == "retreat" else twist)
+
+    bench.step = step
+    commands = run(task, bench, each=lambda c: task.stop("enough") if c.phase == "capture" else None)
+    assert phases(commands)[-2:] == ["retreat", "failed"]
+    assert commands[-1].reason == "enough; the retreat took longer than 20 s"
+
+
 def test_two_touches_are_refused():
     with pytest.raises(SettingError, match="two touches"):
         TouchSettings(points=2)

@@ -109,6 +109,14 @@ def test_a_stop_in_a_phase_of_its_own_comes_to_rest_and_leaves(run, phase):
     assert record.result["reason"].endswith("enough") and not record.truth.in_contact[-1]
 
 
+def test_a_way_aside_that_goes_along_the_surface_ends_the_task(run):
+    """Which is what comes of leaving it by nothing."""
+    settings = {"contact__retreat_distance": 0.0, "travel__speed": 0.004}
+    record, commands = run("tapping", "plane", settings=settings)
+    assert phases_of(commands)[-4:] == ["aside", STOPPING, RETREAT, FAILED]
+    assert record.result["reason"].endswith("touched something on the way to the place of the next tap")
+
+
 def test_the_depth_of_a_goal_holds_whatever_the_settings_become(run):
     """It is the one that is servoed to, and the one that a depth is held against."""
 
