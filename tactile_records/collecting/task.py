@@ -286,7 +286,7 @@ class DataCollection(PhaseMachine):
     def make_phases(self) -> Iterable[Phase[Any]]:
         """See `PhaseMachine`."""
 
-        def to(X_fs: Callable[[], Array], pace: str, what: str = "the start") -> dict[str, Any]:
+        def to(X_fs: Callable[[], Array], pace: str, what: str = "") -> dict[str, Any]:
             """A way to a pose in {f}, at a pace of the settings."""
             goal, travel = lambda: self.in_base(X_fs()), lambda: getattr(self.settings.motion, pace)
             return {"goal": goal, "pace": travel, "what": what}
