@@ -132,8 +132,8 @@ def test_the_depth_of_a_goal_holds_whatever_the_settings_become(run):
 
 @pytest.mark.parametrize("scene", ["plane", "dome", "torus", "turning torus"])
 def test_a_circle_ends_where_it_began_on_any_surface(run, scene):
-    record, _ = run("circle", scene, settings=TURNS if "turning" in scene else None, radius=0.015)
+    record, _ = run("circle", scene, settings=TURNS if "turning" in scene else None, radius=0.025)
     assert record.result["succeeded"], record.result["reason"]
     places = record.pose.T_base_sensor[record.working(record.pose.stamp_ns)][:, :3, 3]
     assert np.linalg.norm(places[-1] - places[0]) < 0.5e-3
-    np.testing.assert_allclose(np.ptp(places[:, :2], axis=0), 0.030, atol=0.3e-3)
+    np.testing.assert_allclose(np.ptp(places[:, :2], axis=0), 0.050, atol=0.3e-3)
