@@ -27,7 +27,8 @@ from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_bringup.offline_perception import Perception, perception
 from tactile_bringup.run_sequence import ArmPlan, RunSequence, arm_plans
 from tactile_control.partners import Partners
-from tactile_control.phases import Command, PhaseMachine, StampedPose, StampedPresence, TaskInputs
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import Command, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_control.task_step import task_step
 from tactile_doubles.lies import Lies
@@ -279,7 +280,7 @@ class _OfflineArm:
         self.refused = Counter[str]()
         self.remark = ""
         self.partners, self.traceback = Partners(), ""
-        self.task: PhaseMachine[TaskInputs, Command] | None = None
+        self.task: PhaseMachine | None = None
         self.goal = 0
         self.begun_ns = START_NS
 

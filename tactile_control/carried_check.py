@@ -45,8 +45,8 @@ class CarriedCheck(Check):
         self._check.configure(_still(settings))
 
     def begin(self) -> None:
-        """A new contact: nothing is known of it."""
-        self.doubt, self.contradiction = 0.0, ""
+        """See `Check`."""
+        super().begin()
         self._check.begin()
         self._tool = TransformBuffer(SECOND_NS)
         self._heard: StampedPose | None = None

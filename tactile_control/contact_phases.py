@@ -1,31 +1,28 @@
-"""Into contact and out of it, by the presence of contact and the arm's pose alone: nothing is believed yet.
+"""How a task in contact runs: its phases, each a small object; `contact_task` has what they share.
 
-Phases: go_to_start -> approach -> settle, and retreat -> done, or failed; where that is set, touch and lift
-before the approach. A task that begins in a contact, which was not made by it, leaves the surface before.
-What is done in contact, from `settle` to the retreat, is in `contact_task`.
+    leave ->              where the task begins in a contact, which was not made by it
+    go_to_start ->        where it has a start
+    touch -> lift ->      where that is set (contact.dry_touch)
+    approach -> settle -> the task's own phases -> retreat -> done
+    stopping -> retreat -> done or failed         whenever it is asked to end, or fails
+
+Up to the approach all goes by the presence of contact and the arm's pose alone; from `settle` on the arm is
+servoed on beliefs, held against the arm's own motion. A contact that is lost there is approached again.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_control.contact_settings import ContactSettings, ContactTaskSettings
-from tactile_control.motion import along_z
-from tactile_control.phases import (
-    DONE,
-    FAILED,
-    GO_TO_START,
-    RETREAT,
-    STOPPING,
-    Command,
-    PhaseMachine,
-    StampedPresence,
-    TaskInputs,
-)
+from tactile_base.stamps import NANOSECOND
+from tactile_control.contact_settings import ContactSettings
+from tactile_control.motion import Odometer, along_z
+from tactile_control.phases import GO_TO_START, RETREAT, Phase, PhasedTask, PhaseFailed, StampedPose
+from tactile_control.servoing import ServoingOutput
+from tactile_control.surface_check import Check, SurfaceCheck
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
@@ -35,194 +32,247 @@ TOUCH = "touch"
 LIFT = "lift"
 APPROACH = "approach"
 SETTLE = "settle"
-INTO_CONTACT = (LEAVE, GO_TO_START, TOUCH, LIFT, APPROACH, SETTLE)  # what comes before a task's own phase
+INTO_CONTACT = (LEAVE, GO_TO_START, TOUCH, LIFT, APPROACH, SETTLE)  # what comes before a task's own phases
 LEAVE_WITHIN = 3.0  # retreat distances, within which a contact that was there before the task has to end
 LIFT_BY, LIFT_WITHIN = 0.003, 0.009  # m off a dry touch, and that its contact ends within
 FELT_AGAIN = 0.0015  # m beyond a dry touch, within which an approach has to feel it again
 
 
-class ContactPhases(PhaseMachine[TaskInputs, Command]):
-    """The phases of a task in contact that make the contact and end it; see the module's text.
+class TaskInContact(PhasedTask, Protocol):
+    """What these phases ask of their task besides (`contact_task.ContactTask` says what each is)."""
 
-    Parameters
-    ----------
-    settings : ContactTaskSettings
-    start : ndarray (4, 4), optional
-        T_base_sensor in the air from where to approach; without, the approach begins where the arm stands.
-    handlers : mapping
-        Of the other phases, as of a `PhaseMachine`.
+    now_ns: int
+    belief: StampedPose | None
+    odometer: Odometer
+    dry_touched: Array | None
+    touched_ns: int
+    reapproaches: int
+    check: SurfaceCheck
+    checks: tuple[Check, ...]
+    pace: float
+
+    def contact_seen(self, begins: bool = False) -> None: ...
+    def contact_made(self) -> None: ...
+    def contact_lost(self) -> bool: ...
+    def serve(self, velocity: Array, hold_integral: bool = False) -> ServoingOutput: ...
+    def reference_velocity(self, elapsed: float) -> Array: ...
+    def finished(self, elapsed: float) -> bool: ...
+    def failure(self, elapsed: float) -> str: ...
+
+
+class ContactPhase(Phase[TaskInContact]):
+    """A phase of a task in contact."""
+
+    @property
+    def contact(self) -> ContactSettings:
+        """Speeds, tolerances and time limits."""
+        return self.task.settings.contact
+
+
+# ---- into contact: nothing is believed yet ----
+
+
+class Leave(ContactPhase):
+    """Back out of a contact that was there before the task."""
+
+    name = LEAVE
+
+    def over(self) -> bool:
+        return self.moved >= self.contact.retreat_distance and not self.touching
+
+    def twist(self) -> Array:
+        far = self.moved >= LEAVE_WITHIN * self.contact.retreat_distance
+        if far or self.elapsed > self.contact.retreat_timeout:
+            raise PhaseFailed(f"still in contact after backing off by {self.moved * 1e3:.1f} mm")
+        return along_z(-self.contact.retreat_speed)
+
+
+class Descend(ContactPhase):
+    """Along the sensor's z into the surface, as long as that is sensible."""
+
+    def twist(self) -> Array:
+        contact = self.contact
+        if self.moved > contact.approach_distance:
+            raise PhaseFailed(f"no contact within {contact.approach_distance * 1e3:.1f} mm of approach")
+        if self.elapsed > contact.approach_timeout:
+            raise PhaseFailed(f"no contact within {contact.approach_timeout:g} s of approach")
+        return along_z(contact.approach_speed)
+
+
+class Touch(Descend):
+    """Until contact is felt at all."""
+
+    name, leads_to = TOUCH, LIFT
+
+    def over(self) -> bool:
+        if self.touching:
+            self.task.contact_seen()
+            self.task.dry_touched = self.T_base_sensor[:3, 3].copy()
+        return self.touching
+
+
+class Lift(ContactPhase):
+    """Off it again: what was felt has to end."""
+
+    name, leads_to = LIFT, APPROACH
+
+    def over(self) -> bool:
+        return self.moved >= LIFT_BY and not self.touching
+
+    def twist(self) -> Array:
+        if self.moved >= LIFT_WITHIN:
+            gone = f"{self.moved * 1e3:.1f} mm"
+            raise PhaseFailed(f"the contact that was felt does not end {gone} off: is it one?")
+        return along_z(-self.contact.approach_speed)
+
+
+class Approach(Descend):
+    """Into contact, and on for the press distance: images say little of a contact that only begins."""
+
+    name, leads_to = APPROACH, SETTLE
+
+    def begin(self) -> None:
+        self.touched: Array | None = None  # where the sensor was at the first touch
+
+    def over(self) -> bool:
+        pose, dry = self.T_base_sensor, self.task.dry_touched
+        if not self.touching:
+            self.touched = None
+        elif self.touched is None:
+            self.touched = pose[:3, 3].copy()
+            self.task.contact_seen(begins=True)
+        if self.touched is not None:
+            if se3.norm(pose[:3, 3] - self.touched) < self.contact.press_distance:
+                return False
+            self.task.contact_made()
+            return True
+        beyond = -1.0 if dry is None else float(pose[:3, 2] @ (pose[:3, 3] - dry))
+        if beyond > FELT_AGAIN:
+            raise PhaseFailed(f"a contact was felt {beyond * 1e3:.1f} mm before, and is not felt again")
+        return False
+
+
+# ---- in contact ----
+
+
+class InContact(ContactPhase):
+    """Servoed on beliefs: slower where they are doubtful, to an end where they are refuted."""
+
+    needs = ("pose", "presence", "belief")
+    ends_moving = True
+
+    def interrupted(self) -> str:
+        """Contact lost: asked before the watchdog, since without contact the last belief grows old."""
+        if not self.task.contact_lost():
+            return ""
+        self.task.reapproaches += 1
+        if self.contact.lost_contact == "fail":
+            raise PhaseFailed(f"contact was lost in phase {self.name}")
+        if self.task.reapproaches > self.contact.reapproaches:
+            raise PhaseFailed(f"contact was lost {self.task.reapproaches} times")
+        return APPROACH
+
+    def adjust(self, twist: Array, waiting: str) -> tuple[Array, str]:
+        """Slower where the arm's own motion speaks against the beliefs; away where it refutes them."""
+        check = min(self.task.checks, key=lambda check: (check.pace(), -check.doubt))
+        self.task.pace = pace = check.pace()
+        if pace == 0.0:
+            raise PhaseFailed(check.contradiction)
+        if pace < 1.0 and not waiting:
+            waiting = f"slower: what is believed of the contact nears a limit ({check.doubt:.0%} of it)"
+        slowed = pace * twist
+        slowed[2] = min(slowed[2], twist[2])  # the way out, -z of the sensor, is no slower
+        return slowed, waiting
+
+
+class Settle(InContact):
+    """To the reference contact pose, until the errors that have a gain stay within their tolerances."""
+
+    name = SETTLE
+
+    def begin(self) -> None:
+        self.settled_ns: int | None = None
+        for check in self.task.checks:
+            check.begin()
+
+    def missing(self) -> list[str]:
+        """The belief has to be of an image exposed since the touch: one from before was of no contact."""
+        missing, belief = super().missing(), self.task.belief
+        if not missing and belief is not None and belief.stamp_ns < self.task.touched_ns:
+            missing = ["belief since the contact"]
+        return missing
+
+    def over(self) -> bool:
+        # the way in is no steady error: an integral of it would only be an offset on the path
+        self.servo = self.task.serve(np.zeros(6), hold_integral=True)
+        pid, contact, now_ns = self.task.settings.pid, self.contact, self.task.now_ns
+        controlled = (np.asarray(pid.kp) > 0.0) | (np.asarray(pid.ki) > 0.0)
+        error = np.where(controlled, self.servo.error, 0.0)
+        depth, tilt = abs(error[2]), se3.norm(error[3:5])
+        if depth > contact.settle_depth_tolerance or tilt > contact.settle_angle_tolerance:
+            self.settled_ns = None
+        elif self.settled_ns is None:
+            self.settled_ns = now_ns
+        if self.settled_ns is not None and (now_ns - self.settled_ns) * NANOSECOND >= contact.settle_time:
+            self.task.odometer.break_off()
+            return True
+        if self.elapsed > contact.settle_timeout:
+            raise PhaseFailed(
+                f"not settled within {contact.settle_timeout:g} s: depth error {depth * 1e3:.2f} mm, "
+                f"tilt error {np.degrees(tilt):.2f} deg"
+            )
+        return False
+
+    def twist(self) -> Array:
+        return self.servo.twist
+
+
+class Servo(InContact):
+    """A phase of a task's own in contact: servoed to a reference that moves at a velocity.
+
+    It asks the task for all that it does; where a task has several, each says for itself.
     """
 
-    def __init__(
-        self,
-        settings: ContactTaskSettings,
-        start: Array | None,
-        handlers: Mapping[str, Callable[[int], Array]],
-    ) -> None:
-        own = {
-            LEAVE: self._leave,
-            GO_TO_START: self._go_to_start,
-            TOUCH: self._touch,
-            LIFT: self._lift,
-            APPROACH: self._approach,
-            STOPPING: self._stopping,
-            RETREAT: self._retreat,
-        }
-        self._after_leaving = self._into_contact(settings.contact) if start is None else GO_TO_START
-        super().__init__(self._after_leaving, {**own, **handlers}, settings.limiter, settings.watchdog)
-        self.settings = settings
-        self.start = None if start is None else se3.checked_pose("start", start)
-        self._presence: StampedPresence | None = None
-        self._phase_pose: Array | None = None
-        self._contact_ns: int | None = None
-        self._touch_ns = 0
-        self._touch_position: Array | None = None
-        self._dry: Array | None = None  # where the sensor was when it touched first, to be felt there again
-        self._begins = True
+    leads_to = RETREAT
 
-    @abstractmethod
-    def _contact_made(self) -> None:
-        """An approach has made a contact: `settle` begins."""
+    def begin(self) -> None:
+        self.task.check.work()
 
-    # ---- phases: each returns the twist wanted now ----
+    def velocity(self) -> Array:
+        """Of the reference (6,), in its own frame {s'}."""
+        return self.task.reference_velocity(self.elapsed)
 
-    def _next_twist(self, now_ns: int) -> tuple[Array, str]:
-        """What the task begins with depends on whether it touches: the first presence says so."""
-        if self._begins and self._presence is not None and self._pose is not None:
-            self._begins = False
-            if self._presence.in_contact:
-                self._begin_in_contact(self._presence.stamp_ns)
-        return super()._next_twist(now_ns)
+    def finished(self) -> bool:
+        """Whether it is over; may raise `PhaseFailed`."""
+        finished = self.task.finished(self.elapsed)
+        if not finished and (reason := self.task.failure(self.elapsed)):
+            raise PhaseFailed(reason)
+        return finished
 
-    def _begin_in_contact(self, stamp_ns: int) -> None:
-        """Leave the contact, which was not made by the task, or go on with it."""
-        if self.settings.contact.leave_first:
-            self._enter(LEAVE)
-        else:
-            self._touch_ns = self._contact_ns = stamp_ns
-            self._enter(SETTLE)
+    def over(self) -> bool:
+        self.task.odometer.add(self.T_base_sensor[:3, 3])
+        return self.finished()
 
-    def _leave(self, now_ns: int) -> Array:
-        """Back out of a contact that was there before the task."""
-        settings = self.settings.contact
-        gone = self._gone_from_phase_start()
-        if gone >= settings.retreat_distance and not self._touching():
-            self._enter(self._after_leaving)
-            return np.zeros(6)
-        if (
-            gone >= LEAVE_WITHIN * settings.retreat_distance
-            or self._in_phase(now_ns) > settings.retreat_timeout
-        ):
-            return self._fail(f"still in contact after backing off by {gone * 1e3:.1f} mm")
-        return along_z(-settings.retreat_speed)
+    def twist(self) -> Array:
+        return self.task.serve(self.velocity()).twist
 
-    def _go_to_start(self, now_ns: int) -> Array:
-        assert self.start is not None
-        if self._touching() and self._in_phase(now_ns) > self.settings.contact.lost_contact_time:
-            return self._fail("touched something on the way to the start")
-        twist = self._go_to(self.start, self.settings.travel, now_ns)
-        if twist is None:
-            self._enter(self._into_contact(self.settings.contact))
-            return np.zeros(6)
-        return twist
 
-    @staticmethod
-    def _into_contact(settings: ContactSettings) -> str:
-        """The phase that makes the first contact."""
-        return TOUCH if settings.dry_touch else APPROACH
+# ---- out of contact ----
 
-    def _touch(self, now_ns: int) -> Array:
-        """Into the surface until contact is felt at all."""
-        if self._touching():
-            assert self._presence is not None
-            self._contact_ns = self._presence.stamp_ns
-            self._dry = self._sensor_pose()[:3, 3].copy()
-            self._enter(LIFT)
-            return np.zeros(6)
-        return self._no_contact_yet(now_ns)
 
-    def _lift(self, now_ns: int) -> Array:
-        """Off it again: what was felt has to end."""
-        gone = self._gone_from_phase_start()
-        if gone >= LIFT_BY and not self._touching():
-            self._enter(APPROACH)
-            return np.zeros(6)
-        if gone >= LIFT_WITHIN:
-            return self._fail(f"the contact that was felt does not end {gone * 1e3:.1f} mm off: is it one?")
-        return along_z(-self.settings.contact.approach_speed)
+class Retreat(ContactPhase):
+    """Along the sensor's -z, off the surface; no image is needed for that."""
 
-    def _approach(self, now_ns: int) -> Array:
-        settings = self.settings.contact
-        if self._pressed() >= settings.press_distance:
-            self._dry = None
-            self._contact_made()
-            self._enter(SETTLE)
-            return np.zeros(6)
-        if self._dry is not None and self._touch_position is None:
-            pose = self._sensor_pose()
-            beyond = float(pose[:3, 2] @ (pose[:3, 3] - self._dry))
-            if beyond > FELT_AGAIN:
-                return self._fail(f"a contact was felt {beyond * 1e3:.1f} mm before, and is not felt again")
-        return self._no_contact_yet(now_ns)
+    name = RETREAT
+    needs = ("pose",)
 
-    def _no_contact_yet(self, now_ns: int) -> Array:
-        """On into the surface, as long as that is sensible."""
-        settings = self.settings.contact
-        if self._gone_from_phase_start() > settings.approach_distance:
-            return self._fail(f"no contact within {settings.approach_distance * 1e3:.1f} mm of approach")
-        if self._in_phase(now_ns) > settings.approach_timeout:
-            return self._fail(f"no contact within {settings.approach_timeout:g} s of approach")
-        return along_z(settings.approach_speed)
+    def over(self) -> bool:
+        return self.moved >= self.contact.retreat_distance
 
-    def _pressed(self) -> float:
-        """Way since the first touch of this approach, m; negative before it."""
-        if not self._touching():
-            self._touch_position = None
-            return -1.0
-        assert self._presence is not None
-        position = self._sensor_pose()[:3, 3]
-        if self._touch_position is None:
-            self._touch_position = position.copy()
-            self._touch_ns = self._contact_ns = self._presence.stamp_ns
-        return se3.norm(position - self._touch_position)
+    def twist(self) -> Array:
+        if self.elapsed > self.contact.retreat_timeout:
+            raise PhaseFailed(f"the retreat took longer than {self.contact.retreat_timeout:g} s")
+        return along_z(-self.contact.retreat_speed)
 
-    def _stopping(self, now_ns: int) -> Array:
-        if self._at_rest():
-            if self._contact_ns is not None:
-                self._enter(RETREAT)
-            else:
-                self._enter(FAILED if self.reason else DONE)
-        return np.zeros(6)
-
-    def _retreat(self, now_ns: int) -> Array:
-        settings = self.settings.contact
-        if self._gone_from_phase_start() >= settings.retreat_distance:
-            self._enter(FAILED if self.reason else DONE)
-            return np.zeros(6)
-        if self._in_phase(now_ns) > settings.retreat_timeout:
-            return self._retreat_late(settings.retreat_timeout)
-        return along_z(-settings.retreat_speed)
-
-    # ---- parts of phases ----
-
-    def _touching(self) -> bool:
-        """In contact, by an image exposed since this phase began."""
-        presence = self._presence
-        return presence is not None and presence.in_contact and presence.stamp_ns >= self._phase_since_ns
-
-    def _gone_from_phase_start(self) -> float:
-        """Distance from where the sensor was at the first step of this phase, m."""
-        pose = self._sensor_pose()
-        if self._phase_pose is None:
-            self._phase_pose = pose.copy()
-        return se3.norm(pose[:3, 3] - self._phase_pose[:3, 3])
-
-    def _fail(self, reason: str) -> Array:
-        """Fail with a retreat first."""
-        self._contact_ns = self._contact_ns or self._now_ns  # it may touch: retreat after the stop
-        return super()._fail(reason)
-
-    def _enter(self, phase: str) -> None:
-        super()._enter(phase)
-        self._phase_pose = None
-        self._touch_position = None
+    def next_phase(self) -> str:
+        return self.task.outcome if self.task.nothing_left else self.leads_to or self.task.outcome

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +91,19 @@ def twist_towards(T_base_sensor: Array, T_base_goal: Array, settings: TravelSett
     v = _capped(settings.gain * position, settings.speed)
     omega = _capped(settings.gain * rotation, settings.angular_speed)
     return np.concatenate([v, omega])
+
+
+def path_twist(
+    pose_at: Callable[[float], Array], seconds: float, rate: float, step: float, T_base_now: Array
+) -> tuple[Array, Array]:
+    """Of who follows a path of poses in the base, by its time, gone along at `rate` times its speed.
+
+    Returns the path's own twist and the distance from it, (6,) in the frame that is at T_base_now; `step` is
+    that of central differences, s.
+    """
+    X_error = se3.inverse(T_base_now) @ pose_at(seconds)
+    own = se3.log(se3.inverse(pose_at(seconds - step)) @ pose_at(seconds + step)) * (rate / (2.0 * step))
+    return se3.adjoint(X_error) @ own, se3.log(X_error)
 
 
 class Odometer:

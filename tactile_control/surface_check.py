@@ -147,6 +147,10 @@ class Check:
     doubt = 0.0
     contradiction = ""
 
+    def begin(self) -> None:
+        """A new contact: nothing is known of it."""
+        self.doubt, self.contradiction = 0.0, ""
+
     def pace(self) -> float:
         """How much of a twist is to be followed: 1 while all fits, less in doubt, 0 for a contradiction."""
         slow_from = self.settings.slow_from
@@ -192,8 +196,9 @@ class SurfaceCheck(Check):
         self.settings = settings
 
     def begin(self) -> None:
-        """A new contact: nothing is known of it."""
-        self.doubt, self.contradiction, self.moves = 0.0, "", False
+        """See `Check`."""
+        super().begin()
+        self.moves = False
         self._count = self._next = 0
         self._last: tuple[list[float], list[float]] | None = None  # centre and normal
         self._into = self._slid = self._offset = self._refused = 0.0

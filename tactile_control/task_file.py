@@ -20,7 +20,7 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from tactile_base.config_paths import config_folder, named_file
 from tactile_base.settings import SettingError, SettingGroups, unknown_name
 from tactile_base.yaml_file import Section, name_and_value, read_yaml
-from tactile_control.phases import Goal, PhaseMachine
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import Goal
 from tactile_control.tasks import TASKS
 from tactile_geometry import se3
 
@@ -90,7 +91,7 @@ class Role:
     ends_run: bool = False
 
     @functools.cached_property
-    def task_type(self) -> type[PhaseMachine[Any, Any]]:
+    def task_type(self) -> type[PhaseMachine]:
         """The class of its task; looked up once, since a search for entry points takes milliseconds."""
         return TASKS.load(self.task)
 
@@ -252,7 +253,7 @@ def _after(on_scene: Section, others: dict[str, Section]) -> tuple[str, str] | N
     return role, after.choice(role, awaited.phases)
 
 
-def _goals(on_scene: Section, task_type: type[PhaseMachine[Any, Any]]) -> tuple[NamedGoal, ...]:
+def _goals(on_scene: Section, task_type: type[PhaseMachine]) -> tuple[NamedGoal, ...]:
     items = on_scene.value("goals")
     if not isinstance(items, list) or not items or not all(isinstance(item, Section) for item in items):
         on_scene.fail("goals must be a list of at least one goal with names and values", "goals")
@@ -261,7 +262,7 @@ def _goals(on_scene: Section, task_type: type[PhaseMachine[Any, Any]]) -> tuple[
     return tuple(_goal(item, index, task_type) for index, item in enumerate(items))
 
 
-def _goal(item: Section, index: int, task_type: type[PhaseMachine[Any, Any]]) -> NamedGoal:
+def _goal(item: Section, index: int, task_type: type[PhaseMachine]) -> NamedGoal:
     start = se3.pose_from_euler(item.numbers("start", 6)) if "start" in item.values else None
     values = {key: value for key, value in item.values.items() if key not in ("name", "start")}
     return NamedGoal(item.text("name", f"goal_{index}"), item.checked(task_type.goal_class, values), start)

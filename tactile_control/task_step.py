@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from tactile_base.raised import defined_in, plugin_name, told
-from tactile_control.phases import FAILED, Command, PhaseMachine
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import FAILED, Command
 
 
-def task_step(task: PhaseMachine[Any, Any], now_ns: int, inputs: Any) -> Command:
+def task_step(task: PhaseMachine, now_ns: int, inputs: Any) -> Command:
     """The task's step; a command that ends it, with a twist of zero, where it gives none that can be."""
     try:
         command = task.step(now_ns, inputs)
@@ -29,7 +30,7 @@ def task_step(task: PhaseMachine[Any, Any], now_ns: int, inputs: Any) -> Command
     return command
 
 
-def _objection(task: PhaseMachine[Any, Any], command: Any) -> str:
+def _objection(task: PhaseMachine, command: Any) -> str:
     """What is wrong with what a step gave, with what would be right; '' for nothing."""
     if not isinstance(command, Command):
         return f"step gives a {type(command).__name__}, must be a Command"

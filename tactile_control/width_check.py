@@ -45,8 +45,8 @@ class WidthCheck(Check):
         self.settings = settings
 
     def begin(self) -> None:
-        """A new contact: nothing is known of it."""
-        self.doubt, self.contradiction = 0.0, ""
+        """See `Check`."""
+        super().begin()
         self._own = TransformBuffer(SECOND_NS)
         self._heard: StampedPose | None = None
         self._waiting: deque[StampedPose] = deque(maxlen=MOST)

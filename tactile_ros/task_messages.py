@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,8 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, SettingGroups
 from tactile_base.stamps import SECOND_NS
 from tactile_base.yaml_file import text_of, values_of
-from tactile_control.phases import Command, Goal, PhaseMachine
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import Command, Goal
 from tactile_control.task_file import NamedGoal
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
@@ -21,7 +21,7 @@ from tactile_ros.message_bytes import LONGEST_NAME, headed_bytes, split_stamp
 from tactile_wire.errors import MessageError
 
 Array = NDArray[np.float64]
-TaskType = type[PhaseMachine[Any, Any]]
+TaskType = type[PhaseMachine]
 
 IDLE = "idle"
 _ZERO = np.zeros(6)

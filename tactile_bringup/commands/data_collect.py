@@ -106,12 +106,12 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     from tactile_base.whole_file import check_folder
     from tactile_bringup.commands.launch import graph_options
     from tactile_bringup.graph import build_collection_graph
-    from tactile_control.collection import TASK, CollectionGoal
     from tactile_control.task_file import NamedGoal
     from tactile_doubles.rehearsal import rehearsed
     from tactile_geometry import se3
     from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
     from tactile_records.collecting.parameters import check_same_run
+    from tactile_records.collecting.settings import TASK, CollectionGoal
     from tactile_scene.sampling import VALIDATION_START
     from tactile_scene.scene_file import load_scene
 
@@ -181,7 +181,7 @@ def chosen_surface(scene: Scene, arm: ArmScene, name: str | None) -> BodyScene:
 
 def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
     """T_base_f (4, 4): the contact frame on the surface, under where the arm starts."""
-    from tactile_control.collection_geometry import contact_frame
+    from tactile_records.collecting.geometry import contact_frame
 
     assert arm.sensor is not None
     T_base_surface = scene.T_base_body(arm.name, surface.name)
@@ -191,9 +191,9 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
 def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
     """Groups of the collector's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_control.collection import DataCollectionSettings
     from tactile_perception.estimating.preprocessing import PreprocessingSettings
     from tactile_perception.estimating.presence import PresenceSettings
+    from tactile_records.collecting.settings import DataCollectionSettings
     from tactile_scene.sampling import SamplingSettings
 
     task = DataCollectionSettings().replaced(touch__points=touches)

@@ -10,8 +10,8 @@ from rich.console import Console
 from tactile_base import progress as base
 from tactile_base.keys import Keys
 from tactile_base.progress import Progress
-from tactile_control.collection import REFERENCE, TOUCH
 from tactile_control.phases import GO_TO_START
+from tactile_records.collecting.settings import REFERENCE, TOUCH
 
 if TYPE_CHECKING:
     from tactile_bringup.launching.task_client import Progress as TaskProgress

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND
-from tactile_control.free_task import FreeTask, FreeTaskSettings
+from tactile_control.free_task import MOVE, FreeTask, FreeTaskSettings
 from tactile_control.motion import pose_difference
-from tactile_control.phases import DONE, Goal, TaskInputs
+from tactile_control.phases import DONE, GO_TO_START, Goal, GoToPose, PhaseFailed, TaskInputs
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
@@ -73,6 +73,48 @@ class MoveGoal(Goal):
         return T
 
 
+class Go(GoToPose["Move"]):
+    """To the goal's pose, as a task goes to its start; given up where the arm comes no nearer."""
+
+    def __init__(self, task: Move) -> None:
+        super().__init__(
+            task, MOVE, DONE, goal=lambda: task.goal.pose_from(task.T_base_sensor), what="the pose"
+        )
+        self.begin()
+
+    def begin(self) -> None:
+        super().begin()
+        self.whole, self.nearest = 0.0, np.inf  # m of way, at first and left at the least
+        self.held_s, self.stepped_ns = 0.0, 0
+
+    def over(self) -> bool:
+        if super().over():
+            return True
+        settings, left, now_ns = self.task.settings.task, self._left(), self.task.now_ns
+        self.whole = self.whole or left
+        self.held_s += min((now_ns - self.stepped_ns) * NANOSECOND, _LONGEST_STEP)
+        self.stepped_ns = now_ns
+        if left < self.nearest - settings.nearer:
+            self.nearest, self.held_s = left, 0.0
+        if self.held_s > settings.patience:
+            assert self.waypoints
+            distance = se3.norm(self.waypoints[-1].T_base_goal[:3, 3] - self.T_base_sensor[:3, 3])
+            raise PhaseFailed(
+                f"the arm comes no nearer than {distance * 1e3:.1f} mm to the pose: limited_by of arm/status "
+                "says what keeps it from there"
+            )
+        return False
+
+    def _left(self) -> float:
+        """Length of the way that is left, m."""
+        at, way = self.T_base_sensor, 0.0
+        for waypoint in self.waypoints or []:
+            position, turn = pose_difference(at, waypoint.T_base_goal)
+            way += se3.norm(position) + _RADIUS * se3.norm(turn)
+            at = waypoint.T_base_goal
+        return way
+
+
 class Move(FreeTask):
     """Goes up along the pose's -z, across, and down, as a task does to its start (`motion.way_to_start`).
 
@@ -86,58 +128,22 @@ class Move(FreeTask):
     settings: MoveTaskSettings
     goal: MoveGoal
 
-    def __init__(self, settings: MoveTaskSettings, goal: MoveGoal, start: Array | None = None) -> None:
-        super().__init__(settings, goal, start)
-        self._T_base_goal: Array | None = None
-        self._whole, self._nearest = 0.0, np.inf  # m of way, at first and left at the least
-        self._held_s, self._stepped_ns = 0.0, 0
-        self._free = self._touched = False  # whether it was out of contact, and is in one since
+    _free = _touched = False  # whether it was out of contact, and is in one since
 
-    def _take(self, inputs: TaskInputs) -> None:
-        super()._take(inputs)
+    def move(self) -> Go:
+        self._go = Go(self)
+        return self._go
+
+    def take(self, inputs: TaskInputs) -> None:
+        super().take(inputs)
         if inputs.presence is not None:
             self._touched = self._touched or (self._free and inputs.presence.in_contact)
             self._free = self._free or not inputs.presence.in_contact
 
-    def _go_to_start(self, now_ns: int) -> Array:
-        return self._fail(TOUCHED) if self._touched else super()._go_to_start(now_ns)
+    def before_phase(self) -> None:
+        if self._touched and self.phase in (GO_TO_START, MOVE):
+            raise PhaseFailed(TOUCHED)
 
-    def _move(self, now_ns: int) -> Array:
-        if self._touched:
-            return self._fail(TOUCHED)
-        if self._T_base_goal is None:
-            self._T_base_goal = self.goal.pose_from(self._sensor_pose())
-        twist = self._go_to(self._T_base_goal, self.settings.travel, now_ns, "pose")
-        if twist is None:
-            self._enter(DONE)
-            return np.zeros(6)
-        return self._fail(reason) if (reason := self._limited_by(now_ns)) else twist
-
-    def _limited_by(self, now_ns: int) -> str:
-        """Why it is no use to go on; empty as long as the arm comes nearer."""
-        settings, left = self.settings.task, self._left()
-        self._whole = self._whole or left
-        self._held_s += min((now_ns - self._stepped_ns) * NANOSECOND, _LONGEST_STEP)
-        self._stepped_ns = now_ns
-        if left < self._nearest - settings.nearer:
-            self._nearest, self._held_s = left, 0.0
-        if self._held_s <= settings.patience:
-            return ""
-        assert self._T_base_goal is not None
-        distance = se3.norm(self._T_base_goal[:3, 3] - self._sensor_pose()[:3, 3])
-        return (
-            f"the arm comes no nearer than {distance * 1e3:.1f} mm to the pose: limited_by of arm/status "
-            "says what keeps it from there"
-        )
-
-    def _left(self) -> float:
-        """Length of the way that is left, m."""
-        at, way = self._sensor_pose(), 0.0
-        for waypoint in self._waypoints or []:
-            position, turn = pose_difference(at, waypoint.T_base_goal)
-            way += se3.norm(position) + _RADIUS * se3.norm(turn)
-            at = waypoint.T_base_goal
-        return way
-
-    def _fraction(self) -> float:
-        return max(0.0, 1.0 - self._nearest / self._whole) if self._whole else 0.0
+    def progress(self) -> float:
+        """By the way that is left."""
+        return max(0.0, 1.0 - self._go.nearest / self._go.whole) if self._go.whole else 0.0

@@ -91,9 +91,7 @@ class ObjectTracking(ContactTask):
 
     def fraction(self) -> float:
         """By the time so far; nothing is known of it without a duration."""
-        if self.goal.duration == 0.0 or self._now_ns is None:
-            return 0.0
-        return min(1.0, self._in_phase(self._now_ns) / self.goal.duration)
+        return min(1.0, self.elapsed / self.goal.duration) if self.goal.duration else 0.0
 
     def follows_motion(self) -> bool:
         """For the feedforward as well."""

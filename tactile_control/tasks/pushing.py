@@ -14,7 +14,7 @@ from tactile_control.contact_phases import INTO_CONTACT
 from tactile_control.contact_settings import ContactSettings, ContactTaskSettings
 from tactile_control.contact_task import ContactTask
 from tactile_control.motion import smooth_ramp
-from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal, StampedPose
+from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal, PhaseFailed, StampedPose
 from tactile_control.steering import SteeringController, SteeringSettings
 from tactile_control.surface_check import SurfaceSettings
 from tactile_geometry import se3
@@ -164,13 +164,13 @@ class Pushing(ContactTask):
 
     def reference_velocity(self, elapsed: float) -> Array:
         """Into the surface, and sideways as target alignment says; slower in all where it is too deep."""
-        assert self._belief is not None
+        assert self.belief is not None
         settings = self.settings.task
         ramp = smooth_ramp(elapsed, settings.ramp_time)
-        if self._belief.stamp_ns > self._steered_ns:
-            self._steered_ns = self._belief.stamp_ns
-            self._sideways = self._steer(self._belief, ramp * settings.speed)
-        pace = ramp * settings.pace(se3.inverse(self._belief.T)[2, 3])
+        if self.belief.stamp_ns > self._steered_ns:
+            self._steered_ns = self.belief.stamp_ns
+            self._sideways = self._steer(self.belief, ramp * settings.speed)
+        pace = ramp * settings.pace(se3.inverse(self.belief.T)[2, 3])
         if pace > STUCK or ramp < 1.0:
             self._went_on = elapsed
         velocity = max(pace, 0.0) * self._sideways
@@ -179,10 +179,10 @@ class Pushing(ContactTask):
 
     def _steer(self, belief: StampedPose, speed: float) -> Array:
         """The sideways velocity (6,) in {s'} for a new belief."""
-        T_base_sensor, T_base_reference = self._sensor_pose(), self._reference_frame()
+        T_base_sensor, T_base_reference = self.T_base_sensor, self.T_base_reference
         bearing = target_bearing(self._target, T_base_reference)
         if not self.settings.steering.enabled:
-            return self.alignment.step(belief.stamp_ns, bearing, self._limited)
+            return self.alignment.step(belief.stamp_ns, bearing, self.limited)
         down = T_base_sensor[:3, 0]
         self.steering.model.update(T_base_sensor[:3, 3], (T_base_sensor @ belief.T)[:3, 2], down)
         if not self.goal.direction:
@@ -191,11 +191,11 @@ class Pushing(ContactTask):
 
     def finished(self, elapsed: float) -> bool:
         """The sensor's centre is nearer to the target than its radius."""
-        return self._distance(self._sensor_pose()) < self.settings.task.tip_radius
+        return self._distance(self.T_base_sensor) < self.settings.task.tip_radius
 
     def failure(self, elapsed: float) -> str:
         """The target was passed, the object does not go on, or the push takes too long."""
-        bearing = target_bearing(self._target, self._reference_frame())
+        bearing = target_bearing(self._target, self.T_base_reference)
         if bearing.position[2] < 0.0:
             beside = abs(bearing.position[1]) * 1e3
             return f"the target was passed {beside:.1f} mm beside the contact: it cannot be reached any more"
@@ -210,20 +210,19 @@ class Pushing(ContactTask):
 
     def fraction(self) -> float:
         """By the way that is left."""
-        left = self._distance(self._sensor_pose()) - self.settings.task.tip_radius
+        left = self._distance(self.T_base_sensor) - self.settings.task.tip_radius
         return min(max(1.0 - left / self._way, 0.0), 1.0)
 
-    def _next_twist(self, now_ns: int) -> tuple[Array, str]:
+    def before_phase(self) -> None:
         """Before anything moves, whether the target can be reached from where it begins."""
-        if not self._checked and self._pose is not None:
+        if not self._checked and self.pose is not None:
             self._checked = True
-            start = self._sensor_pose() if self.start is None else self.start
+            start = self.T_base_sensor if self.start is None else self.start
             self._way = self._distance(start) - self.settings.task.tip_radius
             bearing = target_bearing(self._target, start)
             if reason := self._objection(bearing) or self._objection_to_direction(bearing, start):
-                self._fail_here(reason)
-                return np.zeros(6), ""
-        return super()._next_twist(now_ns)
+                raise PhaseFailed(reason, here=True)
+        super().before_phase()
 
     def _objection(self, bearing: Bearing) -> str:
         """Why a target cannot be reached from there; '' where it can."""
@@ -282,13 +281,6 @@ class Pushing(ContactTask):
         direction = T_base_reference[:3, :3].T @ np.array(self.goal.direction)
         direction = direction / se3.norm(direction)
         return bearing.position - self.settings.task.tip_radius * direction, direction
-
-    def _reference_frame(self) -> Array:
-        """The reference sensor frame {s'} (4, 4) in the base."""
-        assert self._belief is not None
-        X_sf = self._belief.T
-        _, X_fs_reference = self.servoing.reference_for(se3.inverse(X_sf))
-        return se3.compose(self._sensor_pose(), se3.compose(X_sf, X_fs_reference))
 
     def _distance(self, T_base_sensor: Array) -> float:
         """Of the sensor's centre from the target, m."""

@@ -108,13 +108,13 @@ class SurfaceFollowing(ContactTask):
     def finished(self, elapsed: float) -> bool:
         """At the target if there is one, else at the end of the length."""
         if not self.goal.target:
-            return self._odometer.length >= self.goal.length
-        distance = np.linalg.norm(self._sensor_pose()[:3, 3] - np.array(self.goal.target))
+            return self.odometer.length >= self.goal.length
+        distance = np.linalg.norm(self.T_base_sensor[:3, 3] - np.array(self.goal.target))
         return bool(distance <= self.goal.target_radius)
 
     def failure(self, elapsed: float) -> str:
         """The target was missed, or the path takes too long."""
-        if self._odometer.length >= self.goal.length:
+        if self.odometer.length >= self.goal.length:
             return f"the target was not reached within {self.goal.length * 1e3:.1f} mm of path"
         if elapsed > self.settings.task.timeout:
             return f"the path was not done within {self.settings.task.timeout:g} s"
@@ -122,4 +122,4 @@ class SurfaceFollowing(ContactTask):
 
     def fraction(self) -> float:
         """By the way so far."""
-        return min(1.0, self._odometer.length / self.goal.length)
+        return min(1.0, self.odometer.length / self.goal.length)

@@ -9,29 +9,34 @@ by the frame of the start, whose z is taken to point into the surface.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import SettingError, SettingGroups, Settings, setting
+from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND
-from tactile_control.limiter import LimiterSettings
-from tactile_control.motion import Odometer, TravelSettings, pose_difference, twist_towards
+from tactile_control.free_task import FreeTaskSettings
+from tactile_control.motion import TravelSettings, Waypoint, path_twist
+from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
     DONE,
     FAILED,
     GO_TO_START,
     RETREAT,
     STOPPING,
-    Command,
     Goal,
-    PhaseMachine,
-    StampedPresence,
+    GoToPose,
+    LiftOff,
+    Phase,
+    PhaseFailed,
+    Stopping,
+    StraightTo,
     TaskInputs,
     newer,
 )
-from tactile_control.watchdog import WatchdogSettings
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
@@ -66,13 +71,10 @@ class TouchingSettings(Settings):
 
 
 @dataclass(frozen=True)
-class TouchingTaskSettings(SettingGroups):
+class TouchingTaskSettings(FreeTaskSettings):
     """All settings of touching."""
 
     task: TouchingSettings = field(default_factory=TouchingSettings)
-    travel: TravelSettings = field(default_factory=TravelSettings)
-    limiter: LimiterSettings = field(default_factory=LimiterSettings)
-    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,68 @@ class TouchingGoal(Goal):
         return self.period * self.periods * int(np.count_nonzero(self.swing))
 
 
-class Touching(PhaseMachine[TaskInputs, Command]):
+class Over(StraightTo["Touching"]):
+    """Over the place of the next touch, and tilted, in the air, until the skin has come back."""
+
+    ends_moving = True
+
+    def way(self) -> list[Waypoint]:
+        return [Waypoint(self.goal(), _NEAR, _TURNED)]
+
+    def over(self) -> bool:
+        if self.task.meets_something:
+            gap = self.task.settings.task.clearance * 1e3
+            raise PhaseFailed(f"touched something {gap:g} mm off the surface: set task.clearance")
+        presence = self.task.presence
+        at_ease = presence is not None and not presence.in_contact and presence.stamp_ns >= self.task.since_ns
+        return super().over() and at_ease
+
+
+class Touch(StraightTo["Touching"]):
+    """Along the start's z until an image shows contact."""
+
+    def over(self) -> bool:
+        task, settings = self.task, self.task.settings.task
+        if self.touching:
+            task.T_touched = self.T_base_sensor.copy()
+            task.height = task.z_in_start(task.T_touched) if task.height is None else task.height
+            return True
+        search = settings.search if task.height is None else settings.clearance + settings.search / 5.0
+        if task.z_in_start(self.T_base_sensor) - task.z_in_start(task.above(0.0)) > search:
+            raise PhaseFailed(f"no contact within {search * 1e3:.1f} mm over touch {task.done + 1}")
+        return False
+
+
+class Press(Phase["Touching"]):
+    """To the depth, through the oscillations, and a rest."""
+
+    def over(self) -> bool:
+        task, pressed_s = self.task, self.task.goal.depth / self.task.settings.task.press_speed
+        assert task.presence is not None
+        absent = (task.presence.stamp_ns - task.seen_ns) * NANOSECOND
+        if self.elapsed > pressed_s and absent > task.settings.task.lost_contact_time:
+            raise PhaseFailed(f"contact was lost in touch {task.done + 1}")
+        if self.elapsed < task.press_time:
+            return False
+        task.done += 1
+        return True
+
+    def twist(self) -> Array:
+        own, error = path_twist(self._on_path, self.elapsed, 1.0, _DIFFERENCE, self.T_base_sensor)
+        return np.asarray(own + self.task.settings.task.gain * error)
+
+    def _on_path(self, elapsed: float) -> Array:
+        """Where the sensor is to be (4, 4) that long after its touch, s."""
+        goal, speed, R = self.task.goal, self.task.settings.task.press_speed, self.task.T_base_start[:3, :3]
+        offset = goal.offset(elapsed - goal.depth / speed - goal.rest)
+        offset[2] += min(goal.depth, max(0.0, elapsed * speed))
+        T = self.task.T_touched.copy()
+        T[:3, 3] += R @ offset[:3]
+        T[:3, :3] = se3.exp(np.concatenate([np.zeros(3), R @ offset[3:]]))[:3, :3] @ T[:3, :3]
+        return T
+
+
+class Touching(PhaseMachine):
     """See the module's text.
 
     Parameters
@@ -142,200 +205,92 @@ class Touching(PhaseMachine[TaskInputs, Command]):
     phases = (GO_TO_START, OVER, TOUCH, PRESS, STOPPING, RETREAT, DONE, FAILED)
     work = PRESS
 
+    settings: TouchingTaskSettings
+    goal: TouchingGoal
+
     def __init__(
         self, settings: TouchingTaskSettings, goal: TouchingGoal, start: Array | None = None
     ) -> None:
-        handlers = {
-            GO_TO_START: self._go_to_start,
-            OVER: self._over,
-            TOUCH: self._touch,
-            PRESS: self._press,
-            STOPPING: self._stopping,
-            RETREAT: self._retreat,
-        }
-        super().__init__(
-            OVER if start is None else GO_TO_START, handlers, settings.limiter, settings.watchdog
+        super().__init__(settings, goal, start)
+        self.touches, self.done = goal.touches, 0
+        self.height: float | None = None  # z of the first touch in the frame of the start
+        self.T_touched = np.eye(4)
+        self.seen_ns = 0  # when contact was seen last
+
+    def make_phases(self) -> Iterable[Phase[Any]]:
+        return (
+            GoToPose(self, leads_to=OVER, needs=("pose", "presence")),
+            Over(self, OVER, TOUCH, goal=lambda: self.above(0.0), what="a place over the surface"),
+            Touch(
+                self, TOUCH, PRESS, goal=lambda: self.above(2.0 * self.settings.task.search), pace=self._slow
+            ),
+            Press(self, PRESS, RETREAT),
+            Stopping(self),
+            LiftOff(self, RETREAT, OVER, goal=self._lifted),
         )
-        self.settings = settings
-        self.goal = goal
-        self.T_base_start = None if start is None else se3.checked_pose("start", start)
-        self._touches = goal.touches
-        self._done = 0
-        self._ends = False
-        self._height: float | None = None  # z of the first touch in the frame of the start
-        self._T_touched = np.eye(4)
-        self._presence: StampedPresence | None = None
-        self._seen_ns = 0  # when contact was seen last
-        self._odometer = Odometer(1e-4)
-        self._lifted: Array | None = None
-        self._progress = 0.0
 
-    def configure(self, settings: TouchingTaskSettings) -> None:
-        """Replace the settings; they hold from the next step on."""
-        self.settings = settings
-        self.limiter.configure(settings.limiter)
-        self.watchdog.configure(settings.watchdog)
+    def first_phase(self) -> str:
+        return OVER if self.start is None else GO_TO_START
 
-    # ---- what a `PhaseMachine` fills in ----
-
-    def _take(self, inputs: TaskInputs) -> None:
-        if newer(inputs.sensor_pose, self._pose):
-            self._pose = inputs.sensor_pose
-            se3.checked_pose("sensor pose", self._pose.T)
-            if self.T_base_start is None:
-                self.T_base_start = self._pose.T.copy()
-            self._odometer.add(self._pose.T[:3, 3])
-        if newer(inputs.presence, self._presence):
-            self._presence = inputs.presence
-            if self._presence.in_contact:
-                self._seen_ns = self._presence.stamp_ns
-
-    def _stamps(self) -> dict[str, int | None]:
-        stamps = {"pose": self._pose.stamp_ns if self._pose else None}
-        if self.phase not in (RETREAT, STOPPING):
-            stamps["presence"] = self._presence.stamp_ns if self._presence else None
-        return stamps
-
-    # ---- phases: each returns the twist wanted now ----
-
-    def _go_to_start(self, now_ns: int) -> Array:
-        assert self.T_base_start is not None
-        if self._meets_something(now_ns):
-            return self._fail("touched something on the way to the start")
-        twist = self._go_to(self.T_base_start, self.settings.travel, now_ns)
-        if twist is None:
-            self._enter(OVER)
-            return np.zeros(6)
-        return twist
-
-    def _over(self, now_ns: int) -> Array:
-        """Over the place of the next touch, and tilted, in the air."""
-        if self._meets_something(now_ns):
-            gap = self.settings.task.clearance * 1e3
-            return self._fail(f"touched something {gap:g} mm off the surface: set task.clearance")
-        goal = self._above()
-        position, rotation = pose_difference(self._sensor_pose(), goal)
-        if np.linalg.norm(position) <= _NEAR and np.linalg.norm(rotation) <= _TURNED and self._at_ease():
-            self._enter(TOUCH)
-        elif self._in_phase(now_ns) > self.settings.travel.timeout:
-            limit = self.settings.travel.timeout
-            return self._fail(f"a place over the surface was not reached within {limit:g} s")
-        return twist_towards(self._sensor_pose(), goal, self.settings.travel)
-
-    def _touch(self, now_ns: int) -> Array:
-        """Along the start's z until an image shows contact."""
-        settings, above = self.settings.task, self._above()
-        if self._touching():
-            self._T_touched = self._sensor_pose().copy()
-            if self._height is None:
-                self._height = self._in_start(self._T_touched)[2]
-            self._enter(PRESS)
-            return np.zeros(6)
-        search = settings.search if self._height is None else settings.clearance + settings.search / 5.0
-        gone = self._in_start(self._sensor_pose())[2] - self._in_start(above)[2]
-        if gone > search:
-            return self._fail(f"no contact within {search * 1e3:.1f} mm over touch {self._done + 1}")
-        goal = above.copy()
-        goal[:3, 3] += self._z() * 2.0 * settings.search
-        return twist_towards(self._sensor_pose(), goal, self.settings.travel.replaced(speed=settings.speed))
-
-    def _press(self, now_ns: int) -> Array:
-        """To the depth, through the oscillations, and a rest."""
-        goal, settings = self.goal, self.settings.task
-        elapsed = self._in_phase(now_ns)
-        if elapsed > goal.depth / settings.press_speed and self._lost():
-            return self._fail(f"contact was lost in touch {self._done + 1}")
-        if elapsed >= self._press_time:
-            self._done += 1
-            self._enter(RETREAT)
-            return np.zeros(6)
-        wanted = self._on_path(elapsed)
-        ahead, behind = self._on_path(elapsed + _DIFFERENCE), self._on_path(elapsed - _DIFFERENCE)
-        X_error = se3.inverse(self._sensor_pose()) @ wanted
-        twist = se3.log(se3.inverse(behind) @ ahead) / (2.0 * _DIFFERENCE)
-        return np.asarray(se3.adjoint(X_error) @ twist + settings.gain * se3.log(X_error))
-
-    def _retreat(self, now_ns: int) -> Array:
-        """Straight off the surface; the last time to the height of the start."""
-        ends = self._ends or bool(self.reason) or self._done == len(self._touches)
-        if self._lifted is None:
-            z = 0.0 if ends or self._height is None else self._height - self.settings.task.clearance
-            self._lifted = self._sensor_pose().copy()
-            self._lifted[:3, 3] += self._z() * min(0.0, z - self._in_start(self._lifted)[2])
-        position, _ = pose_difference(self._sensor_pose(), self._lifted)
-        if np.linalg.norm(position) <= _NEAR:
-            self._enter(FAILED if self.reason else DONE if ends else OVER)
-            return np.zeros(6)
-        if self._in_phase(now_ns) > self.settings.travel.timeout:
-            return self._retreat_late(self.settings.travel.timeout)
-        return twist_towards(self._sensor_pose(), self._lifted, self.settings.travel)
-
-    def _stopping(self, now_ns: int) -> Array:
-        self._ends = True
-        if self._at_rest():
-            self._enter(RETREAT)
-        return np.zeros(6)
-
-    # ---- parts of phases ----
-
-    def _enter(self, phase: str) -> None:
-        super()._enter(phase)
-        self._lifted = None
+    def take(self, inputs: TaskInputs) -> None:
+        super().take(inputs)
+        if self.start is None and self.pose is not None:
+            self.start = self.pose.T.copy()
+        if newer(inputs.presence, self.presence):
+            self.presence = inputs.presence
+            self.seen_ns = self.presence.stamp_ns if self.presence.in_contact else self.seen_ns
 
     @property
-    def _press_time(self) -> float:
+    def meets_something(self) -> bool:
+        """For longer than a skin that comes back explains."""
+        return self.seen_ns >= self.since_ns and self.elapsed > self.settings.task.lost_contact_time
+
+    @property
+    def nothing_left(self) -> bool:
+        """Nothing is left to touch, or it is left out."""
+        return super().nothing_left or self.done == len(self.touches)
+
+    def progress(self) -> float:
+        """By touches done, and the time of the one under way."""
+        pressed = self.elapsed / self.press_time if self.phase == PRESS else 0.0
+        return (self.done + min(pressed, 1.0)) / len(self.touches)
+
+    # ---- what its phases share ----
+
+    @property
+    def T_base_start(self) -> Array:
+        """The start (4, 4), by which all goes."""
+        assert self.start is not None
+        return self.start
+
+    @property
+    def press_time(self) -> float:
         """From a touch to leaving the surface, s."""
         return self.goal.depth / self.settings.task.press_speed + self.goal.rest + self.goal.swing_time
 
-    def _on_path(self, elapsed: float) -> Array:
-        """Where the sensor is to be (4, 4) that long after its touch, s."""
-        assert self.T_base_start is not None
-        speed, R = self.settings.task.press_speed, self.T_base_start[:3, :3]
-        offset = self.goal.offset(elapsed - self.goal.depth / speed - self.goal.rest)
-        offset[2] += min(self.goal.depth, max(0.0, elapsed * speed))
-        T = self._T_touched.copy()
-        T[:3, 3] += R @ offset[:3]
-        T[:3, :3] = se3.exp(np.concatenate([np.zeros(3), R @ offset[3:]]))[:3, :3] @ T[:3, :3]
-        return T
+    def z_in_start(self, T: Array) -> float:
+        """How far along the start's z a pose lies, m."""
+        return float((self.T_base_start[:3, :3].T @ (T[:3, 3] - self.T_base_start[:3, 3]))[2])
 
-    def _above(self) -> Array:
-        """Where the next touch begins (4, 4): at the start's height, later a little over the surface."""
-        assert self.T_base_start is not None
-        place, tilt = self._touches[self._done]
+    def above(self, further: float) -> Array:
+        """Where the next touch begins (4, 4), and `further` (m) along the start's z.
+
+        It begins at the start's height, later a little over the surface.
+        """
+        place, tilt = self.touches[self.done]
         X = se3.exp(np.concatenate([np.zeros(3), tilt]))
         X[:3, 3] = place
-        X[2, 3] = 0.0 if self._height is None else self._height - self.settings.task.clearance
-        return np.asarray(self.T_base_start @ X)
+        X[2, 3] = 0.0 if self.height is None else self.height - self.settings.task.clearance
+        T = np.asarray(self.T_base_start @ X)
+        T[:3, 3] += self.T_base_start[:3, 2] * further
+        return T
 
-    def _in_start(self, T: Array) -> Array:
-        """Position (3,) in the frame of the start, m."""
-        assert self.T_base_start is not None
-        return np.asarray(self.T_base_start[:3, :3].T @ (T[:3, 3] - self.T_base_start[:3, 3]))
+    def _slow(self) -> TravelSettings:
+        return self.settings.travel.replaced(speed=self.settings.task.speed)
 
-    def _z(self) -> Array:
-        assert self.T_base_start is not None
-        return np.asarray(self.T_base_start[:3, 2])
-
-    def _touching(self) -> bool:
-        """In contact, by an image exposed since this phase began."""
-        return self._seen_ns >= self._phase_since_ns
-
-    def _at_ease(self) -> bool:
-        """The images show no contact any more: the skin has come back."""
-        presence = self._presence
-        return presence is not None and not presence.in_contact and presence.stamp_ns >= self._phase_since_ns
-
-    def _meets_something(self, now_ns: int) -> bool:
-        """Contact where there should be air, for longer than a skin that comes back explains."""
-        return self._touching() and self._in_phase(now_ns) > self.settings.task.lost_contact_time
-
-    def _lost(self) -> bool:
-        presence = self._presence
-        assert presence is not None
-        return (presence.stamp_ns - self._seen_ns) * NANOSECOND > self.settings.task.lost_contact_time
-
-    def _answer(self, wanted: Array, waiting: str) -> Command:
-        pressed = self._in_phase(self._now_ns or 0) / self._press_time if self.phase == PRESS else 0.0
-        self._progress = max(self._progress, (self._done + min(pressed, 1.0)) / len(self._touches))
-        more = {"progress": self._progress, "travelled": self._odometer.length}
-        return Command(**{**vars(self._command(wanted, waiting)), **more})
+    def _lifted(self) -> Array:
+        """Straight off the surface from where it is; the last time to the height of the start."""
+        z = 0.0 if self.nothing_left or self.height is None else self.height - self.settings.task.clearance
+        T = self.T_base_sensor.copy()
+        T[:3, 3] += self.T_base_start[:3, 2] * min(0.0, z - self.z_in_start(T))
+        return T

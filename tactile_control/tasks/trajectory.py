@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_control.free_task import MOVE, FreeTask, FreeTaskSettings
-from tactile_control.phases import DONE, Command, Goal
+from tactile_control.motion import path_twist
+from tactile_control.phases import DONE, Goal, Phase, PhaseFailed
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
@@ -95,6 +97,73 @@ class TrajectoryGoal(Goal):
         return np.concatenate([part[:3], np.radians(part[3:])])
 
 
+class Along(Phase["Trajectory"]):
+    """Feedforward of the trajectory's own twist, and feedback of the distance from it."""
+
+    name, leads_to, needs = MOVE, DONE, ("pose",)
+
+    def begin(self) -> None:
+        self.T_base_origin: Array | None = None
+        self.path_s = self.rate = 0.0
+        self.moved_ns = self.ended_ns = self.last_ns = 0
+        self.error, self.feedforward = np.full(6, np.nan), np.zeros(6)
+
+    def pose(self, seconds: float) -> Array:
+        """Where the controlled frame is to be in the base (4, 4), after that time at full speed."""
+        assert self.T_base_origin is not None
+        offset = self.task.goal.offset(seconds)
+        T = np.eye(4)
+        T[:3, :3] = se3.exp(np.concatenate([np.zeros(3), offset[3:]]))[:3, :3] @ self.T_base_origin[:3, :3]
+        T[:3, 3] = self.T_base_origin[:3, 3] + offset[:3]
+        return T
+
+    def over(self) -> bool:
+        pose, now_ns = self.task.pose, self.task.now_ns
+        assert pose is not None
+        if self.T_base_origin is None:
+            self.T_base_origin, self.moved_ns = pose.T.copy(), pose.stamp_ns
+        if now_ns - self.last_ns > WAITED * SECOND_NS:  # the arm was led to rest meanwhile
+            self.moved_ns, self.rate = pose.stamp_ns, 0.0
+        self.last_ns = now_ns
+        self._advance(pose.stamp_ns)
+        self.feedforward, self.error = path_twist(self.pose, self.path_s, self.rate, _DIFFERENCE, pose.T)
+        off = float(np.linalg.norm(self.error[:3]))
+        if off > self.task.settings.task.largest_error:
+            raise PhaseFailed(f"the arm is {1e3 * off:.1f} mm off its trajectory")
+        return self.path_s >= self.task.goal.duration and self._arrived(pose.stamp_ns)
+
+    def twist(self) -> Array:
+        return self.feedforward + self.task.settings.task.gain * self.error
+
+    def _arrived(self, stamp_ns: int) -> bool:
+        """Whether the arm has come to the trajectory's end; it fails if that takes too long."""
+        travel = self.task.settings.travel
+        self.ended_ns = self.ended_ns or stamp_ns
+        if (stamp_ns - self.ended_ns) * NANOSECOND > travel.timeout:
+            raise PhaseFailed(f"the end of the trajectory was not reached within {travel.timeout:g} s")
+        distance, angle = np.linalg.norm(self.error[:3]), np.linalg.norm(self.error[3:])
+        return bool(distance <= travel.position_tolerance and angle <= travel.angle_tolerance)
+
+    def _advance(self, stamp_ns: int) -> None:
+        """Go on along the trajectory to where the arm should be at the stamp of its pose."""
+        settings = self.task.settings.task
+        elapsed = (stamp_ns - self.moved_ns) * NANOSECOND
+        self.moved_ns = stamp_ns
+        left = self.task.goal.duration - self.path_s
+        if left <= 0.0:
+            self.rate = 0.0
+            return
+        full, ramp = settings.speed_factor, settings.ramp_time
+        if ramp > 0.0:
+            # a square-root law slows down evenly to the end, so that the last stretch takes the ramp's time
+            speeding = self.rate + full * elapsed / ramp
+            braking = np.sqrt(max(0.0, 2.0 * left * full / ramp))
+            self.rate = float(min(full, speeding, max(braking, full * 1e-2)))
+        else:
+            self.rate = full
+        self.path_s = min(self.task.goal.duration, self.path_s + elapsed * self.rate)
+
+
 class Trajectory(FreeTask):
     """Moves the controlled frame along a trajectory from where it is, or from its start."""
 
@@ -104,90 +173,17 @@ class Trajectory(FreeTask):
     settings: TrajectoryTaskSettings
     goal: TrajectoryGoal
 
-    def __init__(
-        self, settings: TrajectoryTaskSettings, goal: TrajectoryGoal, start: Array | None = None
-    ) -> None:
-        super().__init__(settings, goal, start)
-        self._T_base_origin: Array | None = None
-        self._path_s = 0.0
-        self._moved_ns: int | None = None
-        self._ended_ns = self._last_ns = 0
-        self._rate = 0.0
-        self._error = np.full(6, np.nan)
-        self._feedforward = np.zeros(6)
+    def move(self) -> Along:
+        self._along = Along(self)
+        self._along.begin()
+        return self._along
 
-    def pose(self, seconds: float) -> Array:
-        """Where the controlled frame is to be in the base (4, 4), after that time at full speed."""
-        assert self._T_base_origin is not None
-        offset = self.goal.offset(seconds)
-        T = np.eye(4)
-        T[:3, :3] = se3.exp(np.concatenate([np.zeros(3), offset[3:]]))[:3, :3] @ self._T_base_origin[:3, :3]
-        T[:3, 3] = self._T_base_origin[:3, 3] + offset[:3]
-        return T
+    def details(self) -> dict[str, Any]:
+        """How far off it is."""
+        if self.phase != MOVE:
+            return super().details()
+        return {**super().details(), "error": self._along.error, "feedforward": self._along.feedforward}
 
-    def _move(self, now_ns: int) -> Array:
-        """Feedforward of the trajectory's own twist, and feedback of the distance from it."""
-        pose = self._pose
-        assert pose is not None
-        if self._T_base_origin is None:
-            self._T_base_origin, self._moved_ns = pose.T.copy(), pose.stamp_ns
-        if now_ns - self._last_ns > WAITED * SECOND_NS:  # the arm was led to rest meanwhile
-            self._moved_ns, self._rate = pose.stamp_ns, 0.0
-        self._last_ns = now_ns
-        self._advance(pose.stamp_ns)
-        wanted = self.pose(self._path_s)
-        X_error = se3.inverse(pose.T) @ wanted
-        self._error = se3.log(X_error)
-        if np.linalg.norm(self._error[:3]) > self.settings.task.largest_error:
-            distance = 1e3 * float(np.linalg.norm(self._error[:3]))
-            return self._fail(f"the arm is {distance:.1f} mm off its trajectory")
-        if self._path_s >= self.goal.duration and self._arrived(pose.stamp_ns):
-            self._enter(DONE)
-            return np.zeros(6)
-        ahead, behind = self.pose(self._path_s + _DIFFERENCE), self.pose(self._path_s - _DIFFERENCE)
-        twist = se3.log(se3.inverse(behind) @ ahead) * (self._rate / (2.0 * _DIFFERENCE))
-        self._feedforward = se3.adjoint(X_error) @ twist
-        return self._feedforward + self.settings.task.gain * self._error
-
-    def _arrived(self, stamp_ns: int) -> bool:
-        """Whether the arm has come to the trajectory's end; it fails if that takes too long."""
-        travel = self.settings.travel
-        self._ended_ns = self._ended_ns or stamp_ns
-        if (stamp_ns - self._ended_ns) * NANOSECOND > travel.timeout:
-            self._fail(f"the end of the trajectory was not reached within {travel.timeout:g} s")
-        distance, angle = np.linalg.norm(self._error[:3]), np.linalg.norm(self._error[3:])
-        return bool(distance <= travel.position_tolerance and angle <= travel.angle_tolerance)
-
-    def _advance(self, stamp_ns: int) -> None:
-        """Go on along the trajectory to where the arm should be at the stamp of its pose."""
-        assert self._moved_ns is not None
-        settings = self.settings.task
-        elapsed = (stamp_ns - self._moved_ns) * NANOSECOND
-        self._moved_ns = stamp_ns
-        left = self.goal.duration - self._path_s
-        if left <= 0.0:
-            self._rate = 0.0
-            return
-        full, ramp = settings.speed_factor, settings.ramp_time
-        if ramp > 0.0:
-            # a square-root law slows down evenly to the end, so that the last stretch takes the ramp's time
-            speeding = self._rate + full * elapsed / ramp
-            braking = np.sqrt(max(0.0, 2.0 * left * full / ramp))
-            self._rate = float(min(full, speeding, max(braking, full * 1e-2)))
-        else:
-            self._rate = full
-        self._path_s = min(self.goal.duration, self._path_s + elapsed * self._rate)
-
-    def _answer(self, wanted: Array, waiting: str) -> Command:
-        common = super()._answer(wanted, waiting)
-        moving = self.phase == MOVE
-        return Command(
-            **{
-                **vars(common),
-                "error": self._error if moving else np.full(6, np.nan),
-                "feedforward": self._feedforward if moving else np.zeros(6),
-            }
-        )
-
-    def _fraction(self) -> float:
-        return self._path_s / self.goal.duration
+    def progress(self) -> float:
+        """By the time along the trajectory."""
+        return self._along.path_s / self.goal.duration

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json, read_text
-from tactile_control.collection import Capture
 from tactile_geometry import se3
 from tactile_perception.datasets.layout import AXES, DatasetError
 from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.labels import euler_from_pose
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_records.collecting.settings import Capture
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -17,7 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import LARGEST_POSE, SMALLEST_POSE, SettingError, setting
-from tactile_control.collection import (
+from tactile_control.phases import StampedPose
+from tactile_geometry import se3
+from tactile_geometry.transform_buffer import TransformInFuture, TransformUnavailable
+from tactile_msgs.action import RunTask
+from tactile_perception.datasets.layout import DatasetError
+from tactile_perception.datasets.writer import IMAGE_KINDS
+from tactile_perception.estimating.image import ImageError, check_image
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
+from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
+from tactile_records.collecting.sample_store import SampleStore
+from tactile_records.collecting.settings import (
     REFERENCE,
     ROTATE,
     TASK,
@@ -29,17 +39,7 @@ from tactile_control.collection import (
     Exposure,
     Target,
 )
-from tactile_control.phases import StampedPose
-from tactile_control.tasks.data_collection import DataCollection
-from tactile_geometry import se3
-from tactile_geometry.transform_buffer import TransformInFuture, TransformUnavailable
-from tactile_msgs.action import RunTask
-from tactile_perception.datasets.layout import DatasetError
-from tactile_perception.datasets.writer import IMAGE_KINDS
-from tactile_perception.estimating.image import ImageError, check_image
-from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
-from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
-from tactile_records.collecting.sample_store import SampleStore
+from tactile_records.collecting.task import DataCollection
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.managed_node import ConfigurationError
 from tactile_ros.parameters import GroupParameters, SettingsParameters
@@ -186,6 +186,7 @@ class CollectorNode(TaskNode):
         inputs = CollectionInputs(StampedPose(*pose) if pose else None, self.exposure)
         self.run.task.remark = self.upstream.cause
         command = self.run.task.step(now_ns, inputs)
+        assert isinstance(command, CollectionCommand)
         self.send_twist(command.twist)
         self._publish_status(now_ns, command)
         self._after(now_ns, command)
@@ -218,7 +219,7 @@ class CollectorNode(TaskNode):
             if image is not None and before == REFERENCE and command.phase in (TOUCH, ROTATE):
                 run.store.keep_reference(image)
             if before == TOUCH and command.phase == ROTATE:
-                touches = len(run.task.touch.touches)
+                touches = len(run.task.touches)
                 text = run.store.keep_surface(run.task.T_base_f, self._assumed_frame(), touches)
                 self.get_logger().info(text)
             if image is not None and capture is not None:

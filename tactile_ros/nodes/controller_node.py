@@ -23,14 +23,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import STATE as STATE_TOPIC
 from tactile_base.topics import WORLD
 from tactile_control.partners import Partners
-from tactile_control.phases import (
-    FAILED,
-    Command,
-    PhaseMachine,
-    StampedPose,
-    StampedPresence,
-    TaskInputs,
-)
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import FAILED, Command, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_step import task_step
 from tactile_control.tasks import TASKS
 from tactile_filter.contact_bounds import ContactBounds
@@ -78,7 +72,7 @@ class ControllerTimingSettings(Settings):
 class GoalRun(Run):
     """One accepted goal, whether it ends by itself, and the message that asked for it."""
 
-    task: PhaseMachine[TaskInputs, Command]
+    task: PhaseMachine
     message: RunTask.Goal
     ends: bool
 

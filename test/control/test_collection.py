@@ -7,7 +7,10 @@ import pytest
 from kinematic_plant import MS, TIP_RADIUS, Plane, Plant, pointing_down
 
 from tactile_base.settings import SettingError
-from tactile_control.collection import (
+from tactile_control.phases import StampedPose
+from tactile_geometry import se3
+from tactile_records.collecting.geometry import contact_frame
+from tactile_records.collecting.settings import (
     PHASES,
     CollectionInputs,
     CollectionMotionSettings,
@@ -16,10 +19,7 @@ from tactile_control.collection import (
     Target,
     TouchSettings,
 )
-from tactile_control.collection_geometry import contact_frame
-from tactile_control.phases import StampedPose
-from tactile_control.tasks.data_collection import DataCollection
-from tactile_geometry import se3
+from tactile_records.collecting.task import DataCollection
 
 START = pointing_down((0.3, 0.1, TIP_RADIUS + 0.012))
 POSES = [
@@ -312,6 +312,19 @@ def test_an_arm_that_does_not_move_is_noticed():
     )
     commands = run(task, bench, limit_s=60.0)
     assert "the start was not reached within 20 s" in commands[-1].reason
+
+
+def test_a_retreat_that_takes_too_long_is_told_beside_the_reason_for_it():
+    task, bench = collection(), Bench()
+    follow = bench.step
+
+    def step(twist):
+        follow(np.zeros(6) if task.phase == "retreat" else twist)
+
+    bench.step = step
+    commands = run(task, bench, each=lambda c: task.stop("enough") if c.phase == "capture" else None)
+    assert phases(commands)[-2:] == ["retreat", "failed"]
+    assert commands[-1].reason == "enough; the retreat took longer than 20 s"
 
 
 def test_two_touches_are_refused():

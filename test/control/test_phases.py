@@ -76,10 +76,10 @@ def test_an_exception_in_a_task_fails_it_with_its_text_and_the_tip_leaves_the_su
 
 def test_a_task_whose_last_word_fails_too_comes_to_rest_where_it_is():
     class Worse(Broken):
-        def _answer(self, wanted, waiting):
+        def details(self):
             if self.traceback:
                 raise ValueError("nothing works")
-            return super()._answer(wanted, waiting)
+            return super().details()
 
     plant = Plant(Worse).into("follow")
     command = plant.run(2000)

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 from kinematic_plant import Plane, Plant, Sphere, contact_pose, pointing_down, run
 
+from tactile_control.contact_phases import Servo
 from tactile_control.phases import StampedPose, TaskInputs
 from tactile_control.surface_check import SurfaceCheck, SurfaceSettings
 from tactile_control.tasks.pushing import PushingSettings
-from tactile_control.tasks.surface_following import FollowingGoal, SurfaceFollowing, SurfaceFollowingSettings
+from tactile_control.tasks.surface_following import (
+    FOLLOW,
+    FollowingGoal,
+    SurfaceFollowing,
+    SurfaceFollowingSettings,
+)
 from tactile_geometry import se3
 
 FRAME = 1 / 60
@@ -275,10 +281,10 @@ def test_images_that_give_no_belief_any_more_bring_the_arm_to_rest_and_off_the_s
 
 
 def test_in_doubt_an_arm_goes_slower_but_for_the_way_out():
-    """The task is asked for its twist alone."""
+    """Its phase is asked for its twist alone."""
     task = SurfaceFollowing(SurfaceFollowingSettings(), FollowingGoal(length=0.1))
     task.check.doubt = 1.0
     for z, slowed in ((0.02, 0.005), (-0.02, -0.02)):
-        twist, said = task._believed(np.array([0.0, 0.01, z, 0.1, 0.0, 0.0]), "")
+        twist, said = Servo(task, FOLLOW).adjust(np.array([0.0, 0.01, z, 0.1, 0.0, 0.0]), "")
         np.testing.assert_allclose(twist, [0.0, 0.0025, slowed, 0.025, 0.0, 0.0])
         assert said.startswith("slower: ")

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import bench_cell as bench
 import numpy as np
 
+from tactile_control.contact_task import ContactTask
 from tactile_control.phases import DONE
 from tactile_control.tasks.surface_following import SurfaceFollowing
 from tactile_scene.shapes.sphere import Sphere
@@ -165,6 +166,7 @@ TASKS = {
     "configure() is called as configure(settings)": like(SurfaceFollowing, configure=lambda self: None),
     "has no settings_class": like(SurfaceFollowing, settings_class=None),
     "lack 'dance'": like(SurfaceFollowing, work="dance"),
+    "nothing ends it": like(SurfaceFollowing, finished=ContactTask.finished),
     "lack 'done'": like(SurfaceFollowing, phases=tuple(p for p in SurfaceFollowing.phases if p != DONE)),
     "gives a NoneType, must be a Command": stepping(lambda self, command: None),
     "must be six finite numbers": stepping(lambda self, c: replace(c, twist=np.full(6, np.nan))),
@@ -172,7 +174,7 @@ TASKS = {
     "phase 'dancing' is not among its phases": stepping(leaves_first),
     "does not end within 60 s": stepping(lambda self, c: replace(c, done=False)),
     " ms and more; images come every 8 to 17 ms": stepping(sleeps),
-    "could not convert string to float: 'fast'": like(SurfaceFollowing, _stamps=fails),
+    "could not convert string to float: 'fast'": like(SurfaceFollowing, before_phase=fails),
 }
 
 

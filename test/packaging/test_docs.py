@@ -290,7 +290,7 @@ def test_the_task_of_the_docs_runs_and_reports(examples: Path, tmp_path: Path):
 
 
 def test_the_shape_and_the_motion_of_the_docs_run(examples: Path):
-    folder = examples / "my_bodies"
+    folder = examples / "my_tasks"
     scene = load_scene(folder / "swinging_bowl.yaml")
     task = load_task(folder / "stay.yaml", scene.name)
     record = run_arms_offline(scene, task, OfflineOptions(fidelity="ideal", seed=1))["arm"]

@@ -5,11 +5,11 @@ import csv
 import numpy as np
 import pytest
 
-from tactile_control.collection import Capture
 from tactile_geometry import se3
 from tactile_perception.datasets.dataset import DatasetError, read_dataset
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_records.collecting.sample_store import EXTRA_COLUMNS, SURFACE_NAME, SampleStore
+from tactile_records.collecting.settings import Capture
 
 EULER = np.array([0.001, -0.002, 0.003, 0.1, -0.2, 0.05])
 T = se3.pose_from_euler([0.4, 0.1, 0.02, np.pi, 0.1, 0.2])

@@ -11,11 +11,11 @@ import pytest
 from messages import image_message
 from sensor_msgs.msg import Image
 
-from tactile_control.collection_geometry import contact_frame
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ContactTruth, ControllerStatus
 from tactile_perception.datasets.dataset import read_dataset
+from tactile_records.collecting.geometry import contact_frame
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time
 from tactile_scene.scene_file import load_scene

@@ -58,3 +58,37 @@ def lifted(X_fs: Array, gap: float) -> Array:
     out = X_fs.copy()
     out[2, 3] = min(-gap, float(X_fs[2, 3]))
     return out
+
+
+def at(x: float, y: float, z: float) -> Array:
+    """X_fs (4, 4) at a position in {f}, untilted."""
+    return se3.pose_from_euler([x, y, z, 0.0, 0.0, 0.0])
+
+
+def places(points: int, radius: float) -> list[tuple[float, float]]:
+    """Where to touch, x and y in {f}: the origin for one touch, else evenly on a circle."""
+    if points <= 1:
+        return [(0.0, 0.0)] * points
+    angles = 2.0 * np.pi * np.arange(points) / points
+    return [(radius * float(np.cos(angle)), radius * float(np.sin(angle))) for angle in angles]
+
+
+def frame_from_touches(T_base_f: Array, centers: Array, depth: float) -> Array:
+    """T_base_f (4, 4) corrected by positions (n, 3) of the sensor's centre in {f} at a known depth.
+
+    One touch corrects the height; three and more, by a plane of least squares, the tilt as well. The x-axis
+    stays where it was but for the tilt.
+    """
+    if len(centers) < 3:
+        return np.asarray(T_base_f @ at(0.0, 0.0, float(np.mean(centers[:, 2])) - depth))
+    basis = np.column_stack([centers[:, :2], np.ones(len(centers))])
+    slope_x, slope_y, height = np.linalg.lstsq(basis, centers[:, 2], rcond=None)[0]
+    z = np.array([-slope_x, -slope_y, 1.0])
+    z /= np.linalg.norm(z)
+    x = np.array([1.0, 0.0, 0.0]) - z * z[0]
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    # the plane of the centers lies as deep as the touches were
+    T[:3, 3] = np.array([0.0, 0.0, height]) - z * depth
+    return np.asarray(T_base_f @ T)

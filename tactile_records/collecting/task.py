@@ -1,0 +1,359 @@
+"""Data collection: approach, rotate, contact, shear, image, retreat, again and again.
+
+The paper's Algorithm "Data collection" for an arm that takes twists. A library without ROS and without a
+clock of its own: whoever owns the time calls `step(now_ns, inputs)` at the control rate, sends the twist of
+what comes back and, where that holds a `Capture`, stores the image of its exposure under its number::
+
+    task = DataCollection(settings, targets, T_base_f)
+    while not (command := task.step(now_ns(), inputs())).done:
+        send(command.twist)
+        if command.capture:
+            store(image_of(command.capture.stamp_ns), command.capture)
+
+Phases: go_to_start -> reference -> (touch) -> (rotate -> contact -> shear -> capture -> retreat) for each
+sample -> done, or failed. The label is where the arm says that the sensor was at the exposure, not where it
+was sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_base.stamps import NANOSECOND
+from tactile_control.motion import TravelSettings, pose_difference
+from tactile_control.phase_machine import PhaseMachine
+from tactile_control.phases import (
+    GO_TO_START,
+    RETREAT,
+    GoToPose,
+    LiftOff,
+    Phase,
+    PhaseFailed,
+    StampedPose,
+    Stopping,
+    StraightTo,
+    newer,
+)
+from tactile_geometry import se3
+from tactile_records.collecting import geometry
+from tactile_records.collecting.settings import (
+    CAPTURE,
+    CONTACT,
+    PHASES,
+    REFERENCE,
+    ROTATE,
+    SHEAR,
+    TOUCH,
+    Capture,
+    CollectionCommand,
+    CollectionGoal,
+    CollectionInputs,
+    CollectionMotionSettings,
+    DataCollectionSettings,
+    Exposure,
+    Target,
+)
+
+Array = NDArray[np.float64]
+
+OVER, DOWN, UP = "over", "down", "up"  # steps of a touch
+NEEDS = ("pose", "image")
+_NEAR = 1e-3  # m; a touch need not begin and end more exactly than this
+
+
+class CollectionPhase(Phase["DataCollection"]):
+    """A phase that looks at the images, in the contact frame {f}."""
+
+    needs = NEEDS
+
+    @property
+    def motion(self) -> CollectionMotionSettings:
+        """Speeds, tolerances and times."""
+        return self.task.settings.motion
+
+    @property
+    def exposure(self) -> Exposure:
+        """The newest image."""
+        assert self.task.image is not None
+        return self.task.image
+
+    @property
+    def X_fs(self) -> Array:
+        """The sensor (4, 4) in {f}."""
+        return self.task.in_contact_frame(self.T_base_sensor)
+
+
+class Rest(CollectionPhase):
+    """At rest until an exposure of that rest has come."""
+
+    def begin(self) -> None:
+        self.still: StampedPose | None = None
+
+    def resting(self) -> bool:
+        """Whether the commanded twist is zero and the pose has not moved for `settle_time`."""
+        pose = self.task.pose
+        assert pose is not None
+        if self.still is None or not self._near(pose.T, self.still.T) or not self.task.at_rest:
+            self.still = pose
+            return False
+        return (pose.stamp_ns - self.still.stamp_ns) * NANOSECOND >= self.motion.settle_time
+
+    def rested(self) -> bool:
+        """Whether the newest exposure was made after rest had settled, where the sensor rests."""
+        assert self.still is not None
+        rest = (self.exposure.stamp_ns - self.still.stamp_ns) * NANOSECOND
+        return rest >= self.motion.settle_time and self._near(self.exposure.T_base_sensor, self.still.T)
+
+    def late(self, what: str) -> None:
+        """Fail where rest, or an image, takes too long."""
+        if self.elapsed > self.motion.capture_timeout + self.motion.settle_time:
+            raise PhaseFailed(f"{what} within {self.motion.capture_timeout:g} s")
+
+    def adjust(self, twist: Array, waiting: str) -> tuple[Array, str]:
+        if waiting:  # for an input: nobody knows whether the arm rests
+            self.still = None
+        return twist, waiting
+
+    def _near(self, T: Array, other: Array) -> bool:
+        position, rotation = pose_difference(T, other)
+        return (
+            se3.norm(position) <= self.motion.still_distance and se3.norm(rotation) <= self.motion.still_angle
+        )
+
+
+class Reference(Rest):
+    """Off the surface until the image without contact is known."""
+
+    name = REFERENCE
+
+    def over(self) -> bool:
+        if self.exposure.in_contact is not None and self.resting():
+            if self.exposure.in_contact:
+                raise PhaseFailed("the image shows contact where there is none: the reference is no good")
+            return True
+        self.late("no image without contact was taken")
+        return False
+
+    def next_phase(self) -> str:
+        return TOUCH if self.task.settings.touch.points else ROTATE
+
+
+class Touch(CollectionPhase, StraightTo["DataCollection"]):
+    """Finds the surface: over each place, down until the image shows contact, up again."""
+
+    def __init__(self, task: DataCollection) -> None:
+        super().__init__(task, TOUCH, ROTATE, goal=self._goal, pace=self._pace)
+
+    def begin(self) -> None:
+        super().begin()
+        settings = self.task.settings.touch
+        self.places = geometry.places(settings.points, settings.radius)
+        self._go(OVER)
+
+    def _go(self, step: str) -> None:
+        self.step, self.step_ns = step, self.task.now_ns
+
+    def _goal(self) -> Array:
+        touches, search = self.task.touches, self.task.settings.touch.search
+        x, y = touches[-1][:2] if self.step == UP else self.places[len(touches)]
+        return self.task.in_base(geometry.at(x, y, 2.0 * search if self.step == DOWN else -search))
+
+    def _pace(self) -> TravelSettings:
+        if self.step == DOWN:
+            return self.motion.in_contact.replaced(speed=self.task.settings.touch.speed)
+        return self.motion.in_air
+
+    def over(self) -> bool:
+        settings, touches = self.task.settings.touch, self.task.touches
+        fresh, depth = self.exposure.stamp_ns >= self.step_ns, self.X_fs[2, 3]
+        if self.step == UP and depth <= -settings.search + _NEAR:
+            self._go(OVER)
+            if len(touches) == len(self.places):
+                found = np.array(touches)
+                self.task.T_base_f = geometry.frame_from_touches(self.task.T_base_f, found, settings.depth)
+                return True
+        elif self.step == DOWN and fresh and self.exposure.in_contact:
+            touches.append(self.task.in_contact_frame(self.exposure.T_base_sensor)[:3, 3])
+            self._go(UP)
+        elif self.step == DOWN and depth > settings.search:
+            around = f"{settings.search * 1e3:.1f} mm above and below"
+            raise PhaseFailed(f"no contact within {around} where the surface should be")
+        elif self.step == OVER and fresh:
+            position, _ = pose_difference(self.T_base_sensor, self.goal())
+            if se3.norm(position) <= _NEAR:
+                if self.exposure.in_contact:
+                    above = f"{settings.search * 1e3:.1f} mm above the surface"
+                    raise PhaseFailed(f"the image shows contact {above}")
+                self._go(DOWN)
+        if self.elapsed > self.motion.motion_timeout * settings.points:
+            raise PhaseFailed(f"{len(touches) + 1} touches took too long")
+        return False
+
+
+class Rotate(CollectionPhase, StraightTo["DataCollection"]):
+    """Back over the point of first touch, turned to the contact angles, in the air."""
+
+    def over(self) -> bool:
+        """Out of contact, too, in an image exposed since it began."""
+        self.there = super().over()
+        if not self.there:
+            return False
+        seen = self.exposure.in_contact
+        if seen is not None and not seen and self.exposure.stamp_ns >= self.task.since_ns:
+            return True
+        if self.elapsed > self.motion.capture_timeout:
+            raise PhaseFailed(
+                f"the image shows contact {self.motion.clearance * 1e3:.1f} mm off the surface: the surface "
+                "is nearer than it is said to be (find it by touch), or the reference image is no good"
+            )
+        return False
+
+    def twist(self) -> Array:
+        return np.zeros(6) if self.there else super().twist()
+
+
+class TakeImage(Rest):
+    """At rest in contact."""
+
+    name, leads_to = CAPTURE, RETREAT
+
+    def over(self) -> bool:
+        if not (self.resting() and self.rested()):
+            self.late("the arm did not rest, or no image came,")
+            return False
+        exposure, target = self.exposure, self.task.target
+        X_fs = self.task.in_contact_frame(exposure.T_base_sensor)
+        if X_fs[2, 3] >= self.motion.certain_depth and not exposure.in_contact:
+            raise PhaseFailed(
+                f"the image shows no contact at a depth of {X_fs[2, 3] * 1e3:.1f} mm: the surface is "
+                "further away than it is said to be (find it by touch)"
+            )
+        label = se3.euler_from_pose(X_fs)
+        self.task.capture = Capture(
+            target.number, exposure.stamp_ns, label, target.euler, exposure.T_base_sensor
+        )
+        self.task.collected += 1
+        return True
+
+
+class DataCollection(PhaseMachine):
+    """Collects one sample after the other; see the module's text.
+
+    Parameters
+    ----------
+    settings : DataCollectionSettings
+    targets : sequence of Target
+    T_base_f : ndarray (4, 4)
+        Contact frame of the flat surface (see `geometry`); touches correct it.
+
+    Attributes
+    ----------
+    touches : list of ndarray (3,)
+        Positions of the sensor's centre in {f} at which a touch has found the surface.
+
+    Raises
+    ------
+    ValueError
+        Without a target, or with a contact frame that is no rigid transform.
+    """
+
+    settings_class = DataCollectionSettings
+    goal_class = CollectionGoal
+    command_class = CollectionCommand
+    phases = PHASES
+    work = CAPTURE
+    node = "collector"
+
+    settings: DataCollectionSettings
+
+    def __init__(self, settings: DataCollectionSettings, targets: Sequence[Target], T_base_f: Array) -> None:
+        if not targets:
+            raise ValueError("no sample to collect")
+        super().__init__(settings, CollectionGoal(samples=len(targets)))
+        self.targets = list(targets)
+        self.T_base_f = se3.checked_pose("contact frame", T_base_f)
+        self.collected = 0
+        self.touches: list[Array] = []
+        self.image: Exposure | None = None
+        self.capture: Capture | None = None
+
+    # ---- what a `PhaseMachine` fills in ----
+
+    def make_phases(self) -> Iterable[Phase[Any]]:
+        """See `PhaseMachine`."""
+
+        def to(X_fs: Callable[[], Array], pace: str, what: str = "") -> dict[str, Any]:
+            """A way to a pose in {f}, at a pace of the settings."""
+            goal, travel = lambda: self.in_base(X_fs()), lambda: getattr(self.settings.motion, pace)
+            return {"goal": goal, "pace": travel, "what": what}
+
+        start = to(lambda: geometry.at(0.0, 0.0, -self.settings.motion.standoff), "in_air")
+        turned = to(lambda: geometry.above(self.target.euler, self.settings.motion.clearance), "in_air",
+                    "the start of the contact")  # fmt: skip
+        pressed = to(lambda: geometry.pressed(self.target.euler), "in_contact", "the depth")
+        sheared = to(lambda: se3.pose_from_euler(self.target.euler), "in_contact", "the shear")
+        return (
+            GoToPose(self, GO_TO_START, REFERENCE, NEEDS, **start),
+            Reference(self),
+            Touch(self),
+            Rotate(self, ROTATE, CONTACT, NEEDS, **turned),
+            StraightTo(self, CONTACT, SHEAR, NEEDS, **pressed),
+            StraightTo(self, SHEAR, CAPTURE, NEEDS, **sheared),
+            TakeImage(self),
+            LiftOff(self, RETREAT, ROTATE, **to(self._lifted, "in_air")),
+            Stopping(self),
+        )
+
+    def _lifted(self) -> Array:
+        """Straight off the surface in {f}, the last time further."""
+        motion = self.settings.motion
+        gap = motion.standoff if self.nothing_left else motion.clearance
+        return geometry.lifted(self.in_contact_frame(self.T_base_sensor), gap)
+
+    def first_phase(self) -> str:
+        return GO_TO_START
+
+    def take(self, inputs: CollectionInputs) -> None:
+        super().take(inputs)
+        if newer(inputs.exposure, self.image):
+            se3.checked_pose("sensor pose at the exposure", inputs.exposure.T_base_sensor)
+            self.image = inputs.exposure
+
+    def progress(self) -> float:
+        """By the samples."""
+        return self.collected / len(self.targets)
+
+    def details(self) -> dict[str, Any]:
+        """How far it is, and what to store now."""
+        capture, self.capture = self.capture, None
+        left = self.collected < len(self.targets)
+        return {
+            "number": self.target.number if left else 0,
+            "collected": self.collected,
+            "total": len(self.targets),
+            "capture": capture,
+        }
+
+    # ---- what its phases share ----
+
+    @property
+    def target(self) -> Target:
+        """The sample under way."""
+        return self.targets[self.collected]
+
+    @property
+    def nothing_left(self) -> bool:
+        """Whether a retreat is the last one."""
+        return super().nothing_left or self.collected == len(self.targets)
+
+    def in_base(self, X_fs: Array) -> Array:
+        """A pose in {f} (4, 4) in the base."""
+        return np.asarray(self.T_base_f @ X_fs)
+
+    def in_contact_frame(self, T_base_sensor: Array) -> Array:
+        """A pose in the base (4, 4) in {f}."""
+        return np.asarray(se3.inverse(self.T_base_f) @ T_base_sensor)
