@@ -155,18 +155,18 @@ class TaskNode(ManagedNode, ABC):
         )
         self.release_later(self._close_action, action)
 
-    def send_twist(self, twist: ArrayLike) -> int:
-        """Ask for [v, omega] (6,) in the controlled frame; returns the stamp of its emission, ns.
+    def send_twist(self, twist: ArrayLike) -> tuple[int, NDArray[np.float64]]:
+        """Ask for [v, omega] (6,) in the controlled frame; returns when (ns), and the twist that went out.
 
         Whoever was held up for so long that the arm waits for its rest asks for that, and goes on from there.
         """
         now_ns = self.now_ns()
-        numbers = [0.0] * 6 if self.attention.wants_rest else np.asarray(twist, dtype=np.float64).tolist()
+        sent = np.zeros(6) if self.attention.wants_rest else np.asarray(twist, dtype=np.float64)
         self._sent += 1
-        numbers = self._session, self._sent, *numbers
+        numbers = self._session, self._sent, *sent.tolist()
         command = headed_bytes(ArmCommand, now_ns, self.controlled_frame, *numbers, source=self.source)
         self.twist_out.publish(command)
-        return now_ns
+        return now_ns, sent
 
     def sensor_pose(self) -> tuple[int, NDArray[np.float64]] | None:
         """The controlled frame in the base by the newest transform, with its stamp for a watchdog."""

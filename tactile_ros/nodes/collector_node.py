@@ -180,15 +180,15 @@ class CollectorNode(TaskNode):
         self.last_step_ns = now_ns
         if self.run is None:
             self.send_twist(ZERO)
-            self._publish_status(now_ns, None)
+            self._publish_status(now_ns, None, ZERO)
             return
         pose = self.sensor_pose()
         inputs = CollectionInputs(StampedPose(*pose) if pose else None, self.exposure)
         self.run.task.remark = self.upstream.cause
         command = self.run.task.step(now_ns, inputs)
         assert isinstance(command, CollectionCommand)
-        self.send_twist(command.twist)
-        self._publish_status(now_ns, command)
+        _, sent = self.send_twist(command.twist)
+        self._publish_status(now_ns, command, sent)
         self._after(now_ns, command)
 
     def travelled(self) -> float:
@@ -236,10 +236,11 @@ class CollectorNode(TaskNode):
         progress = (run.before + command.collected) / (run.before + command.total)
         return feedback_message(command, X_fs, progress)
 
-    def _publish_status(self, now_ns: int, command: CollectionCommand | None) -> None:
+    def _publish_status(
+        self, now_ns: int, command: CollectionCommand | None, twist: NDArray[np.float64]
+    ) -> None:
         number = command.number if command is not None else 0
         goal = number, f"sample {number}" if number else ""
-        twist = command.twist if command is not None else ZERO
         running = command is not None
         self.status_out.publish(
             status_bytes(now_ns, self.controlled_frame, TASK, goal, command, twist, running)

@@ -176,7 +176,7 @@ class ControllerNode(TaskNode):
         """One step of the goal under way, or a zero twist."""
         now_ns = self.now_ns()
         if self.run is None:
-            now_ns = self.send_twist(ZERO)
+            now_ns, _ = self.send_twist(ZERO)
             self._publish_status(now_ns, self.last, ZERO)
         else:
             pose = self.sensor_pose()
@@ -187,12 +187,12 @@ class ControllerNode(TaskNode):
             self.run.task.T_world_base = self._place() if self.partners.arms else None
             self.run.task.remark = self.upstream.cause
             command = task_step(self.run.task, now_ns, inputs)
-            now_ns = self.send_twist(command.twist)
+            now_ns, sent = self.send_twist(command.twist)
             if self.run.task.traceback != broken:
                 self.get_logger().error(f"{self.goal_name}: {command.reason}\n{self.run.task.traceback}")
             if not (self.run.ends or command.over):
                 command = replace(command, progress=math.nan)  # nobody knows
-            self._publish_status(now_ns, command, command.twist)
+            self._publish_status(now_ns, command, sent)
             self._after(now_ns, command)
         self.last_step_ns = now_ns
 
