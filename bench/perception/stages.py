@@ -1,10 +1,10 @@
 """What each stage of an estimate costs on one core, image after image and with the pauses of a camera.
 
-    python bench/perception/stages.py [--model FILE] [--images 400] [--rate 60] [--opencv]
+    python bench/perception/stages.py [--model FILE] [--images 400] [--rate 60]
 
 A node at 60 Hz sleeps 14 of 16 ms and finds its caches taken by others and its core slowed down: the second
 pair of columns is what it pays. Images are simulated. "look" is the check of the image itself, which a
-percept adds to an estimate. `--opencv` adds the same pre-processing by OpenCV's functions.
+percept adds to an estimate.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import sys
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +23,6 @@ from shared import Table, parser, percentiles
 from tactile_geometry import se3
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageCheckSettings
-from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_scene.shapes.plane import Plane
 from tactile_sim.tactip import TacTip
@@ -33,7 +31,7 @@ _CAPTURED = 10
 
 
 def stage_times(
-    estimator: Estimator, images: NDArray[np.uint8], count: int, rate: float, opencv: bool
+    estimator: Estimator, images: NDArray[np.uint8], count: int, rate: float
 ) -> dict[str, list[float]]:
     """Milliseconds of each stage of the estimator node's work on `count` images.
 
@@ -44,7 +42,6 @@ def stage_times(
     """
     presence = ContactPresence(PresenceSettings(reference_frames=_CAPTURED))
     check, result = ImageCheck(ImageCheckSettings(repeats=True)), {}
-    with_opencv = OpenCvPreprocessing(estimator.preprocessor.settings)
     for image in images[:_CAPTURED]:
         presence.update(estimator.preprocessor(image))
     due = time.perf_counter()
@@ -66,37 +63,9 @@ def stage_times(
         one, two, _, look = np.diff(stamps)
         found = {"pre-processing": one, "presence": two, "network": estimator.times.infer}
         found |= {"conversion": estimator.times.convert, "all": stamps[3] - stamps[0], "look": look}
-        if opencv:
-            with_opencv(image)
-            found["pre-processing by OpenCV"] = time.perf_counter() - stamps[-1]
         for name, seconds in found.items():
             result.setdefault(name, []).append(1e3 * seconds)
     return result
-
-
-class OpenCvPreprocessing:
-    """The same steps by OpenCV, for comparison."""
-
-    def __init__(self, settings: PreprocessingSettings) -> None:
-        self.settings = settings
-        self.mask = np.zeros(settings.crop_shape, np.uint8)
-        center = (settings.crop_shape[1] // 2, settings.crop_shape[0] // 2)
-        cv2.circle(self.mask, center, settings.circle_mask_radius or 10**4, 255, thickness=-1)
-
-    def __call__(self, image: NDArray) -> NDArray[np.float32]:
-        settings = self.settings
-        x0, y0, x1, y1 = settings.bbox
-        smooth = cv2.medianBlur(image[y0:y1, x0:x1], settings.median)
-        binary = cv2.adaptiveThreshold(
-            smooth,
-            255,
-            cv2.ADAPTIVE_THRESH_MEAN_C,
-            cv2.THRESH_BINARY,
-            settings.threshold_block,
-            settings.threshold_offset,
-        )
-        binary = cv2.bitwise_and(binary, self.mask)
-        return as_input(cv2.resize(binary, (settings.size, settings.size), interpolation=cv2.INTER_AREA))
 
 
 def simulated_images(count: int, seed: int = 0) -> NDArray[np.uint8]:
@@ -118,12 +87,9 @@ def main() -> None:
     arguments.add_argument("--threads", type=int, default=1, help="threads of the network")
     arguments.add_argument("--images", type=int, default=400)
     arguments.add_argument("--rate", type=float, default=60.0, help="images a second")
-    arguments.add_argument("--opencv", action="store_true", help="add OpenCV's pre-processing")
     given = arguments.parse_args()
     estimator, images = Estimator(given.model or "", given.threads), simulated_images(24)
-    measured = [
-        stage_times(estimator, images, given.images, rate, given.opencv) for rate in (0.0, given.rate)
-    ]
+    measured = [stage_times(estimator, images, given.images, rate) for rate in (0.0, given.rate)]
     heads = (estimator.path.name, "p50, ms", "p99, ms", f"at {given.rate:g} Hz: p50, ms", "p99, ms")
     table = Table(heads, f"{given.images} images, {given.threads} thread(s)", timed=True)
     for name in measured[0]:
