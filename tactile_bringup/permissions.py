@@ -27,7 +27,7 @@ from tactile_base.node_topics import (
 )
 from tactile_base.topics import Topic
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
-from tactile_scene.external_arm import ExternalArmSettings
+from tactile_scene.external_settings import ExternalArmSettings
 from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
 
 OPERATOR = "/operator"  # who stops arms by hand, and looks at all that is said

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.tracking import Deviation, TrackingMonitor, in_base
+from tactile_drivers.tracking_monitor import Deviation, TrackingMonitor, in_base
 from tactile_geometry import se3
 from tactile_scene import _native
 from tactile_scene.arm import HELD_UP, ArmState

@@ -9,8 +9,8 @@ fault. What is followed is made less, at each command and again at each state of
 can still come to rest before the sensor is too deep or sheared too far, before it leaves its workspace or
 enters a box that is kept out (`ArmLimits.braking_speed`), and where its kinematics are known before a joint
 ends, a singularity, or another arm. What the driver says is held against what the arm was told
-(`tactile_drivers.tracking`): an arm that does otherwise is stopped, until a reset. docs/safety.md draws the
-states, and what leads from one to another.
+(`tracking_monitor`): an arm that does otherwise is stopped, until a reset. docs/safety.md draws the states,
+and what leads from one to another.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from tactile_ros.message_bytes import twist_bytes
 from tactile_ros.qos import COMMAND, STATE
 from tactile_ros.transforms import TransformListener
 from tactile_scene.arm import ArmMode, ArmState
-from tactile_scene.external_arm import TOOL, ExternalArmSettings
+from tactile_scene.external_settings import TOOL, ExternalArmSettings
 from tactile_scene.scene import ArmScene
 
 if TYPE_CHECKING:

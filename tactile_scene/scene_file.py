@@ -23,7 +23,7 @@ from tactile_base.yaml_file import Section, read_yaml
 from tactile_scene.arm import ARMS
 from tactile_scene.arm_settings import ArmLimits, Box, SafetySettings, TrackingSettings
 from tactile_scene.camera import CAMERAS, ExternalCameraSettings
-from tactile_scene.external_arm import check_external
+from tactile_scene.external_settings import check_external
 from tactile_scene.kinematics.arm_file import load_arm
 from tactile_scene.kinematics.chain import Chain
 from tactile_scene.motions import CARRIED, FIXED, MOTIONS

@@ -26,7 +26,7 @@ from plane import DT, TARGET, TIP, Array, Physics, Plant, across, direction, wra
 from shared import Table, parser
 
 from tactile_base.settings import SettingGroups
-from tactile_bringup.experiment import Common, load_tables, task_of
+from tactile_bringup.experiments.pushing import Common, load_tables, task_of
 from tactile_control.steering import SteeringSettings
 from tactile_sim.pushing_scene import PushVariation
 

@@ -123,7 +123,7 @@ def run_scene(arguments: argparse.Namespace) -> int:
     import yaml
 
     from tactile_bringup.camera_view import watching
-    from tactile_bringup.scene_file import write_into
+    from tactile_bringup.scene_values import write_into
     from tactile_scene.camera import CAMERAS
 
     arm = chosen(arguments)

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     """`tactile cell ...`: returns the exit status."""
     import yaml
 
-    from tactile_bringup.scene_file import write_into
+    from tactile_bringup.scene_values import write_into
     from tactile_doubles.rehearsal import rehearsed
     from tactile_records.calibrating.results import RESULTS
     from tactile_scene.scene_file import load_scene

@@ -24,7 +24,7 @@ from tactile_bringup.commands.changes import (
 
 if TYPE_CHECKING:
     from tactile_base.jobs import Row
-    from tactile_bringup.experiment import Common, Trial
+    from tactile_bringup.experiments.pushing import Common, Trial
 
 WIDTH = 160  # columns of the table where there is no terminal
 
@@ -65,7 +65,7 @@ def register(subparsers: Any) -> None:
 @refusing("experiment", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from tactile_bringup.experiment import Common
+    from tactile_bringup.experiments.pushing import Common
 
     table, trials_of = _asked(arguments)
     common = Common(
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _asked(arguments: argparse.Namespace) -> tuple[str, Any]:
     """The table, and what makes trials from what they have in common and their numbers."""
-    from tactile_bringup.experiment import Trial, map_of, table_of
+    from tactile_bringup.experiments.pushing import Trial, map_of, table_of
 
     if arguments.map is not None:
         chosen = map_of(arguments.map)
@@ -127,7 +127,7 @@ def _run_missing(
 ) -> list[Row]:
     """Run what is not done yet; the rows of all."""
     from tactile_base.jobs import JobRows, run_jobs
-    from tactile_bringup.experiment import check_trial, trial_row
+    from tactile_bringup.experiments.pushing import check_trial, trial_row
     from tactile_records.collecting.parameters import check_same_run
 
     check_trial(trials[0])
@@ -146,7 +146,7 @@ def _run_missing(
 def _look_at(trials: list[Trial], folder: Path) -> int:
     """Run single trials and write all that there is to say of them."""
     from tactile_bringup.commands.simulate import deliver
-    from tactile_bringup.experiment import trial_run
+    from tactile_bringup.experiments.pushing import trial_run
 
     codes = [deliver(trial_run(trial), folder / trial.name.replace("/", "-")) for trial in trials]
     return max(codes)
@@ -154,8 +154,15 @@ def _look_at(trials: list[Trial], folder: Path) -> int:
 
 def _deliver(arguments: argparse.Namespace, trials: list[Trial], rows: list[Row], folder: Path) -> int:
     """Tables and pictures; the exit code is 1 where a trial did not come to its target."""
-    from tactile_bringup.experiment import map_of, table_of
-    from tactile_bringup.experiment_results import COLUMNS, cell, failures, table_rows, write_map, write_table
+    from tactile_bringup.experiments.pushing import map_of, table_of
+    from tactile_bringup.experiments.pushing_results import (
+        COLUMNS,
+        cell,
+        failures,
+        table_rows,
+        write_map,
+        write_table,
+    )
 
     console = Console()
     if not console.is_terminal:

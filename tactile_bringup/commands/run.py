@@ -37,10 +37,10 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_base.console import lasting_console
     from tactile_base.end_signals import end_with_launcher
     from tactile_base.settings import SettingError
+    from tactile_bringup.attached_arm import Place, load_servoing_graph
     from tactile_bringup.graph import load_graph
     from tactile_bringup.launching.progress import Display
     from tactile_bringup.launching.start_check import check_process
-    from tactile_bringup.servoing import Place, load_servoing_graph
 
     end_with_launcher()
     task, scene, options = arguments.task, arguments.scene, _options(arguments)

@@ -1,8 +1,7 @@
 """What `ros2 launch` runs: the graph of a task as a launch description of `launch` and `launch_ros`.
 
 The files in launch/ name a task; all else is here, made of the same graph that `tactile launch` starts. That
-of `servoing.launch.py` is one arm's part of it, within somebody else's launch (`tactile_bringup.servoing`).
-Needs `launch` and `launch_ros`, which a ROS 2 install has.
+of `servoing.launch.py` is one arm's part of it, within somebody else's launch (`attached_arm`). Needs `launch` and `launch_ros`, which a ROS 2 install has.
 """
 
 from __future__ import annotations
@@ -104,9 +103,9 @@ def _given(arguments: dict[str, tuple[str, str]], context: LaunchContext) -> dic
 
 
 def _servoing_actions(context: LaunchContext) -> list[Any]:
+    from tactile_bringup.attached_arm import Place, load_servoing_graph
     from tactile_bringup.graph import check_options
     from tactile_bringup.launching.start_check import check_start
-    from tactile_bringup.servoing import Place, load_servoing_graph
 
     given = _given(SERVOING_ARGUMENTS, context)
     options = _options(given)

@@ -61,7 +61,7 @@ from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import COMMAND, STATE, TF, TF_STATIC
 from tactile_ros.run_nodes import run
 from tactile_scene.arm import ARMS, Arm, ArmMode, ArmState, is_at_rest, open_arm
-from tactile_scene.external_arm import ExternalArmSettings
+from tactile_scene.external_settings import ExternalArmSettings
 from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
 from tactile_scene.scene_file import load_scene
 from tactile_wire.errors import MessageError

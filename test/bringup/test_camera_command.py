@@ -17,7 +17,7 @@ from tactile_base.config_paths import config_path
 from tactile_bringup.camera_view import serve, watching
 from tactile_bringup.cli import main
 from tactile_bringup.commands import camera as command
-from tactile_bringup.scene_file import write_into
+from tactile_bringup.scene_values import write_into
 from tactile_drivers import uvc_camera, video_devices
 from tactile_scene.scene_file import load_scene
 

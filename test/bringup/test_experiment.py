@@ -7,9 +7,16 @@ import pytest
 
 from tactile_base.settings import SettingError
 from tactile_bringup.cli import main
-from tactile_bringup.experiment import Common, Trial, check_trial, load_maps, load_tables, setup_of
-from tactile_bringup.experiment_results import COLUMNS, Outcome, failures, markdown, table_rows, write_map
-from tactile_bringup.variations import VARIABLES, drawn
+from tactile_bringup.experiments.pushing import Common, Trial, check_trial, load_maps, load_tables, setup_of
+from tactile_bringup.experiments.pushing_results import (
+    COLUMNS,
+    Outcome,
+    failures,
+    markdown,
+    table_rows,
+    write_map,
+)
+from tactile_bringup.experiments.pushing_variations import VARIABLES, drawn
 from tactile_sim.pushed import PushedSettings
 from tactile_sim.pushing_scene import draw
 

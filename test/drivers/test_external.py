@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tactile_drivers.servo_watch import ServoWatch, servo_trouble
-from tactile_scene.external_arm import ExternalArmSettings
+from tactile_scene.external_settings import ExternalArmSettings
 from tactile_scene.scene_file import SceneError, load_scene
 
 CLOSER = "Moving closer to a singularity, decelerating"

@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 
-from tactile_bringup.servoing import Place, load_servoing_graph
+from tactile_bringup.attached_arm import Place, load_servoing_graph
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmStatus
 from tactile_ros import qos

@@ -21,9 +21,9 @@ from tactile_base.config_paths import config_path
 from tactile_base.jobs import Row
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.yaml_file import Section, read_yaml
+from tactile_bringup.experiments.pushing_variations import VARIABLES, Setup, Value, drawn, varied
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_bringup.run_sequence import arm_plans
-from tactile_bringup.variations import VARIABLES, Setup, Value, drawn, varied
 from tactile_control.task_file import Task, load_task, task_path
 from tactile_control.tasks.pushing import Pushing
 from tactile_filter.filter_settings import load_filter_settings

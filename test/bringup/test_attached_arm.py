@@ -7,10 +7,10 @@ import pytest
 
 from tactile_base.config_paths import config_path
 from tactile_base.topics import ARM_STATUS, BELIEF, DIAGNOSTICS
+from tactile_bringup.attached_arm import Place, load_servoing_graph
 from tactile_bringup.cli import main
 from tactile_bringup.commands import run
 from tactile_bringup.graph import Graph, load_graph
-from tactile_bringup.servoing import Place, load_servoing_graph
 
 
 def test_without_names_of_its_own_an_arm_stands_where_it_does_in_the_whole_cell():

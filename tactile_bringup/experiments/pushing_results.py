@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_base.jobs import Row
 from tactile_base.whole_file import whole_file, write_csv
-from tactile_bringup.experiment import Map, Table, Trial, shown
+from tactile_bringup.experiments.pushing import Map, Table, Trial, shown
 from tactile_sim.pushing_scene import SET
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_drivers.tracking import TrackingMonitor, in_base
+from tactile_drivers.tracking_monitor import TrackingMonitor, in_base
 from tactile_geometry import se3
 from tactile_scene.arm import ArmMode, ArmState
 from tactile_scene.arm_settings import ArmLimits, TrackingSettings
