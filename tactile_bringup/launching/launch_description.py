@@ -1,8 +1,8 @@
 """What `ros2 launch` runs: the graph of a task as a launch description of `launch` and `launch_ros`.
 
 The files in launch/ name a task; all else is here, made of the same graph that `tactile launch` starts. That
-of `servoing.launch.py` is one arm's part of it, within somebody else's launch (`attached_arm`). Needs `launch`
-and `launch_ros`, which a ROS 2 install has.
+of `servoing.launch.py` is one arm's part of it, within somebody else's launch (`attached_arm`). Needs
+`launch` and `launch_ros`, which a ROS 2 install has.
 """
 
 from __future__ import annotations
