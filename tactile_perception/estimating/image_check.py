@@ -80,9 +80,10 @@ class ImageCheckSettings(Settings):
         doc="so many images with nothing new but noise are said to stand still",
     )  # fmt: skip
     still_change: float = setting(
-        0.02, lower=0.0, upper=1.0,
+        0.013, lower=0.0, upper=1.0,
         doc="part of the noise by which means of images vary more where something moves; 0: nothing is "
-        "still. In a contact that an arm follows it is 0.04 at least, of a frozen scene 0.01 (simulated)",
+        "still. In a contact that an arm follows it is 0.023 at least within 0.4 s, of a frozen scene below "
+        "0.01 (simulated)",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
