@@ -23,8 +23,9 @@ from shared import Table, parser
 
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
+from tactile_records.runs.euler_poses import COMPONENTS
 from tactile_records.runs.object_tracking import NOT_KEPT, numbers
-from tactile_records.runs.tracking import COMPONENTS, LONGEST_LAG
+from tactile_records.runs.tracking import LONGEST_LAG
 
 PAPER, OURS = "object_tracking", "object_tracking_tuned"
 FEEDFORWARD, NO_FEEDFORWARD = "follower.task.feedforward=1.0", "follower.task.feedforward=0.0"

@@ -30,7 +30,6 @@ from stages import simulated_images
 from tactile_base.config_paths import config_path
 from tactile_base.yaml_file import read_yaml
 from tactile_bringup.cli import main as tactile
-from tactile_bringup.commands.quantize import training_images
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.model_metadata import ModelMetadata
 from tactile_perception.estimating.plots import log_axis
@@ -39,6 +38,7 @@ from tactile_perception.evaluation.evaluate import evaluate, load_data
 from tactile_perception.evaluation.metrics import LEVELS
 from tactile_perception.evaluation.models import open_models
 from tactile_perception.evaluation.report import paper_tables
+from tactile_perception.training.quantization import training_images
 
 BURST, PACE_HZ = 10, 60.0
 TIMES = ("CPU p50 / p99", "wall p50 / p99", "at 60 Hz", "two threads")

@@ -90,6 +90,7 @@ def test_a_device_that_is_unplugged_stops_the_arm_and_comes_back_while_the_arm_s
     client = graph.action(RunTask, "run_task")
     future = client.send_goal_async(goal_message(role.task, role.goals[0]))
     assert graph.wait(future.done) and future.result().accepted
+    assert graph.wait(lambda: statuses and arms), "nobody tells what it does"
     assert graph.wait(lambda: statuses[-1].phase == "approach" and any(arms[-1].twist)), statuses[-1]
 
     double.unplugged.touch()
