@@ -6,7 +6,9 @@ import pytest
 from tactile_base.stamps import SECOND_NS
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_doubles.lying_camera import LYING_CAMERAS, ImageLies
+from tactile_perception.estimating import stillness
 from tactile_perception.estimating.estimator import shipped_model
+from tactile_perception.estimating.image_check import ImageCheckSettings
 
 pytestmark = pytest.mark.skipif(
     not shipped_model().is_file(), reason="the shipped model is not there: `make model` trains it"
@@ -133,3 +135,24 @@ def test_lies_are_the_same_for_the_same_seed_and_leave_what_they_are_shown_as_it
     assert np.array_equal(given[0], given[1]) and np.array_equal(images, kept)
     assert given[0][0].shape == (120, 160) and given[0][0].dtype == np.uint8
     assert LYING_CAMERAS[kind].doc
+
+
+@pytest.mark.slow
+def test_an_honest_contact_that_changes_little_is_no_frozen_scene(monkeypatch):
+    """Sliding along a plane with the seed whose images change least, of twenty that were tried."""
+    changes = []
+    close = stillness.Stillness._close
+
+    def noted(self) -> None:
+        close(self)
+        changes.append(self.change)
+
+    monkeypatch.setattr(stillness.Stillness, "_close", noted)
+    record = run_arms_offline("plane", "surface_following", OfflineOptions(fidelity="image", seed=5))["arm"]
+    assert record.result["succeeded"], record.result["reason"]
+    known = np.array(changes)[~np.isnan(changes)]
+    touched = int(np.argmax(known > 50.0))
+    limit = ImageCheckSettings().still_change
+    assert known[: touched - 1].max() < limit  # in the air nothing moves in the image
+    lately = np.lib.stride_tricks.sliding_window_view(known[touched:], 3)  # 0.4 s, in which it goes 3 mm
+    assert lately.max(axis=1).min() > 1.3 * limit
