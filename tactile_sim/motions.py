@@ -82,7 +82,7 @@ class MotionType(Protocol):
 
 def make_motion(scene: Scene, body: BodyScene) -> Motion:
     """The motion that a scene names for a body; raises `SettingError` if its settings are wrong."""
-    kind = MOTIONS.load(body.motion)
+    kind: MotionType = MOTIONS.load(body.motion)
     given = body.motion_settings
     return kind(scene, body, given.checked(kind.settings_class, given.values))
 

@@ -120,8 +120,8 @@ def test_libraries_are_imported_where_there_is_no_ros(root: Path, tmp_path: Path
     """Each module without ROS loads in a Python to which ROS is not installed."""
     absent = {name for name in OF_DRIVERS if importlib.util.find_spec(name) is None}
     modules = [
-        ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
-        for path in sources(root)
+        name
+        for name, path in drawing(root).modules_of(root).items()
         if not is_edge(path, root)
         and not {name.split(".")[0] for name in imports(path)} & (OPTIONAL | absent)
     ]
