@@ -15,9 +15,7 @@ Each line is answered with one of JSON: what was asked for, or the controller's 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import os
 import select
 import struct
 import sys
@@ -40,7 +38,7 @@ from franky_sim.franka_robot_protocol import (
 from franky_sim.franka_robot_state import FrankaRobotState
 from franky_sim.franka_server import BaseCommand, Command, ConnectCommand, ConnectStatus, MessageHeader
 
-from tactile_doubles.double_process import answer_to
+from tactile_doubles.double_process import answer_to, be_in_time
 from tactile_doubles.franka_robot import PERIOD, FrankaRobot, FrankaRobotSettings
 from tactile_drivers.rotation_vectors import pose_of, vector_of
 
@@ -320,8 +318,7 @@ def main() -> int:
     except OSError as error:
         print(f"{arguments.host}: {error}", file=sys.stderr)
         return 1
-    with contextlib.suppress(PermissionError):  # in time also on a busy machine, where it may
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    be_in_time()
     print(json.dumps("ready"), flush=True)
     with open(sys.stdin.fileno(), "rb", buffering=0, closefd=False) as asked:
         while True:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from tactile_doubles import rtde
-from tactile_doubles.double_process import answer_to
+from tactile_doubles.double_process import answer_to, be_in_time
 from tactile_doubles.ur_robot import NORMAL, UrRobot, UrRobotSettings
 from tactile_drivers.rotation_vectors import vector_of
 
@@ -35,7 +35,7 @@ DASHBOARD, SCRIPT, RTDE = 29999, 30003, 30004
 _GREETING = "Connected: Universal Robots Dashboard Server\n"
 _BACKLOG = 65536  # bytes; a client that does not read is left behind, as a controller does
 _ENDS = (OSError, EOFError, struct.error, asyncio.CancelledError)  # how a connection ends
-_LONGEST_LAG = 0.05  # s; further behind, cycles are left out
+_LONGEST_LAG = 0.05  # s; further behind, several cycles are made up for at once
 
 
 class UrController:
@@ -298,6 +298,7 @@ def main() -> int:
     parser.add_argument("settings", nargs="?", default="{}", help="settings of the arm (JSON)")
     arguments = parser.parse_args()
     controller = UrController(arguments.host, UrRobotSettings.from_mapping(json.loads(arguments.settings)))
+    be_in_time()
     try:
         asyncio.run(_serve(controller))
     except OSError as error:

@@ -42,6 +42,7 @@ _SAFETY_DECELERATION = 10.0  # m/s^2, rad/s^2, of a stop by safety
 _PROGRAM_DECELERATION = 2.0  # m/s^2, rad/s^2, when the program ends
 _UNLOCKED_AFTER = 5.0  # s: "unlock protective stop" of the dashboard server, e-Series and CB3
 _TOO_EARLY = "Cannot unlock protective stop until 5s after occurrence."
+_PASSED_OVER = 0.01  # s, of a step that makes up for several cycles
 _JOINTS_EVERY = 0.007  # s; joints follow the pose, and take most of the time of a cycle
 
 
@@ -124,9 +125,14 @@ class UrRobot:
         self.trace.append((self.time, vector_of(self.T_base_tcp), self.speed.copy(), self._target.copy()))
 
     def pass_over(self, seconds: float) -> None:
-        """Let time go by in which a busy machine makes no cycles: nothing moves, nothing is missed."""
-        self.time += seconds
-        self._fed += seconds
+        """Make up for time in which a busy machine made no cycles: the arm of a real controller went on.
+
+        What clients sent meanwhile waits to be read, so that nobody has been silent.
+        """
+        steps = max(1, round(seconds / _PASSED_OVER))
+        for _ in range(steps):
+            self._fed += seconds / steps
+            self.step(seconds / steps)
 
     def write(self, values: dict[str, Any]) -> None:
         """What a client writes into the registers."""

@@ -1,5 +1,7 @@
 """`tactile check`: what keeps its contract passes, and each mistake is named in words of the contract."""
 
+import os
+import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -78,6 +80,23 @@ def test_a_motion_that_keeps_its_contract_passes(problems, bench):
 @pytest.mark.parametrize("words", mistakes.TASKS)
 def test_a_mistake_in_a_task_is_named(problems, words):
     assert words in problems("task", mistakes.TASKS[words])
+
+
+def test_a_task_that_computes_for_too_long_is_named_and_one_that_is_kept_from_its_core_is_not(problems):
+    core = min(os.sched_getaffinity(0))
+    assert "ms and more" in problems("task", mistakes.working(0.012)[0])
+    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    before = os.sched_getaffinity(0)
+    try:
+        for process in (0, busy.pid):
+            os.sched_setaffinity(process, {core})
+        task, took = mistakes.working(0.006)
+        assert problems("task", task) == ""
+    finally:
+        os.sched_setaffinity(0, before)
+        busy.kill()
+        busy.wait()
+    assert sum(seconds > 0.01 for seconds in took) >= 3
 
 
 # ---- arms ----

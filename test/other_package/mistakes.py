@@ -147,6 +147,20 @@ def sleeps(self, command):
     return command
 
 
+def working(seconds):
+    """A task that computes for so long in each of its first steps, and the list of how long these took."""
+    took = []
+
+    def works(self, command):
+        begun, end = time.perf_counter(), time.thread_time() + seconds * (len(took) < 40)
+        while time.thread_time() < end:
+            pass
+        took.append(time.perf_counter() - begun)
+        return command
+
+    return stepping(works), took
+
+
 def leaves_first(self, command):
     self.phase = "dancing"
     return replace(command, phase="dancing")
