@@ -38,6 +38,7 @@ from tactile_filter.bayes_filter import ContactFilter
 from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
 from tactile_perception.estimating.image import ImageError
+from tactile_perception.estimating.image_check import ImageCheckSettings
 from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.log import RunLog
 from tactile_records.runs.record import RunRecord
@@ -384,6 +385,8 @@ class _OfflineArm:
         self.remark = ""
         estimate = percept.estimate if percept.in_contact else None
         if percept.in_contact and estimate is None:  # a network that failed: nothing is known of this contact
+            if percept.fault:
+                self._refuse("estimates refused", f"estimate refused: {percept.fault}")
             self._send(StampedPresence(frame.stamp_ns, True, percept.still), None)
             return
         belief = self.filter.observe(frame.stamp_ns, estimate, frame.T_base_sensor)
@@ -403,7 +406,8 @@ class _OfflineArm:
         except ImageError as error:
             self._refuse("images refused", f"tactile/image refused: {error}")
             return None
-        return replace(percept, estimate=self.lies.estimate(name, stamp_ns, percept.estimate))
+        told = replace(percept, estimate=self.lies.estimate(name, stamp_ns, percept.estimate))
+        return told.agreed(ImageCheckSettings().depth_difference)
 
     def _refuse(self, counter: str, text: str) -> None:
         """Count what the estimator node would count, and tell the task."""

@@ -63,4 +63,4 @@ def perception(scene: Scene, arm: str, model: Path | None) -> tuple[Perception |
 def _own_answer(frame: Frame) -> Percept:
     """The percept of a sensor that gives estimates."""
     touches = frame.estimate is not None
-    return Percept(touches, float(touches), frame.estimate)
+    return Percept(touches, float(touches), frame.estimate, plain_depth=frame.plain_depth)

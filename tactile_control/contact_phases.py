@@ -51,6 +51,7 @@ class TaskInContact(PhasedTask, Protocol):
     checks: tuple[Check, ...]
     pace: float
 
+    def explained(self, reason: str) -> str: ...
     def contact_seen(self, begins: bool = False) -> None: ...
     def contact_made(self) -> None: ...
     def contact_lost(self) -> bool: ...
@@ -177,7 +178,9 @@ class InContact(ContactPhase):
         check = min(self.task.checks, key=lambda check: (check.pace(), -check.doubt))
         self.task.pace = pace = check.pace()
         if pace == 0.0:
-            raise PhaseFailed(check.contradiction)
+            raise PhaseFailed(
+                self.task.explained(check.contradiction) if check.unheard else check.contradiction
+            )
         if pace < 1.0 and not waiting:
             waiting = f"slower: what is believed of the contact nears a limit ({check.doubt:.0%} of it)"
         slowed = pace * twist

@@ -254,7 +254,7 @@ class PhaseMachine(ABC):
         partner = "" if self.phase in (STOPPING, RETREAT) else self.partner
         stamps = {name: getattr(self, name).stamp_ns for name in part.needs}
         state = self.watchdog.step(self.now_ns, stamps, partner)
-        self._lacks = self._explained(state.reason) if state.reason else ""
+        self._lacks = self.explained(state.reason) if state.reason else ""
         reason = "; ".join(filter(None, (self._lacks, state.other)))
         if state.failed:
             self._fail_here(reason)
@@ -272,10 +272,10 @@ class PhaseMachine(ABC):
         """True while an input has yet to arrive for the first time; fails after a while."""
         missing, limit = part.missing(), self.watchdog.settings.start_timeout
         if missing and self.elapsed > limit:
-            self._fail_here(self._explained(f"no {' and no '.join(missing)} has arrived within {limit:g} s"))
+            self._fail_here(self.explained(f"no {' and no '.join(missing)} has arrived within {limit:g} s"))
         return bool(missing)
 
-    def _explained(self, reason: str) -> str:
+    def explained(self, reason: str) -> str:
         """An input is missing: first why, as far as it is known."""
         return f"{self.remark}, so {reason}{self._refused}" if self.remark else reason + self._refused
 

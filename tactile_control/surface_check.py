@@ -141,15 +141,18 @@ class Check:
         How near the beliefs are to a contradiction: the largest part of a limit that is reached.
     contradiction : str
         What contradicts what, with numbers; '' as long as nothing does. It lasts until `begin`.
+    unheard : bool
+        Whether it is that there was too little to believe, for which others may know the reason.
     """
 
     settings: SurfaceSettings
     doubt = 0.0
     contradiction = ""
+    unheard = False
 
     def begin(self) -> None:
         """A new contact: nothing is known of it."""
-        self.doubt, self.contradiction = 0.0, ""
+        self.doubt, self.contradiction, self.unheard = 0.0, "", False
 
     def pace(self) -> float:
         """How much of a twist is to be followed: 1 while all fits, less in doubt, 0 for a contradiction."""
@@ -226,8 +229,9 @@ class SurfaceCheck(Check):
         if not self.settings.checked or self.contradiction:
             return
         if self._refused > self.settings.refused_share:
-            self.contradiction = (
-                f"no belief came of {self._refused:.0%} of the latest images that show contact"
+            self.unheard, self.contradiction = (
+                True,
+                (f"no belief came of {self._refused:.0%} of the latest images that show contact"),
             )
         elif (way := self._gone_still(still)) > self.settings.still_way > 0.0:
             self.contradiction = (

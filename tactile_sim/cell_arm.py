@@ -190,10 +190,11 @@ class CellArm:
                 stamp_ns = self.arm.stamp_ns
                 self.contact = contact_on_body(self.name, stamp_ns, geometry, T_body_sensor, truth, known)
         self._touched = target if truth.in_contact else None
-        image, estimate = self.sensor.answer(truth.in_contact)
+        image, estimate, plain_depth = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
         T_base_said = self.arm.T_base_controlled
-        return Frame(self.name, self.arm.stamp_ns, sequence, image, estimate, truth, T_base_said)
+        stamp_ns = self.arm.stamp_ns
+        return Frame(self.name, stamp_ns, sequence, image, estimate, truth, T_base_said, plain_depth)
 
     def _nearest(self, T_base_sensor: Array) -> TouchedBody | None:
         """The body that the sensor touches, as long as it does, else the nearest to its centre."""

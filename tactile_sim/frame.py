@@ -88,6 +88,8 @@ class Frame:
     truth : Truth
     T_base_sensor : ndarray (4, 4)
         Where the arm says that the sensor was at the stamp.
+    plain_depth : float
+        With an estimate: the depth that the brightness of an image would have, m; else NaN.
     """
 
     arm: str
@@ -97,3 +99,4 @@ class Frame:
     estimate: PoseGaussian | None
     truth: Truth
     T_base_sensor: Array
+    plain_depth: float = float("nan")

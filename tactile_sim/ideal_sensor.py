@@ -102,6 +102,10 @@ class IdealSensor:
         error = self._sigma * self._random.standard_normal(6)
         return PoseGaussian(se3.compose(se3.exp(error), se3.inverse(self.truth().T_fs)), self._cov.copy())
 
+    def plain_depth(self) -> float:
+        """What an image's brightness would say of the depth, m (`PlainDepth`): here the truth."""
+        return self.geometry.depth
+
     def _release(self) -> None:
         self._anchor, self._turn, self._slips = np.zeros(3), 0.0, False
 

@@ -48,10 +48,12 @@ class Sensor:
             return self.model.geometry
         return contact_pose(surface, T_surface_sensor, self.radius)
 
-    def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None]:
+    def answer(self, in_contact: bool) -> tuple[NDArray[np.uint8] | None, PoseGaussian | None, float]:
+        """Image, estimate and plain depth (m), as `Frame` holds them."""
         if isinstance(self.model, IdealSensor):
-            return None, self.model.estimate() if in_contact else None
-        return self.model.image(), None
+            estimate = self.model.estimate() if in_contact else None
+            return None, estimate, self.model.plain_depth() if in_contact else math.nan
+        return self.model.image(), None, math.nan
 
 
 @functools.cache

@@ -9,6 +9,7 @@ sensor is refused, whoever sends it: as if it had not come, so that the arm rest
 - Of images that follow one another: each is like the one before it, or like the image without contact. One
   that is mirrored, turned, shifted or another one from one image to the next has as many markers, all of them
   elsewhere; those of a skin that is pressed, or springs back, move by a part of their distance.
+- Of an estimate, against the depth that the brightness of the image's parts has (`plain_depth`).
 - Of the image without contact, against the mean of the images that the network was trained on: no mirrored or
   turned form of that fits better (`layout.Layout`).
 
@@ -74,6 +75,11 @@ class ImageCheckSettings(Settings):
         0.4, lower=-1.0, upper=1.0,
         doc="correlation in contact with the image before it, or with that without contact, 1/60 s later; "
         "for longer times in inverse proportion. Skin that moves by 0.5 mm has 0.47 at least (simulated)",
+    )  # fmt: skip
+    depth_difference: float = setting(
+        0.0015, lower=0.0, upper=0.05, unit="m",
+        doc="an estimate whose depth is further than this, and than four of its RMS errors, from that of the "
+        "image's brightness is refused; 0: none is",
     )  # fmt: skip
     still_images: int = setting(
         64, lower=2 * FRAMES, upper=6000,

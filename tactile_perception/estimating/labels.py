@@ -73,6 +73,11 @@ def euler_from_label(xi_network: ArrayLike) -> Array:
     return euler_from_pose(se3.inverse(pose_from_network(xi_network)))
 
 
+def depths(labels: ArrayLike) -> Array:
+    """Depths (N,) in m, the z of X_fs, of network vectors xi_sf (N, 6) in mm and rad."""
+    return 1e-3 * np.array([euler_from_label(label)[2] for label in np.asarray(labels)])
+
+
 def network_from_pose(T_sf: ArrayLike) -> Array:
     """xi_sf (6,) in mm and rad of T_sf (4, 4) in SI."""
     return se3.log(np.asarray(T_sf, dtype=np.float64)) / NETWORK_SCALE

@@ -18,6 +18,7 @@ from tactile_base.input_file import parse_json
 from tactile_base.settings import shown
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.layout import Layout
+from tactile_perception.estimating.plain_depth import PlainDepth
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import Calibration
 
@@ -33,7 +34,7 @@ FRAMES = (
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
     "sensor just touches; inverse_sigma or covariance: of the components of xi around mu"
 )
-LAYOUT = "layout"
+LAYOUT, PLAIN_DEPTH = "layout", "plain_depth"
 #: Entry with the SHA-256 of the whole file as it is with `UNSUMMED` in the entry's place.
 CHECKSUM = "file_sha256"
 UNSUMMED = "-" * 64
@@ -45,6 +46,7 @@ SIMULATED_ONLY = (
     "the shipped model has seen simulated images alone: of a real sensor it only guesses; train one of your "
     "own (docs/own_sensor.md)"
 )
+_VIEWS = LAYOUT, PLAIN_DEPTH  # of the training images, with texts of their own
 _REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
 
 
@@ -70,6 +72,7 @@ class ModelMetadata:
     calibration : of the stated uncertainty, fitted on held-out training data; applied by who uses the model
     layout : mean of the training images, by which a camera is known that is mirrored or turned; None: not
     known
+    plain_depth : depth by a weighted sum of brightness, which the network is held against; None: not known
     """
 
     preprocessing: PreprocessingSettings
@@ -78,6 +81,7 @@ class ModelMetadata:
     training: dict[str, Any] = field(default_factory=dict)
     calibration: Calibration = field(default_factory=Calibration)
     layout: Layout | None = None
+    plain_depth: PlainDepth | None = None
     components: tuple[str, ...] = COMPONENTS
     units: tuple[str, ...] = NETWORK_UNITS
     frames: str = FRAMES
@@ -97,9 +101,9 @@ class ModelMetadata:
         """As the strings that an ONNX file holds; everything but `format` is JSON."""
         values = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
         values["preprocessing"] = dataclasses.asdict(self.preprocessing)
-        calibration, layout = values.pop("calibration"), values.pop("layout")
+        calibration, views = values.pop("calibration"), {name: values.pop(name) for name in _VIEWS}
         texts = {name: json.dumps(value) for name, value in values.items()}
-        texts |= {} if layout is None else {LAYOUT: layout.to_text()}
+        texts |= {name: view.to_text() for name, view in views.items() if view is not None}
         return {"format": FORMAT, **texts, "calibration": calibration.to_json(), CHECKSUM: UNSUMMED}
 
     @classmethod
@@ -119,6 +123,8 @@ class ModelMetadata:
                 values["calibration"] = Calibration.from_json(properties["calibration"])
             if LAYOUT in properties:
                 values[LAYOUT] = Layout.from_text(properties[LAYOUT], values["preprocessing"].size)
+            if PLAIN_DEPTH in properties:
+                values[PLAIN_DEPTH] = PlainDepth.from_text(properties[PLAIN_DEPTH])
         except (ValueError, TypeError) as error:
             raise MetadataError(f"unreadable metadata: {error}") from error
         for name, expected in (("units", NETWORK_UNITS), ("components", COMPONENTS)):
@@ -130,7 +136,7 @@ class ModelMetadata:
 
 
 _JSON_NAMES = tuple(
-    item.name for item in dataclasses.fields(ModelMetadata) if item.name not in ("calibration", LAYOUT)
+    item.name for item in dataclasses.fields(ModelMetadata) if item.name not in ("calibration", *_VIEWS)
 )
 
 

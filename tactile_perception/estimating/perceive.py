@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import nan
 from typing import TYPE_CHECKING
 
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from tactile_perception.estimating.presence import ContactPresence
 
 if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
     from tactile_perception.estimating.estimator import Estimator
+
+
+PLAIN_ERRORS = 4.0  # RMS errors of a plain depth that an estimate may be off it
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Percept:
         Why there is no estimate although one was due, or why images are no reference; else empty.
     still : bool
         Whether the latest images have shown nothing but noise.
+    plain_depth : float
+        How deep (m) the contact is by the image's brightness (`PlainDepth`); NaN where that is not known.
     """
 
     in_contact: bool | None
@@ -41,6 +47,26 @@ class Percept:
     estimate: PoseGaussian | None = None
     fault: str = ""
     still: bool = False
+    plain_depth: float = nan
+
+    def agreed(self, limit: float) -> Percept:
+        """Without an estimate whose depth is further than `limit` (m) from `plain_depth`."""
+        if self.estimate is None:
+            return self
+        depth = depth_of(self.estimate)
+        if not abs(depth - self.plain_depth) > limit:  # of NaN nothing is known
+            return self
+        return replace(
+            self,
+            estimate=None,
+            fault=f"the network says that the contact is {depth * 1e3:.1f} mm deep, and the brightness of "
+            f"the image {self.plain_depth * 1e3:.1f} mm",
+        )
+
+
+def depth_of(estimate: PoseGaussian) -> float:
+    """Depth (m) of a contact, the z of X_fs, of a Gaussian over X_sf."""
+    return -float(estimate.mean[:3, 2] @ estimate.mean[:3, 3])
 
 
 class Perceiver:
@@ -91,7 +117,11 @@ class Perceiver:
         if not presence.in_contact:
             return Percept(presence.in_contact, presence.score, fault=presence.refused)
         percept = self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
-        return replace(percept, still=self.check.still)
+        percept = replace(percept, still=self.check.still)
+        plain, limit = self.estimator.metadata.plain_depth, self.check.settings.depth_difference
+        if plain is None or not limit:
+            return percept
+        return replace(percept, plain_depth=plain(prepared)).agreed(max(limit, PLAIN_ERRORS * plain.rms))
 
     def catch_up(self) -> None:
         """Do what need not be known before a percept is on its way; at the next image at the latest."""
@@ -114,7 +144,7 @@ class Perceiver:
         estimate = self._estimated(self.estimator.estimate_prepared, prepared, None, float("nan")).estimate
         if estimate is None:
             return ""  # what the network fails on says nothing
-        depth = -float(estimate.mean[:3, 2] @ estimate.mean[:3, 3])  # z of X_fs
+        depth = depth_of(estimate)
         limit = self.presence.settings.reference_depth
         text = f"the network sees a contact of {depth * 1e3:.1f} mm, must be at most {limit * 1e3:g} mm"
         return text if depth > limit else ""

@@ -65,6 +65,7 @@ def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
         validation={},
         training={"members": facts},
         layout=first.layout,
+        plain_depth=first.plain_depth,
     )
 
 

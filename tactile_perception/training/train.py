@@ -14,9 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tactile_perception.estimating.labels import COMPONENTS
+from tactile_perception.estimating.labels import COMPONENTS, depths
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
+from tactile_perception.estimating.plain_depth import PlainDepth
 from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
 from tactile_perception.training.config import TrainConfig
@@ -255,6 +256,7 @@ class _Run:
             training=training,
             calibration=calibration,
             layout=Layout.of(self.data.training.images),
+            plain_depth=PlainDepth.fit(self.data.training.images, depths(self.data.training.labels)),
         )
         sigma = self._constant_sigma()
         self.network.to("cpu")

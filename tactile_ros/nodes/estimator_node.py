@@ -119,14 +119,11 @@ class EstimatorNode(ManagedNode):
         except (MessageError, ImageError) as error:
             if isinstance(error, ImageRefused):
                 self.count(f"images refused, {error.kind}")
-            self._refuse("images refused", f"tactile/image refused: {error}")
-            if not self.refusing:  # a task that stops for it is to know why before it fails
-                self.refusing = True
-                self.publish_diagnostics()
+            self._refuse_now("images refused", f"tactile/image refused: {error}")
 
     def _process(self, image: NDArray, stamp_ns: int, received_ns: int) -> None:
         percept = self.perceive(image, stamp_ns=stamp_ns)
-        self.refusing = False
+        self.refusing = self.refusing and bool(percept.fault)
         if percept.in_contact is None:
             self._tell_reference(percept.fault)
             return
@@ -139,7 +136,7 @@ class EstimatorNode(ManagedNode):
 
     def _publish_estimate(self, percept: Percept, stamp_ns: int) -> None:
         if percept.fault:
-            self._refuse("estimates refused", f"estimate refused: {percept.fault}")
+            self._refuse_now("estimates refused", f"estimate refused: {percept.fault}")
         if percept.estimate is not None:
             mean, cov = percept.estimate.mean, percept.estimate.cov
             self.estimate_out.publish(gaussian_bytes(stamp_ns, self.sensor_frame, mean, cov))
@@ -165,6 +162,13 @@ class EstimatorNode(ManagedNode):
     def _refuse(self, counter: str, text: str) -> None:
         self.count(counter)
         self.warn(counter, text)
+
+    def _refuse_now(self, counter: str, text: str) -> None:
+        """Refuse, and say so at once where it begins: a task is to know why before it fails for it."""
+        self._refuse(counter, text)
+        if not self.refusing:
+            self.refusing = True
+            self.publish_diagnostics()
 
     def _dropped(self) -> int:
         return sum(self.counters[name] for name in DROPPED)

@@ -12,8 +12,10 @@ import pytest
 
 from tactile_perception.datasets.dataset import open_folder, read_dataset
 from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
-from tactile_perception.estimating.labels import labels_from_euler, network_from_pose
+from tactile_perception.estimating.labels import depths, labels_from_euler, network_from_pose
 from tactile_perception.estimating.layout import Layout
+from tactile_perception.estimating.plain_depth import PlainDepth
+from tactile_perception.estimating.preprocessing import as_input
 from tactile_perception.estimating.presence import ContactPresence
 
 DATA = Path(os.environ.get("TACTILE_REAL_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
@@ -57,6 +59,18 @@ def test_deep_contacts_stand_out_from_shallow_ones_for_contact_presence(sample):
     presence.set_reference(images[depth < 0.9])
     scores = np.array([presence.update(image).score for image in images])
     assert np.median(scores[depth > 4.0]) > 3.0 * np.median(scores[depth < 0.9])
+
+
+@pytest.mark.parametrize("name", ["tactip_franka", "cr_tactip"])
+def test_the_brightness_of_images_tells_their_depth(name):
+    """Fitted to every other contact, and tried on the rest."""
+    data = read_dataset(DATA / name / "train", limit=2000)
+    depth = depths(data.labels)
+    plain = PlainDepth.fit(data.images[::2], depth[::2])
+    errors = np.array([plain(as_input(image)) for image in data.images[1::2]]) - depth[1::2]
+    rms = np.sqrt(np.mean(errors**2))
+    print(f"{name}: {1e3 * rms:.2f} mm (RMS), of {1e3 * depth.std():.2f} mm of spread")
+    assert rms == pytest.approx(plain.rms, rel=0.2) and rms < 0.0007
 
 
 def shallow(images: np.ndarray, depth: np.ndarray, count: int = 20) -> np.ndarray:

@@ -11,10 +11,12 @@ from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_control.task_file import load_task, task_path
 from tactile_doubles.lying_estimates import LYING_ESTIMATES, REFUSED_COVARIANCES
 from tactile_perception.estimating.estimator import shipped_model
+from tactile_perception.estimating.perceive import Percept
 
 BEGINS = {"plane": 6.0, "ramp": 6.0, "dome": 6.0, "tracking_flat": 8.0, "pushing": 8.0, "dual_pushing": 12.0}
-TASKS = {"tracking_flat": "object_tracking", "pushing": "pushing", "dual_pushing": "dual_pushing"}
-LIAR = {"tracking_flat": "follower", "dual_pushing": "follower"}
+TASKS = {"pushing": "pushing", "dual_pushing": "dual_pushing"}
+TASKS |= dict.fromkeys(("tracking_flat", "tracking_ball"), "object_tracking")
+LIAR = dict.fromkeys(("tracking_flat", "tracking_ball", "dual_pushing"), "follower")
 GOALS = {"dome": ("theta_1",)}
 DEEP = 6.0  # mm, of which no tip may be deeper
 EVERY_COVARIANCE = [f"covariance {name}" for name in REFUSED_COVARIANCES]
@@ -22,10 +24,16 @@ EVERY_COVARIANCE = [f"covariance {name}" for name in REFUSED_COVARIANCES]
 
 def lied_to(scene, lie, fidelity="fitted", arm=None, begins=None, seed=0):
     """Records by arm of a run with that lie, and the stamp of its beginning."""
-    begins = BEGINS[scene] if begins is None else begins
+    begins = BEGINS.get(scene, 8.0) if begins is None else begins
     lies = LYING_ESTIMATES[lie](begins, arm or LIAR.get(scene, "arm"))
     options = OfflineOptions(fidelity=fidelity, seed=seed, goals=GOALS.get(scene, ()), lies=lies)
     return run_arms_offline(scene, TASKS.get(scene, "surface_following"), options), lies.begins_ns
+
+
+@pytest.fixture
+def any_plain_depth(monkeypatch):
+    """Estimates are not held against the brightness of images: other checks have to do without."""
+    monkeypatch.setattr(Percept, "agreed", lambda self, limit: self)
 
 
 def depth_mm(record, begin_ns=0, end_ns=2**62):
@@ -66,16 +74,17 @@ def check(records, begin_ns, known_s, said):
 @pytest.mark.parametrize(
     "lie, known_s, said",
     [
-        ("z drifts up", 2.0, "the estimates contradict the arm's motion"),
-        ("z drifts down", 2.0, "the estimates contradict the arm's motion"),
-        ("z flipped", 0.2, "by itself: the estimates contradict the arm's motion"),
+        ("z drifts up", 2.0, ""),
+        ("z drifts down", 2.0, ""),
+        ("z flipped", 0.2, "the brightness of the image"),
         ("tilts flipped", 1.3, "the surface's normal turned by"),
         ("images mirrored", 1.5, "the estimates contradict the arm's motion"),
         ("images turned by 180 degrees", 1.0, "the estimates contradict the arm's motion"),
         ("5 mm of noise", 0.3, ""),
         ("10 degrees of noise", 0.5, ""),
-        ("twice as large", 0.2, "by itself"),
+        ("twice as large", 0.2, "the brightness of the image"),
         ("frozen", 0.3, "no belief came of"),
+        ("frozen with noise", 8.0, "no belief came of"),
         ("covariance not a number", 0.15, "no belief came of 52% of the latest images that show contact"),
     ],
 )
@@ -103,9 +112,9 @@ def test_covariances_that_are_refused_bring_the_arm_to_rest_within_200_ms(lie):
     "lie, known_s",
     [
         ("z flipped", 0.3),
-        ("half as large", 0.1),
-        ("2 mm too deep", 0.1),
-        ("2 mm too shallow", 0.1),
+        ("half as large", 0.15),
+        ("2 mm too deep", 0.15),
+        ("2 mm too shallow", 0.15),
         ("5 mm of noise", 0.4),
         ("10 degrees of noise", 0.4),
         ("tilts flipped", 1.0),
@@ -148,20 +157,23 @@ def test_of_two_arms_that_hold_an_object_both_rest_and_do_not_crush_it(arm, lie,
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("lie, known_s", [("z drifts down", 3.0), ("alpha drifts down", 10.0)])
-def test_tracking_an_object_whose_leader_is_known_is_held_against_its_motion(lie, known_s, seed):
+def test_tracking_an_object_whose_leader_is_known_is_held_against_its_motion(
+    lie, known_s, seed, any_plain_depth
+):
     """By itself the follower would believe that the plate moves as slowly as its depth drifts."""
     check(*lied_to("tracking_flat", lie, seed=seed), known_s, "seen from the arm that carries the object")
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_estimate_that_stays_but_for_noise_ends_tracking_before_the_arms_own_stop(seed):
-    """With seed 0 the tip slides over the plate meanwhile, and the way that it slides leaves room."""
-    records, begin_ns = lied_to("tracking_flat", "frozen with noise", seed=seed)
-    assert depth_mm(records["follower"], begin_ns).max() <= (8.5 if seed == 0 else DEEP)
+@pytest.mark.parametrize("scene", ["tracking_flat", "tracking_ball"])
+@pytest.mark.parametrize("lie", ["frozen with noise", "z drifts down"])
+def test_the_brightness_of_images_ends_tracking_whose_depth_nothing_else_contradicts(lie, scene, seed):
+    records, begin_ns = lied_to(scene, lie, seed=seed)
+    assert depth_mm(records["follower"], begin_ns).max() <= DEEP
     assert "protective stop" not in records["follower"].result["reason"]
 
 
-def test_without_that_a_drift_of_the_depth_ends_at_the_arms_own_stop():
+def test_without_either_a_drift_of_the_depth_ends_at_the_arms_own_stop(any_plain_depth):
     task = load_task(
         task_path("object_tracking"), "tracking_flat", changes=["follower.surface.carried=false"]
     )
@@ -172,7 +184,7 @@ def test_without_that_a_drift_of_the_depth_ends_at_the_arms_own_stop():
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("arm", ["follower", "leader"])
-def test_two_arms_know_of_a_depth_that_drifts_by_the_width_of_their_object(arm, seed):
+def test_two_arms_know_of_a_depth_that_drifts_by_the_width_of_their_object(arm, seed, any_plain_depth):
     """A follower cannot tell a drift from an object that moves, nor can a leader; both together can."""
     records, begin_ns = lied_to("dual_pushing", "z drifts down", arm=arm, seed=seed)
     assert max(depth_mm(record, begin_ns).max() for record in records.values()) <= DEEP
@@ -206,6 +218,14 @@ def test_nobody_who_tells_the_truth_is_stopped_or_slowed(scene, fidelity):
 @pytest.mark.skipif(
     not shipped_model().is_file(), reason="the shipped model is not there: `make model` trains it"
 )
-@pytest.mark.parametrize("lie, known_s", [("z drifts down", 2.0), ("z flipped", 0.2), ("tilts flipped", 1.5)])
-def test_with_simulated_images_and_the_shipped_model(lie, known_s):
-    check(*lied_to("plane", lie, fidelity="image"), known_s, "the estimates contradict the arm's motion")
+@pytest.mark.parametrize(
+    "lie, known_s, said",
+    [
+        ("z drifts down", 2.0, "no belief came of"),
+        ("z flipped", 0.2, "the brightness of the image"),
+        ("tilts flipped", 1.5, "the estimates contradict the arm's motion"),
+        ("frozen with noise", 4.0, "no belief came of"),
+    ],
+)
+def test_with_simulated_images_and_the_shipped_model(lie, known_s, said):
+    check(*lied_to("plane", lie, fidelity="image"), known_s, said)
