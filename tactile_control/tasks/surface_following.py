@@ -14,6 +14,7 @@ from tactile_control.contact_settings import ContactTaskSettings
 from tactile_control.contact_task import ContactTask
 from tactile_control.motion import smooth_ramp
 from tactile_control.phases import DONE, FAILED, RETREAT, STOPPING, Goal
+from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,17 @@ class FollowingSettings(Settings):
         "(surface radius + tip radius - depth); 0 leaves the turning to feedback, as the paper does. "
         "Wants servoing.free_shear: else the turn about a sheared reference adds depth",
     )
+    corridor: float = setting(
+        0.004, lower=0.0, upper=1.0, unit="m",
+        doc="the sensor's centre goes at most so far sideways of the path, as seen along the surface's normal "
+        "where that began, or the task fails: a tilt or a shear that is told wrongly leads astray. Wider for "
+        "surfaces that turn the path themselves; 0: any width",
+    )  # fmt: skip
+    roll: float = setting(
+        0.15, lower=0.0, upper=3.2, unit="rad",
+        doc="and turns at most so far about the path's direction; more for surfaces that are twisted along it; "
+        "0: any angle",
+    )  # fmt: skip
     timeout: float = setting(120.0, lower=0.1, upper=3600.0, unit="s", doc="longest following of one path")
 
 
@@ -113,12 +125,37 @@ class SurfaceFollowing(ContactTask):
         return bool(distance <= self.goal.target_radius)
 
     def failure(self, elapsed: float) -> str:
-        """The target was missed, or the path takes too long."""
+        """The target was missed, the arm went astray, or the path takes too long."""
+        corridor, sideways = self.settings.task.corridor, abs(self.sideways)
+        if 0.0 < corridor < sideways:
+            return (
+                f"the arm went {sideways * 1e3:.1f} mm sideways of its path (task.corridor = "
+                f"{corridor * 1e3:g} mm): tilt or shear are told wrongly, or the surface turns the path"
+            )
+        limit, rolled = self.settings.task.roll, abs(self.rolled)
+        if 0.0 < limit < rolled:
+            return (
+                f"the arm turned by {math.degrees(rolled):.1f} degrees about its path (task.roll = {limit:g} "
+                "rad): its tilt is told wrongly, or the surface is twisted"
+            )
         if self.odometer.length >= self.goal.length:
             return f"the target was not reached within {self.goal.length * 1e3:.1f} mm of path"
         if elapsed > self.settings.task.timeout:
             return f"the path was not done within {self.settings.task.timeout:g} s"
         return ""
+
+    @property
+    def sideways(self) -> float:
+        """How far (m) the sensor's centre is to the left of its path, by the arm's pose alone."""
+        direction, (x, y, _) = math.radians(self.goal.direction_deg), self.place
+        return y * math.cos(direction) - x * math.sin(direction)
+
+    @property
+    def rolled(self) -> float:
+        """By how much (rad) the sensor has turned about its path's direction, by the arm's pose alone."""
+        direction = math.radians(self.goal.direction_deg)
+        turn = se3.log(se3.between(self.T_base_work, self.T_base_sensor))[3:]
+        return float(turn[0] * math.cos(direction) + turn[1] * math.sin(direction))
 
     def fraction(self) -> float:
         """By the way so far."""
