@@ -42,14 +42,14 @@ class FollowingSettings(Settings):
     )
     corridor: float = setting(
         0.004, lower=0.0, upper=1.0, unit="m",
-        doc="the sensor's centre goes at most so far sideways of the path, as seen along the surface's normal "
+        doc="the sensor's centre goes at most so far sideways of the path, seen along the surface's normal "
         "where that began, or the task fails: a tilt or a shear that is told wrongly leads astray. Wider for "
         "surfaces that turn the path themselves; 0: any width",
     )  # fmt: skip
     roll: float = setting(
         0.15, lower=0.0, upper=3.2, unit="rad",
-        doc="and turns at most so far about the path's direction; more for surfaces that are twisted along it; "
-        "0: any angle",
+        doc="and turns at most so far about the path's direction; more for surfaces that are twisted along "
+        "it; 0: any angle",
     )  # fmt: skip
     timeout: float = setting(120.0, lower=0.1, upper=3600.0, unit="s", doc="longest following of one path")
 

@@ -93,6 +93,23 @@ def test_following_stops_for_estimates_that_the_arms_own_motion_contradicts(scen
     check(*lied_to(scene, lie), known_s, said)
 
 
+@pytest.mark.parametrize(
+    "scene, lie, said",
+    [
+        ("ramp", "x drifts up", "mm sideways of its path"),
+        ("ramp", "x drifts down", "mm sideways of its path"),
+        ("ramp", "beta drifts up", "degrees about its path"),
+        ("plane", "beta drifts down", "degrees about its path"),
+    ],
+)
+def test_a_path_that_is_led_astray_ends(scene, lie, said):
+    """The surface may be a curved one, for all that the estimates and the arm's motion say."""
+    records, begin_ns = lied_to(scene, lie)
+    result = records["arm"].result
+    assert not result["succeeded"] and said in result["reason"]
+    assert depth_mm(records["arm"], begin_ns).max() <= 4.0
+
+
 @pytest.mark.parametrize("lie", ["z flipped", "5 mm of noise", "frozen", "half as large"])
 def test_a_lie_from_the_start_is_known_while_the_task_settles(lie):
     """The arm goes in by some millimetres then, and what is told has to follow."""
