@@ -57,7 +57,7 @@ class Section:
         self.error: type[SettingError] = SettingError
 
     def with_values(self, values: dict[str, Any]) -> Section:
-        """The same place in the file with other content, whose errors are told at its first line."""
+        """A copy with other content, whose errors are reported at the section's first line."""
         section = Section(self.path, self.line, values, {})
         section.name, section.error = self.name, self.error
         return section

@@ -79,7 +79,7 @@ class Place:
         }
 
     def put(self, node: NodeProcess, arm: str) -> NodeProcess:
-        """The same node where it belongs."""
+        """A copy of a node with this arm's namespace, topics and frames."""
         given: dict[str, object] = {"use_sim_time": True} if self.use_sim_time else {}
         renamed = [(compressed(IMAGE), f"{self.image_topic}/compressed")] if self.image_topic else []
         renamed += [(IMAGE, self.image_topic), (EXTERNAL_COMMAND, self.twist_topic)]

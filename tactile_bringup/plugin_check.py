@@ -115,7 +115,7 @@ def check_shape(kind: Any, values: Mapping[str, Any]) -> Problems:
 
 
 def try_shape(shape: Any) -> Problems:
-    """The same of a shape that is there; `Unusable` is what no run can be made with."""
+    """Check an instance's distances, normals, grid and mesh; `Unusable` is what no run can be made with."""
     grid = np.asarray(shape.grid(20), dtype=np.float64)
     if grid.ndim != 3 or grid.shape[2] != 3 or not np.isfinite(grid).all():
         yield Unusable(f"grid(20) has the shape {grid.shape}, must be finite points (rows, columns, 3)")

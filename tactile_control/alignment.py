@@ -67,7 +67,7 @@ class AlignmentSettings(Settings):
     )
 
     def pid(self) -> PidSettings:
-        """The same law as the six channels of servoing, with one of them in use: in deg and mm/s."""
+        """This law as settings of the six-channel PID, with one channel in use: in deg and mm/s."""
 
         def only(value: float, others: float = 0.0) -> tuple[float, ...]:
             return tuple(value if channel == CHANNEL else others for channel in range(6))

@@ -66,7 +66,7 @@ class Goal(Settings):
     """What one run of a task is to do, where its settings say how; each task has a class of its own."""
 
     def in_base(self: G, T_world_base: Array) -> G:
-        """The same goal with all that it gives in the world in the arm's base, which stands there."""
+        """A copy with everything that is given in the world converted to the arm's base."""
         return self
 
     def adapted(self, settings: S) -> S:

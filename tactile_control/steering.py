@@ -152,7 +152,7 @@ class SteeringController:
         )
 
     def step_to_pose(self, end: Array, direction: Array, speed: float) -> Array:
-        """The same for a place (3,) where the sensor's centre is to end, its axis along a direction (3,)."""
+        """Sideways speed towards a place (3,) where the centre is to end, its axis along a direction (3,)."""
         settings, drift, turning = self.settings, self.model.drift, max(self.model.turning, LEAST)
         reach, crab = 1.0 / turning, drift / turning
         turn = angle_of(direction)

@@ -157,7 +157,7 @@ class FrozenPose(LyingDriver):
 
 
 class FrozenPoseAlone(FrozenPose):
-    """The same, but that its twist is told as it is."""
+    """The pose stays what it was; the twist is reported truly."""
 
     def says(self, state: ArmState) -> ArmState:
         return replace(super().says(state), twist=state.twist)

@@ -156,7 +156,7 @@ class FollowedArm(SimArm):
 
     @property
     def target(self) -> Array:
-        """The same: what the double is asked for is its own business."""
+        """The measured twist: what the double was asked for is not known here."""
         return self._twist
 
     @property

@@ -128,7 +128,7 @@ class ContactFilter:
 
     @property
     def all_rejections(self) -> Counter[str]:
-        """The same, since construction."""
+        """Refused measurements by reason, since construction."""
         return self._rejections_before_reset + self.rejections
 
     @property

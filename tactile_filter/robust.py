@@ -68,7 +68,7 @@ class Spectrum:
         return total
 
     def expected_squared(self, kappa: float) -> float:
-        """The same, plus the trace of the posterior covariance by R: its expectation over the posterior."""
+        """Expectation of `residual_squared` over the posterior: with the trace of its covariance by R."""
         total = 0.0
         for square, ratio in zip(self.squares, self.ratio, strict=True):
             share = kappa / (ratio + kappa)

@@ -38,7 +38,7 @@ class ArmAttention:
         self.wants_rest = status.refused_source == self.source and status.refused == REST_FIRST
 
     def silence(self) -> str:
-        """That an arm which has told of itself does so no more; '' if it does. To be asked all the time."""
+        """How long an arm that used to report has not; '' if it does. To be called all the time."""
         now = time.monotonic()
         if self._seen is not None and now - self._asked > HELD_UP:
             self._seen = now

@@ -62,7 +62,7 @@ class JointVelocityArm(ExternalArm):
 
     @property
     def remark(self) -> str:
-        """That there is no controller any more."""
+        """A warning that nobody listens to the velocities; '' while somebody does."""
         return "" if self._out.get_subscription_count() else self._unheard
 
     def recover(self) -> None:

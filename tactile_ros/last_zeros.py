@@ -82,7 +82,7 @@ class LastZeros:
 
     @property
     def fault(self) -> str:
-        """That there is no such process any more; '' while there is."""
+        """Why the process is gone; '' while it runs."""
         code = self._process.poll()
         return "" if code is None else f"the process that stops the arm if this one dies has ended ({code})"
 

@@ -72,7 +72,7 @@ class HeadedReader:
         return slice(found.start - STAMP_NUMBERS, found.stop - STAMP_NUMBERS)
 
     def index(self, name: str) -> int:
-        """The same of a field that is one number."""
+        """Index among the numbers behind the header of a field that is one number."""
         return self.place(name).start
 
 

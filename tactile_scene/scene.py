@@ -223,7 +223,7 @@ class Scene:
         return self.path.parent / sensor.settings.model if sensor and sensor.settings.model else None
 
     def with_fidelity(self, fidelity: str, **model: Any) -> Scene:
-        """The same scene with all simulated sensors of a fidelity, and their model's settings by name.
+        """A copy with all simulated sensors of a fidelity, and their model's settings by name.
 
         Names are those of the model's settings class; it starts from its defaults where the model changes.
         """

@@ -71,7 +71,7 @@ class SimulatedSensor:
         return self.model.skin.radius if isinstance(self.model, TacTipSettings) else self.model.radius
 
     def with_tip_radius(self, radius: float) -> SimulatedSensor:
-        """The same sensor with a tip of this radius (m)."""
+        """A copy with a tip of this radius (m)."""
         if isinstance(self.model, TacTipSettings):
             model = replace(self.model, skin=self.model.skin.replaced(radius=radius))
             return replace(self, model=model)

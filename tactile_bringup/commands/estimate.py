@@ -95,7 +95,7 @@ def _from_folder(
 
 
 def _from_video(arguments: argparse.Namespace) -> tuple[Any, Any, int | None]:
-    """The same of a video or a camera; how many images there are, only a limit says."""
+    """Frames of a video or a camera, and their filter; how many there are, only a limit says."""
     from tactile_filter.bayes_filter import ContactFilter
     from tactile_filter.filter_settings import load_filter_settings
     from tactile_perception.estimating.sources import SourceError, read_poses, video_frames

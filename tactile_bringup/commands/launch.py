@@ -61,7 +61,7 @@ def add_time_options(parser: argparse.ArgumentParser) -> None:
 
 
 def time_options(arguments: argparse.Namespace) -> list[str]:
-    """The same options, for another command line."""
+    """Options of priority and cores as words for another command line."""
     cores = ["--cores", *map(str, arguments.cores)] if arguments.cores else []
     return ["--priority", str(arguments.priority), *cores]
 

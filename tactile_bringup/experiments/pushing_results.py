@@ -49,7 +49,7 @@ class Outcome:
 
     @classmethod
     def of(cls, rows: Sequence[Row]) -> Outcome:
-        """That of rows."""
+        """Summarize the trials of some rows."""
         done = [row for row in rows if row["succeeded"]]
         return cls(
             len(rows),

@@ -232,7 +232,7 @@ def correlations(data: Contacts, values: Array) -> tuple[Array, Array]:
 
 
 def drawn(model: ErrorModel, data: Contacts, seed: int) -> Contacts:
-    """The same contacts with answers of the model."""
+    """Copy the contacts, with answers of the error model in place of the network's."""
     errors, rows = NetworkError(model, seed), []
     for k in range(len(data.contact)):
         if k == 0 or data.contact[k] != data.contact[k - 1]:

@@ -150,7 +150,7 @@ class Saboteur(Operator):
         os.kill(pid, signal.SIGCONT)
 
     def hold_up_node(self, node: NodeProcess) -> None:
-        """The same, with the process of a node."""
+        """Stop the process of a node, and have it go on after a while."""
         self.hold_up(self._process(node))
 
     def deactivate(self, node: str) -> None:

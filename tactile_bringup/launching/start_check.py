@@ -39,7 +39,7 @@ def check_start(graph: Graph) -> None:
 
 
 def check_process() -> None:
-    """The same for a process of this environment, whatever the graph."""
+    """Raise `CannotStart` for what would keep any node from working in this environment."""
     try:
         require(GRAPH, "a node")
     except LimitError as error:

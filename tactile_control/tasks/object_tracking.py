@@ -74,7 +74,7 @@ class ObjectTracking(ContactTask):
     goal: TrackingGoal
 
     def reference_velocity(self, elapsed: float) -> Array:
-        """That of the surface, as far as it is to be fed forward.
+        """Velocity (6,) of the surface in {s'}, as far as it is to be fed forward.
 
         With the feature's twist V_f in its own frame, a reference frame {s'} that is fixed to the feature
         has the twist Ad(X_s'f) V_f.

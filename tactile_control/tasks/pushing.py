@@ -122,7 +122,7 @@ class PushingGoal(Goal):
             raise SettingError(f"direction: must be 3 numbers that are not all zero, is {self.direction}")
 
     def in_base(self, T_world_base: Array) -> PushingGoal:
-        """The same target in the arm's base."""
+        """A copy with the target in the arm's base."""
         if self.frame == "base":
             return self
         T = se3.inverse(T_world_base)

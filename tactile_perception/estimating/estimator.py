@@ -118,11 +118,11 @@ class Estimator:
         return self._estimate(image, self.preprocessor)
 
     def estimate_processed(self, crop: Image) -> PoseGaussian:
-        """The same for an image that is already cropped and thresholded (`processed_images/`)."""
+        """`estimate` of an image that is already cropped and thresholded (`processed_images/`)."""
         return self._estimate(crop, self.preprocessor.from_processed)
 
     def estimate_prepared(self, prepared: NDArray[np.float32]) -> PoseGaussian:
-        """The same for the preprocessor's output (1, 1, size, size), where that is needed elsewhere too."""
+        """`estimate` of the preprocessor's output (1, 1, size, size), where that is needed elsewhere too."""
         return self._estimate(prepared, None)
 
     def predict(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
@@ -134,7 +134,7 @@ class Estimator:
         return mean, self.metadata.calibration.covariance(mean, covariance)
 
     def predict_uncalibrated(self, prepared: NDArray[np.float32]) -> tuple[Array, Array]:
-        """The same as the network says it, without the calibration in the model file."""
+        """`predict` without the calibration in the model file: as the network says it."""
         mean, uncertainty = self._session.run(self._outputs, {INPUT_NAME: prepared})
         return mean.astype(np.float64), _covariances(uncertainty.astype(np.float64))
 

@@ -132,7 +132,7 @@ class Calibration:
         return np.hypot(np.exp(np.stack(logs, axis=-1)), np.array(self.floor) / sigma)
 
     def _factors_of_one(self, depth: float, sigma: list[float]) -> Array:
-        """The same for one image, without NumPy, whose calls cost more than they compute."""
+        """Factors (6,) of one image, without NumPy, whose calls cost more than they compute."""
         return np.array(
             [
                 math.hypot(

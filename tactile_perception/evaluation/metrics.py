@@ -45,7 +45,7 @@ class Predictions:
         return np.sqrt(np.diagonal(self.cov, axis1=1, axis2=2))
 
     def calibrated(self, calibration: Calibration) -> Predictions:
-        """The same means with calibrated covariances."""
+        """A copy with calibrated covariances."""
         if self.cov is None:
             raise ValueError("predictions without uncertainty cannot be calibrated")
         return Predictions(self.mean, calibration.covariance(self.mean, self.cov))

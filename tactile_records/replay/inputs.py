@@ -66,7 +66,7 @@ def read_inputs(folder: Path, base_frame: str = "") -> Inputs:
 
 
 def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
-    """The same of a bag that was read before."""
+    """Inputs of a bag that was read before; see `read_inputs`."""
     reader = TopicReader(bag)
     remarks: list[str] = []
     names = sorted(name for name in reader.arm_names() if bag.counts.get(ESTIMATE.of(name).name))

@@ -37,7 +37,7 @@ class Change:
     values: Mapping[str, Any]
 
     def without(self, names: Collection[str]) -> Change:
-        """The same without some of the names."""
+        """A copy without some of the names."""
         return Change(self.stamp_ns, {n: v for n, v in self.values.items() if n not in names})
 
 

@@ -33,7 +33,7 @@ def loose_body(scene: Scene, arm: str) -> str:
 
 
 def loose_outline(scene: Scene, arm: str, n: int = 180) -> LooseBody:
-    """That body, with its contour at the height of the sensor's start, as `n` rays to its origin meet it.
+    """The loose body with its contour at the height of the sensor's start, as `n` rays to its origin meet it.
 
     Each ray is followed inwards by the distance to the surface, which it cannot pass, until it is there.
     """

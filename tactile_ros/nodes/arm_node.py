@@ -250,7 +250,7 @@ class ArmNode(ManagedNode):
         return complete
 
     def _tell_alarm(self) -> None:
-        """That the stage has stopped an arm which does what it was not told to: as an error until a reset."""
+        """Report, as an error until a reset, that the stage has stopped an arm that disobeys."""
         alarm = self.safe.alarm
         if alarm == self._alarm:
             return

@@ -31,7 +31,7 @@ class Capsules:
     joints: NDArray[np.intp]
 
     def moved(self, T: Array) -> Capsules:
-        """The same in another frame; T (4, 4) is their frame in that."""
+        """A copy in another frame; T (4, 4) is this frame in that one."""
         return Capsules(self.ends @ T[:3, :3].T + T[:3, 3], self.radii, self.joints)
 
 

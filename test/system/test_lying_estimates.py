@@ -190,13 +190,26 @@ def test_the_brightness_of_images_ends_tracking_whose_depth_nothing_else_contrad
     assert "protective stop" not in records["follower"].result["reason"]
 
 
-def test_without_either_a_drift_of_the_depth_ends_at_the_arms_own_stop(any_plain_depth):
+def moved_by_a_person(lie, seed):
+    """Of an object that nobody says how it moves: deepest in mm, and how it ended."""
     task = load_task(
         task_path("object_tracking"), "tracking_flat", changes=["follower.surface.carried=false"]
     )
-    lies = LYING_ESTIMATES["z drifts down"](8.0, "follower")
-    records = run_arms_offline("tracking_flat", task, OfflineOptions(fidelity="fitted", lies=lies))
-    assert "protective stop" in records["follower"].result["reason"]
+    lies = LYING_ESTIMATES[lie](8.0, "follower")
+    options = OfflineOptions(fidelity="fitted", seed=seed, lies=lies)
+    record = run_arms_offline("tracking_flat", task, options)["follower"]
+    return depth_mm(record, lies.begins_ns).max(), record.result["reason"]
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("lie", ["z drifts down", "frozen with noise"])
+def test_the_same_of_what_a_person_moves(lie, seed):
+    deepest, reason = moved_by_a_person(lie, seed)
+    assert deepest <= DEEP and "no belief came of" in reason
+
+
+def test_without_brightness_and_a_carrier_a_drift_of_the_depth_ends_at_the_arms_own_stop(any_plain_depth):
+    assert "protective stop" in moved_by_a_person("z drifts down", 0)[1]
 
 
 @pytest.mark.parametrize("seed", range(3))
