@@ -67,7 +67,7 @@ class AlignmentSettings(Settings):
     )
 
     def pid(self) -> PidSettings:
-        """This law as settings of the six-channel PID, with one channel in use: in deg and mm/s."""
+        """Settings of a six-channel PID that is this law, with one channel in use: in deg and mm/s."""
 
         def only(value: float, others: float = 0.0) -> tuple[float, ...]:
             return tuple(value if channel == CHANNEL else others for channel in range(6))

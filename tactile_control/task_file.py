@@ -34,6 +34,7 @@ from tactile_control.tasks import TASKS
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
+TASK_GROUPS = "tasks"  # in a controller file: groups of settings that only some tasks have, by task
 OTHER = "other"  # among a task's scenes: those that it does not name
 G = TypeVar("G", bound=SettingGroups)
 
@@ -113,8 +114,19 @@ class Task:
 
 
 def load_controller(path: str | Path, base: G) -> G:
-    """Settings from a file of config/controllers, over those of `base`. Raises `SettingError`, `OSError`."""
-    return _merged(base, read_yaml(path))
+    """Settings from a file of config/controllers, over those of `base`. Raises `SettingError`, `OSError`.
+
+    Groups that only one task has stand below its name in `tasks`; for others, which take the gains, they do
+    not count.
+    """
+    root = read_yaml(path)
+    settings = _merged(base, root, TASK_GROUPS)
+    for name, groups in root.sections(TASK_GROUPS).items():
+        if name not in TASKS.names():
+            root.fail(f"{TASK_GROUPS}: {unknown_name(name, TASKS.names())}", TASK_GROUPS)
+        if isinstance(base, TASKS.load(name).settings_class):
+            settings = _merged(settings, groups)
+    return settings
 
 
 def task_path(name_or_path: str | Path) -> Path:
@@ -273,10 +285,13 @@ def _controllers_of(task_file: Path) -> Path:
     return beside if beside.is_dir() else config_folder() / "controllers"
 
 
-def _merged(settings: G, groups: Section) -> G:
-    """The settings with {group: {name: value}} in place, one by one so that errors know their line."""
-    groups.allow(*settings.group_names())
-    for group, section in ((name, groups.section(name)) for name in groups.values):
+def _merged(settings: G, groups: Section, *others: str) -> G:
+    """The settings with {group: {name: value}} in place, one by one so that errors know their line.
+
+    `others` are names of what else may stand there.
+    """
+    groups.allow(*settings.group_names(), *others)
+    for group, section in ((name, groups.section(name)) for name in groups.values if name not in others):
         section.allow(*(item.name for item in dataclasses.fields(settings.group(group))))
         for key, value in section.values.items():
             try:

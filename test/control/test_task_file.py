@@ -73,6 +73,39 @@ def test_object_tracking_holds_the_papers_table_in_si(config):
     assert settings.pid.integral_limit == (np.inf,) * 6
 
 
+def test_the_gains_of_another_tasks_controller_are_taken_without_what_only_that_task_has(config):
+    path = config / "controllers" / "object_tracking_tuned.yaml"
+    follows, tracks = (
+        load_controller(path, kind()) for kind in (SurfaceFollowingSettings, ObjectTrackingSettings)
+    )
+    assert follows.pid == tracks.pid and follows.servoing.reference[2] == 0.004
+    assert follows.task == SurfaceFollowingSettings().task and tracks.task.feedforward == 1.0
+
+
+def test_a_task_of_ones_own_that_extends_another_has_the_settings_of_that(config):
+    class Mine(ObjectTrackingSettings):
+        pass
+
+    settings = load_controller(config / "controllers" / "object_tracking_tuned.yaml", Mine())
+    assert type(settings) is Mine and settings.task.feedforward == 1.0
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("tasks:\n  object_trekking: {}\n", "mine.yaml:1: tasks: unknown name 'object_trekking'"),
+        ("tasks:\n  object_tracking:\n    task: {speed: 1.0}\n", "mine.yaml:3: .*unknown name 'speed'"),
+        ("task: {feedforward: 1.0}\n", "mine.yaml:1: task: unknown name 'feedforward'"),
+    ],
+)
+def test_mistakes_in_what_one_task_has_are_told_with_file_and_line(tmp_path, text, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    base = SurfaceFollowingSettings() if text.startswith("task:") else ObjectTrackingSettings()
+    with pytest.raises(SettingError, match=message):
+        load_controller(path, base)
+
+
 def test_the_dome_has_eight_radial_paths_at_45_degrees(config):
     role = load_task(config / "tasks" / "surface_following.yaml", "dome").role("follower")
     np.testing.assert_allclose([named.goal.direction_deg for named in role.goals], np.arange(8) * 45.0)
