@@ -57,5 +57,8 @@ if ! up_to_date build/stamp-package "$wanted"; then
     if python -c 'import sys; sys.exit(sys.version_info >= (3, 11))'; then
         step inplace "C extensions beside the sources" python setup.py build_ext --inplace
     fi
+    mkdir -p install/share/bash-completion/completions install/share/zsh/site-functions
+    tactile completion bash >install/share/bash-completion/completions/tactile
+    tactile completion zsh >install/share/zsh/site-functions/_tactile
     printf '%s\n' "$wanted" >build/stamp-package
 fi

@@ -58,4 +58,14 @@ export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
 export ROS_LOG_DIR=${ROS_LOG_DIR:-$_tactile_root/log/ros}
 
+# Completion, in a shell that somebody types in; zsh looks for it when its own is set up.
+case $- in *i*)
+    if [ -n "${BASH_VERSION-}" ] && [ -r "$_tactile_install/share/bash-completion/completions/tactile" ]; then
+        . "$_tactile_install/share/bash-completion/completions/tactile"
+    elif [ -n "${ZSH_VERSION-}" ]; then
+        eval 'fpath=("$_tactile_install/share/zsh/site-functions" $fpath)'
+        ! command -v compdef >/dev/null || { autoload -Uz _tactile && compdef _tactile tactile; }
+    fi ;;
+esac
+
 unset _tactile_file _tactile_root _tactile_venv _tactile_install _tactile_site _tactile_libs

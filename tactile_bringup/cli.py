@@ -41,6 +41,7 @@ COMMANDS = (
     "tactile_bringup.commands.new",
     "tactile_bringup.commands.drill",
     "tactile_bringup.commands.doctor",
+    "tactile_bringup.commands.completion",
 )
 
 
@@ -74,7 +75,7 @@ def _main(words: Sequence[str]) -> int:
     except LimitError as error:
         print(f"tactile: {error}", file=sys.stderr)
         return 2
-    parsed = _parser().parse_args(words)
+    parsed = command_line().parse_args(words)
     try:
         return int(parsed.run(parsed))
     except KeyboardInterrupt:
@@ -93,7 +94,8 @@ def _main(words: Sequence[str]) -> int:
         return 1
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> argparse.ArgumentParser:
+    """The parser of all commands; what it parses has `run`, a callable of the arguments."""
     import argparse
 
     from tactile_base.version import version

@@ -1,0 +1,81 @@
+"""The command `tactile completion`: a script by which a shell completes commands, options and names."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tactile_base.config_paths import config_names
+
+SHELLS = ("bash", "zsh")
+#: Folder of the configuration that the value of an argument is named in, by the argument.
+_NAMED = {"task": "tasks", "scene": "scenes", "controller": "controllers", "filter": "filters"}
+_BASH = """{function}() {{
+  compgen -W '{names}' -- "$1"
+  compgen -d -- "$1"
+  compgen -f -X '!*.yaml' -- "$1"
+}}
+"""
+_ZSH = """{function}() {{
+  _alternative '{kind}:{kind}:({names})' 'files:file:_files -g "*.yaml"'
+}}
+"""
+
+
+def register(subparsers: Any) -> None:
+    """Add `completion` to argparse subparsers; sets `run`, a callable of the arguments."""
+    parser = subparsers.add_parser(
+        "completion",
+        help="print a script that completes commands for a shell",
+        description="Print a script that completes commands, options, names of tasks and scenes, and files "
+        "(needs shtab). In a checkout `. scripts/env.sh` has done it; elsewhere: "
+        'eval "$(tactile completion bash)"',
+    )
+    parser.add_argument("shell", choices=SHELLS)
+    parser.set_defaults(run=run_completion)
+
+
+def run_completion(arguments: argparse.Namespace) -> int:
+    """`tactile completion`: returns the exit status."""
+    try:
+        import shtab
+    except ModuleNotFoundError:
+        print(f"tactile completion needs shtab: {sys.executable} -m pip install shtab", file=sys.stderr)
+        return 2
+    from tactile_bringup.cli import command_line
+
+    parser = command_line()
+    for action in _arguments(parser):
+        _complete(action, shtab.FILE)
+    template = {"bash": _BASH, "zsh": _ZSH}[arguments.shell]
+    functions = (
+        template.format(function=_function(folder), kind=folder, names=" ".join(config_names(folder)))
+        for folder in _NAMED.values()
+    )
+    print(shtab.complete(parser, arguments.shell, preamble="".join(functions)))
+    return 0
+
+
+def _complete(action: argparse.Action, files: Any) -> None:
+    """Say how the value of an argument is completed, where that is known."""
+    if action.dest in _NAMED:
+        action.complete = dict.fromkeys(SHELLS, _function(_NAMED[action.dest]))  # type: ignore[attr-defined]
+    elif action.type is Path:
+        action.complete = files  # type: ignore[attr-defined]
+
+
+def _function(folder: str) -> str:
+    return f"_tactile_{folder}"
+
+
+def _arguments(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Those of a parser and of its commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from _arguments(command)
+        elif action.option_strings or action.nargs != 0:
+            yield action
