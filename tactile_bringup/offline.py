@@ -39,7 +39,7 @@ from tactile_filter.contact_bounds import TACTIP
 from tactile_filter.filter_settings import FilterSettings, load_filter_settings
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheckSettings
-from tactile_perception.estimating.perceive import Percept
+from tactile_perception.estimating.perceive import DepthAgreement, Percept
 from tactile_records.runs.log import RunLog
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
@@ -279,6 +279,7 @@ class _OfflineArm:
         self.inputs = TaskInputs()
         self.stepped_ns = START_NS
         self.refused = Counter[str]()
+        self.agreement = DepthAgreement()  # of what lies may have changed
         self.remark = ""
         self.partners, self.traceback = Partners(), ""
         self.task: PhaseMachine | None = None
@@ -407,7 +408,7 @@ class _OfflineArm:
             self._refuse("images refused", f"tactile/image refused: {error}")
             return None
         told = replace(percept, estimate=self.lies.estimate(name, stamp_ns, percept.estimate))
-        return told.agreed(ImageCheckSettings().depth_difference)
+        return self.agreement(told, ImageCheckSettings().depth_difference)
 
     def _refuse(self, counter: str, text: str) -> None:
         """Count what the estimator node would count, and tell the task."""

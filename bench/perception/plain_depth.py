@@ -23,7 +23,7 @@ from shared import Table, parser
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_perception.datasets.dataset import read_dataset
 from tactile_perception.estimating.labels import depths
-from tactile_perception.estimating.perceive import Percept, depth_of
+from tactile_perception.estimating.perceive import DepthAgreement, Percept, depth_of
 from tactile_perception.estimating.plain_depth import PlainDepth
 from tactile_perception.estimating.preprocessing import as_input
 
@@ -42,13 +42,13 @@ def differences_in(scene: str, seed: int) -> NDArray[np.float64]:
     """From the network's depth (m), in each image of a run in contact."""
     found: dict[int, tuple[object, float]] = {}  # by the estimate: each is looked at twice
 
-    def noted(percept: Percept, limit: float) -> Percept:
+    def noted(agreement: DepthAgreement, percept: Percept, limit: float) -> Percept:
         if percept.estimate is not None:
             estimate = percept.estimate
             found[id(estimate)] = estimate, percept.plain_depth - depth_of(estimate)
         return percept
 
-    with mock.patch.object(Percept, "agreed", noted):
+    with mock.patch.object(DepthAgreement, "__call__", noted):
         records = run_arms_offline(scene, TASKS[scene], OfflineOptions(fidelity="image", seed=seed))
     if reason := "; ".join({record.result["reason"] for record in records.values()} - {""}):
         print(f"{scene}: {reason}")

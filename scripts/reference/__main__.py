@@ -21,7 +21,7 @@ from settings import scene_page, settings_page, tasks_page
 from text import code, first_sentences, ours, table
 
 from tactile_base.config_paths import config_folder
-from tactile_bringup.cli import _parser
+from tactile_bringup.cli import command_line
 from tactile_bringup.commands.plugins import registries
 from tactile_records.runs import metrics
 
@@ -101,7 +101,9 @@ def commands_page() -> str:
                 for command in dict.fromkeys(action.choices.values()):
                     yield from walk(command)
 
-    helps = (f"\n## {each.prog}\n\n```text\n{each.format_help().strip()}\n```\n" for each in walk(_parser()))
+    helps = (
+        f"\n## {each.prog}\n\n```text\n{each.format_help().strip()}\n```\n" for each in walk(command_line())
+    )
     return "# Commands\n" + "".join(helps)
 
 

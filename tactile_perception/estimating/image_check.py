@@ -78,8 +78,8 @@ class ImageCheckSettings(Settings):
     )  # fmt: skip
     depth_difference: float = setting(
         0.0015, lower=0.0, upper=0.05, unit="m",
-        doc="an estimate whose depth is further than this, and than four of its RMS errors, from that of the "
-        "image's brightness is refused; 0: none is",
+        doc="an estimate whose depth is, in three images on end, further than this and than four RMS errors "
+        "from that of the image's brightness is refused; 0: none is",
     )  # fmt: skip
     still_images: int = setting(
         64, lower=2 * FRAMES, upper=6000,

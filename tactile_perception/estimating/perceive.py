@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
 
 
 PLAIN_ERRORS = 4.0  # RMS errors of a plain depth that an estimate may be off it
+APART = 3  # images on end in which it is further off, so that it is refused
 
 
 @dataclass(frozen=True)
@@ -49,18 +50,29 @@ class Percept:
     still: bool = False
     plain_depth: float = nan
 
-    def agreed(self, limit: float) -> Percept:
-        """Without an estimate whose depth is further than `limit` (m) from `plain_depth`."""
-        if self.estimate is None:
-            return self
-        depth = depth_of(self.estimate)
-        if not abs(depth - self.plain_depth) > limit:  # of NaN nothing is known
-            return self
+
+class DepthAgreement:
+    """Refuses estimates whose depth is far from `plain_depth` in several images on end.
+
+    Of the first of them nothing is refused: a depth that jumps is known sooner by what follows.
+    """
+
+    def __init__(self) -> None:
+        self._apart = 0  # images on end
+
+    def __call__(self, percept: Percept, limit: float) -> Percept:
+        """A percept, without its estimate where that is too often further than `limit` (m) from it."""
+        if percept.estimate is None:
+            return percept
+        depth, plain = depth_of(percept.estimate), percept.plain_depth
+        self._apart = self._apart + 1 if abs(depth - plain) > limit else 0  # of NaN nothing is known
+        if self._apart < APART:
+            return percept
         return replace(
-            self,
+            percept,
             estimate=None,
             fault=f"the network says that the contact is {depth * 1e3:.1f} mm deep, and the brightness of "
-            f"the image {self.plain_depth * 1e3:.1f} mm",
+            f"the image {plain * 1e3:.1f} mm",
         )
 
 
@@ -86,6 +98,7 @@ class Perceiver:
         self.presence = presence
         self.check = check or ImageCheck()
         self._kept: Image | None = None
+        self._agreement = DepthAgreement()
         if presence is not None:
             presence.objection = self._no_reference
 
@@ -121,7 +134,8 @@ class Perceiver:
         plain, limit = self.estimator.metadata.plain_depth, self.check.settings.depth_difference
         if plain is None or not limit:
             return percept
-        return replace(percept, plain_depth=plain(prepared)).agreed(max(limit, PLAIN_ERRORS * plain.rms))
+        percept = replace(percept, plain_depth=plain(prepared))
+        return self._agreement(percept, max(limit, PLAIN_ERRORS * plain.rms))
 
     def catch_up(self) -> None:
         """Do what need not be known before a percept is on its way; at the next image at the latest."""

@@ -121,9 +121,9 @@ def read_part(stream) -> np.ndarray:
 
 
 def command_arguments(*words: str):
-    from tactile_bringup.cli import _parser
+    from tactile_bringup.cli import command_line
 
-    return _parser().parse_args(["camera", *words])
+    return command_line().parse_args(["camera", *words])
 
 
 def test_a_port_that_is_taken_is_named(device):

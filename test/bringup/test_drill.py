@@ -39,8 +39,7 @@ def test_a_task_of_more_than_a_minute_is_drilled_and_ended_well_a_while_after_th
     nothing, half = tracking.run(chosen, ("follower",))
     assert nothing.objection() == nothing.reason == "" and nothing.off == 0.0
     assert 0.03 < nothing.fastest < 0.06  # the plate is carried at up to 27 mm/s, and turned
-    assert half.known < 0.15
-    assert half.reason.startswith("leader: follower: track: estimate refused: the network says ")
+    assert half.known < 0.1 and half.reason.startswith("leader: follower: track: within ")
 
 
 def test_runs_end_so_long_after_all_arms_have_come_to_their_work():

@@ -23,7 +23,7 @@ from other_package import as_installed
 
 from tactile_base import topics
 from tactile_bringup import driver_check
-from tactile_bringup.cli import _parser
+from tactile_bringup.cli import command_line
 from tactile_bringup.new_package import write_package
 from tactile_bringup.offline import OfflineOptions, run_arms_offline
 from tactile_bringup.plugin_check import check_plugin
@@ -113,7 +113,7 @@ def test_every_command_in_the_docs_is_one_that_tactile_takes(root: Path, capsys:
                 continue
             found += 1
             try:
-                _parser().parse_args(shlex.split(command)[1:])
+                command_line().parse_args(shlex.split(command)[1:])
             except (SystemExit, argparse.ArgumentError) as error:
                 if getattr(error, "code", 1):
                     reason = capsys.readouterr().err.strip().splitlines()[-1]
@@ -124,7 +124,7 @@ def test_every_command_in_the_docs_is_one_that_tactile_takes(root: Path, capsys:
 
 def subparser(words: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
     """The parser of a command, which may have commands of its own, and the words that are left."""
-    parser = _parser()
+    parser = command_line()
     while words:
         actions = [item for item in parser._actions if isinstance(item, argparse._SubParsersAction)]
         if not actions or words[0] not in actions[0].choices:

@@ -190,9 +190,8 @@ def requirement_names(root: Path, with_training: bool = True) -> set[str]:
     config.read(root / "setup.cfg")
     extras = config["options.extras_require"]
     blocks = [config["options"]["install_requires"]]
-    blocks += (
-        [extras["train"], extras["cluster"], extras["ur"], extras["franka-sim"]] if with_training else []
-    )
+    more = ("train", "cluster", "completion", "ur", "franka-sim")
+    blocks += [extras[name] for name in more] if with_training else []
     return {re.split(r"[<>=\[ ]", line)[0] for block in blocks for line in block.splitlines() if line}
 
 

@@ -10,7 +10,7 @@ from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import depths, labels_from_euler
-from tactile_perception.estimating.perceive import Perceiver, Percept, depth_of
+from tactile_perception.estimating.perceive import APART, DepthAgreement, Perceiver, Percept, depth_of
 from tactile_perception.estimating.plain_depth import FIELDS, PlainDepth, PlainDepthError
 from tactile_perception.estimating.preprocessing import as_input
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
@@ -97,14 +97,23 @@ def test_the_shipped_models_is_right_to_a_millimetre_where_it_has_not_been():
     "off, refused", [(0.0, False), (1.4e-3, False), (-1.4e-3, False), (1.6e-3, True), (-1.6e-3, True)]
 )
 def test_an_estimate_is_refused_beyond_the_limit_and_told_with_both_depths(off, refused):
-    percept = Percept(True, 1.0, said(3e-3), plain_depth=3e-3 + off).agreed(1.5e-3)
+    agreement, percept = DepthAgreement(), Percept(True, 1.0, said(3e-3), plain_depth=3e-3 + off)
+    *first, percept = [agreement(percept, 1.5e-3) for _ in range(APART)]
+    assert all(one.estimate is not None for one in first)
     assert (percept.estimate is None) == refused
     told = f"3.0 mm deep, and the brightness of the image {3 + 1e3 * off:.1f} mm"
     assert percept.fault == refused * f"the network says that the contact is {told}"
 
 
 def test_where_no_plain_depth_is_known_nothing_is_refused():
-    assert Percept(True, 1.0, said(3e-3)).agreed(1e-6).estimate is not None
+    agreement = DepthAgreement()
+    assert all(agreement(Percept(True, 1.0, said(3e-3)), 1e-6).estimate is not None for _ in range(10))
+
+
+def test_one_image_that_differs_among_others_is_not_refused():
+    agreement = DepthAgreement()
+    for depth in (3e-3, 5e-3, 5e-3, 3e-3, 5e-3, 5e-3, 3e-3):
+        assert agreement(Percept(True, 1.0, said(3e-3), plain_depth=depth), 1.5e-3).estimate is not None
 
 
 @pytest.mark.parametrize("depth, refused", [(2e-3, False), (5e-3, True)])
@@ -118,7 +127,7 @@ def test_of_images_an_estimate_that_stays_where_it_was_is_refused(monkeypatch, d
         settings=perceive.check.settings, still=False, exposure=lambda image: None,
         look=lambda *given: None, remember=lambda image: None,
     )  # fmt: skip
-    percept = perceive(pressed(sensor, depth))
+    *_, percept = [perceive(pressed(sensor, depth)) for _ in range(APART)]
     assert percept.in_contact and (percept.estimate is None) == refused
     perceive.check.settings = perceive.check.settings.replaced(depth_difference=0.0)
     assert perceive(pressed(sensor, depth)).estimate is not None
