@@ -77,8 +77,8 @@ class ImageCheckSettings(Settings):
         "for longer times in inverse proportion. Skin that moves by 0.5 mm has 0.47 at least (simulated)",
     )  # fmt: skip
     depth_difference: float = setting(
-        0.0015, lower=0.0, upper=0.05, unit="m",
-        doc="an estimate whose depth is, in three images on end, further than this and than four RMS errors "
+        0.0013, lower=0.0, upper=0.05, unit="m",
+        doc="an estimate whose depth is, in two images on end, further than this and than four RMS errors "
         "from that of the image's brightness is refused; 0: none is",
     )  # fmt: skip
     still_images: int = setting(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
 
 
 PLAIN_ERRORS = 4.0  # RMS errors of a plain depth that an estimate may be off it
-APART = 3  # images on end in which it is further off, so that it is refused
+APART = 2  # images on end in which it is further off, so that it is refused
 
 
 @dataclass(frozen=True)

@@ -76,15 +76,15 @@ def check(records, begin_ns, known_s, said):
     [
         ("z drifts up", 2.0, ""),
         ("z drifts down", 2.0, ""),
-        ("z flipped", 0.2, "by itself: the estimates contradict the arm's motion"),
+        ("z flipped", 0.2, "the brightness of the image"),
         ("tilts flipped", 1.3, "the surface's normal turned by"),
-        ("images mirrored", 1.5, "the estimates contradict the arm's motion"),
+        ("images mirrored", 1.5, ""),
         ("images turned by 180 degrees", 1.0, "the estimates contradict the arm's motion"),
         ("5 mm of noise", 0.3, ""),
         ("10 degrees of noise", 0.5, ""),
         ("twice as large", 0.2, "by itself"),
         ("frozen", 0.3, "no belief came of"),
-        ("frozen with noise", 8.0, "no belief came of"),
+        ("frozen with noise", 8.0, ""),
         ("covariance not a number", 0.15, "no belief came of 52% of the latest images that show contact"),
     ],
 )
@@ -252,7 +252,7 @@ def test_nobody_who_tells_the_truth_is_stopped_or_slowed(scene, fidelity):
     "lie, known_s, said",
     [
         ("z drifts down", 2.0, "no belief came of"),
-        ("z flipped", 0.2, "the estimates contradict the arm's motion"),
+        ("z flipped", 0.2, "the brightness of the image"),
         ("tilts flipped", 1.5, "the estimates contradict the arm's motion"),
         ("frozen with noise", 4.0, "no belief came of"),
     ],
