@@ -229,9 +229,9 @@ class SurfaceCheck(Check):
         if not self.settings.checked or self.contradiction:
             return
         if self._refused > self.settings.refused_share:
-            self.unheard, self.contradiction = (
-                True,
-                (f"no belief came of {self._refused:.0%} of the latest images that show contact"),
+            self.unheard = True
+            self.contradiction = (
+                f"no belief came of {self._refused:.0%} of the latest images that show contact"
             )
         elif (way := self._gone_still(still)) > self.settings.still_way > 0.0:
             self.contradiction = (
