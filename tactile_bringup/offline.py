@@ -49,6 +49,7 @@ from tactile_scene.scene_file import load_scene
 from tactile_sim.cell import Cell
 from tactile_sim.frame import Frame
 
+DEPTH_DIFFERENCE = ImageCheckSettings().depth_difference  # m, as the estimator node has it
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 
 Progress = Callable[[str, str, Command], None]
@@ -408,7 +409,7 @@ class _OfflineArm:
             self._refuse("images refused", f"tactile/image refused: {error}")
             return None
         told = replace(percept, estimate=self.lies.estimate(name, stamp_ns, percept.estimate))
-        return self.agreement(told, ImageCheckSettings().depth_difference)
+        return self.agreement(told, DEPTH_DIFFERENCE)
 
     def _refuse(self, counter: str, text: str) -> None:
         """Count what the estimator node would count, and tell the task."""

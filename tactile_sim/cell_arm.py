@@ -176,7 +176,7 @@ class CellArm:
         if self.sensor is None:
             raise ValueError(f"arm '{self.name}' has no sensor that is simulated in this scene")
         T_base_sensor = self.T_base_tip
-        target = self._nearest(T_base_sensor)
+        target, stamp_ns = self._nearest(T_base_sensor), self.arm.stamp_ns
         self.contact = None
         if target is None:
             truth = Truth.nothing()
@@ -187,13 +187,11 @@ class CellArm:
             geometry = self.sensor.geometry(target.body.surface, T_body_sensor)
             truth = true_contact(target, geometry, known)
             if truth.in_contact:
-                stamp_ns = self.arm.stamp_ns
                 self.contact = contact_on_body(self.name, stamp_ns, geometry, T_body_sensor, truth, known)
         self._touched = target if truth.in_contact else None
         image, estimate, plain_depth = self.sensor.answer(truth.in_contact)
         sequence, self._sequence = self._sequence, self._sequence + 1
         T_base_said = self.arm.T_base_controlled
-        stamp_ns = self.arm.stamp_ns
         return Frame(self.name, stamp_ns, sequence, image, estimate, truth, T_base_said, plain_depth)
 
     def _nearest(self, T_base_sensor: Array) -> TouchedBody | None:

@@ -7,12 +7,10 @@ FOLDER is docs/reference by default.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import inspect
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import yaml
@@ -22,6 +20,7 @@ from text import code, first_sentences, ours, table
 
 from tactile_base.config_paths import config_folder
 from tactile_bringup.cli import command_line
+from tactile_bringup.commands.completion import parsers
 from tactile_bringup.commands.plugins import registries
 from tactile_records.runs import metrics
 
@@ -94,15 +93,9 @@ def commands_page() -> str:
     """The help of every command."""
     os.environ["COLUMNS"] = "110"  # the width of the help, on every machine
 
-    def walk(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-        yield parser
-        for action in parser._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                for command in dict.fromkeys(action.choices.values()):
-                    yield from walk(command)
-
     helps = (
-        f"\n## {each.prog}\n\n```text\n{each.format_help().strip()}\n```\n" for each in walk(command_line())
+        f"\n## {each.prog}\n\n```text\n{each.format_help().strip()}\n```\n"
+        for each in parsers(command_line())
     )
     return "# Commands\n" + "".join(helps)
 

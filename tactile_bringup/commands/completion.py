@@ -48,8 +48,9 @@ def run_completion(arguments: argparse.Namespace) -> int:
     from tactile_bringup.cli import command_line
 
     parser = command_line()
-    for action in _arguments(parser):
-        _complete(action, shtab.FILE)
+    for command in parsers(parser):
+        for action in command._actions:
+            _complete(action, shtab.FILE)
     template = {"bash": _BASH, "zsh": _ZSH}[arguments.shell]
     functions = (
         template.format(function=_function(folder), kind=folder, names=" ".join(config_names(folder)))
@@ -71,11 +72,10 @@ def _function(folder: str) -> str:
     return f"_tactile_{folder}"
 
 
-def _arguments(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """Those of a parser and of its commands."""
+def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """A parser and those of its commands, each once."""
+    yield parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            for command in action.choices.values():
-                yield from _arguments(command)
-        elif action.option_strings or action.nargs != 0:
-            yield action
+            for command in dict.fromkeys(action.choices.values()):
+                yield from parsers(command)
