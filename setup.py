@@ -33,7 +33,6 @@ NODES = {
     "sim": "tactile_ros.nodes.sim_node",
     "arm": "tactile_ros.nodes.arm_node",
     "camera": "tactile_ros.nodes.camera_node",
-    "collector": "tactile_ros.nodes.collector_node",
     "recorder": "tactile_ros.nodes.recorder_node",
 }
 

@@ -45,12 +45,6 @@ class Part:
 
 
 _FRAMES = (topics.TF, topics.TF_STATIC)
-_TASK = Part(
-    publishes=(topics.COMMAND, topics.CONTROLLER_STATUS, topics.LATENCY),
-    hears=(topics.ARM_STATUS, topics.STATE, topics.DIAGNOSTICS, *_FRAMES),
-    hears_all=(topics.CONTROLLER_STATUS,),  # of the arms that it works together with
-    does=(topics.RUN_TASK,),
-)
 
 #: What every node does besides; it hears commands while it ends, to go on as long as somebody moves its arm.
 EVERY_NODE = Part(
@@ -94,7 +88,19 @@ NODES: dict[str, Part] = {
         hears=(topics.PRESENCE, topics.ESTIMATE, *_FRAMES),
         serves=("~/reset",),
     ),
-    "controller": _TASK,
+    "controller": Part(
+        publishes=(topics.COMMAND, topics.CONTROLLER_STATUS, topics.LATENCY),
+        hears=(
+            topics.ARM_STATUS,
+            topics.STATE,
+            topics.DIAGNOSTICS,
+            topics.IMAGE,
+            topics.compressed(topics.IMAGE),
+            *_FRAMES,
+        ),
+        hears_all=(topics.CONTROLLER_STATUS,),  # of the arms that it works together with
+        does=(topics.RUN_TASK,),
+    ),
     "object": Part(
         publishes=(topics.OBJECT_BELIEF, topics.OBJECT_LATENCY, topics.TF),
         hears=_FRAMES,

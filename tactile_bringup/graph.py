@@ -35,8 +35,7 @@ from tactile_base.topics import (
 )
 from tactile_bringup.run_sequence import ArmPlan, arm_plans, awaited_by, waiting_for
 from tactile_bringup.scene_check import check_bodies
-from tactile_control.task_file import NamedGoal, Role, default_scene, load_task, task_path
-from tactile_control.tasks import TASKS
+from tactile_control.task_file import default_scene, load_task, task_path
 from tactile_doubles.rehearsal import rehearsed
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_filter.object.settings import load_object
@@ -46,6 +45,7 @@ from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
 from tactile_scene.scene_file import load_scene
 
 RECORDER = "recorder"
+LOOKING_PERIOD = 0.008  # s between two steps of a task that looks at the images itself
 
 
 @dataclass(frozen=True)
@@ -201,17 +201,21 @@ def load_graph(task: str, scene: str | None = None, options: GraphOptions | None
 def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: GraphOptions) -> Graph:
     """The graph in which each arm does what its plan says; raises as `load_graph` does."""
     filter_values = dataclasses.asdict(load_filter_settings(options.filter))
-    nodes = _drivers(scene, options)
+    # an arm whose task looks at the images itself is to feel without a network
+    looking = {plan.arm for plan in plans if plan.role.task_type.needs_images}
+    nodes = _drivers(scene, options, feels=not looking)
     for plan in plans:
         arm = scene.arms[plan.arm]
-        if arm.sensor is not None:
+        if arm.sensor is not None and plan.arm not in looking:
             nodes += _senses(scene, plan.arm, filter_values, options)
         nodes.append(_controller(plan, arm, plans))
     more = {name: value for name in ("priority", "cores") if (value := getattr(options, name))}
     if more:
         nodes = [dataclasses.replace(node, parameters={**node.parameters, **more}) for node in nodes]
     topics = tuple(_topics(list(scene.arms.values())))
-    feeling = [plan.arm for plan in plans if scene.arms[plan.arm].sensor is not None]
+    feeling = [
+        plan.arm for plan in plans if scene.arms[plan.arm].sensor is not None and plan.arm not in looking
+    ]
     if options.object_belief:
         nodes.append(_object(feeling, options))
         topics += OBJECT_TOPICS
@@ -219,33 +223,6 @@ def build_graph(task: str, scene: Scene, plans: Sequence[ArmPlan], options: Grap
         nodes.insert(0, _recorder(task, scene, plans, topics, nodes, options))
     arms, remarks = tuple(plan.arm for plan in plans), tuple(_remarks(scene, feeling, options))
     return Graph(task, scene.name, scene.path.absolute(), arms, tuple(nodes), topics, tuple(plans), remarks)
-
-
-def build_collection_graph(
-    task: str,
-    scene: Scene,
-    arm: str,
-    goal: NamedGoal,
-    collector: Mapping[str, Any],
-    options: GraphOptions | None = None,
-) -> Graph:
-    """The graph that collects a data set with one arm of a scene.
-
-    Parameters
-    ----------
-    goal : NamedGoal
-        Of data collection.
-    collector : parameter -> value, for the collector
-    """
-    options = options or GraphOptions()
-    nodes = _drivers(scene, options, feels=False)  # a network that could say so is yet to be trained
-    nodes.append(_node("collector", f"/{arm}", {**collector, **_transport(scene.arms[arm])}))
-    topics = tuple(_topics([scene.arms[arm]]))
-    role = Role("collector", task, TASKS.load(task).settings_class(), (goal,))
-    plans = (ArmPlan(arm, role, (goal,)),)
-    if options.record is not None:
-        nodes.insert(0, _recorder(task, scene, plans, topics, nodes, options))
-    return Graph(task, scene.name, scene.path.absolute(), (arm,), tuple(nodes), topics, plans)
 
 
 def _topics(arms: Sequence[ArmScene]) -> list[Topic]:
@@ -263,7 +240,7 @@ def _node(name: str, namespace: str, parameters: Mapping[str, Any]) -> NodeProce
     return NodeProcess(name, namespace, f"tactile_ros.nodes.{name}_node", name, parameters)
 
 
-def _drivers(scene: Scene, options: GraphOptions, feels: bool = True) -> list[NodeProcess]:
+def _drivers(scene: Scene, options: GraphOptions, feels: bool) -> list[NodeProcess]:
     """What moves arms and exposes sensors: the simulated cell, a process for each other arm and camera."""
     nodes = []
     where: dict[str, Any] = {"scene": str(scene.path.absolute())}
@@ -336,6 +313,8 @@ def _controller(plan: ArmPlan, arm: ArmScene, plans: Sequence[ArmPlan]) -> NodeP
         parameters[f"space.{corner}"] = list(getattr(arm.safety, corner))
     for group, values in groups.items():
         parameters |= {f"{group}.{name}": value for name, value in values.items()}
+    if plan.role.task_type.needs_images:
+        parameters |= _transport(arm, "images.") | {"timing.watchdog_period": LOOKING_PERIOD}
     partners = {"awaited": awaited_by(plan, plans), "waiting": waiting_for(plan, plans)}
     parameters |= {name: arms for name, arms in partners.items() if arms}
     return _node("controller", f"/{plan.arm}", parameters)

@@ -32,10 +32,12 @@ from tactile_control.phases import (
     STOPPING,
     Command,
     Goal,
+    InputRefused,
     Phase,
     PhaseFailed,
     StampedPose,
     StampedPresence,
+    TaskInputs,
     newer,
 )
 from tactile_control.watchdog import Watchdog
@@ -56,8 +58,8 @@ class PhaseMachine(ABC):
     settings_class, goal_class : what can be set of the task, and what a goal says
     phases : names of its phases, for people, in their usual order
     work : the one of them in which it does what it is for
-    node : which node runs it
     needs_sensor : whether it needs a tactile sensor
+    needs_images : whether it looks at the sensor's images itself, where others go by what is believed
     monitors_contact : whether it wants to know of a contact where the arm has a sensor, though it needs none
     endless : whether it goes on until it is asked to `finish`
     command_class : what a step says
@@ -78,8 +80,8 @@ class PhaseMachine(ABC):
     goal_class: ClassVar[type[Goal]] = Goal
     phases: ClassVar[tuple[str, ...]]
     work: ClassVar[str]
-    node: ClassVar[str] = "controller"
     needs_sensor: ClassVar[bool] = True
+    needs_images: ClassVar[bool] = False
     monitors_contact: ClassVar[bool] = False
     endless: ClassVar[bool] = False
     command_class: ClassVar[type[Command]] = Command
@@ -137,12 +139,14 @@ class PhaseMachine(ABC):
         """How far it is, 0 to 1, by what is known now; what is told of it never goes back."""
         return 0.0
 
-    def take(self, inputs: Any) -> None:
-        """Keep each input if it is later than the last; `PoseError` for one that counts as not come."""
+    def take(self, inputs: TaskInputs) -> None:
+        """Keep each input if it is later than the last; `PoseError` and `InputRefused` refuse one."""
         if newer(inputs.sensor_pose, self.pose):
             se3.checked_pose("sensor pose", inputs.sensor_pose.T)
             self.pose = inputs.sensor_pose
             self.odometer.add(self.pose.T[:3, 3])
+        if newer(inputs.belief, self.belief):
+            self.belief = inputs.belief
 
     def before_phase(self) -> None:  # noqa: B027 (few have it)
         """Called in each step before the phase is asked; may enter another one, or raise `PhaseFailed`."""
@@ -150,6 +154,13 @@ class PhaseMachine(ABC):
     def details(self) -> dict[str, Any]:
         """What a step says beside what every task says: further fields of its `command_class`."""
         return {}
+
+    def contact_pose(self) -> Array | None:
+        """X_fs (4, 4), the sensor in the feature frame, as far as the task knows it."""
+        return None if self.belief is None else se3.inverse(self.belief.T)
+
+    def close(self) -> None:  # noqa: B027 (few have it)
+        """Called once when its run has ended, for whatever reason; what it raises makes it a failure."""
 
     # ---- what the owner calls ----
 
@@ -186,7 +197,7 @@ class PhaseMachine(ABC):
         self._refused = self._lacks = ""
         try:
             self.take(inputs)
-        except PoseError as error:
+        except (PoseError, InputRefused) as error:
             self._refused = f" (the last one was refused: {error})"
         try:
             return self._command(*self._next_twist())

@@ -49,12 +49,26 @@ class StampedPresence:
 
 
 @dataclass(frozen=True)
+class StampedImage:
+    """A camera image (h, w) or (h, w, 3), uint8, and T_base_sensor (4, 4) at its exposure."""
+
+    stamp_ns: int
+    T_base_sensor: Array
+    image: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
 class TaskInputs:
-    """The latest of each input; None where none has arrived yet."""
+    """The latest of each input; None where none has arrived yet. `image` is for tasks that need images."""
 
     belief: StampedPose | None = None
     presence: StampedPresence | None = None
     sensor_pose: StampedPose | None = None
+    image: StampedImage | None = None
+
+
+class InputRefused(ValueError):
+    """An input that counts as not come; the text says why."""
 
 
 G = TypeVar("G", bound="Goal")

@@ -6,11 +6,15 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 
 from tactile_base import topics
 from tactile_base.settings import setting
 from tactile_base.stamps import SECOND_NS
+from tactile_control.phases import StampedImage
+from tactile_geometry.transform_buffer import TransformInFuture, TransformUnavailable
 from tactile_ros.discovery import PROFILE_VARIABLES
 from tactile_ros.managed_node import TOO_FAST, ManagedNode, lost_counter
 from tactile_ros.message_bytes import (
@@ -20,6 +24,7 @@ from tactile_ros.message_bytes import (
     image_from_bytes,
 )
 from tactile_ros.qos import IMAGE
+from tactile_ros.transforms import TransformListener
 from tactile_scene.camera import COMPRESSED, ExternalCameraSettings
 from tactile_wire.errors import MessageError
 
@@ -70,6 +75,49 @@ def subscribe_images(
         kind, topic.name, take, IMAGE, age_limit, raw=True, stamped=stamped, why_lost=why_lost,
         largest=LARGEST_IMAGE,
     )  # fmt: skip
+
+
+class PosedImages:
+    """The newest image, as soon as the pose of its sensor at the exposure is known, which may come later.
+
+    `take` is the callback for images, `match` is called when poses have come; `act` is called when `newest`,
+    the latest image with its pose, has changed.
+    """
+
+    def __init__(self, node: ManagedNode, act: Callable[[], None]) -> None:
+        self._node, self._act = node, act
+        self.transforms: TransformListener | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what has been received."""
+        self._pending: tuple[int, NDArray[np.uint8]] | None = None
+        self.newest: StampedImage | None = None
+
+    def take(self, received: Received) -> None:
+        """Keep an image until its pose is known; raises `MessageError` where it cannot be read."""
+        image = received.array().copy()
+        if self._pending is not None:
+            self._node.count("images without a pose in time")
+        self._pending = received.stamp_ns, image
+        self.match()
+
+    def match(self) -> None:
+        """Put image and pose together, if both are there."""
+        if self._pending is None or self.transforms is None:
+            return
+        node, (stamp_ns, image) = self._node, self._pending
+        try:
+            T = self.transforms.lookup(node.base_frame, node.sensor_frame, stamp_ns)
+        except TransformInFuture:
+            return
+        except TransformUnavailable as error:
+            self._pending = None
+            node.count("images without a pose")
+            node.warn("pose", f"image left out: {error}")
+            return
+        self._pending, self.newest = None, StampedImage(stamp_ns, T, image)
+        self._act()
 
 
 def too_large(size: int) -> str:

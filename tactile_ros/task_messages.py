@@ -111,7 +111,7 @@ def status_bytes(
     )
 
 
-def feedback_message(command: Command, X_fs: Array | None, progress: float | None = None) -> RunTask.Feedback:
+def feedback_message(command: Command, X_fs: Array | None) -> RunTask.Feedback:
     """The action's feedback; X_fs (4, 4) is the contact pose as far as it is known."""
     depth, normal_error = math.nan, math.nan
     if X_fs is not None:
@@ -119,7 +119,7 @@ def feedback_message(command: Command, X_fs: Array | None, progress: float | Non
     return RunTask.Feedback(
         phase=command.phase,
         reason=command.reason,
-        progress=command.progress if progress is None else progress,
+        progress=command.progress,
         path_length=command.travelled,
         depth=depth,
         normal_error=normal_error,

@@ -17,7 +17,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,7 @@ from tactile_base import topics
 from tactile_base.raised import told
 from tactile_base.settings import SettingError, unknown_name
 from tactile_base.stamps import SECOND_NS
+from tactile_control.phase_machine import PhaseMachine
 from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ArmCommand, ArmStatus, ControllerStatus
@@ -45,28 +46,14 @@ LAST_WORD = 0.2  # s; how long a node that ends waits until its zero twist, and 
 LATELY = 2.0  # s; a result that was given before is no concern of a node that ends
 
 
-class Task(Protocol):
-    """What runs; its steps are between it and its node."""
-
-    endless: ClassVar[bool]
-
-    def finish(self) -> None:
-        """Come to rest, retreat if in contact, and end well, in the steps that follow."""
-
-    def stop(self, reason: str) -> None:
-        """Come to rest, retreat if in contact, and end, in the steps that follow."""
-
-    def abort(self, reason: str) -> None:
-        """Come to rest where it is, and end, in the steps that follow."""
-
-
 @dataclass
 class Run:
-    """One accepted goal."""
+    """One accepted goal: what was asked for, the task that does it, and whether it ends by itself."""
 
     handle: Any
-    task: Task
+    task: PhaseMachine
     started_ns: int
+    ends: bool
     feedback_ns: int = 0
 
     def feedback_due(self, now_ns: int, period: float) -> bool:
@@ -109,8 +96,8 @@ class TaskNode(ManagedNode, ABC):
         """'' or why the goal cannot be run, with what would be right."""
 
     @abstractmethod
-    def accept(self, handle: Any) -> Run | None:
-        """What the goal starts; None if it could be concluded at once (see `conclude`)."""
+    def accept(self, handle: Any) -> Run:
+        """What the goal starts."""
 
     @abstractmethod
     def step(self) -> None:

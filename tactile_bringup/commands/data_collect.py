@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from tactile_base.console import lasting_console, say
-from tactile_base.settings import SettingError, Settings, unknown_name
+from tactile_base.settings import SettingError, unknown_name
 from tactile_base.yaml_file import name_and_value
 from tactile_bringup.commands.changes import add_set_option, natural_int, positive_int, refusing
 
 if TYPE_CHECKING:
     from tactile_bringup.graph import Graph
     from tactile_bringup.launching.launcher import Outcome
+    from tactile_records.collecting.settings import DataCollectionSettings
     from tactile_scene.scene import ArmScene, BodyScene, Scene
 
 DESCRIPTION = """Press and shear an arm's tactile sensor against a flat surface, as the paper does, and keep
@@ -89,11 +89,13 @@ def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outc
 
 
 def _contents(folder: Path) -> list[str]:
-    """What the folder holds now."""
+    """What the folder holds now, and where touches have found the surface."""
     from tactile_perception.datasets.dataset import DatasetError, open_folder
+    from tactile_records.collecting.sample_store import found_surface
 
     try:
-        return open_folder(folder).report.lines()
+        surface = found_surface(folder)
+        return [*([surface[1]] if surface else []), *open_folder(folder).report.lines()]
     except DatasetError as error:
         return [str(error)]
 
@@ -105,8 +107,9 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     """
     from tactile_base.whole_file import check_folder
     from tactile_bringup.commands.launch import graph_options
-    from tactile_bringup.graph import build_collection_graph
-    from tactile_control.task_file import NamedGoal
+    from tactile_bringup.graph import build_graph
+    from tactile_bringup.run_sequence import ArmPlan
+    from tactile_control.task_file import NamedGoal, Role
     from tactile_doubles.rehearsal import rehearsed
     from tactile_geometry import se3
     from tactile_perception.datasets.writer import IMAGE_KINDS, DatasetWriter
@@ -124,28 +127,24 @@ def make_plan(arguments: argparse.Namespace) -> Plan:
     scene = rehearsed(scene) if arguments.rehearse else scene
     arm = chosen_arm(scene, arguments.arm)
     surface = chosen_surface(scene, arm, arguments.surface)
-    groups = chosen_settings(arguments.config, arguments.changes, arguments.touch)
-    collector: dict[str, Any] = {
-        "folder": str(arguments.out.absolute()),
-        "images": arguments.images,
-        "frame": se3.euler_from_pose(frame_on(scene, surface, arm)).tolist(),
-    }
+    settings = chosen_settings(arguments.config, arguments.changes, arguments.touch).replaced(
+        data__folder=str(arguments.out.absolute()),
+        data__images=arguments.images,
+        data__frame=tuple(se3.euler_from_pose(frame_on(scene, surface, arm)).tolist()),
+    )
     goal = CollectionGoal(
         samples=arguments.samples, seed=arguments.seed, first=VALIDATION_START if arguments.validation else 0
     )
     robot = arm.driver + " (double)" * arguments.rehearse
     what: dict[str, Any] = {"seed": goal.seed, "first": goal.first}
-    what |= {name: collector[name] for name in ("images", "frame")}
-    what |= {name: dataclasses.asdict(groups[name]) for name in ("sampling", "preprocessing")}
+    what |= {"images": settings.data.images, "frame": settings.data.frame}
+    what |= {name: dataclasses.asdict(settings.group(name)) for name in ("sampling", "preprocessing")}
     check_same_run(arguments.out, {"robot": robot, "scene": scene.name, "arm": arm.name, **what})
-    with DatasetWriter(arguments.out, groups["preprocessing"], arguments.images) as writer:  # type: ignore[arg-type]
+    with DatasetWriter(arguments.out, settings.preprocessing, arguments.images) as writer:
         missing = len(set(range(1, arguments.samples + 1)) - writer.done)
-    for group, settings in groups.items():
-        collector |= {f"{group}.{name}": value for name, value in dataclasses.asdict(settings).items()}
-    named = NamedGoal(f"{missing} samples", goal)
-    graph = build_collection_graph(
-        TASK, scene, arm.name, named, collector, graph_options(arguments, changes=())
-    )
+    goals = (NamedGoal(f"{missing} samples", goal),)
+    plan = ArmPlan(arm.name, Role("collector", TASK, settings, goals), goals)
+    graph = build_graph(TASK, scene, [plan], graph_options(arguments, changes=()))
     return Plan(graph, arguments.samples, missing)
 
 
@@ -188,21 +187,14 @@ def frame_on(scene: Scene, surface: BodyScene, arm: ArmScene) -> Any:
     return contact_frame(T_base_surface, arm.T_base_start, arm.sensor.settings.tip_radius)
 
 
-def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapping[str, Settings]:
-    """Groups of the collector's settings from their defaults, a file and the command line."""
+def chosen_settings(file: Path | None, changes: list[str], touches: int) -> DataCollectionSettings:
+    """The task's settings from their defaults, a file and the command line."""
     from tactile_base.yaml_file import read_yaml
-    from tactile_perception.estimating.preprocessing import PreprocessingSettings
-    from tactile_perception.estimating.presence import PresenceSettings
     from tactile_records.collecting.settings import DataCollectionSettings
-    from tactile_scene.sampling import SamplingSettings
 
-    task = DataCollectionSettings().replaced(touch__points=touches)
-    groups: dict[str, Settings] = {
-        "sampling": SamplingSettings(),
-        **{name: task.group(name) for name in task.group_names()},
-        "preprocessing": PreprocessingSettings(),
-        "presence": PresenceSettings(),
-    }
+    settings = DataCollectionSettings().replaced(touch__points=touches)
+    names = [name for name in settings.group_names() if name != "data"]  # that has options of its own
+    groups = {name: settings.group(name) for name in names}
     if file is not None:
         root = read_yaml(file)
         root.allow(*groups)
@@ -214,6 +206,6 @@ def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Mapp
         path, value = name_and_value(change, "motion.contact_speed=0.01")
         group, dot, name = path.partition(".")
         if not dot or group not in groups:
-            raise SettingError(f"--set {change}: {unknown_name(group, list(groups))}, then a dot and a name")
+            raise SettingError(f"--set {change}: {unknown_name(group, names)}, then a dot and a name")
         groups[group] = groups[group].replaced(**{name: value})
-    return groups
+    return dataclasses.replace(settings, **groups)

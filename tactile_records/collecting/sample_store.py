@@ -50,8 +50,8 @@ class SampleStore:
         values["stamp_ns"] = capture.stamp_ns
         self.writer.add(capture.number, image, _mm_deg(capture.euler), values)
 
-    def keep_surface(self, T_base_f: Array, assumed: Array, touches: int) -> str:
-        """Keep where touches have found the surface; returns it in words."""
+    def keep_surface(self, T_base_f: Array, assumed: Array, touches: int) -> None:
+        """Keep where touches have found the surface, and that in words."""
         moved = se3.log(se3.inverse(assumed) @ T_base_f)
         text = (
             f"surface found by {touches} touches: {1e3 * moved[2]:+.2f} mm deeper than assumed, "
@@ -59,25 +59,11 @@ class SampleStore:
         )
         content = {"frame": se3.euler_from_pose(T_base_f).tolist(), "unit": "m, rad", "note": text}
         (self.folder / SURFACE_NAME).write_text(json.dumps(content, indent=2) + "\n")
-        return text
 
     def surface(self) -> Array | None:
-        """The contact frame (4, 4) that touches have found before, if they have.
-
-        Raises `DatasetError` if the file that holds it cannot be read.
-        """
-        path = self.folder / SURFACE_NAME
-        if not path.exists():
-            return None
-        try:
-            frame = np.array(parse_json(read_text(path))["frame"], dtype=np.float64)
-            if frame.shape != (6,) or not np.isfinite(frame).all():
-                raise ValueError("frame must be six finite numbers")
-        except (ValueError, KeyError, TypeError) as error:
-            raise DatasetError(
-                f"{path}: cannot be read ({error}); remove it to find the surface anew"
-            ) from error
-        return se3.pose_from_euler(frame)
+        """The contact frame (4, 4) that touches have found before; raises as `found_surface`."""
+        found = found_surface(self.folder)
+        return None if found is None else found[0]
 
     def finish(self) -> None:
         """Make the table whole and let others write to the folder."""
@@ -85,6 +71,24 @@ class SampleStore:
             self.writer.finish()
         finally:
             self.writer.close()
+
+
+def found_surface(folder: Path) -> tuple[Array, str] | None:
+    """The contact frame (4, 4) that touches have found, and that in words; None if they have not.
+
+    Raises `DatasetError` if the file that holds it cannot be read.
+    """
+    path = folder / SURFACE_NAME
+    if not path.exists():
+        return None
+    try:
+        content = parse_json(read_text(path))
+        frame = np.array(content["frame"], dtype=np.float64)
+        if frame.shape != (6,) or not np.isfinite(frame).all():
+            raise ValueError("frame must be six finite numbers")
+        return se3.pose_from_euler(frame), str(content["note"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{path}: cannot be read ({error}); remove it to find the surface anew") from error
 
 
 def _mm_deg(euler: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What data collection is made of: its settings and goal, what goes in, and what comes out."""
+"""What data collection is made of: its settings and goal, and what it keeps."""
 
 from __future__ import annotations
 
@@ -7,11 +7,23 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_base.settings import LARGEST_SEED, SettingError, SettingGroups, Settings, setting
+from tactile_base.settings import (
+    LARGEST_POSE,
+    LARGEST_SEED,
+    SMALLEST_POSE,
+    SettingError,
+    SettingGroups,
+    Settings,
+    setting,
+)
 from tactile_control.limiter import LimiterSettings
 from tactile_control.motion import TravelSettings
-from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Command, Goal, StampedPose
+from tactile_control.phases import DONE, FAILED, GO_TO_START, RETREAT, STOPPING, Goal
 from tactile_control.watchdog import WatchdogSettings
+from tactile_perception.datasets.writer import IMAGE_KINDS
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.estimating.presence import PresenceSettings
+from tactile_scene.sampling import SamplingSettings
 
 Array = NDArray[np.float64]
 
@@ -35,28 +47,8 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Exposure:
-    """An image's stamp, T_base_sensor (4, 4) at it, and whether it shows contact.
-
-    `in_contact` is None as long as nobody knows what the sensor looks like without contact.
-    """
-
-    stamp_ns: int
-    T_base_sensor: Array
-    in_contact: bool | None
-
-
-@dataclass(frozen=True)
-class CollectionInputs:
-    """The latest of each input; None where none has arrived yet."""
-
-    sensor_pose: StampedPose | None = None
-    exposure: Exposure | None = None
-
-
-@dataclass(frozen=True)
 class Capture:
-    """What to store: the image exposed at `stamp_ns`, as sample `number`.
+    """What is kept of the image exposed at `stamp_ns`, as sample `number`.
 
     Attributes
     ----------
@@ -73,26 +65,6 @@ class Capture:
     euler: Array
     target: Array
     T_base_sensor: Array
-
-
-@dataclass(frozen=True)
-class CollectionCommand(Command):
-    """What one step of data collection says, beyond a `Command`; its phase is one of `PHASES`.
-
-    Attributes
-    ----------
-    number : int
-        Of the sample under way; 0 where there is none.
-    collected, total : int
-        Samples captured so far, and those asked for.
-    capture : Capture or None
-        What to store now.
-    """
-
-    number: int = 0
-    collected: int = 0
-    total: int = 0
-    capture: Capture | None = None
 
 
 @dataclass(frozen=True)
@@ -192,9 +164,28 @@ class CollectionWatchdogSettings(WatchdogSettings):
 
 
 @dataclass(frozen=True)
-class DataCollectionSettings(SettingGroups):
-    """All that can be set of `DataCollection`."""
+class DataSettings(Settings):
+    """Where samples go, and over which surface they are taken."""
 
+    folder: str = setting("", doc="data folder, made if it is not there; one with samples is gone on with")
+    images: str = setting(
+        "both", choices=IMAGE_KINDS, doc="processed (cropped, thresholded), raw (camera images), or both"
+    )
+    frame: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), length=6, lower=SMALLEST_POSE, upper=LARGEST_POSE, unit="m, rad",
+        doc="contact frame {f} in the arm's base, Euler (x, y, z, alpha, beta, gamma): z into the surface, "
+        "origin where the sensor's centre is at first touch",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DataCollectionSettings(SettingGroups):
+    """All that can be set of `DataCollection`; a run keeps the `data` to `presence` that it began with."""
+
+    data: DataSettings = field(default_factory=DataSettings)
+    sampling: SamplingSettings = field(default_factory=SamplingSettings)
+    preprocessing: PreprocessingSettings = field(default_factory=PreprocessingSettings)
+    presence: PresenceSettings = field(default_factory=PresenceSettings)
     motion: CollectionMotionSettings = field(default_factory=CollectionMotionSettings)
     touch: TouchSettings = field(default_factory=TouchSettings)
     limiter: LimiterSettings = field(default_factory=LimiterSettings)

@@ -1,24 +1,15 @@
 """Data collection: approach, rotate, contact, shear, image, retreat, again and again.
 
-The paper's Algorithm "Data collection" for an arm that takes twists. A library without ROS and without a
-clock of its own: whoever owns the time calls `step(now_ns, inputs)` at the control rate, sends the twist of
-what comes back and, where that holds a `Capture`, stores the image of its exposure under its number::
-
-    task = DataCollection(settings, targets, T_base_f)
-    while not (command := task.step(now_ns(), inputs())).done:
-        send(command.twist)
-        if command.capture:
-            store(image_of(command.capture.stamp_ns), command.capture)
-
-Phases: go_to_start -> reference -> (touch) -> (rotate -> contact -> shear -> capture -> retreat) for each
-sample -> done, or failed. The label is where the arm says that the sensor was at the exposure, not where it
-was sent.
+The paper's Algorithm "Data collection" for an arm that takes twists. Phases: go_to_start -> reference ->
+(touch) -> (rotate -> contact -> shear -> capture -> retreat) for each sample -> done, or failed. The label is
+where the arm says that the sensor was at the exposure, not where it was sent. An image without contact is
+kept as number 0. A goal goes on where the folder ends.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,19 +18,27 @@ from tactile_base.stamps import NANOSECOND
 from tactile_control.motion import TravelSettings, pose_difference
 from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import (
+    DONE,
     GO_TO_START,
     RETREAT,
     GoToPose,
+    InputRefused,
     LiftOff,
     Phase,
     PhaseFailed,
+    StampedImage,
     StampedPose,
     Stopping,
     StraightTo,
+    TaskInputs,
     newer,
 )
 from tactile_geometry import se3
+from tactile_perception.estimating.image import Image, ImageError, check_image
+from tactile_perception.estimating.preprocessing import Preprocessor
+from tactile_perception.estimating.presence import ContactPresence
 from tactile_records.collecting import geometry
+from tactile_records.collecting.sample_store import SampleStore
 from tactile_records.collecting.settings import (
     CAPTURE,
     CONTACT,
@@ -49,14 +48,12 @@ from tactile_records.collecting.settings import (
     SHEAR,
     TOUCH,
     Capture,
-    CollectionCommand,
     CollectionGoal,
-    CollectionInputs,
     CollectionMotionSettings,
     DataCollectionSettings,
-    Exposure,
     Target,
 )
+from tactile_scene.sampling import pose_of
 
 Array = NDArray[np.float64]
 
@@ -76,7 +73,7 @@ class CollectionPhase(Phase["DataCollection"]):
         return self.task.settings.motion
 
     @property
-    def exposure(self) -> Exposure:
+    def exposure(self) -> StampedImage:
         """The newest image."""
         assert self.task.image is not None
         return self.task.image
@@ -85,6 +82,13 @@ class CollectionPhase(Phase["DataCollection"]):
     def X_fs(self) -> Array:
         """The sensor (4, 4) in {f}."""
         return self.task.in_contact_frame(self.T_base_sensor)
+
+    def keep(self, what: Callable[..., Any], *arguments: Any) -> None:
+        """Have it written, or fail off the surface."""
+        try:
+            what(*arguments)
+        except (OSError, ImageError) as error:
+            raise PhaseFailed(f"cannot write to {self.task.settings.data.folder}: {error}") from error
 
 
 class Rest(CollectionPhase):
@@ -130,16 +134,21 @@ class Reference(Rest):
 
     name = REFERENCE
 
+    def begin(self) -> None:
+        super().begin()
+        self.task.look.forget()
+
     def over(self) -> bool:
-        if self.exposure.in_contact is not None and self.resting():
-            if self.exposure.in_contact:
+        if self.task.in_contact is not None and self.resting():
+            if self.task.in_contact:
                 raise PhaseFailed("the image shows contact where there is none: the reference is no good")
+            self.keep(self.task.store.keep_reference, self.exposure.image)
             return True
         self.late("no image without contact was taken")
         return False
 
     def next_phase(self) -> str:
-        return TOUCH if self.task.settings.touch.points else ROTATE
+        return TOUCH if self.task.settings.touch.points and not self.task.surface_known else ROTATE
 
 
 class Touch(CollectionPhase, StraightTo["DataCollection"]):
@@ -173,10 +182,11 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
         if self.step == UP and depth <= -settings.search + _NEAR:
             self._go(OVER)
             if len(touches) == len(self.places):
-                found = np.array(touches)
-                self.task.T_base_f = geometry.frame_from_touches(self.task.T_base_f, found, settings.depth)
+                found, assumed = np.array(touches), self.task.T_base_f
+                self.task.T_base_f = geometry.frame_from_touches(assumed, found, settings.depth)
+                self.keep(self.task.store.keep_surface, self.task.T_base_f, assumed, len(touches))
                 return True
-        elif self.step == DOWN and fresh and self.exposure.in_contact:
+        elif self.step == DOWN and fresh and self.task.in_contact:
             touches.append(self.task.in_contact_frame(self.exposure.T_base_sensor)[:3, 3])
             self._go(UP)
         elif self.step == DOWN and depth > settings.search:
@@ -185,7 +195,7 @@ class Touch(CollectionPhase, StraightTo["DataCollection"]):
         elif self.step == OVER and fresh:
             position, _ = pose_difference(self.T_base_sensor, self.goal())
             if se3.norm(position) <= _NEAR:
-                if self.exposure.in_contact:
+                if self.task.in_contact:
                     above = f"{settings.search * 1e3:.1f} mm above the surface"
                     raise PhaseFailed(f"the image shows contact {above}")
                 self._go(DOWN)
@@ -202,7 +212,7 @@ class Rotate(CollectionPhase, StraightTo["DataCollection"]):
         self.there = super().over()
         if not self.there:
             return False
-        seen = self.exposure.in_contact
+        seen = self.task.in_contact
         if seen is not None and not seen and self.exposure.stamp_ns >= self.task.since_ns:
             return True
         if self.elapsed > self.motion.capture_timeout:
@@ -227,17 +237,36 @@ class TakeImage(Rest):
             return False
         exposure, target = self.exposure, self.task.target
         X_fs = self.task.in_contact_frame(exposure.T_base_sensor)
-        if X_fs[2, 3] >= self.motion.certain_depth and not exposure.in_contact:
+        if X_fs[2, 3] >= self.motion.certain_depth and not self.task.in_contact:
             raise PhaseFailed(
                 f"the image shows no contact at a depth of {X_fs[2, 3] * 1e3:.1f} mm: the surface is "
                 "further away than it is said to be (find it by touch)"
             )
         label = se3.euler_from_pose(X_fs)
-        self.task.capture = Capture(
-            target.number, exposure.stamp_ns, label, target.euler, exposure.T_base_sensor
-        )
+        capture = Capture(target.number, exposure.stamp_ns, label, target.euler, exposure.T_base_sensor)
+        self.keep(self.task.store.keep, capture, exposure.image)
         self.task.collected += 1
         return True
+
+
+class Look:
+    """Whether an image shows contact, by a reference that the first images without contact make."""
+
+    def __init__(self, settings: DataCollectionSettings) -> None:
+        self._shape = settings.preprocessing.raw_shape
+        self._preprocessor = Preprocessor(settings.preprocessing)
+        self._presence = ContactPresence(settings.presence)
+
+    def forget(self) -> None:
+        """Forget the reference."""
+        self._presence.reset()
+
+    def __call__(self, image: Image, without_contact: bool) -> bool | None:
+        """None where there is no reference; only images `without_contact` make one. Raises `ImageError`."""
+        check_image(image, self._shape, "camera image")
+        if not (without_contact or self._presence.ready):
+            return None
+        return self._presence.update(self._preprocessor(image)).in_contact
 
 
 class DataCollection(PhaseMachine):
@@ -246,40 +275,67 @@ class DataCollection(PhaseMachine):
     Parameters
     ----------
     settings : DataCollectionSettings
-    targets : sequence of Target
-    T_base_f : ndarray (4, 4)
-        Contact frame of the flat surface (see `geometry`); touches correct it.
+    goal : CollectionGoal
+    start : None
+        It begins over its contact frame.
+    store : SampleStore, optional
+        Where samples go; by default a folder as the settings say.
+    look : callable, optional
+        Whether images show contact; by default `Look`.
 
     Attributes
     ----------
+    T_base_f : ndarray (4, 4)
+        Contact frame of the flat surface (see `geometry`); touches correct it.
     touches : list of ndarray (3,)
         Positions of the sensor's centre in {f} at which a touch has found the surface.
+    surface_known : whether touches have found it before
+    image, in_contact : the newest image; whether it shows contact, None where nobody can say
 
     Raises
     ------
     ValueError
-        Without a target, or with a contact frame that is no rigid transform.
+        With a start, without a folder, or with a contact frame that is no rigid transform.
+    DatasetError, OSError
+        For a folder that cannot be used.
     """
 
     settings_class = DataCollectionSettings
     goal_class = CollectionGoal
-    command_class = CollectionCommand
     phases = PHASES
     work = CAPTURE
-    node = "collector"
+    needs_images: ClassVar[bool] = True
 
     settings: DataCollectionSettings
+    goal: CollectionGoal
 
-    def __init__(self, settings: DataCollectionSettings, targets: Sequence[Target], T_base_f: Array) -> None:
-        if not targets:
-            raise ValueError("no sample to collect")
-        super().__init__(settings, CollectionGoal(samples=len(targets)))
-        self.targets = list(targets)
-        self.T_base_f = se3.checked_pose("contact frame", T_base_f)
+    def __init__(
+        self,
+        settings: DataCollectionSettings,
+        goal: CollectionGoal,
+        start: Array | None = None,
+        store: SampleStore | None = None,
+        look: Look | None = None,
+    ) -> None:
+        if start is not None:
+            raise ValueError("start must be empty: a collection begins over its contact frame")
+        if store is None and not settings.data.folder:
+            raise ValueError("data.folder: must name the folder of the data set")
+        self.look = look or Look(settings)
+        self.T_base_f = se3.pose_from_euler(settings.data.frame)
+        self.store = store or SampleStore(settings.data.folder, settings.preprocessing, settings.data.images)
+        found = self.store.surface()
+        self.surface_known = found is not None
+        self.T_base_f = self.T_base_f if found is None else found
+        self.targets = [
+            Target(number, pose_of(settings.sampling, goal.seed, goal.first + number - 1))
+            for number in self.store.missing(goal.samples)
+        ]
         self.collected = 0
         self.touches: list[Array] = []
-        self.image: Exposure | None = None
-        self.capture: Capture | None = None
+        self.image: StampedImage | None = None
+        self.in_contact: bool | None = None
+        super().__init__(settings, goal)
 
     # ---- what a `PhaseMachine` fills in ----
 
@@ -315,28 +371,34 @@ class DataCollection(PhaseMachine):
         return geometry.lifted(self.in_contact_frame(self.T_base_sensor), gap)
 
     def first_phase(self) -> str:
-        return GO_TO_START
+        return GO_TO_START if self.targets else DONE
 
-    def take(self, inputs: CollectionInputs) -> None:
+    def take(self, inputs: TaskInputs) -> None:
         super().take(inputs)
-        if newer(inputs.exposure, self.image):
-            se3.checked_pose("sensor pose at the exposure", inputs.exposure.T_base_sensor)
-            self.image = inputs.exposure
+        image = inputs.image
+        if not newer(image, self.image):
+            return
+        se3.checked_pose("sensor pose at the exposure", image.T_base_sensor)
+        try:
+            self.in_contact = self.look(image.image, self.phase == REFERENCE)
+        except ImageError as error:
+            raise InputRefused(str(error)) from error
+        self.image = image
 
     def progress(self) -> float:
-        """By the samples."""
-        return self.collected / len(self.targets)
+        """By the samples that the folder holds."""
+        return 1.0 - (len(self.targets) - self.collected) / self.goal.samples
 
-    def details(self) -> dict[str, Any]:
-        """How far it is, and what to store now."""
-        capture, self.capture = self.capture, None
-        left = self.collected < len(self.targets)
-        return {
-            "number": self.target.number if left else 0,
-            "collected": self.collected,
-            "total": len(self.targets),
-            "capture": capture,
-        }
+    def contact_pose(self) -> Array | None:
+        """By the arm's pose."""
+        return None if self.pose is None else self.in_contact_frame(self.pose.T)
+
+    def close(self) -> None:
+        """Make the table whole."""
+        try:
+            self.store.finish()
+        except OSError as error:
+            raise OSError(f"cannot write to {self.settings.data.folder}: {error}") from error
 
     # ---- what its phases share ----
 

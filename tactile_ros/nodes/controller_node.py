@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.raised import told
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import STATE as STATE_TOPIC
 from tactile_base.topics import WORLD
 from tactile_control.partners import Partners
-from tactile_control.phase_machine import PhaseMachine
 from tactile_control.phases import FAILED, Command, StampedPose, StampedPresence, TaskInputs
 from tactile_control.task_step import task_step
 from tactile_control.tasks import TASKS
@@ -33,6 +33,7 @@ from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
 from tactile_ros.colleagues import listen_to_partners
+from tactile_ros.image_input import ImageTopicSettings, PosedImages, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import lost_counter
 from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_state
@@ -68,26 +69,13 @@ class ControllerTimingSettings(Settings):
     )  # fmt: skip
 
 
-@dataclass(kw_only=True)
-class GoalRun(Run):
-    """One accepted goal, whether it ends by itself, and the message that asked for it."""
-
-    task: PhaseMachine
-    message: RunTask.Goal
-    ends: bool
-
-
 class ControllerNode(TaskNode):
     """See the module's text; the arithmetic is in the tasks of `tactile_control`."""
-
-    run: GoalRun | None
 
     def __init__(self) -> None:
         super().__init__("controller")
         self.task = declare_read_only(self, "task", "surface_following", "the kind of task that it runs")
         self.task_type = TASKS.load(self.task)
-        if self.task_type.node != "controller":
-            raise SettingError(f"parameter task = {self.task}: is run by the {self.task_type.node}")
         self.timing = SettingsParameters(
             self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period", "partner_age")
         )
@@ -99,6 +87,10 @@ class ControllerNode(TaskNode):
         self.settings = GroupParameters(self, self.task_type.settings_class(), self._configure_task)
         self.bounds = fixed_settings(self, ContactBounds(), "bounds")
         self.space = fixed_settings(self, WorkspaceSettings(), "space")
+        self.images: PosedImages | None = None
+        if self.task_type.needs_images:
+            self.image_topic = fixed_settings(self, ImageTopicSettings(), "images")
+            self.images = PosedImages(self, self.step)
         self.last: Command | None = None
         self.goals = 0
         self.goal_name = ""
@@ -112,9 +104,12 @@ class ControllerNode(TaskNode):
 
     def configure(self) -> None:
         """Create publishers, subscriptions and the action."""
+        watchdog: Any = self.settings.value.group("watchdog")
         minds = self.task_type.monitors_contact and self.controlled_frame == self.sensor_frame
-        if self.task_type.needs_sensor or minds:
-            age = getattr(self.settings.value.group("watchdog"), "belief_age", 0.0)
+        if self.images is not None:
+            subscribe_images(self, self.image_topic, self.images.take, getattr(watchdog, "image_age", 0.0))
+        elif self.task_type.needs_sensor or minds:
+            age = getattr(watchdog, "belief_age", 0.0)
             self.latency = LatencyPublisher(self, "controller", self.controlled_frame)
             self.subscribe(
                 ContactState,
@@ -126,7 +121,9 @@ class ControllerNode(TaskNode):
                 frame=self.sensor_frame,
             )
         listen_to_partners(self, self.partners)
-        self.open_task(self.timing.value.watchdog_period)
+        self.open_task(self.timing.value.watchdog_period, self.images.match if self.images else None)
+        if self.images is not None:
+            self.images.transforms = self.transforms
 
     def activate(self) -> None:
         """Forget old inputs and be idle."""
@@ -138,6 +135,8 @@ class ControllerNode(TaskNode):
         """Forget what has been received."""
         self.belief: StampedPose | None = None
         self.presence: StampedPresence | None = None
+        if self.images is not None:
+            self.images.forget()
         self.last_step_ns = 0
 
     # ---- inputs ----
@@ -180,7 +179,8 @@ class ControllerNode(TaskNode):
             self._publish_status(now_ns, self.last, ZERO)
         else:
             pose = self.sensor_pose()
-            inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None)
+            image = self.images.newest if self.images else None
+            inputs = TaskInputs(self.belief, self.presence, StampedPose(*pose) if pose else None, image)
             broken = self.run.task.traceback
             self.run.task.partner = self.partners.trouble(time.monotonic())
             self.run.task.partner_hold = self.partners.hold
@@ -219,8 +219,7 @@ class ControllerNode(TaskNode):
         if command.done:
             self.finish_run(command.reason, command.succeeded)
         elif phase_changed or self.run.feedback_due(now_ns, self.timing.value.feedback_period):
-            X_fs = se3.inverse(self.belief.T) if self.belief is not None else None
-            self.run.handle.publish_feedback(feedback_message(command, X_fs))
+            self.run.handle.publish_feedback(feedback_message(command, self.run.task.contact_pose()))
 
     def _publish_status(self, now_ns: int, command: Command | None, twist: NDArray[np.float64]) -> None:
         goal = max(self.goals - 1, 0), self.goal_name
@@ -234,7 +233,7 @@ class ControllerNode(TaskNode):
 
     def _configure_task(self) -> None:
         if self.run is not None:
-            self.run.task.configure(with_settings(self.run.message, self.settings.value))
+            self.run.task.configure(with_settings(self.run.handle.request, self.settings.value))
 
     # ---- the action ----
 
@@ -252,7 +251,7 @@ class ControllerNode(TaskNode):
         outside = "" if named.start is None else self.space.outside(named.start[:3, 3], self.arm)
         return f"start: {outside}" if outside else ""
 
-    def accept(self, handle: Any) -> GoalRun:
+    def accept(self, handle: Any) -> Run:
         """See `TaskNode`."""
         message = handle.request
         named = named_goal(message, self.task_type)
@@ -262,11 +261,15 @@ class ControllerNode(TaskNode):
         self.goals += 1
         self.last = None
         self.partners.begin()
-        ends = named.goal.ends
-        return GoalRun(handle=handle, task=task, started_ns=self.now_ns(), message=message, ends=ends)
+        return Run(handle, task, self.now_ns(), named.goal.ends)
 
     def finish_run(self, reason: str, succeeded: bool) -> None:
         """End the run, and warn of a failure; the status tells also of one that is none of the task's."""
+        assert self.run is not None
+        try:
+            self.run.task.close()
+        except Exception as error:  # a task may be somebody else's
+            reason, succeeded = "; ".join(filter(None, (reason, told(error)))), False
         super().finish_run(reason, succeeded)
         if self.last is not None and not self.last.done:
             self.last = replace(self.last, phase=FAILED, reason=reason)

@@ -7,15 +7,14 @@ import pytest
 from kinematic_plant import MS, TIP_RADIUS, Plane, Plant, pointing_down
 
 from tactile_base.settings import SettingError
-from tactile_control.phases import StampedPose
+from tactile_control.phases import StampedImage, StampedPose, TaskInputs
 from tactile_geometry import se3
 from tactile_records.collecting.geometry import contact_frame
 from tactile_records.collecting.settings import (
     PHASES,
-    CollectionInputs,
+    CollectionGoal,
     CollectionMotionSettings,
     DataCollectionSettings,
-    Exposure,
     Target,
     TouchSettings,
 )
@@ -40,17 +39,52 @@ class Bench(Plant):
         self.images = self.poses = True
         self.blind = False
         self.reference = reference
-        self._inputs = CollectionInputs()
+        self._inputs = TaskInputs()
 
-    def collection_inputs(self) -> CollectionInputs:
+    def collection_inputs(self) -> TaskInputs:
         stamp, T = self.history[-1]
         pose = StampedPose(stamp, T) if self.poses else self._inputs.sensor_pose
-        exposure = self._inputs.exposure
+        image = self._inputs.image
         if self.images:
             seen = TIP_RADIUS - T[2, 3] > FIRST_VISIBLE and not self.blind
-            exposure = Exposure(stamp, T, seen if len(self.history) > self.reference else None)
-        self._inputs = CollectionInputs(pose, exposure)
+            image = StampedImage(stamp, T, seen if len(self.history) > self.reference else None)
+        self._inputs = TaskInputs(sensor_pose=pose, image=image)
         return self._inputs
+
+
+class Look:
+    """The bench's images are what there is to be seen in them."""
+
+    def forget(self) -> None:
+        pass
+
+    def __call__(self, image, without_contact):
+        return image
+
+
+class Store:
+    """Keeps samples in a list, and whatever else it is given."""
+
+    def __init__(self) -> None:
+        self.captures, self.surfaces, self.references = [], [], []
+
+    def missing(self, samples):
+        return list(range(1, samples + 1))
+
+    def surface(self):
+        return self.surfaces[-1] if self.surfaces else None
+
+    def keep_reference(self, image):
+        self.references.append(image)
+
+    def keep_surface(self, T_base_f, assumed, touches):
+        self.surfaces.append(T_base_f)
+
+    def keep(self, capture, image):
+        self.captures.append(capture)
+
+    def finish(self):
+        pass
 
 
 def frame(height=0.0) -> np.ndarray:
@@ -59,8 +93,13 @@ def frame(height=0.0) -> np.ndarray:
     return contact_frame(T_base_surface, START, TIP_RADIUS)
 
 
-def collection(settings=QUICK, targets=TARGETS, height=0.0) -> DataCollection:
-    return DataCollection(settings, targets, frame(height))
+def collection(settings=QUICK, targets=TARGETS, T_base_f=None, height=0.0, store=None) -> DataCollection:
+    euler = se3.euler_from_pose(frame(height) if T_base_f is None else T_base_f)
+    settings = settings.replaced(data__frame=tuple(euler.tolist()))
+    goal = CollectionGoal(samples=len(targets))
+    task = DataCollection(settings, goal, store=store or Store(), look=Look())
+    task.targets = list(targets)
+    return task
 
 
 def run(task, bench, limit_s=60.0, each=None):
@@ -77,20 +116,17 @@ def run(task, bench, limit_s=60.0, each=None):
     return commands
 
 
-def captures(commands):
-    return [command.capture for command in commands if command.capture]
-
-
 def phases(commands):
     seen = [command.phase for command in commands]
     return [phase for k, phase in enumerate(seen) if k == 0 or seen[k - 1] != phase]
 
 
 def test_every_sample_is_captured_once_in_order_and_the_arm_ends_off_the_surface():
-    bench = Bench()
-    commands = run(collection(), bench)
+    task, bench = collection(), Bench()
+    commands = run(task, bench)
     assert commands[-1].succeeded and not commands[-1].reason
-    assert [capture.number for capture in captures(commands)] == [1, 2, 3]
+    assert [capture.number for capture in task.store.captures] == [1, 2, 3]
+    assert task.store.references == [False], "the image without contact is kept once"
     assert bench.depth == pytest.approx(-QUICK.motion.standoff, abs=6e-4)
     assert np.all(commands[-1].twist == 0.0)
 
@@ -104,7 +140,9 @@ def test_a_sample_goes_through_the_steps_of_the_papers_algorithm():
 
 
 def test_a_label_is_where_the_sensor_was_and_that_is_where_it_was_sent():
-    for capture in captures(run(collection(), Bench())):
+    task = collection()
+    run(task, Bench())
+    for capture in task.store.captures:
         X_fs = se3.inverse(frame()) @ capture.T_base_sensor
         np.testing.assert_allclose(se3.pose_from_euler(capture.euler), X_fs, atol=1e-12)
         np.testing.assert_allclose(capture.euler[:3], capture.target[:3], atol=6e-5)
@@ -112,14 +150,13 @@ def test_a_label_is_where_the_sensor_was_and_that_is_where_it_was_sent():
 
 
 def test_an_exposure_is_kept_only_after_the_arm_has_rested():
-    bench, twists = Bench(), []
-    run(collection(), bench, each=lambda command: twists.append(command))
-    for k, command in enumerate(twists):
-        if command.capture:
-            steps = round(QUICK.motion.settle_time / (bench.period_ns * 1e-9))
-            assert all(np.all(before.twist == 0.0) for before in twists[k - steps : k])
-            _, T = next(item for item in bench.history if item[0] == command.capture.stamp_ns)
-            np.testing.assert_array_equal(T, command.capture.T_base_sensor)
+    task, bench, kept = collection(), Bench(), []
+    commands = run(task, bench, each=lambda command: kept.append(len(task.store.captures)))
+    steps = round(QUICK.motion.settle_time / (bench.period_ns * 1e-9))
+    for k, capture in zip(np.flatnonzero(np.diff(kept)) + 1, task.store.captures, strict=True):
+        assert all(np.all(before.twist == 0.0) for before in commands[k - steps : k])
+        _, T = next(item for item in bench.history if item[0] == capture.stamp_ns)
+        np.testing.assert_array_equal(T, capture.T_base_sensor)
 
 
 def test_the_sensor_turns_in_the_air_presses_along_the_normal_and_shears_at_depth():
@@ -243,17 +280,20 @@ def test_stopping_in_contact_leaves_the_surface_before_it_ends():
 
 
 def test_a_surface_further_away_than_said_is_noticed_and_nothing_is_kept():
-    commands = run(collection(height=0.003, targets=TARGETS[1:2]), Bench())
-    assert not captures(commands) or captures(commands)[0].euler[2] < QUICK.motion.certain_depth
-    commands = run(collection(height=0.005, targets=TARGETS[:1]), Bench())
-    assert not captures(commands)
+    task = collection(height=0.003, targets=TARGETS[1:2])
+    run(task, Bench())
+    assert all(capture.euler[2] < QUICK.motion.certain_depth for capture in task.store.captures)
+    task = collection(height=0.005, targets=TARGETS[:1])
+    commands = run(task, Bench())
+    assert not task.store.captures
     assert "shows no contact at a depth of 4.0 mm" in commands[-1].reason
     assert not commands[-1].succeeded
 
 
 def test_a_surface_nearer_than_said_is_noticed_before_pressing():
-    commands = run(collection(height=-0.005, targets=TARGETS[:1]), Bench(T=pointing_down((0.3, 0.1, 0.04))))
-    assert not captures(commands)
+    task = collection(height=-0.005, targets=TARGETS[:1])
+    commands = run(task, Bench(T=pointing_down((0.3, 0.1, 0.04))))
+    assert not task.store.captures
     assert "shows contact 3.0 mm off the surface" in commands[-1].reason
     assert "contact" not in phases(commands)
 
@@ -265,7 +305,8 @@ def test_one_touch_finds_the_height(height):
     commands = run(task, bench)
     assert commands[-1].succeeded, commands[-1].reason
     np.testing.assert_allclose(task.T_base_f[:3, 3], frame()[:3, 3], atol=6e-5)
-    for capture in captures(commands):
+    np.testing.assert_array_equal(task.store.surfaces, [task.T_base_f])
+    for capture in task.store.captures:
         assert TIP_RADIUS - capture.T_base_sensor[2, 3] == pytest.approx(capture.target[2], abs=1.2e-4)
 
 
@@ -274,7 +315,7 @@ def test_four_touches_find_the_tilt():
     tilted = np.eye(4)
     tilted[:3, :3] = se3.pose_from_euler([0, 0, 0, 0.05, -0.04, 0])[:3, :3]
     tilted[:3, 3] = [0.3, 0.1, 0.001]
-    task = DataCollection(settings, TARGETS[:1], contact_frame(tilted, START, TIP_RADIUS))
+    task = collection(settings, TARGETS[:1], contact_frame(tilted, START, TIP_RADIUS))
     commands = run(task, Bench())
     assert commands[-1].succeeded, commands[-1].reason
     assert np.degrees(np.arccos(-task.T_base_f[2, 2])) < 0.3
@@ -284,9 +325,10 @@ def test_four_touches_find_the_tilt():
 
 def test_a_touch_that_meets_nothing_fails_with_how_far_it_looked():
     settings = dataclasses.replace(QUICK, touch=TouchSettings(points=1, search=0.002))
-    commands = run(collection(settings, height=0.005), Bench(T=pointing_down((0.3, 0.1, 0.05))))
+    task = collection(settings, height=0.005)
+    commands = run(task, Bench(T=pointing_down((0.3, 0.1, 0.05))))
     assert "no contact within 2.0 mm above and below" in commands[-1].reason
-    assert not captures(commands)
+    assert not task.store.captures
 
 
 def test_a_blind_camera_stops_a_touch_before_it_presses_deep():
@@ -332,9 +374,41 @@ def test_two_touches_are_refused():
         TouchSettings(points=2)
 
 
-def test_nothing_to_collect_is_an_error():
-    with pytest.raises(ValueError, match="no sample"):
-        DataCollection(QUICK, [], np.eye(4))
+def test_a_folder_in_which_every_sample_is_there_is_done_at_once_and_nothing_moves():
+    store = Store()
+    store.missing = lambda samples: []
+    task = DataCollection(QUICK, CollectionGoal(), store=store, look=Look())
+    command = task.step(1, TaskInputs())
+    assert command.done and command.succeeded and command.progress == 1.0 and np.all(command.twist == 0.0)
+
+
+def test_a_surface_that_touches_have_found_before_is_not_sought_again():
+    store = Store()
+    store.surfaces.append(frame(0.001))
+    settings = dataclasses.replace(QUICK, touch=TouchSettings(points=1))
+    commands = run(collection(settings, TARGETS[:1], height=0.004, store=store), Bench())
+    assert commands[-1].succeeded and "touch" not in phases(commands)
+    X_fs = se3.inverse(frame(0.001)) @ store.captures[0].T_base_sensor
+    np.testing.assert_allclose(se3.euler_from_pose(X_fs)[:3], POSES[0][:3], atol=1e-4)
+
+
+def test_a_disk_that_is_full_ends_it_off_the_surface():
+    store, bench = Store(), Bench()
+
+    def keep(capture, image):
+        raise OSError("No space left on device")
+
+    store.keep = keep
+    commands = run(collection(store=store), bench)
+    assert not commands[-1].succeeded and "No space left on device" in commands[-1].reason
+    assert bench.depth < -0.002
+
+
+def test_without_a_folder_or_with_a_start_there_is_no_collection():
+    with pytest.raises(ValueError, match="must name the folder"):
+        DataCollection(QUICK, CollectionGoal())
+    with pytest.raises(ValueError, match="start must be empty"):
+        DataCollection(QUICK, CollectionGoal(), np.eye(4), Store(), Look())
 
 
 def test_the_contact_frame_lies_a_radius_off_the_surface_with_z_into_it():

@@ -8,7 +8,7 @@ import pytest
 from tactile_geometry import se3
 from tactile_perception.datasets.dataset import DatasetError, read_dataset
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
-from tactile_records.collecting.sample_store import EXTRA_COLUMNS, SURFACE_NAME, SampleStore
+from tactile_records.collecting.sample_store import EXTRA_COLUMNS, SURFACE_NAME, SampleStore, found_surface
 from tactile_records.collecting.settings import Capture
 
 EULER = np.array([0.001, -0.002, 0.003, 0.1, -0.2, 0.05])
@@ -55,7 +55,8 @@ def test_the_surface_found_by_touch_is_there_again_and_said_in_words(tmp_path):
     ours = store(tmp_path)
     assert ours.surface() is None
     found = T @ se3.pose_from_euler([0.0, 0.0, 0.0005, 0.01, 0.0, 0.0])
-    text = ours.keep_surface(found, T, 3)
+    ours.keep_surface(found, T, 3)
+    _, text = found_surface(tmp_path)
     assert "3 touches" in text and "+0.50 mm deeper" in text and "0.57 deg" in text
     np.testing.assert_allclose(ours.surface(), found, atol=1e-12)
 

@@ -71,10 +71,3 @@ def test_a_task_that_does_not_exist_ends_the_process_and_lists_those_there_are(g
     assert graph.wait(lambda: process.poll() is not None)
     assert process.returncode == 1
     assert "did you mean 'surface_following'" in graph.log(CONTROLLER).read_text()
-
-
-def test_a_task_of_another_node_is_refused_with_the_node_that_runs_it(graph):
-    process = graph.start(CONTROLLER, {"task": "data_collection"}, wait=False)
-    assert graph.wait(lambda: process.poll() is not None)
-    assert process.returncode == 1
-    assert "data_collection: is run by the collector" in graph.log(CONTROLLER).read_text()

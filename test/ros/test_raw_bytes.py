@@ -23,20 +23,20 @@ from tactile_ros.managed_node import refused_counter
 SENSOR = "arm/tactile_sensor"
 FILTER, OBJECT = "tactile_ros.nodes.filter_node", "tactile_ros.nodes.object_node"
 CONTROLLER, ESTIMATOR = "tactile_ros.nodes.controller_node", "tactile_ros.nodes.estimator_node"
-COLLECTOR, VIEW = "tactile_ros.nodes.collector_node", "tactile_ros.nodes.marker_view_node"
+VIEW = "tactile_ros.nodes.marker_view_node"
 ARM = "tactile_ros.nodes.arm_node"
 CELL = {FILTER: {}, OBJECT: {"arms": "[arm]"}, CONTROLLER: {}, ESTIMATOR: {}, VIEW: {}}
 SEED, FORGED = 20, 150  # messages a topic
 EXTREMES = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e160, 5e-324)
 #: Who counts what is refused on a topic; nobody where the middleware itself drops what is no message.
 LISTENERS: dict[str, tuple[str, ...]] = {
-    "/tf": ("filter", "controller", "collector"),
-    "/tf_static": ("filter", "controller", "collector"),
+    "/tf": ("filter", "controller"),
+    "/tf_static": ("filter", "controller"),
     "contact/estimate": ("filter",),
     "contact/presence": ("filter",),
     "contact/belief": ("object",),
     "contact/state": ("object", "controller"),
-    "tactile/image": ("estimator", "collector", "marker_view"),
+    "tactile/image": ("estimator", "marker_view"),
     "arm/status": (),
 }
 HEAD = 200  # bytes in which lengths and names stand
@@ -115,8 +115,7 @@ def memory_mb(process) -> float:
 
 @pytest.fixture(scope="module")
 def running(shared_graph):
-    cell = CELL | {COLLECTOR: {"folder": shared_graph.folder / "data"}}
-    return {node: shared_graph.start(node, parameters) for node, parameters in cell.items()}
+    return {node: shared_graph.start(node, parameters) for node, parameters in CELL.items()}
 
 
 @pytest.mark.parametrize("example", examples(), ids=lambda example: example[1])

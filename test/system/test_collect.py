@@ -118,7 +118,7 @@ def test_with_an_external_arm_only_the_stage_before_it_is_started(tmp_path):
     parser = argparse.ArgumentParser()
     register(parser.add_subparsers())
     graph = make_plan(parser.parse_args(["collect", str(tmp_path / "data"), "--scene", str(scene)])).graph
-    assert [n.full_name for n in graph.nodes] == ["/arm/arm", "/arm/collector"]
+    assert [n.full_name for n in graph.nodes] == ["/arm/arm", "/arm/controller"]
 
 
 def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_table():
@@ -133,9 +133,9 @@ def test_the_contact_frame_of_a_scene_lies_under_the_start_a_radius_off_the_tabl
 def test_settings_come_from_a_file_and_from_the_command_line_on_top(tmp_path):
     file = tmp_path / "collect.yaml"
     file.write_text("motion: {gain: 5.0, clearance: 0.004}\ntouch: {speed: 1e-3}\n")
-    groups = chosen_settings(file, ["motion.gain=6.0"], touches=3)
-    assert groups["motion"].gain == 6.0 and groups["motion"].clearance == 0.004
-    assert groups["touch"].points == 3 and groups["touch"].speed == 1e-3
+    settings = chosen_settings(file, ["motion.gain=6.0"], touches=3)
+    assert settings.motion.gain == 6.0 and settings.motion.clearance == 0.004
+    assert settings.touch.points == 3 and settings.touch.speed == 1e-3
     file.write_text("motion: {gian: 5.0}\n")
     with pytest.raises(SettingError, match=r"collect\.yaml:1: motion: .*did you mean 'gain'"):
         chosen_settings(file, [], touches=0)
