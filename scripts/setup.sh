@@ -80,7 +80,7 @@ install() {
     printf '%s\n' "$wanted" >"$stamp"
 }
 
-install base "ROS 2 and Python packages" completion
+install base "ROS 2 and Python packages" completion view
 if [ $# -gt 0 ]; then
     install "$(tr ' ' - <<<"$*")" "more Python packages ($*)" "$@"
 fi

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import argparse
 
-# Modules that add commands: each has `register(subparsers)`, which sets `run`, a callable of the arguments.
+# Modules that add commands, by name, since some stand above this file: each has `register(subparsers)`, which
+# sets `run`, a callable of the arguments.
 COMMANDS = (
     "tactile_bringup.commands.launch",
     "tactile_bringup.commands.run",
@@ -22,7 +23,9 @@ COMMANDS = (
     "tactile_bringup.commands.demo",
     "tactile_bringup.commands.simulate",
     "tactile_bringup.commands.experiment",
+    "tactile_view.command",
     "tactile_bringup.commands.report",
+    "tactile_bringup.commands.export",
     "tactile_bringup.commands.replay",
     "tactile_bringup.commands.estimate",
     "tactile_bringup.commands.train",

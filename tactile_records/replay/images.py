@@ -105,7 +105,7 @@ def _decoded(bag: Bag) -> Iterator[Recorded | Image]:
         queue: list[Any] = []
         for message in bag.messages:
             is_image = _arm_of(message.topic) is not None
-            queue.append(pool.submit(_image, fields[message.type], message) if is_image else message)
+            queue.append(pool.submit(image_of, fields[message.type], message) if is_image else message)
             if len(queue) > AHEAD:
                 yield _result(queue.pop(0))
         yield from map(_result, queue)
@@ -115,8 +115,14 @@ def _result(item: Any) -> Recorded | Image:
     return item if isinstance(item, Recorded) else item.result()
 
 
-def _image(fields: Any, message: Recorded) -> Image:
-    """Decode one message of an image."""
+def image_of(fields: Any, message: Recorded) -> Image:
+    """One image, decoded, or why there is none.
+
+    Parameters
+    ----------
+    fields : mapping
+        Type -> (constants, fields), see `message_definitions.type_fields`.
+    """
     try:
         layout = layout_of(fields, message.type, message.data)
     except Unreadable as error:

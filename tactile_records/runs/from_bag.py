@@ -118,6 +118,11 @@ def pose_matrix(pose: Any) -> Array:
     return _matrix(pose.position, pose.orientation)
 
 
+def transform_matrix(transform: Any) -> Array:
+    """T (4, 4) of a geometry_msgs/Transform."""
+    return _matrix(transform.translation, transform.rotation)
+
+
 def _matrix(position: Any, orientation: Any) -> Array:
     q = np.array([orientation.w, orientation.x, orientation.y, orientation.z])
     w, x, y, z = _finite(q / (np.linalg.norm(q) or np.nan), "its orientation")
@@ -203,7 +208,7 @@ STREAMS: dict[str, tuple[str, Callable[[Any], dict[str, Any] | None]]] = {
 }
 
 
-def _frames(message: Any) -> tuple[str, list[tuple[int, float, int]]]:
+def frames_of(message: Any) -> tuple[str, list[tuple[int, float, int]]]:
     """Stage, and the frames that it tells of: exposure (ns), latency (s), how many it has dropped by then."""
     parts = zip(message.exposed, message.emitted, message.dropped, strict=True)
     return message.stage, [(_ns(e), (_ns(out) - _ns(e)) * 1e-9, int(dropped)) for e, out, dropped in parts]
@@ -216,7 +221,7 @@ def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
     of this record.
     """
     by_stage: dict[str, list[tuple[int, float, int]]] = {}
-    for stage, frames in rows.rows("latency", _frames):
+    for stage, frames in rows.rows("latency", frames_of):
         if frames:
             by_stage.setdefault(stage, []).extend(frames)
     series, lost = {}, {}
@@ -250,7 +255,7 @@ def _body_series(bag: Bag, frame: str) -> BodySeries:
             if transform.child_frame_id != frame:
                 continue
             try:
-                T = _matrix(transform.transform.translation, transform.transform.rotation)
+                T = transform_matrix(transform.transform)
             except ValueError as error:
                 bag.problems.append(f"{TF.name}: {frame}: {error}")
             else:

@@ -31,9 +31,10 @@ MAY_IMPORT = {
     "tactile_records": LIBRARIES,
     "tactile_ros": LIBRARIES | {"tactile_drivers", "tactile_doubles", "tactile_records"},
     "tactile_bringup": LIBRARIES | {"tactile_drivers", "tactile_doubles", "tactile_records", "tactile_ros"},
+    "tactile_view": LIBRARIES | {"tactile_records", "tactile_ros", "tactile_bringup"},
 }
 PACKAGES = set(MAY_IMPORT)
-EDGE = ("tactile_ros", "tactile_bringup/launching")  # the folders that import ROS
+EDGE = ("tactile_ros", "tactile_bringup/launching", "tactile_view/live")  # the folders that import ROS
 ROS = {"rclpy", "tf2_ros", "launch", "launch_ros", "ament_index_python", "tactile_msgs", "tf2_msgs"}
 OPTIONAL = {"torch", "onnx"}  # the extra `train`
 

@@ -1,0 +1,278 @@
+"""CellState: what messages have said of a cell up to now, the same live and from a recording.
+
+    cell = CellState(installed_types)
+    cell.take("/arm/contact/state", "tactile_msgs/msg/ContactState", data, received_ns)
+    cell.arms["arm"].newest("belief")
+
+Messages come as bytes and are read by `rosbags`, so that a recording needs no ROS. Of each stream of an arm
+the last `WINDOW` seconds are kept, of an image only the newest, undecoded. A message that is none is counted
+and passed over: whoever shows something must not end by it.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.serde import SerdeError
+
+from tactile_base import topics
+from tactile_base.stamps import SECOND_NS
+from tactile_base.topics import Topic
+from tactile_records.bags.contents import Recorded
+from tactile_records.runs.from_bag import STREAMS, frames_of, transform_matrix
+from tactile_wire.errors import MessageError
+from tactile_wire.message_definitions import message_definition, typestore
+
+Array = NDArray[Any]
+Row = dict[str, Any]
+#: Type -> what `rosbags` deserializes it with.
+Types = Callable[[str], Any]
+
+WINDOW = 10.0  # s
+MOST_ROWS = 4000  # of a stream within the window, whatever its rate
+PATH = 3000  # points of the way behind
+STEP = 5e-4  # m, between two of them
+MOST_EVENTS = 200
+#: What bytes raise that are no message of their type, and a message that makes no sense.
+SENSELESS = (
+    SerdeError, MessageError, struct.error, ValueError, LookupError, TypeError, AttributeError,
+    AssertionError, OverflowError, MemoryError,
+)  # fmt: skip
+_NAMES = {topic: name for name, (topic, _) in STREAMS.items()}
+_IMAGES = (topics.IMAGE.name, topics.compressed(topics.IMAGE).name)
+
+
+def installed_types(type_name: str) -> Any:
+    """A type as it is installed."""
+    return typestore(type_name, message_definition(type_name))
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that is told beside the numbers: a phase, a refusal, a change of a parameter, a warning."""
+
+    stamp_ns: int
+    kind: str
+    text: str
+
+
+@dataclass
+class ArmState:
+    """What is known of one arm.
+
+    Attributes
+    ----------
+    streams : name in `from_bag.STREAMS` -> its rows of the last seconds, oldest first
+    status, controller, contact : the last ArmStatus, ControllerStatus, ContactState
+    image : the last image's message, undecoded
+    joints : angles of the joints (n,), rad, where the arm tells them
+    path : where the sensor was, in the base (3,), m
+    latency, dropped : stage -> (exposure (ns), seconds) of the last frames; how many were dropped so far
+    """
+
+    name: str
+    streams: dict[str, deque[Row]] = field(default_factory=lambda: {name: deque() for name in STREAMS})
+    status: Any = None
+    controller: Any = None
+    contact: Any = None
+    image: Recorded | None = None
+    joints: Array | None = None
+    path: deque[Array] = field(default_factory=lambda: deque(maxlen=PATH))
+    latency: dict[str, deque[tuple[int, float]]] = field(default_factory=dict)
+    dropped: dict[str, int] = field(default_factory=dict)
+    T_world_base: Array = field(default_factory=lambda: np.eye(4))
+
+    def newest(self, stream: str) -> Row | None:
+        """The last row of a stream."""
+        rows = self.streams[stream]
+        return rows[-1] if rows else None
+
+    def columns(self, stream: str, *names: str) -> list[Array]:
+        """Columns of a stream's rows."""
+        rows = list(self.streams[stream])
+        return [np.array([row[name] for row in rows]) for name in names]
+
+
+class CellState:
+    """See the module's text.
+
+    Attributes
+    ----------
+    arms : by name
+    bodies : name -> T_world_body (4, 4), of those that move
+    trouble : node -> what it complains about in /diagnostics
+    events : what is told beside the numbers
+    changed : node -> name -> value, of parameters that were changed since somebody took it from here
+    refused : topic -> number of messages that were none
+    now_ns : stamp of the latest message
+    """
+
+    def __init__(self, types: Types = installed_types) -> None:
+        self.types = types
+        self._shared: dict[str, Callable[[Any, int], None]] = {
+            topics.TF.name: self._take_transforms,
+            topics.TF_STATIC.name: self._take_transforms,
+            topics.DIAGNOSTICS.name: self._take_diagnostics,
+            topics.ROSOUT.name: self._take_log,
+            topics.PARAMETER_EVENTS.name: self._take_change,
+            topics.ESTOP.name: self._take_stop,
+        }
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything, as for another place in a recording."""
+        self.arms: dict[str, ArmState] = {}
+        self.bodies: dict[str, Array] = {}
+        self.trouble: dict[str, str] = {}
+        self.events: deque[Event] = deque(maxlen=MOST_EVENTS)
+        self.changed: dict[str, dict[str, Any]] = {}
+        self.refused: Counter[str] = Counter()
+        self.now_ns = 0
+
+    def arm(self, name: str) -> ArmState:
+        """The state of an arm, which begins with its first message."""
+        if name not in self.arms:
+            self.arms[name] = ArmState(name)
+        return self.arms[name]
+
+    def take(self, topic: str, type_name: str, data: bytes, received_ns: int) -> None:
+        """One message; what nobody shows is passed over."""
+        act = self._shared.get(topic)
+        arm, _, name = topic[1:].partition("/")
+        act = act or (self._of_arm(arm, name) if name in _SHOWN else None)
+        if act is None:
+            return
+        self.now_ns = max(self.now_ns, received_ns)
+        if name in _IMAGES:
+            self.arm(arm).image = Recorded(topic, type_name, data, received_ns, received_ns)
+            return
+        try:
+            act(self.types(type_name).deserialize_cdr(data, type_name), received_ns)
+        except SENSELESS:
+            self.refused[topic] += 1
+
+    # ---- of all ----
+
+    def _take_transforms(self, message: Any, received_ns: int) -> None:
+        for item in message.transforms:
+            child, parent = item.child_frame_id, item.header.frame_id
+            if parent != topics.WORLD:
+                continue
+            if child.startswith(BODY):
+                self.bodies[child.removeprefix(BODY)] = transform_matrix(item.transform)
+            elif child.endswith(BASE):
+                self.arm(child.removesuffix(BASE)).T_world_base = transform_matrix(item.transform)
+
+    def _take_diagnostics(self, message: Any, received_ns: int) -> None:
+        for status in message.status:
+            bad = status.level not in (0, b"\x00")
+            was = self.trouble.pop(status.name, "")
+            if bad:
+                self.trouble[status.name] = status.message
+                if status.message != was:
+                    self._tell(received_ns, "diagnostics", f"{status.name}: {status.message}")
+
+    def _take_log(self, message: Any, received_ns: int) -> None:
+        if message.level >= WARNING:
+            self._tell(received_ns, "warning", f"{message.name}: {message.msg}")
+
+    def _take_change(self, message: Any, received_ns: int) -> None:
+        for changed in message.changed_parameters:
+            value = _value_of(changed.value)
+            self.changed.setdefault(message.node, {})[changed.name] = value
+            self._tell(received_ns, "parameter", f"{message.node} {changed.name} = {value}")
+
+    def _take_stop(self, message: Any, received_ns: int) -> None:
+        if message.data:
+            self._tell(received_ns, "stop", "emergency stop of all arms")
+
+    def _tell(self, stamp_ns: int, kind: str, text: str) -> None:
+        self.events.append(Event(stamp_ns, kind, text))
+
+    # ---- of an arm ----
+
+    def _of_arm(self, arm: str, name: str) -> Callable[[Any, int], None]:
+        def act(message: Any, received_ns: int) -> None:
+            state = self.arm(arm)
+            if name in _NAMES:
+                self._take_row(state, _NAMES[name], message)
+            if name == topics.ARM_STATUS.name:
+                self._take_status(state, message, received_ns)
+            elif name == topics.CONTROLLER_STATUS.name:
+                self._take_controller(state, message, received_ns)
+            elif name == topics.STATE.name:
+                state.contact = message
+            elif name == topics.JOINT_STATES.name:
+                state.joints = np.asarray(message.position, dtype=np.float64)
+            elif name == topics.LATENCY.name:
+                self._take_latency(state, message)
+
+        return act
+
+    def _take_row(self, state: ArmState, stream: str, message: Any) -> None:
+        row = STREAMS[stream][1](message)
+        if row is None:
+            return
+        rows = state.streams[stream]
+        if rows and row["stamp_ns"] < rows[-1]["stamp_ns"]:
+            return  # late: it would draw a line back
+        rows.append(row)
+        while len(rows) > MOST_ROWS or row["stamp_ns"] - rows[0]["stamp_ns"] > WINDOW * SECOND_NS:
+            rows.popleft()
+        if stream == "pose":
+            position = row["T_base_sensor"][:3, 3]
+            if not state.path or np.linalg.norm(position - state.path[-1]) > STEP:
+                state.path.append(position)
+
+    def _take_status(self, state: ArmState, message: Any, received_ns: int) -> None:
+        before, state.status = state.status, message
+        if before is not None and (before.mode, before.reason) != (message.mode, message.reason):
+            mode = MODES[message.mode] if message.mode < len(MODES) else str(message.mode)
+            self._tell(received_ns, "arm", f"{state.name}: {mode} {message.reason}".rstrip())
+        if before is not None and message.refused and message.refused != before.refused:
+            self._tell(received_ns, "refused", f"{state.name}: {message.refused}")
+
+    def _take_controller(self, state: ArmState, message: Any, received_ns: int) -> None:
+        before, state.controller = state.controller, message
+        if before is None or (before.phase, before.reason) != (message.phase, message.reason):
+            self._tell(received_ns, "phase", f"{state.name}: {message.phase} {message.reason}".rstrip())
+
+    def _take_latency(self, state: ArmState, message: Any) -> None:
+        stage, frames = frames_of(message)
+        if frames:
+            kept = state.latency.setdefault(stage, deque(maxlen=600))
+            kept.extend((stamp_ns, seconds) for stamp_ns, seconds, _ in frames)
+            state.dropped[stage] = frames[-1][2]
+
+
+BODY, BASE = topics.body_frame(""), topics.base_frame("")
+WARNING = 30  # rcl_interfaces/Log.WARN
+MODES = ("resting", "moving", "stopping", "fault", "emergency stop")  # of tactile_msgs/ArmStatus
+_SHOWN = {
+    *_NAMES, *_IMAGES, topics.ARM_STATUS.name, topics.CONTROLLER_STATUS.name, topics.STATE.name,
+    topics.JOINT_STATES.name, topics.LATENCY.name,
+}  # fmt: skip
+
+
+def shown_topics(arm: str, images: bool = True) -> list[Topic]:
+    """The topics of an arm that are looked at."""
+    found = {topic.name: topic for topic in (*topics.ARM_TOPICS, *topics.SENSOR_TOPICS, topics.JOINT_STATES)}
+    chosen = [topic for name, topic in found.items() if name in _SHOWN]
+    return [topic.of(arm) for topic in (*chosen, *((topics.IMAGE,) if images else ()))]
+
+
+def _value_of(value: Any) -> Any:
+    """What a rcl_interfaces/ParameterValue holds."""
+    names = (
+        "", "bool_value", "integer_value", "double_value", "string_value", "byte_array_value",
+        "bool_array_value", "integer_array_value", "double_array_value", "string_array_value",
+    )  # fmt: skip
+    name = names[value.type] if value.type < len(names) else ""
+    found = getattr(value, name) if name else None
+    return found.tolist() if isinstance(found, np.ndarray) else found

@@ -1,0 +1,285 @@
+"""CellView: the cell in three dimensions: arms, tips, surfaces, believed contacts with their uncertainty.
+
+What is shown comes from a `CellState` and, where there is one, from the scene file: shapes of bodies, where
+arms stand, links of known arms. Lengths are metres; a cell of the grid is 10 mm, a thick line of it 100 mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from tactile_geometry import se3
+from tactile_geometry.gaussian import ros_from_left
+from tactile_scene.scene import ArmScene, Scene
+from tactile_view.cell_state import ArmState, CellState
+
+Array = NDArray[Any]
+
+TIP_RADIUS, STALK = 0.020, 0.12  # m, where no scene says it; from the centre of the dome to the flange
+ARM_COLOR, TIP_COLOR, BODY_COLOR, PATH_COLOR = (90, 96, 104), (235, 120, 40), (185, 195, 205), (40, 110, 200)
+BELIEF_COLOR, TRUTH_COLOR, SHEAR_COLOR, TWIST_COLOR = (
+    (30, 120, 220),
+    (20, 150, 60),
+    (200, 30, 120),
+    (120, 60, 200),
+)
+EYE = np.array([0.16, -0.26, 0.16])  # m, from what is looked at
+LINK = 0.07  # m, thickness of a link
+SHEAR_SCALE = 10.0  # an arrow of 10 mm is a shear of 1 mm
+TWIST_SECONDS = 2.0  # an arrow is as long as the way in so many seconds
+LEAST_ARROW = 1e-4  # m; shorter ones are none
+_MESH = 60  # points of a surface along an edge
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 25)
+
+
+@dataclass
+class ViewOptions:
+    """What is shown, and how large what is small."""
+
+    truth: bool = True
+    path: bool = True
+    twist: bool = True
+    uncertainty: float = 10.0
+
+
+def place(handle: Any, T: Array) -> None:
+    """Put a node where a pose (4, 4) in its parent's frame is."""
+    x, y, z, w = se3.quaternion_from_rotation(T[:3, :3]).tolist()
+    handle.wxyz, handle.position = (w, x, y, z), tuple(T[:3, 3].tolist())
+
+
+def dome(radius: float, rings: int = 10) -> tuple[Array, Array]:
+    """Vertices and triangles of a tip: half a sphere about the origin, +z, on a cylinder of its radius."""
+    angles = np.linspace(0.5 * np.pi, 0.0, rings)
+    profile = [(radius, -radius), *((radius * np.sin(a), radius * np.cos(a)) for a in angles)]
+    columns = np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=1)
+    vertices = np.array([[*(r * column), z] for r, z in profile for column in columns])
+    n, faces = len(_ROUND), []
+    for ring in range(len(profile) - 1):
+        for k in range(n - 1):
+            a, b = ring * n + k, (ring + 1) * n + k
+            faces += [(a, a + 1, b), (b, a + 1, b + 1)]
+    return vertices, np.array(faces)
+
+
+class CellView:
+    """See the module's text."""
+
+    def __init__(self, server: viser.ViserServer, scene: Scene | None) -> None:
+        self._scene3d, self._scene = server.scene, scene
+        self.options = ViewOptions()
+        self._arms: dict[str, _ArmView] = {}
+        server.scene.set_up_direction("+z")
+        server.scene.configure_default_lights(enabled=True)
+        server.scene.add_grid(
+            "/grid", width=2.0, height=2.0, cell_size=0.01, section_size=0.1, cell_color=(232, 232, 232),
+            section_color=(200, 200, 200), position=(0.0, 0.0, -1e-3),
+        )  # fmt: skip
+        self._bodies = {} if scene is None else {name: self._add_body(name) for name in scene.bodies}
+        middle = self.middle(CellState())
+        server.initial_camera.position = tuple((middle + EYE).tolist())
+        server.initial_camera.look_at = tuple(middle.tolist())
+        server.initial_camera.near = 1e-3
+
+    def _add_body(self, name: str) -> Any:
+        assert self._scene is not None
+        vertices, faces = self._scene.bodies[name].make().mesh(_MESH)
+        node = self._scene3d.add_mesh_simple(
+            f"/bodies/{name}", vertices, faces, color=BODY_COLOR, side="double", opacity=0.85
+        )
+        place(node, self._scene.T_world_body(name))
+        return node
+
+    def middle(self, state: CellState) -> Array:
+        """What to look at, in the world (3,): the middle of the tips."""
+        tips = [
+            arm.T_world_base @ pose["T_base_sensor"]
+            for arm in state.arms.values()
+            if (pose := arm.newest("pose")) is not None
+        ]
+        if not tips and self._scene is not None:
+            tips = [arm.T_world_start for arm in self._scene.arms.values()]
+        return np.mean([T[:3, 3] for T in tips], axis=0) if tips else np.zeros(3)
+
+    def show(self, state: CellState) -> None:
+        """Show the cell as it is known now."""
+        for name, arm in state.arms.items():
+            if name not in self._arms:
+                described = None if self._scene is None else self._scene.arms.get(name)
+                self._arms[name] = _ArmView(self._scene3d, name, described)
+            self._arms[name].show(arm, self.options)
+        for name, node in self._bodies.items():
+            place(node, self._T_world_body(name, state))
+
+    def _T_world_body(self, name: str, state: CellState) -> Array:
+        assert self._scene is not None
+        if name in state.bodies:
+            return state.bodies[name]
+        body = self._scene.bodies[name]
+        arm = state.arms.get(body.carried_by)
+        pose = None if arm is None else arm.newest("pose")
+        if arm is None or pose is None:
+            return self._scene.T_world_body(name)
+        T_controlled_tool = se3.inverse(self._scene.arms[arm.name].T_tool_controlled)
+        return np.asarray(arm.T_world_base @ pose["T_base_sensor"] @ T_controlled_tool @ body.T_parent_body)
+
+
+class _ArmView:
+    """One arm with all that belongs to it; its nodes stand in its base."""
+
+    def __init__(self, scene3d: Any, name: str, arm: ArmScene | None) -> None:
+        self._scene3d, self._root, self._arm = scene3d, f"/arms/{name}", arm
+        self._feels = arm is None or arm.sensor is not None
+        radius = TIP_RADIUS if arm is None or arm.sensor is None else arm.sensor.settings.tip_radius
+        self._base = scene3d.add_frame(self._root, axes_length=0.05, axes_radius=0.002)
+        self._tip = scene3d.add_frame(f"{self._root}/tip", axes_length=0.03, axes_radius=8e-4)
+        vertices, faces = dome(radius)
+        scene3d.add_mesh_simple(
+            f"{self._root}/tip/dome", vertices, faces, color=TIP_COLOR, opacity=0.6, side="double",
+            visible=self._feels,
+        )  # fmt: skip
+        stalk = np.array([[[0.0, 0.0, -STALK], [0.0, 0.0, -radius if self._feels else 0.0]]])
+        self._line(f"{self._root}/tip/stalk", stalk, ARM_COLOR, 0.025)
+        self._links = self._line(f"{self._root}/links", np.zeros((1, 2, 3)), ARM_COLOR, LINK)
+        self._path = self._line(f"{self._root}/path", np.zeros((1, 2, 3)), PATH_COLOR, 1e-3)
+        self._contact = scene3d.add_frame(f"{self._root}/contact", axes_length=0.02, axes_radius=6e-4)
+        self._ellipsoid = scene3d.add_icosphere(
+            f"{self._root}/contact_position", 1.0, color=BELIEF_COLOR, opacity=0.45
+        )
+        self._normals = self._line(f"{self._root}/contact/normals", np.zeros((1, 2, 3)), BELIEF_COLOR, 4e-4)
+        self._shear = self._arrow("shear", SHEAR_COLOR)
+        self._reference = scene3d.add_frame(
+            f"{self._root}/reference", axes_length=0.015, axes_radius=4e-4, origin_color=TWIST_COLOR
+        )
+        self._truth = scene3d.add_frame(
+            f"{self._root}/truth", axes_length=0.025, axes_radius=3e-4, origin_color=TRUTH_COLOR
+        )
+        self._twist = self._arrow("twist", TWIST_COLOR)
+        scene3d.add_label(f"{self._root}/tip/name", name, position=(0.0, 0.0, -STALK))
+
+    def _line(self, name: str, points: Array, color: tuple[int, int, int], thickness: float) -> Any:
+        return self._scene3d.add_line_segments(
+            name, points, color, thickness=thickness, thickness_units="world", visible=bool(points.any())
+        )
+
+    def _arrow(self, name: str, color: tuple[int, int, int]) -> Any:
+        shape = {"shaft_radius": 8e-4, "head_radius": 2e-3, "head_length": 4e-3}
+        return self._scene3d.add_arrows(
+            f"{self._root}/{name}",
+            np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]]]),
+            color,
+            visible=False,
+            **shape,
+        )
+
+    def show(self, state: ArmState, options: ViewOptions) -> None:
+        """Show the arm as it is known now."""
+        place(self._base, state.T_world_base)
+        pose = state.newest("pose")
+        self._tip.visible = pose is not None
+        if pose is None:
+            return
+        T = pose["T_base_sensor"]
+        place(self._tip, T)
+        self._show_links(state)
+        self._show_path(state, options)
+        self._show_contact(state, options)
+        self._show_truth(state, options)
+        command = state.newest("command")
+        way = np.zeros(3) if command is None else T[:3, :3] @ command["twist"][:3] * TWIST_SECONDS
+        _point(self._twist, T[:3, 3], way, options.twist)
+
+    def _show_links(self, state: ArmState) -> None:
+        chain = None if self._arm is None else self._arm.kinematics
+        known = chain is not None and state.joints is not None and len(state.joints) == len(chain.names)
+        self._links.visible = known
+        if chain is not None and state.joints is not None and known:
+            self._links.points = chain.capsules(state.joints).ends
+
+    def _show_path(self, state: ArmState, options: ViewOptions) -> None:
+        self._path.visible = options.path and len(state.path) > 1
+        if self._path.visible:
+            points = np.array(state.path)
+            self._path.points = np.stack([points[:-1], points[1:]], axis=1)
+
+    def _show_contact(self, state: ArmState, options: ViewOptions) -> None:
+        """The believed feature frame where the sensor was at its exposure, if there is contact."""
+        belief, presence = state.newest("belief"), state.newest("presence")
+        T = None if belief is None else pose_at(state, belief["stamp_ns"])
+        there = T is not None and bool(presence is None or presence["in_contact"])
+        for node in (self._contact, self._ellipsoid, self._normals):
+            node.visible = there
+        command = state.newest("command")
+        reference = None if command is None else command["reference"]
+        self._reference.visible = bool(there and reference is not None and np.isfinite(reference).all())
+        if not there or belief is None or T is None:
+            self._shear.visible = False
+            return
+        T_base_f = T @ belief["mean"]
+        place(self._contact, T_base_f)
+        cov = ros_from_left(belief["cov"], belief["mean"][:3, 3])
+        sizes, axes = np.linalg.eigh(cov[:3, :3])
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        radii = 2.0 * options.uncertainty * np.sqrt(np.maximum(sizes, 0.0))
+        place(self._ellipsoid, T @ se3_of(axes, belief["mean"][:3, 3]))
+        self._ellipsoid.scale = tuple(np.maximum(radii, 1e-5).tolist())
+        self._normals.points = cone(belief["mean"], cov, options.uncertainty)
+        X_fs = se3.inverse(belief["mean"])
+        shear = T_base_f[:3, :2] @ X_fs[:2, 3] * SHEAR_SCALE
+        _point(self._shear, T_base_f[:3, 3], shear, True)
+        if self._reference.visible and reference is not None:
+            place(self._reference, T_base_f @ se3.pose_from_euler(reference))
+
+    def _show_truth(self, state: ArmState, options: ViewOptions) -> None:
+        truth = state.newest("truth")
+        T = None if truth is None else pose_at(state, truth["stamp_ns"])
+        self._truth.visible = bool(
+            options.truth and truth is not None and T is not None and truth["in_contact"]
+        )
+        if self._truth.visible and truth is not None and T is not None:
+            place(self._truth, T @ se3.inverse(truth["T_fs"]))
+
+
+def pose_at(state: ArmState, stamp_ns: int) -> Array | None:
+    """T_base_sensor (4, 4) of the last pose at or before a stamp, or the first after it."""
+    found = None
+    for row in reversed(state.streams["pose"]):
+        found = row["T_base_sensor"]
+        if row["stamp_ns"] <= stamp_ns:
+            break
+    return found
+
+
+def cone(mean: Array, cov: Array, scale: float, length: float = 0.02) -> Array:
+    """Segments (N, 2, 3) in {f}: the surface normal as it may be within two standard deviations, scaled.
+
+    `cov` (6, 6) as geometry_msgs has it: its rotation is fixed-axis in the sensor frame.
+    """
+    in_f = mean[:3, :3].T @ cov[3:, 3:] @ mean[:3, :3]
+    root = np.linalg.cholesky(in_f[:2, :2] + 1e-18 * np.eye(2))
+    tilts = 2.0 * scale * root @ np.stack([np.cos(_ROUND[:-1]), np.sin(_ROUND[:-1])])
+    angles = np.minimum(np.linalg.norm(tilts, axis=0), 1.5)
+    axes = tilts / np.maximum(np.linalg.norm(tilts, axis=0), 1e-12)
+    ends = -length * np.stack(
+        [np.sin(angles) * axes[1], -np.sin(angles) * axes[0], np.cos(angles)], axis=1
+    )  # outwards, turned about the axis
+    return np.stack([np.zeros_like(ends), ends], axis=1)
+
+
+def se3_of(R: Array, p: Array) -> Array:
+    """A pose (4, 4) of rotation and position."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
+    return T
+
+
+def _point(arrow: Any, start: Array, way: Array, wanted: bool) -> None:
+    """Have an arrow lead from a point (3,) along a way (3,)."""
+    arrow.visible = wanted and se3.norm(way) > LEAST_ARROW
+    if arrow.visible:
+        arrow.points = np.array([[start, start + way]])

@@ -1,0 +1,134 @@
+"""LiveGraph: hears what the arms of a ROS domain say, and acts on them for the page.
+
+What a person asks for is done one after the other in a thread of its own, with a context of its own, so that
+an answer that does not come holds up nothing. The emergency stop alone waits for nobody: it is sent by
+whoever asks for it.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from rosidl_runtime_py.utilities import get_message
+
+from tactile_base import topics
+from tactile_base.topics import LATCHED, Topic
+from tactile_bringup.launching.graph_client import GraphClient
+from tactile_bringup.launching.operator import Operator, OperatorError
+from tactile_ros.qos import DIAGNOSTICS, IMAGE, LATENCY, NOTES, STATE, TF, TF_STATIC
+from tactile_view.cell_state import CellState, installed_types, shown_topics
+
+ENCLAVE = "/operator"
+LOOK = 1.0  # s, between looks for arms that are new
+SHARED = (
+    topics.TF,
+    topics.TF_STATIC,
+    topics.DIAGNOSTICS,
+    topics.ROSOUT,
+    topics.PARAMETER_EVENTS,
+    topics.ESTOP,
+)
+_PROFILES = {
+    topics.TF.name: TF,
+    topics.TF_STATIC.name: TF_STATIC,
+    topics.DIAGNOSTICS.name: DIAGNOSTICS,
+    topics.ROSOUT.name: NOTES,
+    topics.PARAMETER_EVENTS.name: DIAGNOSTICS,
+}
+IMAGE_RATE = 10.0  # Hz, at which images are taken: others are not even copied
+
+
+class LiveGraph(GraphClient):
+    """Gives each message that arrives to a `CellState`; a context, as `GraphClient`."""
+
+    types = staticmethod(installed_types)
+
+    def __init__(self, domain_id: int, state: CellState) -> None:
+        super().__init__("/tactile_view", domain_id)
+        self._state, self._arms, self._looked = state, set[str](), -1.0
+        for topic in SHARED:
+            self._listen(topic)
+
+    def poll(self, timeout_s: float) -> None:
+        """Handle what arrives within so long; listen to arms that are new."""
+        if time.monotonic() - self._looked > LOOK:
+            self._looked = time.monotonic()
+            for name, _ in self._node.get_topic_names_and_types():
+                arm = topics.ARM_STATUS.arm_of(name)
+                if arm is not None and arm not in self._arms:
+                    self._arms.add(arm)
+                    for topic in shown_topics(arm):
+                        self._listen(topic)
+        end = time.monotonic() + timeout_s
+        while (left := end - time.monotonic()) > 0.0:
+            self.spin(left)
+
+    def _listen(self, topic: Topic) -> None:
+        name, kind, due = topic.name, topic.type, 0.0
+        is_image = topics.IMAGE.arm_of(name) is not None
+
+        def take(data: bytes) -> None:
+            nonlocal due
+            if is_image:
+                if (now := time.monotonic()) < due:
+                    return
+                due = now + 1.0 / IMAGE_RATE
+            self._state.take(name, kind, data, time.time_ns())
+
+        profile = _PROFILES.get(name, LATENCY if name.endswith(topics.LATENCY.name) else STATE)
+        profile = IMAGE if is_image else NOTES if topic.qos == LATCHED and name not in _PROFILES else profile
+        self._node.create_subscription(get_message(kind), name, take, profile, raw=True)
+
+
+class Hands:
+    """Does what a person asks for, in a thread of its own; `say` gets what came of it."""
+
+    def __init__(self, domain_id: int, say: Callable[[str, bool], None]) -> None:
+        self._say, self._asked = say, queue.Queue[Callable[[Operator], str] | None]()
+        self._operator = Operator(domain_id)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def stop_all(self) -> None:
+        """Publish /estop at once, from whatever thread."""
+        self._operator.stop()
+
+    def ask(self, act: Callable[[Operator], str]) -> None:
+        """Have something done with the operator; it returns what is to be said."""
+        self._asked.put(act)
+
+    def close(self) -> None:
+        """End the thread, once what was asked for is done."""
+        self._asked.put(None)
+        self._thread.join()
+        self._operator.close()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                act = self._asked.get(timeout=0.2)
+            except queue.Empty:
+                self._operator.look()
+                continue
+            if act is None:
+                return
+            try:
+                self._say(act(self._operator), True)
+            except OperatorError as error:
+                self._say(str(error), False)
+
+
+def scene_of(operator: Operator) -> str:
+    """Path of the scene of the graph, as the node of an arm or the simulation says; '': none does."""
+    for node in sorted(operator.node_names()):
+        if node.endswith("/arm") or node == "/sim":
+            try:
+                value = operator.parameters(node).get("scene", ("", None))[0]
+            except OperatorError:
+                continue
+            if value:
+                return str(value)
+    return ""

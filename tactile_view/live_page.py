@@ -1,0 +1,162 @@
+"""LivePage: the page beside a running graph: what arms do, and buttons and settings to act on them."""
+
+from __future__ import annotations
+
+import threading
+from html import escape
+from typing import Any
+
+from tactile_bringup.launching.operator import Operator, OperatorError
+from tactile_scene.scene import Scene
+from tactile_scene.scene_file import SceneError, load_scene
+from tactile_view.cell_state import CellState
+from tactile_view.live import Hands, LiveGraph, scene_of
+from tactile_view.page import Page
+from tactile_view.settings_panel import Parameter, SettingsPanel
+from tactile_view.words import set_html
+
+NODES = ("controller", "filter", "estimator", "arm")
+NO_EMERGENCY_STOP = "These buttons are software. They are no emergency stop: keep the real one at hand."
+FIND = 3.0  # s, to find what is there
+
+
+class LivePage(Page):
+    """See the module's text; `graph` gives the messages, `hands` does what is asked for."""
+
+    def __init__(self, graph: LiveGraph, state: CellState, scene: Scene | None, host: str, port: int) -> None:
+        self.hands = Hands(graph.domain_id, self._say)
+        self._domain_id, self._node = graph.domain_id, ""
+        super().__init__(state, graph, scene, host, port)
+        self._build_acts()
+        with self.tabs.add_tab("Settings"):
+            self._nodes = self.server.gui.add_dropdown("node", NODES)
+            self._nodes.on_update(lambda event: self._load_settings())
+            self._settings = SettingsPanel(self.server, self._set)
+
+    def close(self) -> None:
+        """Let go of graph and page."""
+        self.server.stop()
+        self.hands.close()
+
+    # ---- acts ----
+
+    def _build_acts(self) -> None:
+        gui = self.server.gui
+        with self.top:
+            stop = gui.add_button("STOP all arms", color="red")
+            stop.on_click(lambda event: self._stop())
+            gui.add_html(f"<div style='font-size:0.8em;padding:0 0.5em'>{NO_EMERGENCY_STOP}</div>")
+            row = gui.add_button_group("", ("reset", "end goal"))
+            row.on_click(lambda event: self._act(event.target.value))
+            self._goal = gui.add_text(
+                "goal", "{}", hint="values of the task's goal as YAML, e.g. {length: 0.05}"
+            )
+            start = gui.add_button("start goal")
+            start.on_click(lambda event: self._start())
+            self._said = gui.add_html("")
+
+    def _say(self, text: str, ok: bool) -> None:
+        color = "inherit" if ok else "#c01c1c"
+        set_html(self._said, f"<span style='color:{color}'>{escape(text)}</span>")
+
+    def _stop(self) -> None:
+        self.hands.stop_all()
+        self._say("all arms were told to stop; reset lets them move again", True)
+
+    def _act(self, what: str) -> None:
+        arm = self.arm
+
+        def act(operator: Operator) -> str:
+            if what == "reset":
+                return f"{arm}: {operator.reset(arm)}"
+            count = operator.cancel(arm)
+            return f"{arm}: {'its goal ends' if count else 'no goal runs'}"
+
+        self.hands.ask(act)
+
+    def _start(self) -> None:
+        """Run a goal in a thread of its own, since it takes as long as the task."""
+        state = self.state.arms.get(self.arm)
+        if state is None or state.controller is None:
+            self._say(f"{self.arm} has no controller that takes goals", False)
+            return
+        words = {"task": state.controller.task, "name": "from the page", "goal": self._goal.value}
+        threading.Thread(target=self._run_goal, args=(self.arm, words), daemon=True).start()
+
+    def _run_goal(self, arm: str, words: dict[str, str]) -> None:
+        self._say(f"{arm}: {words['task']} is asked for", True)
+        try:
+            with Operator(self._domain_id) as operator:
+                result = operator.run_goal(arm, words, lambda feedback: None, lambda: False)
+        except OperatorError as error:
+            self._say(f"{arm}: {error}", False)
+            return
+        way = f"{1e3 * result.path_length:.0f} mm"
+        self._say(f"{arm}: {'done' if result.success else 'failed: ' + result.reason}, {way}", result.success)
+
+    # ---- settings ----
+
+    def show(self) -> None:
+        """See `Page`; the settings are those of the arm that is looked at."""
+        super().show()
+        node = f"/{self.arm}/{self._nodes.value}"
+        if self.arm in self.state.arms and node != self._node:
+            self._load_settings()
+        for name, value in self.state.changed.pop(node, {}).items():
+            self._settings.taken(name, tuple(value) if isinstance(value, list) else value)
+
+    def _load_settings(self) -> None:
+        self._node = node = f"/{self.arm}/{self._nodes.value}"
+
+        def act(operator: Operator) -> str:
+            found = operator.parameters(node)
+            self._settings.fill(
+                [described(name, *both) for name, both in found.items() if shown(name, both[1])]
+            )
+            return f"{node}: {len(found)} parameters"
+
+        self.hands.ask(act)
+
+    def _set(self, name: str, value: Any) -> None:
+        node = self._node
+
+        def act(operator: Operator) -> str:
+            try:
+                operator.set_parameter(node, name, list(value) if isinstance(value, tuple) else value)
+            except OperatorError as error:
+                self._settings.refused(name, str(error))
+                raise
+            return f"{node}: {name} = {value}"  # that it is in force /parameter_events tells
+
+        self.hands.ask(act)
+
+
+def shown(name: str, descriptor: Any) -> bool:
+    """Whether a parameter is one that a person changes at runtime."""
+    return not descriptor.read_only and name not in ("use_sim_time",) and not name.startswith("qos_overrides")
+
+
+def described(name: str, value: Any, descriptor: Any) -> Parameter:
+    """A parameter with what its descriptor says."""
+    ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+    choices: tuple[str, ...] = ()
+    if isinstance(value, str) and descriptor.additional_constraints.startswith("one of "):
+        choices = tuple(descriptor.additional_constraints.removeprefix("one of ").split("; ")[0].split(", "))
+    return Parameter(
+        name,
+        tuple(value) if hasattr(value, "tolist") or isinstance(value, list) else value,
+        "; ".join(filter(None, (descriptor.description, descriptor.additional_constraints))),
+        *((ranges[0].from_value, ranges[0].to_value) if ranges else (None, None)),
+        choices=choices if value in choices else (),
+    )
+
+
+def scene_of_graph(domain_id: int) -> Scene | None:
+    """The scene of the graph in a domain, where its file is on this machine."""
+    with Operator(domain_id) as operator:
+        operator.find(FIND, lambda: bool(operator.arms))
+        path = scene_of(operator)
+    try:
+        return load_scene(path) if path else None
+    except (SceneError, OSError):
+        return None

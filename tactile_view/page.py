@@ -1,0 +1,140 @@
+"""The page: what stands where, and the loop that brings it up to date while somebody looks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import viser
+
+from tactile_scene.scene import Scene
+from tactile_view.cell_state import CellState
+from tactile_view.cell_view import CellView
+from tactile_view.door import free_port, only_own_pages
+from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
+from tactile_view.words import events_in_words, set_html, state_in_words, troubles_in_words
+
+SCENE_PERIOD, PLOT_PERIOD, WORDS_PERIOD, TOUCH_PERIOD = 0.06, 0.25, 0.25, 0.12  # s, between two looks at it
+POLL = 0.02  # s
+
+
+class Source(Protocol):
+    """Where messages come from: a graph or a recording."""
+
+    def types(self, type_name: str) -> Any:
+        """What `rosbags` reads messages of a type with."""
+
+    def poll(self, timeout_s: float) -> None:
+        """Give what comes within so long to the cell's state."""
+
+
+class Page:
+    """See the module's text.
+
+    Parameters
+    ----------
+    host, port : where the page is served, the next port that is free or with 0 any; a `host` other than this
+        one lets others look, and touch
+    scene : what stands in the cell; None where nobody knows
+    """
+
+    def __init__(self, state: CellState, source: Source, scene: Scene | None, host: str, port: int) -> None:
+        self.state, self.source = state, source
+        with only_own_pages(host):
+            self.server = viser.ViserServer(
+                host=host, port=port or free_port(host), label="tactile_servoing", verbose=False
+            )
+        self.server.gui.configure_theme(
+            control_layout="fixed", control_width="large", show_logo=False, show_share_button=False
+        )
+        self.view = CellView(self.server, scene)
+        self.arm = ""
+        self._due: dict[str, float] = {}
+        self._build()
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def _build(self) -> None:
+        gui = self.server.gui
+        self._words = gui.add_html("<p>nothing heard yet</p>")
+        self.top = gui.add_folder("Do")
+        self._arms = gui.add_dropdown("arm", ("-",), visible=False)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Touch"):
+            self._touch = TouchPanel(self.server, self.source.types)
+        with tabs.add_tab("Belief"):
+            self._belief = BeliefPanel(self.server)
+        with tabs.add_tab("Motion"):
+            self._motion = MotionPanel(self.server)
+        with tabs.add_tab("Events"):
+            self._troubles = gui.add_html("")
+            self._events = gui.add_html("")
+        with tabs.add_tab("Look"):
+            self._build_look()
+        self.tabs = tabs
+
+    def _build_look(self) -> None:
+        gui, options = self.server.gui, self.view.options
+        for name, label in (("truth", "truth of the simulation"), ("path", "path"), ("twist", "twist")):
+            box = gui.add_checkbox(label, getattr(options, name))
+            box.on_update(lambda event, name=name: setattr(options, name, event.target.value))
+        size = gui.add_slider("uncertainty, times", 1.0, 50.0, 1.0, options.uncertainty)
+        size.on_update(lambda event: setattr(options, "uncertainty", event.target.value))
+        self.follow = gui.add_checkbox("camera follows the tip", True)
+        self._followed: Any = None
+
+    def close(self) -> None:
+        """Serve no more."""
+        self.server.stop()
+
+    # ---- the loop ----
+
+    def run(self, ends: Callable[[], bool]) -> None:
+        """Show what comes until it `ends`."""
+        while not ends():
+            self.source.poll(POLL)
+            if self.server.get_clients():
+                self.show()
+
+    def show(self) -> None:
+        """Bring up to date what is due."""
+        arms = tuple(sorted(self.state.arms)) or ("-",)
+        if self._arms.options != arms:
+            self._arms.options, self._arms.visible = arms, len(arms) > 1
+        self.arm = self._arms.value if self._arms.value in self.state.arms else arms[0]
+        state = self.state.arms.get(self.arm)
+        if self._is_due("scene", SCENE_PERIOD):
+            self.view.show(self.state)
+            self._follow()
+        if state is None:
+            return
+        if self._is_due("touch", TOUCH_PERIOD):
+            self._touch.show(state)
+        if self._is_due("plots", PLOT_PERIOD):
+            self._belief.show(state, self.state.now_ns)
+            self._motion.show(state, self.state.now_ns)
+        if self._is_due("words", WORDS_PERIOD):
+            set_html(self._words, state_in_words(state))
+            set_html(self._troubles, troubles_in_words(self.state))
+            set_html(self._events, events_in_words(self.state))
+
+    def _is_due(self, what: str, period: float) -> bool:
+        now = time.monotonic()
+        due = now >= self._due.get(what, 0.0)
+        if due:
+            self._due[what] = now + period
+        return due
+
+    def _follow(self) -> None:
+        """Move each camera as the tips have moved."""
+        middle = self.view.middle(self.state)
+        before, self._followed = self._followed, middle
+        if before is None or not self.follow.value or not (abs(middle - before) > 1e-5).any():
+            return
+        for client in self.server.get_clients().values():
+            with client.atomic():
+                client.camera.position = client.camera.position + (middle - before)

@@ -1,0 +1,162 @@
+"""What stands beside the cell: tactile image, belief over time, twists, latency, and the state in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from html import escape
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from viser import uplot
+
+from tactile_base.stamps import SECOND_NS
+from tactile_records.replay.images import image_of
+from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas
+from tactile_records.runs.metrics import inverses
+from tactile_records.runs.record import GaussianSeries
+from tactile_view.cell_state import ArmState, Types
+from tactile_view.words import UNIT_NAMES, estimate_in_words, latency_in_words, set_html
+
+Array = NDArray[Any]
+
+MOST_POINTS = 300  # of a line
+BELIEF, REFERENCE, TRUTH, BAND = "#1e78dc", "#787878", "#14963c", "rgba(30, 120, 220, 0.18)"
+SMALL_PLOT, IMAGE_WIDTH = 150, 480  # pixels
+
+
+def thinned(n: int) -> slice:
+    """Every so manieth of n points, so that no more than MOST_POINTS are left."""
+    return slice(None, None, max(1, math.ceil(n / MOST_POINTS)))
+
+
+class Plot:
+    """One small chart over the last seconds, made of lines; the first two may be the edges of a band."""
+
+    def __init__(
+        self, server: viser.ViserServer, title: str, lines: Iterable[tuple[str, str]], band: bool = False
+    ) -> None:
+        series = [uplot.Series(label="s")]
+        series += [
+            uplot.Series(label=label, stroke=color, width=1.5 if color != BAND else 0.0)
+            for label, color in lines
+        ]
+        self._count = len(series)
+        self._handle = server.gui.add_uplot(
+            data=tuple(np.zeros(1) for _ in series),
+            series=tuple(series),
+            bands=(uplot.Band(series=(1, 2), fill=BAND),) if band else None,
+            scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
+            title=title,
+            height=SMALL_PLOT,
+            legend=uplot.Legend(show=False),
+        )
+
+    def show(self, seconds: Array, *lines: Array) -> None:
+        """Draw lines (N,) over times (N,)."""
+        part = thinned(len(seconds))
+        if len(seconds) and len(lines) + 1 == self._count:
+            self._handle.data = tuple(np.asarray(line, dtype=np.float64)[part] for line in (seconds, *lines))
+
+
+class TouchPanel:
+    """The tactile image, and what the network has made of it, in words."""
+
+    def __init__(self, server: viser.ViserServer, types: Types) -> None:
+        self._types, self._shown = types, 0
+        self._image = server.gui.add_image(
+            np.full((4, 4, 3), 235, np.uint8), label="tactile image", format="jpeg"
+        )
+        self._words = server.gui.add_html("no image yet")
+
+    def show(self, state: ArmState) -> None:
+        """Show the newest image and estimate."""
+        message = state.image
+        if message is not None and message.received_ns != self._shown:
+            self._shown = message.received_ns
+            found = image_of(self._types(message.type).fielddefs, message)
+            if found.pixels is None:
+                set_html(self._words, f"image refused: {escape(found.fault)}")
+                return
+            every = max(1, round(found.pixels.shape[1] / IMAGE_WIDTH))
+            gray = found.pixels[::every, ::every]
+            self._image.image = np.repeat(gray[:, :, None], 3, axis=2)
+        set_html(self._words, estimate_in_words(state))
+
+
+class BeliefPanel:
+    """Each component of the belief, with two standard deviations, against its reference and the truth."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        lines = (("-2σ", BAND), ("+2σ", BAND), ("belief", BELIEF), ("reference", REFERENCE), ("truth", TRUTH))
+        server.gui.add_html(
+            "Sensor in the feature frame: <span style='color:#1e78dc'>belief, ± 2σ</span>, "
+            "<span style='color:#787878'>reference</span>, <span style='color:#14963c'>truth</span>"
+        )
+        self._plots = [
+            Plot(server, f"{name} ({unit})", lines, band=True)
+            for name, unit in zip(COMPONENTS, UNIT_NAMES, strict=True)
+        ]
+
+    def show(self, state: ArmState, now_ns: int) -> None:
+        """Draw the last seconds."""
+        rows = list(state.streams["belief"])
+        if len(rows) < 2:
+            return
+        stamps = np.array([row["stamp_ns"] for row in rows])
+        part = thinned(len(rows))
+        series = GaussianSeries(
+            stamps[part], np.array([r["mean"] for r in rows[part]]), np.array([r["cov"] for r in rows[part]])
+        )
+        mean, sigma = euler_poses(inverses(series.mean)) * UNITS, euler_sigmas(series) * UNITS
+        reference = held(state, "command", "reference", series.stamp_ns, 6) * UNITS
+        truth = self._truth(state, series.stamp_ns) * UNITS
+        seconds = (series.stamp_ns - now_ns) / SECOND_NS
+        for k, plot in enumerate(self._plots):
+            low, high = mean[:, k] - 2 * sigma[:, k], mean[:, k] + 2 * sigma[:, k]
+            plot.show(seconds, low, high, mean[:, k], reference[:, k], truth[:, k])
+
+    def _truth(self, state: ArmState, stamps: Array) -> Array:
+        poses = held(state, "truth", "T_fs", stamps, 4, 4)
+        touching = held(state, "truth", "in_contact", stamps)
+        poses[touching != 1.0] = np.nan
+        return euler_poses(poses)
+
+
+def held(state: ArmState, stream: str, name: str, stamps: Array, *shape: int) -> Array:
+    """A column of a stream at other stamps (N, ...): the last row at or before each; NaN before the first."""
+    found = np.full((len(stamps), *shape), np.nan)
+    rows = list(state.streams[stream])
+    if rows:
+        index = np.searchsorted([row["stamp_ns"] for row in rows], stamps, side="right") - 1
+        values = np.array([row[name] for row in rows], dtype=np.float64)
+        found[index >= 0] = values[index[index >= 0]]
+    return found
+
+
+class MotionPanel:
+    """Twist that the task wants against what the arm does, and the latency of each stage."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        lines = (("wanted", REFERENCE), ("sent", BELIEF), ("arm", TRUTH))
+        server.gui.add_html(
+            "<span style='color:#787878'>wanted</span>, <span style='color:#1e78dc'>sent</span> and "
+            "<span style='color:#14963c'>done by the arm</span>"
+        )
+        names = (*(f"v{axis} (mm/s)" for axis in "xyz"), *(f"ω{axis} (deg/s)" for axis in "xyz"))
+        self._plots = [Plot(server, name, lines) for name in names]
+        self._latency = server.gui.add_html("")
+
+    def show(self, state: ArmState, now_ns: int) -> None:
+        """Draw the last seconds."""
+        rows = list(state.streams["command"])
+        if len(rows) > 1:
+            rows = rows[thinned(len(rows))]
+            stamps = np.array([row["stamp_ns"] for row in rows])
+            wanted, sent = (np.array([row[name] for row in rows]) * UNITS for name in ("unlimited", "twist"))
+            done = held(state, "arm_twist", "twist", stamps, 6) * UNITS
+            for k, plot in enumerate(self._plots):
+                plot.show((stamps - now_ns) / SECOND_NS, wanted[:, k], sent[:, k], done[:, k])
+        set_html(self._latency, latency_in_words(state))

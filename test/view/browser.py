@@ -1,0 +1,89 @@
+"""A page of ours in a real browser: Debian's chromium, without a display, drawn in software."""
+
+import contextlib
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PATIENCE = 60.0  # s
+SOFTWARE = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+)
+
+
+@contextlib.contextmanager
+def chromium() -> Iterator:
+    """A browser, driven by playwright; the test is skipped, and says why, where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra test)")
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("needs chromium (Debian: apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=list(SOFTWARE))
+        yield browser
+        browser.close()
+
+
+class Viewer:
+    """`tactile view` as a process, and a page of it."""
+
+    def __init__(self, browser, folder: Path, *words: str, **variables: str) -> None:
+        import os
+
+        self.output = folder / "view.txt"
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tactile_bringup.cli", "view", *words],
+            env={**os.environ, **variables}, stdout=self.output.open("w"), stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        assert wait(lambda: "open http" in self.said or self.process.poll() is not None), self.said
+        found = re.search(r"http://[\d.]+:\d+", self.said)
+        assert found, self.said
+        self.address = found[0]
+        self.page = browser.new_page(viewport={"width": 1400, "height": 850})
+        self.page.goto(self.address)
+        self.page.wait_for_selector("canvas", timeout=1e3 * PATIENCE)
+
+    @property
+    def said(self) -> str:
+        return self.output.read_text()
+
+    def text(self) -> str:
+        return self.page.inner_text("body")
+
+    def sees(self, text: str) -> bool:
+        return wait(lambda: text in self.text())
+
+    def picture(self) -> np.ndarray:
+        """The scene (h, w, 3), uint8."""
+        import cv2
+
+        data = self.page.locator("canvas").first.screenshot()
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+    def close(self) -> None:
+        self.page.close()
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(15.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+
+
+def wait(holds: Callable[[], bool], seconds: float = PATIENCE) -> bool:
+    end = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True

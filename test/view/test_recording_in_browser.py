@@ -1,0 +1,49 @@
+"""A recording on the page in a real browser: the scene is drawn, the image moves, the time line seeks."""
+
+import numpy as np
+import pytest
+from browser import Viewer, chromium, wait
+from cell_messages import record
+
+pytestmark = pytest.mark.live  # against the clock: a browser that draws in software
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("viewed")
+    bag = record(folder / "bag", 12.0, note={"scene_file": "plane"})
+    with chromium() as browser:
+        viewer = Viewer(browser, folder, str(bag), "--port", "0")
+        yield viewer
+        viewer.close()
+
+
+def image_of(viewer: Viewer) -> str:
+    return viewer.page.locator("img").first.get_attribute("src") or ""
+
+
+def test_the_scene_is_drawn_and_the_numbers_stand_beside_it(viewer):
+    assert viewer.sees("follow") and viewer.sees("depth 3.00 mm")
+    assert wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100), "the scene is empty"
+
+
+def test_the_tactile_image_moves(viewer):
+    viewer.page.get_by_role("tab", name="Touch").click()
+    first = image_of(viewer)
+    assert wait(lambda: image_of(viewer) != first)
+
+
+def test_pause_holds_it_and_a_frame_goes_on(viewer):
+    viewer.page.get_by_text("play / pause").click()
+    viewer.page.wait_for_timeout(500)
+    held = image_of(viewer)
+    viewer.page.wait_for_timeout(700)
+    assert image_of(viewer) == held
+    for _ in range(7):  # an image each six exposures
+        viewer.page.get_by_text("frame ▶").click()
+    assert wait(lambda: image_of(viewer) != held)
+
+
+def test_the_phases_are_listed_with_their_times(viewer):
+    viewer.page.get_by_role("tab", name="Phases").click()
+    assert viewer.sees("0.50 s phase: arm: follow")
