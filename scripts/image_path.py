@@ -4,7 +4,7 @@
     . scripts/env.sh; scripts/image_path.py [TASK] [--scene SCENE] [--seconds 20]
 
 Each node of a simulated arm runs with a profiler that is on only while a message of the chain is taken:
-image, presence, estimate, state of the contact, command. What loads, reports or waits beside that does not count.
+image, presence, estimate, state of the contact, command. What loads, reports or waits beside is left out.
 """
 
 from __future__ import annotations

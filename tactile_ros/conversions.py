@@ -8,7 +8,9 @@ and what would be right.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -24,6 +26,17 @@ from tactile_wire.errors import MessageError
 from tactile_wire.pose_numbers import numbers_from_pose, pose_from_numbers
 
 Array = NDArray[np.float64]
+
+
+def message_class(name: str) -> Any:
+    """The class of a type `package/msg/Name`, or of what an action publishes; None: not installed."""
+    package, kind, message = name.split("/")
+    action, _, part = message.rpartition("_")
+    try:
+        module = importlib.import_module(f"{package}.{kind}")
+        return getattr(module, message) if kind == "msg" else getattr(getattr(module, action).Impl, part)
+    except (ImportError, AttributeError):
+        return None
 
 
 def ns_from_time(stamp: Time | Duration) -> int:

@@ -11,7 +11,6 @@ fault of the arm, with its reason, and being slowed down a remark.
 
 from __future__ import annotations
 
-import importlib
 import math
 import time
 from collections.abc import Callable
@@ -26,6 +25,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_drivers.servo_watch import ServoWatch
 from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformUnavailable
+from tactile_ros.conversions import message_class
 from tactile_ros.message_bytes import twist_bytes
 from tactile_ros.qos import COMMAND, STATE
 from tactile_ros.transforms import TransformListener
@@ -48,15 +48,6 @@ def external_settings(arm: ArmScene) -> ExternalArmSettings:
     """What the scene says of the nodes that move an arm."""
     given = arm.driver_settings
     return given.checked(ExternalArmSettings, given.values)
-
-
-def message_type(name: str) -> Any:
-    """The class of a message by its name `package/msg/Name`; None where its package is not installed."""
-    package, _, kind = name.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), kind, None)
-    except ImportError:
-        return None
 
 
 class ExternalArm:
@@ -164,7 +155,7 @@ class ExternalArm:
 
     def _listen_to_servo(self, topic: str) -> None:
         """Hear what moveit_servo says; where its messages are not installed, tell that nobody does."""
-        status = message_type(SERVO_STATUS)
+        status = message_class(SERVO_STATUS)
         if status is None:
             text = f"{SERVO_STATUS} is not installed: what moveit_servo says on {topic} is not heard"
             self._node.get_logger().warning(text)

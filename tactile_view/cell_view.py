@@ -21,14 +21,15 @@ from tactile_view.cell_state import ArmState, CellState
 Array = NDArray[Any]
 
 TIP_RADIUS, STALK = 0.020, 0.12  # m, where no scene says it; from the centre of the dome to the flange
-ARM_COLOR, TIP_COLOR, BODY_COLOR, PATH_COLOR = (90, 96, 104), (235, 120, 40), (185, 195, 205), (40, 110, 200)
+ARM_COLOR, TIP_COLOR, BODY_COLOR, PATH_COLOR = (90, 96, 104), (235, 120, 40), (130, 145, 160), (40, 110, 200)
 BELIEF_COLOR, TRUTH_COLOR, SHEAR_COLOR, TWIST_COLOR = (
     (30, 120, 220),
     (20, 150, 60),
     (200, 30, 120),
     (120, 60, 200),
 )
-EYE = np.array([0.16, -0.26, 0.16])  # m, from what is looked at
+EYE = np.array([0.13, -0.20, 0.11])  # m, from what is looked at
+FIELD = 0.75  # rad, of the camera
 LINK = 0.07  # m, thickness of a link
 SHEAR_SCALE = 10.0  # an arrow of 10 mm is a shear of 1 mm
 TWIST_SECONDS = 2.0  # an arrow is as long as the way in so many seconds
@@ -84,7 +85,7 @@ class CellView:
         middle = self.middle(CellState())
         server.initial_camera.position = tuple((middle + EYE).tolist())
         server.initial_camera.look_at = tuple(middle.tolist())
-        server.initial_camera.near = 1e-3
+        server.initial_camera.near, server.initial_camera.fov = 1e-3, FIELD
 
     def _add_body(self, name: str) -> Any:
         assert self._scene is not None

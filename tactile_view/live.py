@@ -12,12 +12,11 @@ import threading
 import time
 from collections.abc import Callable
 
-from rosidl_runtime_py.utilities import get_message
-
 from tactile_base import topics
 from tactile_base.topics import LATCHED, Topic
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_bringup.launching.operator import Operator, OperatorError
+from tactile_ros.conversions import message_class
 from tactile_ros.qos import DIAGNOSTICS, IMAGE, LATENCY, NOTES, STATE, TF, TF_STATIC
 from tactile_view.cell_state import CellState, installed_types, shown_topics
 
@@ -80,7 +79,7 @@ class LiveGraph(GraphClient):
 
         profile = _PROFILES.get(name, LATENCY if name.endswith(topics.LATENCY.name) else STATE)
         profile = IMAGE if is_image else NOTES if topic.qos == LATCHED and name not in _PROFILES else profile
-        self._node.create_subscription(get_message(kind), name, take, profile, raw=True)
+        self._node.create_subscription(message_class(kind), name, take, profile, raw=True)
 
 
 class Hands:

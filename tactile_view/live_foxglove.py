@@ -13,9 +13,9 @@ from typing import Any
 
 import foxglove
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosidl_runtime_py.utilities import get_message
 
 from tactile_bringup.launching.graph_client import GraphClient
+from tactile_ros.conversions import message_class
 from tactile_wire.errors import DefinitionDamaged, DefinitionMissing
 from tactile_wire.message_definitions import message_definition
 
@@ -87,7 +87,7 @@ class FoxgloveBridge(GraphClient):
         self._readers[topic] = self._readers.get(topic, 0) + more
         if self._readers[topic] > 0 and topic not in self._heard:
             self._heard[topic] = self._node.create_subscription(
-                get_message(self._types[topic]),
+                message_class(self._types[topic]),
                 topic,
                 self._channels[topic].log,
                 self._profile(topic),

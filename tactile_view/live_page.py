@@ -35,7 +35,7 @@ class LivePage(Page):
 
     def close(self) -> None:
         """Let go of graph and page."""
-        self.server.stop()
+        super().close()
         self.hands.close()
 
     # ---- acts ----

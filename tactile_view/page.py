@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import time
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -41,13 +43,12 @@ class Page:
 
     def __init__(self, state: CellState, source: Source, scene: Scene | None, host: str, port: int) -> None:
         self.state, self.source = state, source
-        with only_own_pages(host):
+        with only_own_pages(host), contextlib.redirect_stdout(io.StringIO()):  # we say ourselves where it is
             self.server = viser.ViserServer(
                 host=host, port=port or free_port(host), label="tactile_servoing", verbose=False
             )
-        self.server.gui.configure_theme(
-            control_layout="fixed", control_width="large", show_logo=False, show_share_button=False
-        )
+        self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        self.server.gui.main_panel.dock_right()
         self.view = CellView(self.server, scene)
         self.arm = ""
         self._due: dict[str, float] = {}
@@ -89,7 +90,8 @@ class Page:
 
     def close(self) -> None:
         """Serve no more."""
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     # ---- the loop ----
 

@@ -17,7 +17,7 @@ from tactile_records.replay.images import image_of
 from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas
 from tactile_records.runs.metrics import inverses
 from tactile_records.runs.record import GaussianSeries
-from tactile_view.cell_state import ArmState, Types
+from tactile_view.cell_state import WINDOW, ArmState, Types
 from tactile_view.words import UNIT_NAMES, estimate_in_words, latency_in_words, set_html
 
 Array = NDArray[Any]
@@ -25,6 +25,8 @@ Array = NDArray[Any]
 MOST_POINTS = 300  # of a line
 BELIEF, REFERENCE, TRUTH, BAND = "#1e78dc", "#787878", "#14963c", "rgba(30, 120, 220, 0.18)"
 SMALL_PLOT, IMAGE_WIDTH = 150, 480  # pixels
+ROOM, MOST_ROOM = 0.3, 5.0  # times the numbers' own range: beside them; of all of it
+LEAST_RANGE = 0.2  # mm or deg, so that noise does not fill a chart
 
 
 def thinned(n: int) -> slice:
@@ -43,22 +45,40 @@ class Plot:
             uplot.Series(label=label, stroke=color, width=1.5 if color != BAND else 0.0)
             for label, color in lines
         ]
-        self._count = len(series)
+        self._range = 0.0, 1.0
         self._handle = server.gui.add_uplot(
             data=tuple(np.zeros(1) for _ in series),
             series=tuple(series),
-            bands=(uplot.Band(series=(1, 2), fill=BAND),) if band else None,
-            scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
+            bands=(uplot.Band(series=(2, 1), fill=BAND),) if band else None,
+            scales=_scales(*self._range),
             title=title,
             height=SMALL_PLOT,
             legend=uplot.Legend(show=False),
         )
 
     def show(self, seconds: Array, *lines: Array) -> None:
-        """Draw lines (N,) over times (N,)."""
-        part = thinned(len(seconds))
-        if len(seconds) and len(lines) + 1 == self._count:
-            self._handle.data = tuple(np.asarray(line, dtype=np.float64)[part] for line in (seconds, *lines))
+        """Draw lines (N,) over times (N,); NaN is a gap."""
+        values = np.array([line[thinned(len(seconds))] for line in lines], dtype=np.float64)
+        if not np.isfinite(values).any():
+            return
+        self._fit(float(np.nanmin(values)), float(np.nanmax(values)))
+        self._handle.data = (seconds[thinned(len(seconds))], *values)
+
+    def _fit(self, low: float, high: float) -> None:
+        """Another range where these do not fit, or get lost: for one the page makes the chart anew."""
+        span, (bottom, top) = max(high - low, LEAST_RANGE), self._range
+        if bottom <= low and high <= top and top - bottom < MOST_ROOM * span:
+            return
+        self._range = low - ROOM * span, high + ROOM * span
+        self._handle.scales = _scales(*self._range)
+
+
+def _scales(low: float, high: float) -> dict[str, uplot.Scale]:
+    """Our own range: to find one, uPlot would take NaN for a number."""
+    return {
+        "x": uplot.Scale(time=False, range=(-WINDOW, 0.0)),
+        "y": uplot.Scale(range=(low, high)),
+    }
 
 
 class TouchPanel:

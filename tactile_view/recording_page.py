@@ -36,6 +36,7 @@ class RecordingPage(Page):
             self._marks = gui.add_html(timeline(recording.events, recording.start_ns, length))
             self._time = gui.add_slider("s", 0.0, round(length, 2), 0.01, 0.0)
             row = gui.add_button_group("", ("play / pause", "◀ frame", "frame ▶"))
+            self._paused = gui.add_html("")
             speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
             if recording.bag.problem:
                 gui.add_html(f"<div style='color:#c01c1c'>{escape(recording.bag.problem)}</div>")
@@ -67,6 +68,7 @@ class RecordingPage(Page):
             else:
                 recording.step(-1 if what.startswith("◀") else 1)
         super().show()
+        set_html(self._paused, "" if recording.playing else "paused")
         if abs(self._time.value - recording.seconds) > 0.1:
             self._moved = True  # by us, not by a person
             self._time.value = round(recording.seconds, 2)

@@ -72,6 +72,7 @@ def latency_in_words(state: ArmState) -> str:
 def state_in_words(state: ArmState) -> str:
     """Task, phase and progress, what it waits for, what limits it, who commands the arm, and its faults."""
     task, arm, contact = state.controller, state.status, state.newest("belief")
+    presence = state.newest("presence")
     lines = [] if task is None else _task_lines(task)
     if arm is not None:
         mode = MODES[arm.mode] if arm.mode < len(MODES) else str(arm.mode)
@@ -83,7 +84,9 @@ def state_in_words(state: ArmState) -> str:
             ("remark", arm.remark),
         )  # fmt: skip
         lines += [f"{what} {escape(text)}" for what, text in said if text]
-    if contact is not None:
+    if presence is not None and not presence["in_contact"]:
+        lines.append("no contact")
+    elif contact is not None:
         euler = se3.euler_from_pose(se3.inverse(contact["mean"])) * UNITS
         shear = math.hypot(euler[0], euler[1])
         lines.append(f"depth {euler[2]:.2f} mm, shear {shear:.2f} mm and {euler[5]:+.1f} deg")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
-from tactile_bringup.commands.launch import EXIT_CODES, TASK_HELP, add_scene_options
+from tactile_bringup.commands.launch import EXIT_CODES, TASK_HELP, add_scene_options, add_view_option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +30,7 @@ def register(subparsers: Any) -> None:
     add("--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="(default: out/demo)")
     add("--record-images", action="store_true", help="images into the bag as well")
     add("--headless", action="store_true", help="plain lines in place of the live display")
+    add_view_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -43,7 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     bag = folder / BAG
     room_for_results(folder, f"{BAG}/{MARKER}")
     options = graph_options(arguments, record=bag)
-    outcome = launch(arguments.task, arguments.scene, options, folder, console, arguments.headless)
+    headless, view = arguments.headless, arguments.view
+    outcome = launch(arguments.task, arguments.scene, options, folder, console, headless, view=view)
     if outcome is None:
         return 2
     if not bag.is_dir():

@@ -45,8 +45,14 @@ def register(subparsers: Any) -> None:
     add_time_options(parser)
     add_rehearse_option(parser)
     add("--headless", action="store_true", help="plain lines in place of the live display")
+    add_view_option(parser)
     add("--out", type=Path, default=Path("out/runs"), metavar="FOLDER", help="where the run's folder goes")
     parser.set_defaults(run=run)
+
+
+def add_view_option(parser: argparse.ArgumentParser) -> None:
+    """Option of commands beside which the page may be open."""
+    parser.add_argument("--view", action="store_true", help="serve a page for the browser, and say where")
 
 
 def add_time_options(parser: argparse.ArgumentParser) -> None:
@@ -118,7 +124,8 @@ def run(arguments: argparse.Namespace) -> int:
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = lasting_console()
     headless, waits = arguments.headless, arguments.nodes_only
-    outcome = launch(arguments.task, arguments.scene, options, folder, console, headless, waits)
+    view = arguments.view
+    outcome = launch(arguments.task, arguments.scene, options, folder, console, headless, waits, view)
     if outcome is None:
         return 2
     if options.record is not None and options.record.exists():
@@ -134,10 +141,11 @@ def launch(
     console: Console,
     headless: bool,
     waits: bool = False,
+    view: bool = False,
 ) -> Outcome | None:
     """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong.
 
-    `waits`: whether goals come from elsewhere, until somebody ends it.
+    `waits`: whether goals come from elsewhere, until somebody ends it; `view`: with the page beside it.
     """
     from tactile_base.settings import SettingError
     from tactile_base.whole_file import check_folder
@@ -150,11 +158,17 @@ def launch(
     except (SettingError, ValueError, OSError) as error:
         _refuse(str(error))
         return None
-    return launch_graph(graph, folder, console, headless, waits=waits)
+    return launch_graph(graph, folder, console, headless, waits=waits, view=view)
 
 
 def launch_graph(
-    graph: Graph, folder: Path, console: Console, headless: bool, command: str = "launch", waits: bool = False
+    graph: Graph,
+    folder: Path,
+    console: Console,
+    headless: bool,
+    command: str = "launch",
+    waits: bool = False,
+    view: bool = False,
 ) -> Outcome:
     """Launch a graph that was loaded before, for a command of that name."""
     from tactile_bringup.launching.launcher import Launcher
@@ -164,7 +178,7 @@ def launch_graph(
     write_view(graph, folder)
     live = console.is_terminal and not headless
     with Display(console, live) as display:
-        return Launcher(graph, folder.absolute(), display, command, waits).run()
+        return Launcher(graph, folder.absolute(), display, command, waits, view).run()
 
 
 def _refuse(message: str) -> int:

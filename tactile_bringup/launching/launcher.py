@@ -9,6 +9,7 @@ until the last word has been said, which tells of the arm.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING
 from tactile_bringup.graph import RECORDER, Graph, NodeProcess
 from tactile_bringup.launching import shared_memory
 from tactile_bringup.launching.environment import ros_environment
+from tactile_bringup.launching.page_process import served_page
 from tactile_bringup.launching.processes import ProcessDied, ProcessGroup, Stopped
 from tactile_bringup.launching.progress import Display
 from tactile_bringup.launching.start_check import check_start
@@ -86,12 +88,20 @@ class Launcher:
         What the user has called, for messages.
     waits : bool
         Whether it runs no goal, but waits for its end while they come from elsewhere.
+    view : bool
+        Whether the page in the browser is served beside it; what becomes of that does not matter.
     """
 
     def __init__(
-        self, graph: Graph, folder: Path, display: Display, command: str = "launch", waits: bool = False
+        self,
+        graph: Graph,
+        folder: Path,
+        display: Display,
+        command: str = "launch",
+        waits: bool = False,
+        view: bool = False,
     ) -> None:
-        self.graph, self.display, self.command, self.waits = graph, display, command, waits
+        self.graph, self.display, self.command, self.waits, self.view = graph, display, command, waits, view
         self.logs = folder / "logs"
         self._parameters = folder / "parameters"
         self._signals: list[int] = []
@@ -118,9 +128,9 @@ class Launcher:
     def _run_processes(self, outcome: Outcome) -> None:
         shared_memory.remove_orphans()  # a port file left by the dead would be taken over with its old state
         started_ns, dead = time.time_ns(), ""
-        with ProcessGroup() as group:
+        with ProcessGroup() as group, contextlib.ExitStack() as beside:
             try:
-                self._run_task(group)
+                self._run_task(group, beside)
             except ProcessDied as death:
                 outcome.exit_code, outcome.reason, dead = EXIT_NODE_DIED, f"node {death}", death.name
             except Unfinished as end:
@@ -141,7 +151,7 @@ class Launcher:
         for text in filter(None, (outcome.overload, outcome.reason)):
             runner.client.note(text)
 
-    def _run_task(self, group: ProcessGroup) -> None:
+    def _run_task(self, group: ProcessGroup, beside: contextlib.ExitStack) -> None:
         environment = self._environment
         for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOG_DIR", "ROS_DOMAIN_ID"):
             os.environ[name] = environment.variables[name]  # what ROS in this process reads
@@ -160,6 +170,9 @@ class Launcher:
         self._runner = self._connect(group)
         self._runner.wait_until_active()
         self._worked = True
+        if self.view:
+            address = beside.enter_context(served_page(self._environment.variables, self.logs / "view.log"))
+            self.display.say(f"page: {address}")
         if self.waits:
             self._runner.wait()
         self._runner.run()

@@ -11,7 +11,6 @@ while the recorder was held up: then the bag says from when on messages may be m
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import sys
 import time
@@ -31,7 +30,7 @@ from tactile_perception.estimating.encodings import MONO8
 from tactile_records.bags.contents import Gap
 from tactile_records.bags.losses import Losses
 from tactile_records.bags.writer import BagError, BagWriter
-from tactile_ros.conversions import array_from_image
+from tactile_ros.conversions import array_from_image, message_class
 from tactile_ros.managed_node import ConfigurationError, ManagedNode, lost_counter, refused_counter
 from tactile_ros.parameters import declare_read_only
 from tactile_ros.qos import recorder_profile
@@ -124,7 +123,10 @@ class RecorderNode(ManagedNode):
                 return
             self._write(topic.name, data, published_ns)
 
-        self._listen(topic, _message_type(topic.type), write, raw=True)
+        message_type = message_class(topic.type)
+        if message_type is None:
+            raise ConfigurationError(f"topics: no message {topic.type}: its package is not installed")
+        self._listen(topic, message_type, write, raw=True)
 
     def _record_images(self, name: str) -> None:
         def write(message: Image, published_ns: int) -> None:
@@ -233,17 +235,6 @@ def _topic(text: str) -> Topic:
         kinds = ", ".join(QOS_KINDS)
         raise ConfigurationError(f"topics: '{text}': must be 'NAME TYPE QOS' with a QOS of {kinds}")
     return Topic(*parts)
-
-
-def _message_type(name: str) -> Any:
-    """The class of a topic's type; raises ConfigurationError where package or message is missing."""
-    package, kind, message = name.split("/")
-    action, _, part = message.rpartition("_")
-    try:
-        module = importlib.import_module(f"{package}.{kind}")
-        return getattr(module, message) if kind == "msg" else getattr(getattr(module, action).Impl, part)
-    except (ImportError, AttributeError) as error:
-        raise ConfigurationError(f"topics: no message {name}: {error}") from error
 
 
 def main() -> int:

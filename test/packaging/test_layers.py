@@ -119,7 +119,7 @@ def test_what_nodes_share_does_not_know_the_nodes(root: Path):
 
 def test_libraries_are_imported_where_there_is_no_ros(root: Path, tmp_path: Path):
     """Each module without ROS loads in a Python to which ROS is not installed."""
-    absent = {name for name in OF_DRIVERS if importlib.util.find_spec(name) is None}
+    absent = {name for name in OF_EXTRAS if importlib.util.find_spec(name) is None}
     modules = [
         name
         for name, path in drawing(root).modules_of(root).items()
@@ -157,15 +157,16 @@ def third_party(root: Path) -> set[str]:
     return {name for name in names if name not in sys.stdlib_module_names | PACKAGES and not is_ros(name)}
 
 
-#: What drivers of real arms and their doubles import -> what pip calls it, in an extra of the driver's name.
-OF_DRIVERS = dict.fromkeys(("dashboard_client", "rtde_control", "rtde_receive"), "ur-rtde") | {
+#: What drivers of real arms, their doubles and the page import -> what pip calls it, in an extra.
+OF_EXTRAS = dict.fromkeys(("dashboard_client", "rtde_control", "rtde_receive"), "ur-rtde") | {
     "franky": "franky-control",
     "franky_sim": "franky-sim",
+    "foxglove": "foxglove-sdk",
 }
 
 
 def test_every_imported_library_is_required_by_the_package(root: Path):
-    required, names = requirement_names(root), REQUIREMENTS | OF_DRIVERS
+    required, names = requirement_names(root), REQUIREMENTS | OF_EXTRAS
     missing = {name for name in third_party(root) if names.get(name, name) not in required}
     assert not missing, "add these to setup.cfg"
 
@@ -191,7 +192,7 @@ def requirement_names(root: Path, with_training: bool = True) -> set[str]:
     config.read(root / "setup.cfg")
     extras = config["options.extras_require"]
     blocks = [config["options"]["install_requires"]]
-    more = ("train", "cluster", "completion", "ur", "franka-sim")
+    more = ("train", "cluster", "view", "parquet", "completion", "ur", "franka-sim")
     blocks += [extras[name] for name in more] if with_training else []
     return {re.split(r"[<>=\[ ]", line)[0] for block in blocks for line in block.splitlines() if line}
 

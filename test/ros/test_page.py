@@ -1,11 +1,10 @@
 """The page beside a running graph, in a real browser: a setting changes in the node, a refused one says why, and
-the button stops the arm."""
+the button stops the arm.
+"""
 
 import pytest
-from browser import Viewer, chromium, wait
-from ramp_cell import CONTROLLER, Cell
-
-from tactile_msgs.msg import ArmStatus
+from browser import Viewer, chromium
+from ramp_cell import Cell
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

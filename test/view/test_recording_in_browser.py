@@ -19,7 +19,8 @@ def viewer(tmp_path_factory):
 
 
 def image_of(viewer: Viewer) -> str:
-    return viewer.page.locator("img").first.get_attribute("src") or ""
+    """What the pictures of the page hold now."""
+    return viewer.page.evaluate("[...document.querySelectorAll('img')].map(each => each.src).join()")
 
 
 def test_the_scene_is_drawn_and_the_numbers_stand_beside_it(viewer):
@@ -29,12 +30,17 @@ def test_the_scene_is_drawn_and_the_numbers_stand_beside_it(viewer):
 
 def test_the_tactile_image_moves(viewer):
     viewer.page.get_by_role("tab", name="Touch").click()
+    viewer.page.get_by_text("play / pause").click()  # it may have come to its end: from the start again
+    if "paused" in viewer.text():
+        viewer.page.get_by_text("play / pause").click()
     first = image_of(viewer)
     assert wait(lambda: image_of(viewer) != first)
 
 
 def test_pause_holds_it_and_a_frame_goes_on(viewer):
-    viewer.page.get_by_text("play / pause").click()
+    if "paused" not in viewer.text():
+        viewer.page.get_by_text("play / pause").click()
+    assert viewer.sees("paused")
     viewer.page.wait_for_timeout(500)
     held = image_of(viewer)
     viewer.page.wait_for_timeout(700)
