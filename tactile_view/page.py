@@ -12,7 +12,7 @@ import viser
 
 from tactile_scene.scene import Scene
 from tactile_view.cell_state import CellState
-from tactile_view.cell_view import CellView
+from tactile_view.cell_view import EYE, CellView
 from tactile_view.door import free_port, only_own_pages
 from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
 from tactile_view.words import events_in_words, set_html, state_in_words, troubles_in_words
@@ -86,7 +86,7 @@ class Page:
         size = gui.add_slider("uncertainty, times", 1.0, 50.0, 1.0, options.uncertainty)
         size.on_update(lambda event: setattr(options, "uncertainty", event.target.value))
         self.follow = gui.add_checkbox("camera follows the tip", True)
-        self._followed: Any = None
+        self._followed: dict[int, Any] = {}  # what each page looked at last
 
     def close(self) -> None:
         """Serve no more."""
@@ -132,11 +132,14 @@ class Page:
         return due
 
     def _follow(self) -> None:
-        """Move each camera as the tips have moved."""
+        """Have each new page look at the tips, and move its camera as they move."""
         middle = self.view.middle(self.state)
-        before, self._followed = self._followed, middle
-        if before is None or not self.follow.value or not (abs(middle - before) > 1e-5).any():
-            return
-        for client in self.server.get_clients().values():
+        for number, client in self.server.get_clients().items():
+            if client.camera.update_timestamp == 0.0:
+                continue  # it has yet to say where it looks from
+            before, self._followed[number] = self._followed.get(number), middle
             with client.atomic():
-                client.camera.position = client.camera.position + (middle - before)
+                if before is None:
+                    client.camera.position, client.camera.look_at = middle + EYE, middle
+                elif self.follow.value and (abs(middle - before) > 1e-5).any():
+                    client.camera.position = client.camera.position + (middle - before)

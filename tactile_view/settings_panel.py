@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import viser
 import yaml
 
 from tactile_base.whole_file import whole_file
+from tactile_view.words import set_html
 
 PLAIN = (bool, int, float, str)
 GROUPS_FIRST = ("task", "pid", "watchdog", "limiter")
@@ -117,7 +119,8 @@ class SettingsPanel:
         self.changes, self._handles = Changes(), dict[str, Any]()
         self._parameters: dict[str, Parameter] = {}
         gui = server.gui
-        self._said = gui.add_html("no settings yet")
+        self._said = gui.add_html("")
+        self.say("no settings yet")
         row = gui.add_button_group("", ("undo", "redo", "A / B", "save"))
         row.on_click(lambda event: self._press(event.target.value))
         self._folder = gui.add_folder("settings")
@@ -138,14 +141,12 @@ class SettingsPanel:
 
     def say(self, text: str, ok: bool = True) -> None:
         """Tell what came of something."""
-        from html import escape
-
         color = "inherit" if ok else "#c01c1c"
         listed = "".join(
             f"<br>{escape(name)}: {escape(str(was))} → <b>{escape(str(now))}</b>"
             for name, (was, now) in self.changes.different().items()
         )
-        self._said.content = f"<span style='color:{color}'>{escape(text)}</span>{listed}"
+        set_html(self._said, f"<span style='color:{color}'>{escape(text)}</span>{listed}")
 
     def taken(self, name: str, value: Any) -> None:
         """The node has a value in force now that was asked for."""

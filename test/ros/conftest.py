@@ -148,11 +148,8 @@ class Graph:
 
         def seen() -> list[str]:
             found = self.node.get_node_names_and_namespaces()
-            others = (
-                "test",
-                "operator",
-                LAST_ZEROS,
-            )  # which have no state; commands of `tactile` come and go
+            # which have no state; commands of `tactile` come and go
+            others = ("test", "operator", "tactile_view", "tactile_foxglove", LAST_ZEROS)
             return [f"{space.rstrip('/')}/{name}" for name, space in found if name not in others]
 
         def running() -> int:

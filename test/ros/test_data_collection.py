@@ -147,7 +147,7 @@ class World:
 
 def start(graph, folder, frame: np.ndarray = FRAME, **parameters) -> World:
     """A controller in its world."""
-    where = {"data.folder": folder, "data.frame": se3.euler_from_pose(frame).tolist()}
+    where = {"data.frame": se3.euler_from_pose(frame).tolist()} | ({"data.folder": folder} if folder else {})
     graph.start(CONTROLLER, {**QUICK, **where, **parameters})
     return World(graph)
 
@@ -317,7 +317,7 @@ def test_a_goal_that_cannot_be_run_is_refused_with_the_reason(world, asked, comp
 
 
 def test_without_a_folder_a_goal_is_refused(graph):
-    assert "must name the folder" in start(graph, "").refusal()
+    assert "must name the folder" in start(graph, None).refusal()
 
 
 def test_labels_collected_in_the_simulation_agree_with_its_truth(graph, tmp_path):

@@ -1,12 +1,12 @@
-"""The page beside a running graph, in a real browser: a setting changes in the node, a refused one says why, and
-the button stops the arm.
-"""
+"""The page beside a running graph, in a real browser: settings change or are refused, it stops the arm."""
 
 import pytest
-from browser import Viewer, chromium
+from browser import PATIENCE, Viewer, chromium, wait
 from ramp_cell import Cell
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+from tactile_msgs.msg import ArmStatus
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -20,3 +20,60 @@ def viewer(cell, tmp_path_factory):
         viewer = Viewer(browser, tmp_path_factory.mktemp("viewed"), "--port", "0", **cell.graph.variables)
         yield viewer
         viewer.close()
+
+
+def field(viewer: Viewer, name: str):
+    """The field in which the value of a setting is typed."""
+    viewer.page.get_by_role("tab", name="Settings").click()
+    row = viewer.page.get_by_text(name, exact=True).locator("xpath=ancestor::*[.//input][1]")
+    row.first.wait_for(timeout=1e3 * PATIENCE)
+    return row.first.locator("input").last
+
+
+def told(cell: Cell, viewer: Viewer, text: str) -> bool:
+    """Whether the page says it in time; the graph is listened to meanwhile."""
+    return cell.graph.wait(lambda: text in viewer.text())
+
+
+def test_a_changed_setting_is_in_force_in_the_node(cell, viewer):
+    speed = field(viewer, "task.speed")
+    speed.fill("0.012")
+    speed.press("Enter")
+    assert told(cell, viewer, "task.speed = 0.012 is in force")
+    assert cell.graph.get_parameter("controller", "task.speed") == 0.012
+    viewer.page.get_by_text("undo", exact=True).click()
+    assert told(cell, viewer, "task.speed = 0.01 is in force")
+    assert cell.graph.get_parameter("controller", "task.speed") == 0.01
+
+
+def test_a_refused_value_says_why_and_goes_back(cell, viewer):
+    kp = field(viewer, "pid.kp")
+    before = kp.input_value()
+    kp.fill("[1.0, 2.0]")
+    kp.press("Enter")
+    assert told(cell, viewer, "refuses pid.kp")
+    assert wait(lambda: kp.input_value() == before)
+    assert len(cell.graph.get_parameter("controller", "pid.kp")) == 6
+
+
+def test_the_button_stops_the_arm_in_motion(cell, viewer):
+    handle = cell.following()
+    viewer.page.get_by_role("button", name="STOP all arms").click()
+    assert cell.graph.wait(lambda: cell.arms[-1].mode == ArmStatus.ESTOP and not any(cell.arms[-1].twist))
+    assert not cell.result(handle).success
+    assert told(cell, viewer, "emergency stop")
+    viewer.page.get_by_text("reset", exact=True).click()
+    assert cell.graph.wait(lambda: cell.arms[-1].mode != ArmStatus.ESTOP)
+
+
+def test_what_becomes_of_the_page_changes_nothing_for_the_arm(cell, viewer):
+    """Held up and killed in mid motion: the goal ends as if nobody had looked."""
+    import signal
+
+    handle = cell.following()
+    viewer.process.send_signal(signal.SIGSTOP)
+    cell.graph.spin(1.0)
+    assert cell.statuses[-1].phase == "follow" and cell.statuses[-1].reason == ""
+    viewer.process.kill()
+    result = cell.result(handle)
+    assert result.success, result.reason

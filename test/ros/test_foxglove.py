@@ -1,0 +1,87 @@
+"""A running graph for Foxglove: topics with definitions, messages to the byte, and nothing the other way."""
+
+import json
+import re
+import struct
+import subprocess
+import sys
+import threading
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
+from websockets.sync.client import connect
+
+from tactile_ros import qos
+from tactile_ros.conversions import header
+
+pytest.importorskip("foxglove", reason="needs foxglove-sdk (extra view)")
+
+PROTOCOL = "foxglove.sdk.v1"
+SUBSCRIBE, MESSAGE_DATA = "subscribe", 1  # of the protocol (github.com/foxglove/ws-protocol, docs/spec.md)
+
+
+@pytest.fixture(scope="module")
+def address(shared_graph):
+    command = [sys.executable, "-m", "tactile_bringup.cli", "foxglove", "--port", "0"]
+    with subprocess.Popen(command, env=shared_graph.variables, stdout=subprocess.PIPE, text=True) as process:
+        line = process.stdout.readline()
+        yield re.search(r"ws://\S+(?=;)", line)[0]
+        process.terminate()
+    assert process.returncode == 0
+
+
+class Client:
+    """Speaks the protocol, in a thread of its own, beside the graph."""
+
+    def __init__(self, address: str) -> None:
+        self.socket = connect(address, subprotocols=[PROTOCOL])
+        self.channels, self.data, self.said = {}, [], []
+        threading.Thread(target=self._hear, daemon=True).start()
+
+    def _hear(self) -> None:
+        for message in self.socket:
+            if isinstance(message, bytes):
+                kind, _, _ = struct.unpack_from("<BIQ", message)
+                self.data += [message[13:]] if kind == MESSAGE_DATA else []
+                continue
+            content = json.loads(message)
+            self.said.append(content)
+            self.channels |= {
+                c["topic"]: c for c in content.get("channels", []) if content["op"] == "advertise"
+            }
+
+    def subscribe(self, topic: str) -> None:
+        wanted = [{"id": 1, "channelId": self.channels[topic]["id"]}]
+        self.socket.send(json.dumps({"op": SUBSCRIBE, "subscriptions": wanted}))
+
+
+def test_a_topic_comes_with_its_definition_and_messages_to_the_byte(shared_graph, address):
+    out = shared_graph.publisher(PoseStamped, "arm/pose", qos.STATE)
+    client = Client(address)
+    assert shared_graph.wait(lambda: "/arm/arm/pose" in client.channels)
+    channel = client.channels["/arm/arm/pose"]
+    assert channel["encoding"] == "cdr" and channel["schemaEncoding"] == "ros2msg"
+    assert (
+        channel["schemaName"] == "geometry_msgs/msg/PoseStamped"
+        and "MSG: geometry_msgs/Pose" in channel["schema"]
+    )
+    client.subscribe("/arm/arm/pose")
+    message = PoseStamped(header=header(1_700_000_000_000_000_000, "arm/base"))
+    message.pose.position.x = 0.25
+
+    def heard() -> bool:
+        out.publish(message)
+        return bool(client.data)
+
+    assert shared_graph.wait(heard)
+    assert client.data[0] == serialize_message(message)
+    client.socket.close()
+
+
+def test_nothing_can_be_sent(address):
+    client = Client(address)
+    with connect(address, subprotocols=[PROTOCOL]) as socket:
+        info = json.loads(socket.recv())
+    assert info["op"] == "serverInfo" and info["capabilities"] == []
+    client.socket.close()
