@@ -1,5 +1,6 @@
 """A running graph for Foxglove: topics with definitions, messages to the byte, and nothing the other way."""
 
+import contextlib
 import json
 import re
 import struct
@@ -10,6 +11,7 @@ import threading
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactile_ros import qos
@@ -36,20 +38,22 @@ class Client:
 
     def __init__(self, address: str) -> None:
         self.socket = connect(address, subprotocols=[PROTOCOL])
-        self.channels, self.data, self.said = {}, [], []
+        self.channels, self.data = {}, []
         threading.Thread(target=self._hear, daemon=True).start()
 
     def _hear(self) -> None:
-        for message in self.socket:
-            if isinstance(message, bytes):
-                kind, _, _ = struct.unpack_from("<BIQ", message)
-                self.data += [message[13:]] if kind == MESSAGE_DATA else []
-                continue
-            content = json.loads(message)
-            self.said.append(content)
-            self.channels |= {
-                c["topic"]: c for c in content.get("channels", []) if content["op"] == "advertise"
-            }
+        with contextlib.suppress(ConnectionClosed):
+            for message in self.socket:
+                self._take(message)
+
+    def _take(self, message: bytes | str) -> None:
+        if isinstance(message, bytes):
+            kind, _, _ = struct.unpack_from("<BIQ", message)
+            self.data += [message[13:]] if kind == MESSAGE_DATA else []
+            return
+        content = json.loads(message)
+        if content["op"] == "advertise":
+            self.channels |= {channel["topic"]: channel for channel in content["channels"]}
 
     def subscribe(self, topic: str) -> None:
         wanted = [{"id": 1, "channelId": self.channels[topic]["id"]}]
@@ -57,7 +61,7 @@ class Client:
 
 
 def test_a_topic_comes_with_its_definition_and_messages_to_the_byte(shared_graph, address):
-    out = shared_graph.publisher(PoseStamped, "arm/pose", qos.STATE)
+    out = shared_graph.node.create_publisher(PoseStamped, "/arm/arm/pose", qos.STATE)
     client = Client(address)
     assert shared_graph.wait(lambda: "/arm/arm/pose" in client.channels)
     channel = client.channels["/arm/arm/pose"]
