@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import foxglove
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -18,6 +18,9 @@ from tactile_bringup.launching.graph_client import GraphClient
 from tactile_ros.conversions import message_class
 from tactile_wire.errors import DefinitionDamaged, DefinitionMissing
 from tactile_wire.message_definitions import message_definition
+
+if TYPE_CHECKING:
+    from foxglove.websocket import ServerListener
 
 LOOK = 1.0  # s, between looks for topics that are new
 BACKLOG = 256  # messages that wait for a slow client; older ones are dropped
@@ -37,7 +40,7 @@ class FoxgloveBridge(GraphClient):
         self._news: queue.Queue[tuple[str, int]] = queue.Queue()  # from the server's thread
         self._looked = -LOOK
         self.server = foxglove.start_server(
-            name="tactile_servoing", host=host, port=port, server_listener=self,
+            name="tactile_servoing", host=host, port=port, server_listener=cast("ServerListener", self),
             context=self._context_of_channels, message_backlog_size=BACKLOG,
         )  # fmt: skip
 

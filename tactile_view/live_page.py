@@ -142,12 +142,14 @@ def described(name: str, value: Any, descriptor: Any) -> Parameter:
     choices: tuple[str, ...] = ()
     if isinstance(value, str) and descriptor.additional_constraints.startswith("one of "):
         choices = tuple(descriptor.additional_constraints.removeprefix("one of ").split("; ")[0].split(", "))
+    lower, upper = (ranges[0].from_value, ranges[0].to_value) if ranges else (None, None)
     return Parameter(
         name,
         tuple(value) if hasattr(value, "tolist") or isinstance(value, list) else value,
         "; ".join(filter(None, (descriptor.description, descriptor.additional_constraints))),
-        *((ranges[0].from_value, ranges[0].to_value) if ranges else (None, None)),
-        choices=choices if value in choices else (),
+        lower,
+        upper,
+        choices if value in choices else (),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import time
 from collections.abc import Callable
@@ -81,12 +82,15 @@ class Page:
     def _build_look(self) -> None:
         gui, options = self.server.gui, self.view.options
         for name, label in (("truth", "truth of the simulation"), ("path", "path"), ("twist", "twist")):
-            box = gui.add_checkbox(label, getattr(options, name))
-            box.on_update(lambda event, name=name: setattr(options, name, event.target.value))
+            box: Any = gui.add_checkbox(label, getattr(options, name))
+            box.on_update(functools.partial(self._choose, name))
         size = gui.add_slider("uncertainty, times", 1.0, 50.0, 1.0, options.uncertainty)
         size.on_update(lambda event: setattr(options, "uncertainty", event.target.value))
         self.follow = gui.add_checkbox("camera follows the tip", True)
         self._followed: dict[int, Any] = {}  # what each page looked at last
+
+    def _choose(self, name: str, event: Any) -> None:
+        setattr(self.view.options, name, event.target.value)
 
     def close(self) -> None:
         """Serve no more."""

@@ -34,7 +34,7 @@ class RecordingPage(Page):
         gui, length = self.server.gui, max(recording.duration, 1e-3)
         with self.top:
             self._marks = gui.add_html(timeline(recording.events, recording.start_ns, length))
-            self._time = gui.add_slider("s", 0.0, round(length, 2), 0.01, 0.0)
+            self._time: Any = gui.add_slider("s", 0.0, round(length, 2), 0.01, 0.0)
             row = gui.add_button_group("", ("play / pause", "◀ frame", "frame ▶"))
             self._paused = gui.add_html("")
             speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")

@@ -194,7 +194,7 @@ def chosen_settings(file: Path | None, changes: list[str], touches: int) -> Data
 
     settings = DataCollectionSettings().replaced(touch__points=touches)
     names = [name for name in settings.group_names() if name != "data"]  # that has options of its own
-    groups = {name: settings.group(name) for name in names}
+    groups: dict[str, Any] = {name: settings.group(name) for name in names}
     if file is not None:
         root = read_yaml(file)
         root.allow(*groups)
