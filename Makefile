@@ -28,7 +28,7 @@ demo: build
 	@. scripts/env.sh && exec tactile demo $(TASK) --out out/$(if $(filter surface_following,$(TASK)),demo,$(TASK)) $(ARGS)
 
 packages:
-	@scripts/setup.sh test train cluster franka-sim
+	@scripts/setup.sh test browser train cluster franka-sim
 
 test: packages
 	@scripts/build.sh

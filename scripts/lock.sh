@@ -14,6 +14,6 @@ resolve() {
     grep -vE '^(torch|triton|cuda-[a-z]+|nvidia-[a-z0-9-]+)==' "$logs/resolved.txt" >"scripts/$file"
 }
 
-cat scripts/ros_wheels.txt <(.venv/bin/python scripts/requirements.py train cluster completion view test lint docs lock franka-sim) |
+cat scripts/ros_wheels.txt <(.venv/bin/python scripts/requirements.py train cluster completion view test browser lint docs lock franka-sim) |
     resolve constraints.txt
 .venv/bin/python scripts/requirements.py train test | grep -v '^torch' | resolve lowest.txt --resolution lowest-direct

@@ -72,7 +72,7 @@ class CellView:
     """See the module's text."""
 
     def __init__(self, server: viser.ViserServer, scene: Scene | None) -> None:
-        self._scene3d, self._scene = server.scene, scene
+        self._scene3d = server.scene
         self.options = ViewOptions()
         self._arms: dict[str, _ArmView] = {}
         server.scene.set_up_direction("+z")
@@ -81,11 +81,19 @@ class CellView:
             "/grid", width=2.0, height=2.0, cell_size=0.01, section_size=0.1, cell_color=(232, 232, 232),
             section_color=(200, 200, 200), position=(0.0, 0.0, -1e-3),
         )  # fmt: skip
-        self._bodies = {} if scene is None else {name: self._add_body(name) for name in scene.bodies}
+        self.set_scene(scene)
         middle = self.middle(CellState())
         server.initial_camera.position = tuple((middle + EYE).tolist())
         server.initial_camera.look_at = tuple(middle.tolist())
         server.initial_camera.near, server.initial_camera.fov = 1e-3, FIELD
+
+    def set_scene(self, scene: Scene | None) -> None:
+        """Show what stands in this cell."""
+        self._scene = scene
+        for view in self._arms.values():
+            view.remove()
+        self._arms.clear()
+        self._bodies = {} if scene is None else {name: self._add_body(name) for name in scene.bodies}
 
     def _add_body(self, name: str) -> Any:
         assert self._scene is not None
@@ -177,6 +185,10 @@ class _ArmView:
             visible=False,
             **shape,
         )
+
+    def remove(self) -> None:
+        """Take it, with all that belongs to it, out of the picture."""
+        self._base.remove()
 
     def show(self, state: ArmState, options: ViewOptions) -> None:
         """Show the arm as it is known now."""

@@ -118,7 +118,7 @@ def _page(arguments: argparse.Namespace) -> Any:
     from tactile_bringup.commands.operate import chosen_domain
     from tactile_view.cell_state import CellState
     from tactile_view.live import LiveGraph
-    from tactile_view.live_page import LivePage, scene_of_graph
+    from tactile_view.live_page import LivePage
 
     domain, state = chosen_domain(), CellState()
-    return LivePage(LiveGraph(domain, state), state, scene_of_graph(domain), *where)
+    return LivePage(LiveGraph(domain, state), state, *where)

@@ -17,26 +17,41 @@ from tactile_view.words import set_html
 
 NODES = ("controller", "filter", "estimator", "arm")
 NO_EMERGENCY_STOP = "These buttons are software. They are no emergency stop: keep the real one at hand."
-FIND = 3.0  # s, to find what is there
+FIND, TRIES = 3.0, 10  # s, to find what is there; and how often
 
 
 class LivePage(Page):
     """See the module's text; `graph` gives the messages, `hands` does what is asked for."""
 
-    def __init__(self, graph: LiveGraph, state: CellState, scene: Scene | None, host: str, port: int) -> None:
+    def __init__(self, graph: LiveGraph, state: CellState, host: str, port: int) -> None:
         self.hands = Hands(graph.domain_id, self._say)
         self._domain_id, self._node = graph.domain_id, ""
-        super().__init__(state, graph, scene, host, port)
+        super().__init__(state, graph, None, host, port)
         self._build_acts()
         with self.tabs.add_tab("Settings"):
             self._nodes = self.server.gui.add_dropdown("node", NODES)
             self._nodes.on_update(lambda event: self._load_settings())
             self._settings = SettingsPanel(self.server, self._set)
+        self._scene: Scene | None = None  # once it is known, until it is shown
+        self._tries = TRIES
+        self.hands.ask(self._find_scene)
 
     def close(self) -> None:
         """Let go of graph and page."""
         super().close()
         self.hands.close()
+
+    def _find_scene(self, operator: Operator) -> str:
+        """Which scene the graph has, as its nodes say, where its file is on this machine."""
+        operator.find(FIND, lambda: bool(operator.arms))
+        path, self._tries = scene_of(operator), self._tries - 1
+        try:
+            self._scene = load_scene(path) if path else None
+        except (SceneError, OSError) as error:
+            return f"bodies are not shown: {error}"
+        if self._scene is None and self._tries:
+            self.hands.ask(self._find_scene)
+        return f"scene {self._scene.name}" if self._scene else "no node says which scene it has: no bodies"
 
     # ---- acts ----
 
@@ -98,6 +113,9 @@ class LivePage(Page):
 
     def show(self) -> None:
         """See `Page`; the settings are those of the arm that is looked at."""
+        if self._scene is not None:
+            self.view.set_scene(self._scene)
+            self._scene = None
         super().show()
         node = f"/{self.arm}/{self._nodes.value}"
         if self.arm in self.state.arms and node != self._node:
@@ -151,14 +169,3 @@ def described(name: str, value: Any, descriptor: Any) -> Parameter:
         upper,
         choices if value in choices else (),
     )
-
-
-def scene_of_graph(domain_id: int) -> Scene | None:
-    """The scene of the graph in a domain, where its file is on this machine."""
-    with Operator(domain_id) as operator:
-        operator.find(FIND, lambda: bool(operator.arms))
-        path = scene_of(operator)
-    try:
-        return load_scene(path) if path else None
-    except (SceneError, OSError):
-        return None

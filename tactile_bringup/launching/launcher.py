@@ -172,7 +172,7 @@ class Launcher:
         self._worked = True
         if self.view:
             address = beside.enter_context(served_page(self._environment.variables, self.logs / "view.log"))
-            self.display.say(f"page: {address}")
+            self.display.say(f"page: {address}, in a few seconds")
         if self.waits:
             self._runner.wait()
         self._runner.run()

@@ -24,7 +24,7 @@ SOFTWARE = (
 @contextlib.contextmanager
 def chromium() -> Iterator:
     """A browser, driven by playwright; the test is skipped, and says why, where there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra test)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra browser)")
     path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if path is None:
         pytest.skip("needs chromium (Debian: apt install chromium)")
