@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import ARM_STATUS, CONTROLLER_STATUS
+from tactile_base.topics import ARM_STATUS, CONTROLLER_STATUS, TF_STATIC
 from tactile_records.bags.reader import Bag, BagError, read_bag
 from tactile_view.cell_state import WINDOW, CellState, Event
 
@@ -68,7 +68,7 @@ class Recording:
         since = bisect.bisect_left(self._stamps, self.now_ns - round(WINDOW * SECOND_NS))
         self._state.clear()
         for message in self.messages[:since]:
-            if "tf" in message.topic:  # what lasts: where arms and bodies stand
+            if message.topic == TF_STATIC.name:  # what lasts: where arms stand
                 self._state.take(message.topic, message.type, message.data, message.received_ns)
         self._next = since
         self._give(self.now_ns)

@@ -43,7 +43,7 @@ class RecordingPage(Page):
         with self.tabs.add_tab("Phases"):
             listed = gui.add_html("")
             set_html(listed, all_events(recording))
-        self._moved = False
+        self._moved, self._opened, recording.playing = False, False, False
         self._asked: list[tuple[str, Any]] = []
         self._time.on_update(lambda event: self._ask("seek", event.target.value))
         row.on_click(lambda event: self._ask(event.target.value, None))
@@ -57,6 +57,8 @@ class RecordingPage(Page):
     def show(self) -> None:
         """See `Page`; what was asked for comes first."""
         recording = self.source
+        if not self._opened:  # it begins when somebody looks
+            self._opened = recording.playing = True
         while self._asked:
             what, value = self._asked.pop(0)
             if what == "seek":
