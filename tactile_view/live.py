@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 
 from tactile_base import topics
+from tactile_base.raised import told
 from tactile_base.topics import LATCHED, Topic
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_bringup.launching.operator import Operator, OperatorError
@@ -20,7 +21,6 @@ from tactile_ros.conversions import message_class
 from tactile_ros.qos import DIAGNOSTICS, IMAGE, LATENCY, NOTES, STATE, TF, TF_STATIC
 from tactile_view.cell_state import CellState, installed_types, shown_topics
 
-ENCLAVE = "/operator"
 LOOK = 1.0  # s, between looks for arms that are new
 SHARED = (
     topics.TF,
@@ -118,6 +118,10 @@ class Hands:
                 self._say(act(self._operator), True)
             except OperatorError as error:
                 self._say(str(error), False)
+            except (
+                Exception
+            ) as error:  # as of a value that is none of a parameter's kind; others come after it
+                self._say(told(error), False)
 
 
 def scene_of(operator: Operator) -> str:

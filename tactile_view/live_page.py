@@ -23,6 +23,8 @@ FIND, TRIES = 3.0, 10  # s, to find what is there; and how often
 class LivePage(Page):
     """See the module's text; `graph` gives the messages, `hands` does what is asked for."""
 
+    source: LiveGraph
+
     def __init__(self, graph: LiveGraph, state: CellState, host: str, port: int) -> None:
         self.hands = Hands(graph.domain_id, self._say)
         self._domain_id, self._node = graph.domain_id, ""
@@ -40,6 +42,7 @@ class LivePage(Page):
         """Let go of graph and page."""
         super().close()
         self.hands.close()
+        self.source.close()
 
     def _find_scene(self, operator: Operator) -> str:
         """Which scene the graph has, as its nodes say, where its file is on this machine."""
@@ -141,7 +144,7 @@ class LivePage(Page):
         def act(operator: Operator) -> str:
             try:
                 operator.set_parameter(node, name, list(value) if isinstance(value, tuple) else value)
-            except OperatorError as error:
+            except Exception as error:  # a person may type anything
                 self._settings.refused(name, str(error))
                 raise
             return f"{node}: {name} = {value}"  # that it is in force /parameter_events tells

@@ -43,16 +43,19 @@ class RecordingPage(Page):
         with self.tabs.add_tab("Phases"):
             listed = gui.add_html("")
             set_html(listed, all_events(recording))
-        self._moved, self._opened, recording.playing = False, False, False
+        self._opened = recording.playing = False
         self._asked: list[tuple[str, Any]] = []
-        self._time.on_update(lambda event: self._ask("seek", event.target.value))
+        self._time.on_update(self._dragged)
         row.on_click(lambda event: self._ask(event.target.value, None))
         speed.on_update(lambda event: setattr(recording, "speed", float(event.target.value)))
 
+    def _dragged(self, event: Any) -> None:
+        if event.client is not None:  # by a person, not by us
+            self._ask("seek", event.target.value)
+
     def _ask(self, what: str, value: Any) -> None:
         """Elements are handled in threads of their own; the loop does what they ask for."""
-        if not (what == "seek" and self._moved):
-            self._asked.append((what, value))
+        self._asked.append((what, value))
 
     def show(self) -> None:
         """See `Page`; what was asked for comes first."""
@@ -72,9 +75,7 @@ class RecordingPage(Page):
         super().show()
         set_html(self._paused, "" if recording.playing else "paused")
         if abs(self._time.value - recording.seconds) > 0.1:
-            self._moved = True  # by us, not by a person
             self._time.value = round(recording.seconds, 2)
-            self._moved = False
 
 
 def timeline(events: list[Event], start_ns: int, length: float) -> str:

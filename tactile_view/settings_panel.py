@@ -124,7 +124,6 @@ class SettingsPanel:
         row = gui.add_button_group("", ("undo", "redo", "A / B", "save"))
         row.on_click(lambda event: self._press(event.target.value))
         self._folder = gui.add_folder("settings")
-        self._quiet = False
 
     def fill(self, parameters: list[Parameter]) -> None:
         """Show these parameters of a node; their values are those at the start."""
@@ -177,22 +176,18 @@ class SettingsPanel:
             handle = gui.add_number(name, value, hint=hint)
         else:
             handle = gui.add_text(name, _text(value), hint=hint)
-        handle.on_update(lambda event: self._changed(name, event.target.value))
+        handle.on_update(lambda event: self._changed(name, event))
         return handle
 
-    def _changed(self, name: str, shown: Any) -> None:
-        """An element has a new value: by a person, or by us."""
-        value = _value(shown, self.changes.now.get(name))
-        if not self._quiet and value != self.changes.now.get(name):
+    def _changed(self, name: str, event: Any) -> None:
+        """An element has a new value: by a person, or by us, where there is no client."""
+        value = _value(event.target.value, self.changes.now.get(name))
+        if event.client is not None and value != self.changes.now.get(name):
             self._ask(name, value)
 
     def _put(self, name: str, value: Any) -> None:
         if (handle := self._handles.get(name)) is not None:
-            self._quiet = True
-            try:
-                handle.value = _text(value) if not isinstance(value, PLAIN) else value
-            finally:
-                self._quiet = False
+            handle.value = value if isinstance(value, PLAIN) else _text(value)
 
     def _press(self, button: str) -> None:
         changes = self.changes

@@ -1,4 +1,4 @@
-"""A running graph for Foxglove: topics with definitions, messages to the byte, and nothing the other way."""
+"""A running graph for Foxglove: topics with definitions, messages as they are, nothing the other way."""
 
 import contextlib
 import json
@@ -10,7 +10,7 @@ import threading
 
 import pytest
 from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -60,7 +60,7 @@ class Client:
         self.socket.send(json.dumps({"op": SUBSCRIBE, "subscriptions": wanted}))
 
 
-def test_a_topic_comes_with_its_definition_and_messages_to_the_byte(shared_graph, address):
+def test_a_topic_comes_with_its_definition_and_messages_as_they_are(shared_graph, address):
     out = shared_graph.node.create_publisher(PoseStamped, "/arm/arm/pose", qos.STATE)
     client = Client(address)
     assert shared_graph.wait(lambda: "/arm/arm/pose" in client.channels)
@@ -79,7 +79,10 @@ def test_a_topic_comes_with_its_definition_and_messages_to_the_byte(shared_graph
         return bool(client.data)
 
     assert shared_graph.wait(heard)
-    assert client.data[0] == serialize_message(message)
+    assert len(client.data[0]) == len(
+        serialize_message(message)
+    )  # what fills gaps between numbers is anything
+    assert deserialize_message(client.data[0], PoseStamped) == message
     client.socket.close()
 
 

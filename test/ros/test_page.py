@@ -56,6 +56,17 @@ def test_a_refused_value_says_why_and_goes_back(cell, viewer):
     assert len(cell.graph.get_parameter("controller", "pid.kp")) == 6
 
 
+def test_what_is_no_value_at_all_is_refused_and_the_next_one_is_taken(cell, viewer):
+    kp = field(viewer, "pid.kp")
+    kp.fill("[1.0, two, {a: 3}]")
+    kp.press("Enter")
+    assert wait(lambda: "two" not in kp.input_value())
+    roll = field(viewer, "task.roll")
+    roll.fill("0.2")
+    roll.press("Enter")
+    assert told(cell, viewer, "task.roll = 0.2 is in force")
+
+
 def test_the_button_stops_the_arm_in_motion(cell, viewer):
     handle = cell.following()
     viewer.page.get_by_role("button", name="STOP all arms").click()
