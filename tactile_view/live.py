@@ -118,9 +118,7 @@ class Hands:
                 self._say(act(self._operator), True)
             except OperatorError as error:
                 self._say(str(error), False)
-            except (
-                Exception
-            ) as error:  # as of a value that is none of a parameter's kind; others come after it
+            except Exception as error:  # as of a value that is none at all
                 self._say(told(error), False)
 
 
