@@ -9,7 +9,10 @@ While it is held up, depth times size may wait of what a stranger has sent: for 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tactile_base.topics import DIAGNOSTICS as DIAGNOSTICS_TOPIC
 from tactile_base.topics import ESTOP, PARAMETER_EVENTS, ROSOUT, SENSOR, Topic
@@ -60,6 +63,14 @@ def writer_profile(profile: QoSProfile) -> QoSProfile:
     reliable = profile.reliability == ReliabilityPolicy.RELIABLE
     volatile = profile.durability == DurabilityPolicy.VOLATILE
     return _profile(RECORDED) if reliable and volatile else profile
+
+
+def reader_profile(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
+    """What all of a topic's publishers can serve, for a topic that may be anybody's."""
+    offered = [info.qos_profile for info in publishers]
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    kept = [profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered]
+    return _profile(LATENCY.depth, reliable, latched=bool(kept) and all(kept))
 
 
 def recorder_profile(topic: Topic) -> QoSProfile:

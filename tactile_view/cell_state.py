@@ -69,7 +69,7 @@ class ArmState:
     Attributes
     ----------
     streams : name in `from_bag.STREAMS` -> its rows of the last seconds, oldest first
-    status, controller, contact : the last ArmStatus, ControllerStatus, ContactState
+    status, controller : the last ArmStatus and ControllerStatus
     image : the last image's message, undecoded
     joints : angles of the joints (n,), rad, where the arm tells them
     path : where the sensor was, in the base (3,), m
@@ -80,7 +80,6 @@ class ArmState:
     streams: dict[str, deque[Row]] = field(default_factory=lambda: {name: deque() for name in STREAMS})
     status: Any = None
     controller: Any = None
-    contact: Any = None
     image: Recorded | None = None
     joints: Array | None = None
     path: deque[Array] = field(default_factory=lambda: deque(maxlen=PATH))
@@ -93,14 +92,9 @@ class ArmState:
         rows = self.streams[stream]
         return rows[-1] if rows else None
 
-    def columns(self, stream: str, *names: str) -> list[Array]:
-        """Columns of a stream's rows."""
-        rows = list(self.streams[stream])
-        return [np.array([row[name] for row in rows]) for name in names]
-
 
 class CellState:
-    """See the module's text.
+    """See the module's text; of events the latest `most_events` are kept, or all.
 
     Attributes
     ----------
@@ -113,8 +107,8 @@ class CellState:
     now_ns : stamp of the latest message
     """
 
-    def __init__(self, types: Types = installed_types) -> None:
-        self.types = types
+    def __init__(self, types: Types = installed_types, most_events: int | None = MOST_EVENTS) -> None:
+        self.types, self._most_events = types, most_events
         self._shared: dict[str, Callable[[Any, int], None]] = {
             topics.TF.name: self._take_transforms,
             topics.TF_STATIC.name: self._take_transforms,
@@ -130,7 +124,7 @@ class CellState:
         self.arms: dict[str, ArmState] = {}
         self.bodies: dict[str, Array] = {}
         self.trouble: dict[str, str] = {}
-        self.events: deque[Event] = deque(maxlen=MOST_EVENTS)
+        self.events: deque[Event] = deque(maxlen=self._most_events)
         self.changed: dict[str, dict[str, Any]] = {}
         self.refused: Counter[str] = Counter()
         self.now_ns = 0
@@ -206,8 +200,6 @@ class CellState:
                 self._take_status(state, message, received_ns)
             elif name == topics.CONTROLLER_STATUS.name:
                 self._take_controller(state, message, received_ns)
-            elif name == topics.STATE.name:
-                state.contact = message
             elif name == topics.JOINT_STATES.name:
                 state.joints = np.asarray(message.position, dtype=np.float64)
             elif name == topics.LATENCY.name:

@@ -7,7 +7,6 @@ a page comes from, every site that is visited beside could stop or start an arm.
 from __future__ import annotations
 
 import contextlib
-import socket
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,13 +15,6 @@ import websockets.asyncio.server
 MOST_PAGES = 16
 TRY_AGAIN_LATER = 1013  # RFC 6455's registry: the server is too busy
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
-
-
-def free_port(host: str) -> int:
-    """A port of this address that nobody listens at."""
-    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
-        probe.bind((host, 0))
-        return int(probe.getsockname()[1])
 
 
 @contextlib.contextmanager

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
 import foxglove
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_ros.conversions import message_class
+from tactile_ros.qos import reader_profile
 from tactile_wire.errors import DefinitionDamaged, DefinitionMissing
 from tactile_wire.message_definitions import message_definition
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 LOOK = 1.0  # s, between looks for topics that are new
 BACKLOG = 256  # messages that wait for a slow client; older ones are dropped
-DEPTH = 50
 
 
 class FoxgloveBridge(GraphClient):
@@ -93,22 +92,8 @@ class FoxgloveBridge(GraphClient):
                 message_class(self._types[topic]),
                 topic,
                 self._channels[topic].log,
-                self._profile(topic),
+                reader_profile(self._node.get_publishers_info_by_topic(topic)),
                 raw=True,
             )
         elif self._readers[topic] <= 0 and topic in self._heard:
             self._node.destroy_subscription(self._heard.pop(topic))
-
-    def _profile(self, topic: str) -> QoSProfile:
-        """What all of a topic's publishers can serve."""
-        offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(topic)]
-        reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-        latched = bool(offered) and all(
-            profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered
-        )
-        return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )

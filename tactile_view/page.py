@@ -11,10 +11,11 @@ from typing import Any, Protocol
 
 import viser
 
+from tactile_bringup.launching.page_process import free_port
 from tactile_scene.scene import Scene
 from tactile_view.cell_state import CellState
 from tactile_view.cell_view import EYE, CellView
-from tactile_view.door import free_port, only_own_pages
+from tactile_view.door import only_own_pages
 from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
 from tactile_view.words import events_in_words, set_html, state_in_words, troubles_in_words
 

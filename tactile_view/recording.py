@@ -89,21 +89,9 @@ class Recording:
 
     def _all_events(self) -> list[Event]:
         """What the whole recording tells beside its numbers."""
-        state, events = CellState(self.types), list[Event]()
-        state.events = _Kept(events)  # type: ignore[assignment]
+        state = CellState(self.types, most_events=None)
         telling = ("/diagnostics", "/rosout", "/parameter_events", "/estop")
         for message in self.messages:
             if message.topic in telling or message.topic.endswith((ARM_STATUS.name, CONTROLLER_STATUS.name)):
                 state.take(message.topic, message.type, message.data, message.received_ns)
-        return events
-
-
-class _Kept(list[Event]):
-    """Events without an end, where a `CellState` keeps the last ones."""
-
-    def __init__(self, events: list[Event]) -> None:
-        super().__init__()
-        self._events = events
-
-    def append(self, event: Event) -> None:
-        self._events.append(event)
+        return list(state.events)

@@ -13,12 +13,17 @@ HOST = "127.0.0.1"
 ENDS = 5.0  # s, until it is killed
 
 
+def free_port(host: str) -> int:
+    """A port of this address that nobody listens at."""
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        probe.bind((host, 0))
+        return int(probe.getsockname()[1])
+
+
 @contextlib.contextmanager
 def served_page(variables: Mapping[str, str], log: Path) -> Iterator[str]:
     """`tactile view` in the ROS domain of these variables; gives its address, and ends it in the end."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        port = probe.getsockname()[1]
+    port = free_port(HOST)
     command = [sys.executable, "-m", "tactile_bringup.cli", "view", "--port", str(port)]
     with log.open("w") as file:
         process = subprocess.Popen(
