@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import ClassVar
 
-import ur_cell
+import real_arm
 
 LIMITS = (
     "{linear_velocity: 0.1, angular_velocity: 0.5, linear_acceleration: 1.0, angular_acceleration: 4.0, "
@@ -12,7 +12,7 @@ LIMITS = (
 )
 
 
-class Double(ur_cell.Double):
+class Double(real_arm.Double):
     """That of a Franka, whose time stands still while a busy machine holds its driver up."""
 
     mended: ClassVar = [

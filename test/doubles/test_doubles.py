@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from ur_cell import address
+from real_arm import address
 
 from tactile_base.config_paths import config_path
 from tactile_scene.scene_file import load_scene

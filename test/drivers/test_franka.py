@@ -4,7 +4,6 @@ Distances and times are those of the double's own arm; faults come while it move
 commanded.
 """
 
-import importlib
 import os
 import re
 import time
@@ -12,23 +11,23 @@ import time
 import numpy as np
 import pytest
 from franka_cell import LIMITS, Double, scene_file
-from ur_cell import (
+from real_arm import (
     ALONG,
     ATTEMPTS,
     PATIENT,
-    PROMPT,
     SPEED,
     STILL,
     WITHIN,
     ZERO,
+    ArmContract,
     Cell,
     address,
     check_clock_jump,
-    check_pose_jump,
     check_stop,
-    lasted,
     mend,
+    prompt,
     real_time,
+    refusal,
 )
 
 from tactile_scene.arm import ArmMode, open_arm
@@ -57,9 +56,6 @@ def opened(double, tmp_path_factory, request):
     cell = Cell(scene_file(tmp_path_factory.mktemp("franka"), double.host, state_timeout=request.param))
     yield cell
     cell.close()
-
-
-prompt = pytest.mark.parametrize("opened", [PROMPT], indirect=True, ids=["prompt"])
 
 
 @pytest.fixture
@@ -106,20 +102,6 @@ def test_commands_that_do_not_come_any_more_stop_the_arm_as_a_reflex(cell, doubl
     check_stop(cell, double, lambda: double("deaf"), "commands came too late or not at all")
 
 
-def test_a_driver_that_is_told_nothing_any_more_stops_its_arm_and_says_so(cell, double):
-    for _ in range(ATTEMPTS):
-        cell.move()
-        double.trace()
-        cell.rest()
-        trace = double.trace()
-        moving = np.flatnonzero((np.abs(trace[:, 7:13]) > STILL).any(axis=1))[-1]
-        seconds = lasted(trace[: moving + 1, 0])
-        assert "no command for" in cell.state.reason
-        if seconds < WITHIN:
-            break
-    assert seconds < WITHIN
-
-
 def test_a_driver_whose_thread_hangs_leaves_the_arm_to_a_motion_that_ends_in_rest(cell, double):
     for _ in range(ATTEMPTS):
         cell.move()
@@ -133,23 +115,6 @@ def test_a_driver_whose_thread_hangs_leaves_the_arm_to_a_motion_that_ends_in_res
         if seconds < WITHIN:
             break
     assert seconds < WITHIN
-
-
-def test_after_a_user_stop_nothing_moves_until_it_is_released_and_a_reset_and_rest(cell, double):
-    cell.move()
-    double("user_stop")
-    cell.until(lambda: cell.state.mode is ArmMode.ESTOP, "user stop")
-    with pytest.raises(RuntimeError, match="the user stop is pressed"):
-        cell.safe.reset()
-    double("restore")
-    double.trace()
-    assert "user stop" in cell.command(ALONG, 0.3)
-    cell.safe.reset()
-    cell.until(lambda: cell.state.mode is ArmMode.RESTING, "rest")
-    assert "waits for a twist of zero" in cell.command(ALONG, 0.1)
-    assert not double.trace()[:, 7:13].any()
-    assert not cell.command(ZERO)
-    assert not cell.command(ALONG)
 
 
 def test_a_reflex_is_left_by_a_reset_alone(cell, double):
@@ -171,18 +136,6 @@ def test_a_reflex_that_has_to_be_left_by_hand_says_so(cell, double):
     cell.until(lambda: cell.state.mode is ArmMode.FAULT, "fault")
     with pytest.raises(RuntimeError, match="recovered by hand, in Desk"):
         cell.safe.reset()
-
-
-@prompt
-def test_a_connection_that_is_back_is_a_fault_until_a_reset(cell, double):
-    cell.move()
-    double("drop")
-    cell.until(lambda: cell.state.reason.endswith("is back"), "connection")
-    assert cell.state.mode is ArmMode.FAULT
-    assert "is back" in cell.command(ALONG)
-    cell.safe.reset()
-    cell.until(lambda: not cell.command(ZERO), "an arm that follows")
-    cell.move()
 
 
 @pytest.mark.parametrize("fault", ["loss 0.05", "slow 0.01"])
@@ -218,10 +171,6 @@ def test_a_controllers_clock_that_jumps_ahead_makes_no_stamp_go_back_or_ahead(ce
     check_clock_jump(cell, double, 30.0)
 
 
-def test_an_arm_that_says_it_is_somewhere_else_is_not_believed(cell, double):
-    check_pose_jump(cell, double)
-
-
 def test_an_emergency_stop_of_the_stage_brings_the_arm_to_rest_within_the_limits(cell, double):
     """By what is commanded in answer to which cycle of the arm's, however late it comes there."""
     cell.move()
@@ -238,18 +187,13 @@ def test_an_emergency_stop_of_the_stage_brings_the_arm_to_rest_within_the_limits
     assert not double.trace()[-1, 7:13].any()
 
 
-def test_twists_of_the_sensor_move_and_turn_the_sensor(cell, double):
-    """The end effector stands 65 mm behind it, turned by half a turn in the base."""
-    twist = np.array([0.0, 0.02, 0.01, 0.2, 0.0, 0.1])
-    before = cell.state.T_base_controlled
-    cell.command(twist, 0.5)
-    cell.until(
-        lambda: not cell.command(twist) and np.abs(cell.state.twist - twist).max() < 4e-3, "that twist"
-    )
-    after = cell.state.T_base_controlled
-    assert before[2, 2] == pytest.approx(-1.0)
-    assert (before[:3, :3].T @ (after - before)[:3, 3])[1] > 0.005
-    cell.command(ZERO, 0.3)
+# ---- what every arm does; it turns the sensor, so that it comes last ----
+
+
+class TestFranka(ArmContract):
+    button, pressed = "user_stop", "user stop"
+    missing = "is missing: pip install franky-control"
+    scene_file = staticmethod(scene_file)
 
 
 # ---- what is refused at the start ----
@@ -311,20 +255,7 @@ def test_an_arm_that_is_opened_in_a_reflex_is_in_fault_until_a_reset(tmp_path, o
 def test_an_arm_that_is_not_what_the_scene_says_is_refused_with_what_would_be_right(
     tmp_path, other, fault, settings, words
 ):
-    if fault:
-        other(*fault.split())
-    arm = load_scene(scene_file(tmp_path, other.host, **settings)).arms["arm"]
-    with pytest.raises(RuntimeError) as raised:
-        open_arm(arm, lambda state: None)
-    assert not other.trace()[:, 7:13].any()
-    assert re.search(words, str(raised.value))
-
-
-def test_without_franky_the_driver_says_what_to_type(tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    arm = load_scene(scene_file(tmp_path, "127.0.0.1")).arms["arm"]
-    with pytest.raises(RuntimeError, match=r"is missing: pip install franky-control"):
-        open_arm(arm, lambda state: None)
+    assert re.search(words, refusal(tmp_path, other, scene_file, fault, **settings))
 
 
 @pytest.mark.skipif("rt" in os.uname().release or os.path.exists("/sys/kernel/realtime"), reason="real-time")
@@ -332,13 +263,3 @@ def test_a_kernel_without_real_time_is_refused_unless_the_scene_allows_it(tmp_pa
     arm = load_scene(scene_file(tmp_path, other.host, realtime=True)).arms["arm"]
     with pytest.raises(RuntimeError, match=r"without them: driver_settings\.realtime: false"):
         open_arm(arm, lambda state: None)
-
-
-def test_a_driver_that_is_closed_while_it_moves_leaves_the_arm_at_rest(tmp_path, other):
-    cell = Cell(scene_file(tmp_path, other.host))
-    cell.move()
-    cell.close()
-    other.trace()
-    time.sleep(0.1)
-    assert not other.trace()[:, 7:13].any()
-    assert cell.state.T_base_controlled[0, 3] > 0.4

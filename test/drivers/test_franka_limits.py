@@ -11,7 +11,7 @@ import pytest
 from franka_cell import Double, scene_file
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ur_cell import ZERO, Cell, address, mend
+from real_arm import ZERO, Cell, address, mend
 
 from tactile_drivers.franka_settings import DOCUMENTED, FR3, PANDA, largest_limits
 from tactile_scene.arm import ArmMode

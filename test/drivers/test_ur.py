@@ -4,7 +4,6 @@ Distances and times are those of the double's own arm; faults come while it move
 commanded.
 """
 
-import importlib
 import os
 import re
 import signal
@@ -13,25 +12,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ur_cell import (
+from real_arm import (
     ALONG,
     ATTEMPTS,
     PATIENT,
-    PROMPT,
     SPEED,
     WITHIN,
     ZERO,
+    ArmContract,
     Cell,
-    Double,
     address,
     check_clock_jump,
-    check_pose_jump,
     check_stop,
     lasted,
     mend,
+    prompt,
     real_time,
-    scene_file,
+    refusal,
 )
+from ur_cell import Double, scene_file
 
 from tactile_base.config_paths import config_path
 from tactile_doubles.ur_robot import UrRobotSettings
@@ -65,9 +64,6 @@ def opened(double, tmp_path_factory, request):
     cell = Cell(scene_file(tmp_path_factory.mktemp("ur"), double.host, state_timeout=request.param))
     yield cell
     cell.close()
-
-
-prompt = pytest.mark.parametrize("opened", [PROMPT], indirect=True, ids=["prompt"])
 
 
 @pytest.fixture
@@ -130,37 +126,6 @@ def test_an_arm_whose_program_hangs_is_stopped_by_the_controllers_watchdog_once_
     assert "the program on the controller has ended" in cell.state.reason
 
 
-def test_a_driver_that_is_told_nothing_any_more_stops_its_arm_and_says_so(cell, double):
-    for _ in range(ATTEMPTS):
-        cell.move()
-        double.trace()
-        cell.rest()
-        trace = double.trace()
-        moving = np.flatnonzero(trace[:, 7:13].any(axis=1))[-1]
-        seconds = lasted(trace[: moving + 1, 0])
-        assert "no command for" in cell.state.reason
-        if seconds < WITHIN:
-            break
-    assert seconds < WITHIN
-
-
-def test_after_an_emergency_stop_nothing_moves_until_the_button_is_out_and_a_reset_and_rest(cell, double):
-    cell.move()
-    double("emergency_stop")
-    cell.until(lambda: cell.state.mode is ArmMode.ESTOP, "emergency stop")
-    with pytest.raises(RuntimeError, match="emergency stop of the arm"):
-        cell.safe.reset()
-    double("restore")
-    double.trace()
-    assert "emergency stop" in cell.command(ALONG, 0.3)
-    cell.safe.reset()
-    cell.until(lambda: cell.state.mode is ArmMode.RESTING, "rest")
-    assert "waits for a twist of zero" in cell.command(ALONG, 0.1)
-    assert not double.trace()[:, 7:13].any()
-    assert not cell.command(ZERO)
-    assert not cell.command(ALONG)
-
-
 def test_a_protective_stop_is_left_by_a_reset_which_starts_the_program_again(cell, double):
     double("protective_stop")
     cell.until(lambda: cell.state.mode is ArmMode.FAULT, "fault")
@@ -179,29 +144,18 @@ def test_a_tcp_that_is_changed_at_the_pendant_in_an_emergency_stop_keeps_the_arm
     double("tcp_offset", 0, 0, 0.05, 0, 0, 0)
     double("restore")
 
-    def refusal() -> str:
+    def refused() -> str:
         try:
             cell.safe.reset()
         except RuntimeError as error:
             return str(error)
         return ""
 
-    cell.until(lambda: "its TCP offset is [0.0, 0.0, 0.05" in refusal(), "that refusal")
+    cell.until(lambda: "its TCP offset is [0.0, 0.0, 0.05" in refused(), "that refusal")
     assert cell.command(ALONG, 0.2)
     double("tcp_offset", 0, 0, 0, 0, 0, 0)
-    cell.until(lambda: not refusal(), "a reset")
+    cell.until(lambda: not refused(), "a reset")
     cell.until(lambda: not cell.command(ZERO), "an arm that follows")
-
-
-def test_a_connection_that_is_back_is_a_fault_until_a_reset(cell, double):
-    cell.move()
-    double("drop")
-    cell.until(lambda: cell.state.reason.endswith("is back"), "connection")
-    assert cell.state.mode is ArmMode.FAULT
-    assert "is back" in cell.command(ALONG)
-    cell.safe.reset()
-    cell.until(lambda: not cell.command(ZERO), "an arm that follows")
-    cell.move()
 
 
 @pytest.mark.parametrize("fault", ["torn", "loss 0.5", "slow 0.1"])
@@ -230,10 +184,6 @@ def test_the_speed_slider_is_told_and_makes_the_arm_no_faster_than_it_says(cell,
 @pytest.mark.parametrize("seconds", [30.0, -30.0])
 def test_a_controllers_clock_that_jumps_makes_no_stamp_go_back_or_ahead(cell, double, seconds):
     check_clock_jump(cell, double, seconds)
-
-
-def test_an_arm_that_says_it_is_somewhere_else_is_not_believed(cell, double):
-    check_pose_jump(cell, double)
 
 
 def test_an_emergency_stop_of_the_stage_brings_the_arm_to_rest_with_speed_stop(cell, double):
@@ -274,20 +224,6 @@ def test_a_step_of_rotation_is_followed_as_its_limits_allow(cell, double):
     cell.command(ZERO, 0.3)
 
 
-def test_twists_of_the_sensor_move_and_turn_the_sensor(cell, double):
-    """The TCP stands 65 mm behind it, turned by half a turn in the base."""
-    twist = np.array([0.0, 0.02, 0.01, 0.2, 0.0, 0.1])
-    before = cell.state.T_base_controlled
-    cell.command(twist, 0.5)
-    cell.until(
-        lambda: not cell.command(twist) and np.abs(cell.state.twist - twist).max() < 2e-3, "that twist"
-    )
-    after = cell.state.T_base_controlled
-    assert before[2, 2] == pytest.approx(-1.0)
-    assert (before[:3, :3].T @ (after - before)[:3, 3])[1] > 0.005
-    cell.command(ZERO, 0.3)
-
-
 def test_what_arrives_at_the_controller_keeps_the_limits_whatever_is_commanded(cell, double):
     rng, limits = np.random.default_rng(3), cell.arm.limits
     double.trace()
@@ -304,6 +240,15 @@ def test_what_arrives_at_the_controller_keeps_the_limits_whatever_is_commanded(c
     acceleration = np.abs(np.diff(trace[:, 7:10], axis=0)).max() * 500.0
     assert 0.5 * limits.linear_velocity < speeds.max() <= limits.linear_velocity * (1 + 1e-6)
     assert acceleration <= cell.driver.settings.acceleration * (1 + 1e-6)
+
+
+# ---- what every arm does; it turns the sensor, so that it comes last ----
+
+
+class TestUr(ArmContract):
+    button, pressed = "emergency_stop", "emergency stop"
+    missing = "ur_rtde is missing: pip install ur-rtde"
+    scene_file = staticmethod(scene_file)
 
 
 # ---- joints ----
@@ -380,17 +325,6 @@ def test_an_arm_whose_kinematics_are_not_those_of_the_scene_is_not_driven(
 # ---- what is refused at the start ----
 
 
-def refusal(tmp_path, double, fault: str = "", **settings) -> str:
-    """Why the driver does not open; nothing has moved."""
-    if fault:
-        double(*fault.split())
-    arm = load_scene(scene_file(tmp_path, double.host, **settings)).arms["arm"]
-    with pytest.raises(RuntimeError) as raised:
-        open_arm(arm, lambda state: None)
-    assert not double.trace()[:, 7:13].any()
-    return str(raised.value)
-
-
 @pytest.fixture(scope="module")
 def second():
     """A double that nobody drives yet."""
@@ -430,14 +364,7 @@ def other(second):
 def test_an_arm_that_is_not_what_the_scene_says_is_refused_with_what_would_be_right(
     tmp_path, other, fault, settings, words
 ):
-    assert re.search(words, refusal(tmp_path, other, fault, **settings))
-
-
-def test_without_ur_rtde_the_driver_says_what_to_type(tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    arm = load_scene(scene_file(tmp_path, "127.0.0.1")).arms["arm"]
-    with pytest.raises(RuntimeError, match=r"ur_rtde is missing: pip install ur-rtde"):
-        open_arm(arm, lambda state: None)
+    assert re.search(words, refusal(tmp_path, other, scene_file, fault, **settings))
 
 
 def test_a_cb3_is_driven_at_125_hz_and_in_the_upper_registers(tmp_path):
@@ -470,13 +397,3 @@ def test_a_driver_with_a_real_time_priority_has_room_on_a_core_of_its_own(tmp_pa
         cell.move()
     finally:
         cell.close()
-
-
-def test_a_driver_that_is_closed_while_it_moves_leaves_the_arm_at_rest_and_its_program_ended(tmp_path, other):
-    cell = Cell(scene_file(tmp_path, other.host))
-    cell.move()
-    cell.close()
-    other.trace()
-    time.sleep(0.1)
-    assert not other.trace()[:, 7:13].any()
-    assert cell.state.T_base_controlled[0, 3] > 0.4

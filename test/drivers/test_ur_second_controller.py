@@ -8,8 +8,9 @@ import time
 
 import numpy as np
 import pytest
+from real_arm import ALONG, ATTEMPTS, PATIENT, SPEED, ZERO, Cell, address
 from scipy.spatial.transform import Rotation
-from ur_cell import ALONG, ATTEMPTS, PATIENT, SPEED, ZERO, Cell, address, scene_file
+from ur_cell import scene_file
 from ur_second_controller import PROGRAM_END, STEP, UNLOCKED_AFTER
 from ur_second_server import SecondController
 

@@ -40,7 +40,8 @@ def test_an_arm_is_taken_to_a_pose_by_a_command(tmp_path):
 
 def test_a_move_through_the_driver_of_a_ur_ends_at_the_pose(tmp_path):
     pytest.importorskip("rtde_control", reason="ur_rtde has no wheel for this Python or machine")
-    from ur_cell import Cell, Double, address, scene_file
+    from real_arm import Cell, address
+    from ur_cell import Double, scene_file
 
     double = Double(address())
     cell = Cell(scene_file(tmp_path, double.host, state_timeout=0.5))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from launched import Launched
 from other_package import installed
-from ur_cell import real_time
+from real_arm import real_time
 
 from tactile_base.config_paths import config_path
 from tactile_base.settings import SettingError
