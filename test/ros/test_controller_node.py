@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from controlled_arm import CONTROLLER, PATIENT, PERIOD, SECOND, SENSOR, ControlledArm
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Pose, Quaternion
 from lifecycle_msgs.msg import Transition
@@ -14,7 +15,7 @@ from tf2_msgs.msg import TFMessage
 from tactile_drivers.ownership import REST_FIRST
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState, ControllerStatus
+from tactile_msgs.msg import ArmStatus, ContactState, ControllerStatus
 from tactile_ros import qos
 from tactile_ros.conversions import (
     header,
@@ -23,12 +24,6 @@ from tactile_ros.conversions import (
     transform_stamped,
 )
 
-CONTROLLER = "tactile_ros.nodes.controller_node"
-SENSOR = "arm/tactile_sensor"
-SECOND = 1_000_000_000
-PERIOD = 1.0 / 60.0
-ARM_WATCHDOG = 0.1  # s
-PATIENT = 30.0  # s; a machine that holds up a process only delays a task
 FAST = {
     "contact.settle_time": 0.05,
     "contact.retreat_distance": 0.001,
@@ -39,17 +34,13 @@ FAST = {
 }
 
 
-class World:
-    """Stands for arm, camera, estimator and filter: what the controller sees, at 60 Hz."""
+class World(ControlledArm):
+    """Stands for arm, camera, estimator and filter: what the controller sees."""
 
     def __init__(self, graph) -> None:
-        self.graph = graph
-        self.arm = graph.arm()
-        self.twists = graph.collect(ArmCommand, "command/request", qos.COMMAND)
-        self.statuses = graph.collect(ControllerStatus, "controller/status")
+        super().__init__(graph)
         self.state_out = graph.publisher(ContactState, "contact/state")
         self.arm_out = graph.publisher(ArmStatus, "arm/status")
-        self.client = graph.action(RunTask, "run_task")
         self.reset()
 
     def reset(self) -> None:
@@ -59,25 +50,22 @@ class World:
         self.images = True
         self.arm_status = ArmStatus()
         self.lie = lambda message: None
-        self.last_stamp = 0
-        self.twists.clear()
-        self.statuses.clear()
+        self.hear_anew()
 
     def restart(self) -> None:
         """A new start of the controller."""
         self.graph.restart("controller")
         self.patience(PATIENT)
         self.reset()
-        assert self.graph.wait(lambda: bool(self.twists) and bool(self.statuses)), "no twist arrives"
+        assert self.is_heard(), "no twist arrives"
 
     def patience(self, seconds: float) -> None:
-        assert self.graph.set_parameter("controller", "watchdog.patience", seconds).successful
+        self.set("watchdog.patience", seconds)
 
     def step(self, stamp_ns: int | None = None) -> None:
         """One period: the arm follows the last twist, and an image is taken unless the camera is silent."""
         stamp_ns = self.graph.now_ns() if stamp_ns is None else stamp_ns
-        if stamp_ns - ns_from_time(self.twists[-1].header.stamp) < ARM_WATCHDOG * SECOND:
-            self.T = self.T @ se3.exp(self.twist() * PERIOD)
+        self.follow_twist(stamp_ns)
         self.arm.at(stamp_ns, self.T)
         self.arm_out.publish(self.arm_status)
         if self.images:
@@ -100,28 +88,12 @@ class World:
         )
         return ContactState(header=header(stamp_ns, SENSOR), xi=xi, flags=flags)
 
-    def run_until(self, condition) -> bool:
-        for _ in self.graph.ticks(PERIOD):
-            if condition():
-                return True
-            self.step()
-        return condition()
-
     def rests(self) -> bool:
         return bool(np.all(self.twist() == 0.0))
 
-    def twist(self) -> np.ndarray:
-        return self.twists[-1].twist
-
-    def phase(self) -> str:
-        return self.statuses[-1].phase
-
     def send(self, **changes):
-        """Send a goal; returns its handle."""
         goal = {"task": "surface_following", "name": "line", "goal": "{direction_deg: 90.0, length: 0.5}"}
-        future = self.client.send_goal_async(RunTask.Goal(**{**goal, **changes}))
-        assert self.run_until(future.done)
-        return future.result()
+        return super().send(**{**goal, **changes})
 
     def following(self):
         """Send a goal and run until the surface is followed at speed; returns the goal's handle."""
@@ -138,21 +110,6 @@ class World:
             return self.run_until(lambda: ended.done() or self.phase() == "follow") and not ended.done()
 
         return self.run_until(runs)
-
-    def result(self, handle):
-        return self.ended(handle).result
-
-    def refusal(self, **changes) -> str:
-        """Why a goal is refused, as the client of the action reads it."""
-        ended = self.ended(self.send(**changes))
-        assert ended.status == GoalStatus.STATUS_ABORTED and ended.result.reason.startswith("goal refused: ")
-        return ended.result.reason
-
-    def ended(self, handle):
-        """The answer with the result and the goal's last status."""
-        future = handle.get_result_async()
-        assert self.run_until(future.done)
-        return future.result()
 
 
 @pytest.fixture(scope="module")

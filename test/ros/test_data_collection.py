@@ -8,29 +8,24 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from controlled_arm import CONTROLLER, PATIENT, PERIOD, SECOND, SENSOR, ControlledArm
 from messages import image_message
 from sensor_msgs.msg import Image
 
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
-from tactile_msgs.msg import ArmCommand, ContactTruth, ControllerStatus
+from tactile_msgs.msg import ContactTruth
 from tactile_perception.datasets.dataset import read_dataset
 from tactile_records.collecting.geometry import contact_frame
 from tactile_ros import qos
 from tactile_ros.conversions import ns_from_time, pose_from_matrix
 from tactile_scene.scene_file import load_scene
 
-CONTROLLER = "tactile_ros.nodes.controller_node"
-SENSOR = "arm/tactile_sensor"
-SECOND = 1_000_000_000
-PERIOD = 1.0 / 60.0
-ARM_WATCHDOG = 0.1  # s
 RADIUS = 0.020
 START = np.diag([-1.0, 1.0, -1.0, 1.0])
 START[:3, 3] = [0.3, 0.1, RADIUS + 0.012]
 FRAME = contact_frame(np.eye(4), START, RADIUS)
 LABEL = ("shear_x", "shear_y", "pose_z", "pose_Rx", "pose_Ry", "shear_Rz")
-PATIENT = 30.0  # s; a machine that holds up a process only delays a collection
 QUICK = {
     "task": "data_collection",
     "timing.watchdog_period": 0.008,
@@ -60,24 +55,19 @@ def dots(shift: int) -> np.ndarray:
 IMAGES = [dots(shift) for shift in range(10)]  # by depth, so that no two contacts look alike
 
 
-class World:
-    """Stands for arm and camera over a table at z = 0, at 60 Hz."""
+class World(ControlledArm):
+    """Stands for arm and camera over a table at z = 0."""
 
     def __init__(self, graph) -> None:
-        self.graph = graph
-        self.arm = graph.arm()
-        self.twists = graph.collect(ArmCommand, "command/request", qos.COMMAND)
-        self.statuses = graph.collect(ControllerStatus, "controller/status")
+        super().__init__(graph)
         self.image_out = graph.publisher(Image, "tactile/image", qos.IMAGE)
-        self.client = graph.action(RunTask, "run_task")
         self.reset()
 
     def reset(self) -> None:
         """The arm at its start, camera and poses as they should be, and nothing heard yet."""
-        self.T, self.images, self.poses, self.last_stamp = START.copy(), True, True, 0
-        self.twists.clear()
-        self.statuses.clear()
-        assert self.graph.wait(lambda: bool(self.twists) and bool(self.statuses)), "no twist arrives"
+        self.T, self.images, self.poses = START.copy(), True, True
+        self.hear_anew()
+        assert self.is_heard(), "no twist arrives"
 
     def restart(self) -> None:
         """A new start of the controller."""
@@ -86,13 +76,9 @@ class World:
             self.set(name, PATIENT)
         self.reset()
 
-    def set(self, name: str, value: float) -> None:
-        assert self.graph.set_parameter("controller", name, value).successful
-
     def step(self) -> None:
         stamp_ns = self.graph.now_ns()
-        if stamp_ns - ns_from_time(self.twists[-1].header.stamp) < ARM_WATCHDOG * SECOND:
-            self.T = self.T @ se3.exp(self.twist() * PERIOD)
+        self.follow_twist(stamp_ns)
         if self.images:
             shift = 4 + int(self.depth() * 1e3 * 0.9) if self.depth() > 2e-4 else 0
             self.image_out.publish(image_message(stamp_ns, SENSOR, IMAGES[shift]))
@@ -104,40 +90,14 @@ class World:
     def depth(self) -> float:
         return RADIUS - float(self.T[2, 3])
 
-    def twist(self) -> np.ndarray:
-        return self.twists[-1].twist
-
-    def phase(self) -> str:
-        return self.statuses[-1].phase
-
-    def run_until(self, condition) -> bool:
-        for _ in self.graph.ticks(PERIOD):
-            if condition():
-                return True
-            self.step()
-        return condition()
-
     def send(self, task: str = "data_collection", goal: str = TWO_SAMPLES, **more):
-        future = self.client.send_goal_async(RunTask.Goal(task=task, goal=goal, **more))
-        assert self.run_until(future.done)
-        return future.result()
+        return super().send(task=task, goal=goal, **more)
 
     def moving_in(self, phase: str):
         """Send a goal and run until the arm moves in that phase; returns the goal's handle."""
         handle = self.send()
         assert self.run_until(lambda: self.phase() == phase and np.linalg.norm(self.twist()) > 2e-3)
         return handle
-
-    def result(self, handle):
-        future = handle.get_result_async()
-        assert self.run_until(future.done)
-        return future.result().result
-
-    def refusal(self, *sent, **more) -> str:
-        """Why a goal is refused, as the client of the action reads it."""
-        result = self.result(self.send(*sent, **more))
-        assert not result.success and result.reason.startswith("goal refused: ")
-        return result.reason
 
     def rest_within(self, seconds: float) -> bool:
         """Whether the last twist other than zero came within so long of the last complete input."""
@@ -299,7 +259,7 @@ def test_images_of_another_size_count_as_not_come(world, monkeypatch):
 
 
 def test_a_goal_of_another_task_is_refused_with_the_name_of_ours(world):
-    assert "valid: data_collection" in world.refusal("surface_following")
+    assert "valid: data_collection" in world.refusal(task="surface_following")
 
 
 @pytest.mark.parametrize(
