@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import os
 import platform
 import shlex
 import subprocess
@@ -21,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tactile_base.origin import processor
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def made_by() -> str:
     script = Path(sys.argv[0]).resolve()
     name = script.relative_to(ROOT) if script.is_relative_to(ROOT) else script
     command = shlex.join(["python", str(name), *sys.argv[1:]])
-    return f"`{command}` of {_commit()} ({_processor()}, Python {platform.python_version()})"
+    return f"`{command}` of {_commit()} ({processor()}, Python {platform.python_version()})"
 
 
 def _commit() -> str:
@@ -67,15 +68,6 @@ def _commit() -> str:
     code = ["--", ":/", ":(exclude)docs"]  # what pages say changes no number
     changed = subprocess.run([*git, "diff", "--quiet", "HEAD", *code], cwd=ROOT, check=False).returncode
     return f"commit {commit.strip()}" + ", changed" * bool(changed)
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return f"{names[0] if names else platform.machine()}, {os.cpu_count()} cores"
 
 
 class Table:

@@ -108,6 +108,13 @@ class SettingGroups:
         value: Settings = getattr(self, name)
         return value
 
+    def dotted(self) -> dict[str, Any]:
+        """All values by GROUP.NAME, as parameters of a node are called."""
+        groups = {name: dataclasses.asdict(self.group(name)) for name in self.group_names()}
+        return {
+            f"{group}.{name}": value for group, values in groups.items() for name, value in values.items()
+        }
+
     @classmethod
     def from_mapping(cls: type[G], values: Mapping[str, Any], where: str = "") -> G:
         """Build from {group: {name: value}}; raises `SettingError` that says what was wrong and `where`."""

@@ -25,6 +25,7 @@ COMMANDS = (
     "tactile_bringup.commands.experiment",
     "tactile_view.command",
     "tactile_bringup.commands.report",
+    "tactile_bringup.commands.compare",
     "tactile_bringup.commands.export",
     "tactile_bringup.commands.replay",
     "tactile_bringup.commands.estimate",

@@ -22,6 +22,7 @@ import yaml
 from numpy.typing import NDArray
 
 from tactile_base.config_paths import named_file
+from tactile_base.origin import origin
 from tactile_base.topics import (
     ARM_TOPICS,
     IMAGE,
@@ -307,12 +308,10 @@ def _transport(arm: ArmScene, prefix: str = "") -> dict[str, Any]:
 
 
 def _controller(plan: ArmPlan, arm: ArmScene, plans: Sequence[ArmPlan]) -> NodeProcess:
-    groups: dict[str, dict[str, Any]] = dataclasses.asdict(plan.role.settings)
     parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": arm.controlled_frame}
     for corner in ("workspace_lower", "workspace_upper"):
         parameters[f"space.{corner}"] = list(getattr(arm.safety, corner))
-    for group, values in groups.items():
-        parameters |= {f"{group}.{name}": value for name, value in values.items()}
+    parameters |= plan.role.settings.dotted()
     if plan.role.task_type.needs_images:
         parameters |= _transport(arm, "images.") | {"timing.watchdog_period": LOOKING_PERIOD}
     partners = {"awaited": awaited_by(plan, plans), "waiting": waiting_for(plan, plans)}
@@ -351,6 +350,7 @@ def _recorder(
         "seed": str(options.seed),
         "roles": json.dumps({plan.arm: _role_note(plan, scene.arms[plan.arm]) for plan in plans}),
         "parameters": json.dumps({node.full_name: node.parameters for node in nodes}),
+        "origin": json.dumps(origin()),
     }
     parameters = {
         "bag": str(options.record.absolute()),

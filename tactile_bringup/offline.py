@@ -10,6 +10,7 @@ seconds after it. The same scene, task, options and seed give the same bits::
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 import traceback
@@ -21,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from tactile_base.origin import origin
 from tactile_base.raised import plugin_name, raised_in_plugin, told
-from tactile_base.settings import SettingError
+from tactile_base.settings import SettingError, SettingGroups
 from tactile_base.stamps import NANOSECOND, SECOND_NS
 from tactile_bringup.offline_perception import Perception, perception
 from tactile_bringup.run_sequence import ArmPlan, RunSequence, arm_plans
@@ -127,6 +129,17 @@ def run_arms_offline(
         scene = scene.with_fidelity(options.fidelity, **options.sensor)
     task = load_task(task_path(task), scene.name, goals_of=scene.goals_of) if isinstance(task, str) else task
     return _OfflineLoop(scene, task, options, progress).run()
+
+
+def _given(controller: SettingGroups, options: OfflineOptions) -> dict[str, dict[str, Any]]:
+    """Settings of a run, as a recording of nodes has them; those of the run itself under `simulation`."""
+    run = {"fidelity": options.fidelity or "of the scene", "latency": options.latency, **options.sensor}
+    run |= {"model": str(options.model)} if options.model else {}
+    return {
+        "controller": controller.dotted(),
+        "filter": dataclasses.asdict(options.filter),
+        "simulation": run,
+    }
 
 
 class _OfflineLoop:
@@ -273,6 +286,8 @@ class _OfflineArm:
                 T_world_base=scene.arms[plan.arm].T_world_base,
                 loose=loose_outline(scene, plan.arm),
                 surface=surface_mesh(scene, plan.arm),
+                settings=_given(plan.role.settings, options),
+                origin=origin(),
             )
         )
         self.loose = loose_body(scene, plan.arm)

@@ -1,4 +1,4 @@
-"""`tactile report BAG`: numbers and pictures of a recorded run, for each of its arms."""
+"""`tactile report RUN`: numbers, pictures and a page of a run, recorded or simulated."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 def register(subparsers: Any) -> None:
     """Add `report`."""
     parser = subparsers.add_parser(
-        "report", help="numbers and pictures of a recorded run", description=__doc__
+        "report", help="numbers, pictures and a page of a run", description=__doc__
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="what --record has written")
     parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help="for report.json and pictures (default: BAG-report)"
+        "run_of", type=Path, metavar="BAG|RUN", help="a recording, or the folder or run.npz of simulate"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="for report.html, report.json, pictures (NAME-report)"
     )
     parser.set_defaults(run=run)
 
@@ -31,25 +33,28 @@ def register(subparsers: Any) -> None:
 @refusing("report", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code: 0 where the task was done, 1 where not, 2 without a record."""
-    from tactile_records.runs.from_bag import read_arms
+    from tactile_records.runs.read_runs import read_runs
     from tactile_records.runs.report import FILES
 
-    folder = arguments.out or arguments.bag.with_name(f"{arguments.bag.name}-report")
-    room_for_results(folder, *FILES, source=arguments.bag)
-    records = read_arms(arguments.bag)
-    return 0 if deliver(records, arguments.bag, folder, Console()) else 1
+    source: Path = arguments.run_of
+    folder = arguments.out or source.with_name(f"{source.stem}-report")
+    room_for_results(folder, *FILES, source=source)
+    return 0 if deliver(read_runs(source), source, folder, Console()) else 1
 
 
-def deliver(records: Run, bag: Path, folder: Path, console: Console) -> bool:
+def deliver(records: Run, source: Path, folder: Path, console: Console) -> bool:
     """Write report and pictures of each arm, and print what a person wants to see first.
 
     Returns whether all arms have done what they were asked to, by the numbers of their reports.
     """
+    from tactile_records.runs.page import NAME, write_report_page
     from tactile_records.runs.report import places, summary, write_reports
 
     values = write_reports(records, folder)
+    write_report_page(records, values, folder)
     first = next(iter(records.values()))
-    title = f"{first.task_file} on {first.scene}, real ROS nodes, seed {first.seed}"
+    how = "simulated" if first.source == "offline" else "real ROS nodes"
+    title = f"{first.task_file} on {first.scene}, {how}, seed {first.seed}"
     table = number_table(title, ["", "measured", "wanted"])
     for row in summary(records, values):
         table.add_row(*row)
@@ -59,7 +64,7 @@ def deliver(records: Run, bag: Path, folder: Path, console: Console) -> bool:
             if problem in record.result:
                 say(console, f"note: {record.result[problem]}", "yellow")
     files = [path for place in places(records, folder).values() for path in sorted(place.glob("*.*"))]
-    for path in (*(path for path in files if path.suffix in (".json", ".png")), bag):
+    for path in (folder / NAME, *(path for path in files if path.suffix in (".json", ".png")), source):
         say(console, _short(path))
     return bool(values) and all(numbers["succeeded"] for numbers in values.values())
 

@@ -32,7 +32,7 @@ def register(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "simulate",
         help="run a task on a simulated scene in one process, without ROS, as fast as it goes",
-        description="Runs a task in a simulated scene in one process; writes report.json, pictures, record.",
+        description="Runs a task in a simulated scene in one process; writes report, pictures and record.",
     )
     add = parser.add_argument
     add("task", nargs="?", default="surface_following", help=TASK_HELP)
@@ -96,9 +96,11 @@ def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions
 
 def deliver(run: Run, folder: Path) -> int:
     """Write report, pictures and record of each arm, and say what a person wants to see first."""
+    from tactile_records.runs.page import write_report_page
     from tactile_records.runs.report import places, summary, write_reports
 
     values = write_reports(run, folder)
+    page = write_report_page(run, values, folder)
     for arm, place in places(run, folder).items():
         run[arm].save(place / "run.npz")
     for name, value, requirement in summary(run, values):
@@ -107,7 +109,9 @@ def deliver(run: Run, folder: Path) -> int:
     if traces:
         (folder / ERRORS).write_text("\n".join(sorted(traces)))
         print(f"where the error comes from: {folder / ERRORS}")
+    print(page)
     for place in places(run, folder).values():
         for path in sorted(place.glob("*.*")):
-            print(path)
+            if path != page:
+                print(path)
     return 0 if all(numbers["succeeded"] for numbers in values.values()) else 1

@@ -58,16 +58,24 @@ def draw_flow(result: CheckResult, path: Path) -> None:
     basis = np.stack([middle, rank - 0.75, *flow.labels[:, :2].T, -beta, alpha, gamma], axis=1)
     fields = regressions(basis, flow.positions, deep, 4 * basis.shape[1] + 1)
     size = np.abs(basis[deep]).max(axis=0)
-    shown = (("x", 2, "C0"), ("y", 3, "C1")), (("-beta", 4, "C2"), ("alpha", 5, "C3")), (("gamma", 6, "C4"),)
-    for axis, group in zip(axes, shown, strict=False):
+    shown = (
+        ("shear: x and y parallel,\nat a right angle to each other", ("x", 2, "C0"), ("y", 3, "C1")),
+        ("tilt: -beta as x, alpha as y", ("-beta", 4, "C2"), ("alpha", 5, "C3")),
+        ("twist: round the middle,\nfrom x towards y", ("gamma", 6, "C4")),
+    )
+    for axis, (right, *group) in zip(axes, shown, strict=False):
+        axis.set_title(right, fontsize=10)
         for name, k, color in group:
             larger = _GAMMA_LARGER if name == "gamma" else 1
             label = name if larger == 1 else f"{name}, {larger} times as long"
             _arrows(axis, flow.rest, larger * fields[:, k] * size[k] / 2, color, label)
         axis.legend(loc="upper right", fontsize=8)
     _arrows(axes[3], flow.rest, fields[:, 0] - flow.rest, "k", "pressing")
+    axes[3].set_title("pressing: away from the middle", fontsize=10)
     axes[3].legend(loc="upper right", fontsize=8)
-    figure.suptitle("motion of the markers in the image by half of the range of each label")
+    figure.suptitle(
+        "motion of the markers in the image by half of the range of each label; above each what is right"
+    )
     _save(figure, path)
 
 

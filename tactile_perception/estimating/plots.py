@@ -16,7 +16,11 @@ from tactile_perception.estimating.run import EstimateTable
 
 Array = NDArray[np.float64]
 Row = tuple[str, Array, Array, Array | None]
-DPI = 80
+DPI = 110
+_WELL = (
+    "On the black line predicted is actual. Components of X_sf = X_fs\u207b\u00b9: rho_z is about minus the "
+    "depth, rho_x and rho_y shear, phi_x and phi_y tilt, phi_z twist."
+)
 #: Leading digits of the ticks of a logarithmic axis, and how many ticks fit on one.
 _DIGITS = ((1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))
 _MOST_TICKS = 5
@@ -29,19 +33,20 @@ def draw_estimates(table: EstimateTable, path: Path, title: str) -> None:
 
 
 def draw_predicted_against_actual(path: Path, rows: Sequence[Row], title: str) -> None:
-    """The paper's figure: predicted against actual, colored by precision, one row of plots for each entry.
+    """The paper's figure: predicted against actual, colored by precision, two rows of plots for each entry.
 
     A row is (name, actual (N, 6), predicted (N, 6), sigma (N, 6) or None), in mm and rad.
     """
-    figure, grid = plot_grid(len(rows), 6, 3.4)
-    for axes_row, (name, actual, predicted, sigma) in zip(grid, rows, strict=True):
+    figure, grid = plot_grid(2 * len(rows), 3, 3.2)
+    for axes_row, (name, actual, predicted, sigma) in zip(grid.reshape(-1, 6), rows, strict=True):
         for component, axes in enumerate(axes_row):
             deviation, unit = None if sigma is None else sigma[:, component], NETWORK_UNITS[component]
             _scatter(figure, axes, actual[:, component], predicted[:, component], deviation, unit)
             mae = np.nanmean(np.abs(predicted[:, component] - actual[:, component]))
             axes.set_title(f"{COMPONENTS[component]}: MAE {mae:.3g} {unit}")
-            axes.set(xlabel=f"actual ({unit})", ylabel="predicted" if component else f"{name}\npredicted")
+            axes.set(xlabel=f"actual ({unit})", ylabel="predicted" if component % 3 else f"{name}\npredicted")
     figure.suptitle(title)
+    figure.supxlabel(_WELL, fontsize=9, color="#555555")
     figure.savefig(path, dpi=DPI)
 
 
@@ -96,7 +101,9 @@ def _scatter(
         precision = sigma[order] ** -2
         low, high = np.percentile(precision, [2.0, 98.0])
         range_shown = {"vmin": low, "vmax": max(high, low * 1.001)}
-        points = axes.scatter(actual[order], predicted[order], c=precision, cmap="jet", s=3, **range_shown)
+        points = axes.scatter(
+            actual[order], predicted[order], c=precision, cmap="viridis", s=3, **range_shown
+        )
         bar = figure.colorbar(points, ax=axes, label=f"precision (1/{unit}²)", pad=0.01)
         bar.formatter = FuncFormatter(_short)  # a power of ten over the bar would run into the title
     ends = [actual[usable].min(), actual[usable].max()]

@@ -24,7 +24,7 @@ from tactile_base.stamps import SECOND_NS
 from tactile_records.calibrating import tip
 from tactile_records.calibrating.result import CalibrationError
 from tactile_records.calibrating.touches import poses_at, touches_of
-from tactile_records.runs.metrics import inverses
+from tactile_records.runs.euler_poses import inverses
 from tactile_records.runs.record import RunRecord
 
 Array = NDArray[np.float64]

@@ -25,7 +25,7 @@ from scipy.optimize import minimize_scalar
 
 from tactile_base.stamps import NANOSECOND
 from tactile_records.calibrating.result import CalibrationError
-from tactile_records.runs.metrics import inverses
+from tactile_records.runs.euler_poses import inverses
 from tactile_records.runs.record import RunRecord
 
 Array = NDArray[np.float64]

@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 
 from tactile_records.replay.report import RunResult
 from tactile_records.replay.track import ArmInputs
-from tactile_records.runs.euler_poses import euler_poses, euler_sigmas
-from tactile_records.runs.figures import BELIEF, COMPONENTS, ESTIMATE, TRUTH, range_of, style, with_gaps
-from tactile_records.runs.metrics import inverses
+from tactile_records.runs.euler_poses import (
+    COMPONENT_NAMES,
+    COMPONENTS,
+    UNITS,
+    euler_poses,
+    euler_sigmas,
+    inverses,
+)
+from tactile_records.runs.figures import BELIEF, ESTIMATE, TRUTH, range_of, style, with_gaps
 
 Array = NDArray[Any]
 
@@ -23,6 +29,10 @@ GAP = 0.3  # s; a longer time without contact is drawn as this
 MOST_POINTS = 2000  # a line
 LEGEND_COLUMNS = 3
 BANDS = 3  # more runs than this are drawn without bands
+_WELL = (
+    "Dashed: two standard deviations about the run of that color. When all is well, the truth stays between "
+    "them, and NIS / 6 is about 1."
+)
 
 
 def compare(arm: ArmInputs, results: Sequence[RunResult], title: str, path: Path) -> None:
@@ -39,9 +49,16 @@ def compare(arm: ArmInputs, results: Sequence[RunResult], title: str, path: Path
             axes.set_xlabel("time in contact [s], pauses shortened")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         lines = -(-len(labels) // LEGEND_COLUMNS)
-        figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
+        figure.legend(
+            handles,
+            labels,
+            loc="lower center",
+            bbox_to_anchor=(0.5, 0.025),
+            ncols=min(LEGEND_COLUMNS, len(labels)),
+        )
         # margins that fit: the layout engine of matplotlib would find them in half a second
-        figure.subplots_adjust(0.06, 0.075 + 0.018 * lines, 0.985, 0.955, wspace=0.15, hspace=0.1)
+        figure.subplots_adjust(0.06, 0.095 + 0.018 * lines, 0.985, 0.955, wspace=0.15, hspace=0.1)
+        figure.text(0.5, 0.012, _WELL, ha="center", fontsize=9, color="#555555")
         figure.suptitle(title, weight="bold")
         figure.savefig(path)
         plt.close(figure)
@@ -87,7 +104,8 @@ def _dashes(result: RunResult) -> str:
 def _draw_component(
     axes: Any, arm: ArmInputs, results: Sequence[RunResult], colors: list[Any], axis: _Axis, name: str
 ) -> None:
-    column, unit, factor, what = COMPONENTS[name]
+    column, (what, unit) = COMPONENTS.index(name), COMPONENT_NAMES[name]
+    factor = UNITS[column]
     drawn = [np.zeros(0)]
     touching = [m for m in arm.measurements if m.estimate is not None]
     if touching:
@@ -103,8 +121,7 @@ def _draw_component(
         mean = euler_poses(inverses(beliefs.mean))[:, column] * factor
         if len(results) <= BANDS:
             sigma = 2.0 * euler_sigmas(beliefs)[:, column] * factor
-            gt, (low, high) = with_gaps(t, mean - sigma, mean + sigma, gap=axis.gap)
-            axes.fill_between(gt, low, high, color=color, alpha=0.18, lw=0)
+            _draw_band(axes, with_gaps(t, mean - sigma, mean + sigma, gap=axis.gap), color, len(results) == 1)
         gt, (line,) = with_gaps(t, mean, gap=axis.gap)
         axes.plot(gt, line, color=color, lw=1.2, ls=_dashes(result), label=result.name, zorder=3)
         drawn.append(mean)
@@ -116,6 +133,16 @@ def _draw_component(
         drawn.append(true)
     axes.set(ylabel=f"{what} [{unit}]")
     axes.set_ylim(*range_of(*drawn))
+
+
+def _draw_band(axes: Any, series: tuple[Array, list[Array]], color: Any, filled: bool) -> None:
+    """Two standard deviations about a line: an area, or its edges where areas would cover each other."""
+    t, (low, high) = series
+    if filled:
+        axes.fill_between(t, low, high, color=color, alpha=0.18, lw=0, label="\u00b1 2\u03c3")
+    else:
+        for edge in (low, high):
+            axes.plot(t, edge, color=color, lw=0.6, ls=(0, (4, 2)), alpha=0.8)
 
 
 def _draw_nis(axes: Any, results: Sequence[RunResult], colors: list[Any], axis: _Axis) -> None:
@@ -134,7 +161,8 @@ def _draw_nis(axes: Any, results: Sequence[RunResult], colors: list[Any], axis: 
 
 
 def _draw_sigma(axes: Any, results: Sequence[RunResult], colors: list[Any], axis: _Axis) -> None:
-    column, unit, factor, what = COMPONENTS["z"]
+    column, (what, unit) = COMPONENTS.index("z"), COMPONENT_NAMES["z"]
+    factor = UNITS[column]
     for result, color in zip(results, colors, strict=True):
         rows, t = axis.rows(result.beliefs.stamp_ns)
         if len(rows):

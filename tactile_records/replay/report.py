@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from tactile_geometry import se3
 from tactile_records.replay.run import Agreement
-from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas
-from tactile_records.runs.metrics import angle_between, inverses, without_nan
+from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
+from tactile_records.runs.metrics import angle_between, without_nan
 from tactile_records.runs.record import BeliefSeries, TruthSeries
 
 Array = NDArray[Any]

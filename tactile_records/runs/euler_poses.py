@@ -8,13 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_geometry import se3
-from tactile_records.runs.metrics import inverses
 from tactile_records.runs.record import GaussianSeries
 
 Array = NDArray[Any]
 
-COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
+COMPONENT_NAMES = {  # component: what it is, and its unit
+    "x": ("shear x", "mm"),
+    "y": ("shear y", "mm"),
+    "z": ("depth z", "mm"),
+    "alpha": ("angle α", "deg"),
+    "beta": ("angle β", "deg"),
+    "gamma": ("shear γ", "deg"),
+}
+COMPONENTS = tuple(COMPONENT_NAMES)
 UNITS = np.array([1e3, 1e3, 1e3, *(180.0 / np.pi,) * 3])  # of the components: mm, deg
+
+
+def inverses(T: Array) -> Array:
+    """Inverses (N, 4, 4) of rigid transforms."""
+    result = np.zeros_like(T)
+    result[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
+    result[:, :3, 3] = -np.einsum("nij,nj->ni", result[:, :3, :3], T[:, :3, 3])
+    result[:, 3, 3] = 1.0
+    return result
 
 
 def euler_poses(T: Array) -> Array:

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_base.stamps import NANOSECOND
 from tactile_geometry import se3
-from tactile_records.runs.euler_poses import euler_poses
-from tactile_records.runs.metrics import inverses
+from tactile_records.runs.euler_poses import euler_poses, inverses
 from tactile_records.runs.record import GaussianSeries, RunRecord, Series
 
 Array = NDArray[Any]

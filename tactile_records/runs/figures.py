@@ -22,8 +22,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from tactile_records.runs.euler_poses import euler_poses, euler_sigmas
-from tactile_records.runs.metrics import COMMAND_STAGE, inverses
+from tactile_records.runs.euler_poses import (
+    COMPONENT_NAMES,
+    COMPONENTS,
+    UNITS,
+    euler_poses,
+    euler_sigmas,
+    inverses,
+)
+from tactile_records.runs.metrics import COMMAND_STAGE
 from tactile_records.runs.record import RunRecord
 
 Array = NDArray[Any]
@@ -64,25 +71,34 @@ STYLE: dict[Any, Any] = {
 LATENCY_REQUIREMENT = {"p50": 8.0, "p99": 25.0}  # ms
 
 
-Picture = Callable[[RunRecord, Mapping[str, RunRecord]], Figure]
+#: Draws an arm's picture, or None where the run has nothing of the kind.
+Picture = Callable[[RunRecord, Mapping[str, RunRecord]], Figure | None]
 
 
 def draw_all(
     pictures: Mapping[str, Picture], run: Mapping[str, RunRecord], arm: str, folder: Path
 ) -> list[Path]:
-    """Draw one arm's pictures of a run into files of these names; returns their paths."""
+    """Draw one arm's pictures of a run into files of these names; returns the paths of those there are."""
     folder.mkdir(parents=True, exist_ok=True)
+    paths = []
     for name, draw in pictures.items():
         with style():
             figure = draw(run[arm], run)
-            figure.savefig(folder / name)
-            plt.close(figure)
-    return [folder / name for name in pictures]
+            if figure is not None:
+                figure.savefig(folder / name)
+                plt.close(figure)
+                paths.append(folder / name)
+    return paths
 
 
-def of_one_arm(draw: Callable[[RunRecord], Figure]) -> Picture:
+def of_one_arm(draw: Callable[[RunRecord], Figure | None]) -> Picture:
     """A picture for which the other arms do not matter."""
     return lambda record, run: draw(record)
+
+
+def caption(figure: Figure, text: str) -> None:
+    """Say below a picture what it shows when all is well."""
+    figure.supxlabel(text, fontsize=9, color="#555555")
 
 
 def reference_of(record: RunRecord) -> Array:
@@ -117,17 +133,11 @@ def contact(record: RunRecord) -> Figure:
             "time in contact [s]" + (", goals one after the other" if len(record.goals) > 1 else "")
         )
     figure.suptitle(f"{record.scene}: contact pose, settling (shaded), then {record.work}", weight="bold")
+    caption(
+        figure,
+        "When all is well, depth and angles keep to the green line and the truth stays in the blue band.",
+    )
     return figure
-
-
-COMPONENTS = {  # name: column of the Euler pose, unit, factor from SI, what it is
-    "x": (0, "mm", 1e3, "shear x"),
-    "y": (1, "mm", 1e3, "shear y"),
-    "z": (2, "mm", 1e3, "depth z"),
-    "alpha": (3, "deg", 180.0 / np.pi, "angle α"),
-    "beta": (4, "deg", 180.0 / np.pi, "angle β"),
-    "gamma": (5, "deg", 180.0 / np.pi, "shear γ"),
-}
 
 
 class _ContactClock:
@@ -159,7 +169,9 @@ class _ContactClock:
 
 
 def _draw_component(axes: Any, record: RunRecord, clock: _ContactClock, name: str) -> None:
-    column, unit, factor, what = COMPONENTS[name]
+    what, unit = COMPONENT_NAMES[name]
+    column = COMPONENTS.index(name)
+    factor = UNITS[column]
     for first, stop, begin, phase, _ in clock.stretches:
         if phase == "settle":
             axes.axvspan(begin, begin + (stop - first) * 1e-9, color=PHASES["settle"], lw=0, zorder=0)
@@ -241,6 +253,9 @@ def twists(record: RunRecord) -> Figure:
         axes.set_ylim(low, high + 0.35 * (high - low))  # room for the legends
     panels[-1].set_xlabel("time since the first command [s]")
     figure.suptitle(f"{record.scene}: twist of the sensor, in the sensor frame", weight="bold")
+    caption(
+        figure, "When all is well, what the arm does (dotted) lies on what it was sent, and both end at zero."
+    )
     return figure
 
 
@@ -257,15 +272,15 @@ def _shade_phases(axes: Any, record: RunRecord, t0: int) -> set[str]:
 # ---- latency ----
 
 
-def latency(record: RunRecord) -> Figure:
+def latency(record: RunRecord) -> Figure | None:
     """How long after the exposure each stage has its output: distribution, and the medians one on another.
 
-    Of the exposures in the task's own phase, as the report has it; of all where there was none.
+    Of the exposures in the task's own phase, as the report has it; of all where there was none. None of a
+    run in one process, where latency is a setting.
     """
     series = record.latency
-    if record.source == "offline" and series:
-        chosen = 1e3 * float(np.median(next(iter(series.values())).seconds))
-        return message(f"simulated without nodes: exposure to command was set to {chosen:.1f} ms")
+    if record.source == "offline":
+        return None
     worked = any(record.working(stage.stamp_ns).any() for stage in series.values())
     stages = {
         name: 1e3 * (stage.seconds[record.working(stage.stamp_ns)] if worked else stage.seconds)
@@ -294,6 +309,11 @@ def latency(record: RunRecord) -> Figure:
     _stack(stack, stages)
     stack.set_xlim(0.0, right)
     stack.set_xlabel("milliseconds after the exposure" + _beyond(stages, right))
+    caption(
+        figure,
+        f"When all is well, the line of the {COMMAND_STAGE} passes 0.5 left of the first green line and 0.99 "
+        "left of the second.",
+    )
     return figure
 
 

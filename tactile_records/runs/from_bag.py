@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.input_file import parse_json
 from tactile_base.stamps import ns_from_parts
 from tactile_base.topics import TF, body_frame
 from tactile_control.tasks import TASKS
@@ -17,7 +18,9 @@ from tactile_geometry.gaussian import left_from_ros
 from tactile_records.bags.contents import noted
 from tactile_records.bags.reader import Bag, read_bag
 from tactile_records.runs.ending import ending
+from tactile_records.runs.events import events_of
 from tactile_records.runs.record import BodySeries, RunRecord, Series, StageSeries
+from tactile_records.runs.settings_given import given
 from tactile_records.runs.surfaces import loose_body, loose_outline, surface_mesh
 from tactile_scene.scene_file import SceneError, load_scene
 
@@ -66,8 +69,22 @@ def run_from_bag(bag: Bag, arm: str) -> RunRecord:
         setattr(record, stream, rows.series(type(getattr(record, stream)), topic, row))
     record.latency, record.lost = _latency(rows)
     problem = _add_bodies(record, bag)
+    record.settings, record.origin = given(noted(bag.note, "parameters"), arm), _origin(bag)
+    record.events = events_of(bag, arm)
     record.result = ending(bag, record) | ({"surface_problem": problem} if problem else {})
     return record
+
+
+def _origin(bag: Bag) -> dict[str, str]:
+    """As `tactile_base.origin` had it noted; empty for a recording of other makes."""
+    try:
+        found = parse_json(bag.note.get("origin", "{}"))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        bag.problems.append("the bag's note 'origin': must hold texts by name; it is left out")
+        return {}
+    return {str(name): str(text) for name, text in found.items()}
 
 
 def _rows_of_three(given: list[list[float] | None]) -> Array:

@@ -14,7 +14,7 @@ from tactile_control.phases import Command, StampedPose
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.metrics import COMMAND_STAGE
-from tactile_records.runs.record import RunRecord, Series, StageSeries
+from tactile_records.runs.record import Event, RunRecord, Series, StageSeries
 from tactile_sim.frame import Truth
 
 Array = NDArray[Any]
@@ -83,10 +83,18 @@ class RunLog:
         if self._latency:
             record.latency = {COMMAND_STAGE: _series(StageSeries, self._latency)}
             record.lost = {COMMAND_STAGE: 0}
+        record.events = _phases(record)
         record.result = {"succeeded": succeeded, "reason": reason, "wall_s": wall_s}
         record.result |= {"refused": dict(refused)} if refused else {}
         record.result |= {"traceback": traceback} if traceback else {}
         return record
+
+
+def _phases(record: RunRecord) -> list[Event]:
+    """The phases of the task, as a recording of nodes tells them."""
+    phase = record.command.phase
+    begins = np.flatnonzero(np.r_[True, phase[1:] != phase[:-1]]) if len(phase) else []
+    return [Event(int(record.command.stamp_ns[k]), "phase", f"{record.arm}: {phase[k]}") for k in begins]
 
 
 def _series(kind: type[S], rows: list[Any]) -> S:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_geometry import se3
+from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
 from tactile_records.runs.record import GaussianSeries, RunRecord, TruthSeries
 
 Array = NDArray[Any]
@@ -66,6 +67,9 @@ REPORT_FIELDS: dict[str, str] = {
     "belief.depth_in_2_sigma": "part of the beliefs whose true depth lies within 2 sigma (0..1)",
     "belief.nis_per_dof": "mean of NIS over its degrees of freedom (1 for a consistent filter)",
     "belief.refused": "measurements refused by the gate while following",
+    "contact.*.bias": "mean error of the belief in this component of the contact pose (mm, deg)",
+    "contact.*.rms": "RMS of the same",
+    "contact.*.in_2_sigma": "part of the beliefs whose true component lies within 2 sigma (0..1)",
     "latency_ms.p50": "median time from exposure to command emission",
     "latency_ms.p99": "its 99th percentile",
     "latency_ms.max": "its largest",
@@ -100,6 +104,7 @@ def report(record: RunRecord) -> dict[str, Any]:
         "oscillation": oscillation(record),
         "estimate": _errors(record, record.estimate),
         "belief": _errors(record, record.belief) | _consistency(record),
+        "contact": _components(record),
         "latency_ms": _latency(record),
         "frames": _frames(record),
         "goals": {name: _goal(record, index, truth) for index, name in enumerate(record.goals)},
@@ -138,15 +143,6 @@ def normal_angle(X_fs: Array, reference: Array) -> Array:
     wanted = np.array([se3.pose_from_euler(kind)[2, :3] for kind in kinds]).reshape(-1, 3)
     angle[known] = angle_between(X_fs[known, 2, :3], wanted[which.ravel()])
     return angle
-
-
-def inverses(T: Array) -> Array:
-    """Inverses (N, 4, 4) of rigid transforms."""
-    result = np.zeros_like(T)
-    result[:, :3, :3] = T[:, :3, :3].transpose(0, 2, 1)
-    result[:, :3, 3] = -np.einsum("nij,nj->ni", result[:, :3, :3], T[:, :3, 3])
-    result[:, 3, 3] = 1.0
-    return result
 
 
 def depth_sigma(series: GaussianSeries) -> Array:
@@ -271,6 +267,22 @@ def _errors(record: RunRecord, series: GaussianSeries) -> dict[str, float]:
     depth_mm = (depth_of(X_fs) - depth_of(T_fs)) * 1e3
     angle_deg = np.degrees(angle_between(X_fs[:, 2, :3], T_fs[:, 2, :3]))
     return {"depth_rms_mm": rms(depth_mm), "depth_bias_mm": mean(depth_mm), "normal_rms_deg": rms(angle_deg)}
+
+
+def _components(record: RunRecord) -> dict[str, dict[str, float]]:
+    """Of the belief in each component of the Euler contact pose, against the truth of the same exposure."""
+    mine, true = _matched(record, record.belief)
+    belief = record.belief.rows(mine)
+    errors = (euler_poses(inverses(belief.mean)) - euler_poses(record.truth.T_fs[true])) * UNITS
+    sigmas = euler_sigmas(belief) * UNITS
+    return {
+        name: {
+            "bias": mean(errors[:, k]),
+            "rms": rms(errors[:, k]),
+            "in_2_sigma": mean(np.abs(errors[:, k]) <= 2.0 * sigmas[:, k]),
+        }
+        for k, name in enumerate(COMPONENTS)
+    }
 
 
 def _consistency(record: RunRecord) -> dict[str, float | int]:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from tactile_geometry import se3
 from tactile_records.runs import metrics
+from tactile_records.runs.euler_poses import inverses
 from tactile_records.runs.figures import BELIEF, CONTACT_PICTURES, REFERENCE, SURFACE, TRUTH, message
-from tactile_records.runs.metrics import depth_of, inverses, largest, loop_rows, percent, rms, task_row, text
+from tactile_records.runs.metrics import depth_of, largest, loop_rows, percent, rms, task_row, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import Run, TaskReport
 from tactile_records.runs.tracking import poses_at

@@ -15,9 +15,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,6 +141,14 @@ class BodySeries(Series):
     T_world_body: Array = _array(4, 4)
 
 
+class Event(NamedTuple):
+    """Something that was told beside the numbers: a phase, a refusal, a change of a parameter, a warning."""
+
+    stamp_ns: int
+    kind: str
+    text: str
+
+
 @dataclass
 class SurfaceMesh:
     """The true surface in the arm's base frame, for pictures: vertices (V, 3) m, triangles (F, 3) indices."""
@@ -186,6 +196,9 @@ class RunRecord:
     latency : stage name -> StageSeries, cumulative from the exposure, in the order of the stages
     lost : stage name -> number of frames lost (dropped and counted) there
     result : succeeded (bool) and reason (str) of the task, wall_s, and what else is worth a line in a report
+    settings : node -> dotted name -> value that it was given, of the nodes that the arm had to do with
+    origin : command line, versions, machine and time of the run, as `tactile_base.origin` has them
+    events : what was told beside the numbers, by time
     """
 
     scene: str = ""
@@ -214,6 +227,9 @@ class RunRecord:
     surface: SurfaceMesh = field(default_factory=SurfaceMesh)
     loose: LooseBody = field(default_factory=LooseBody)
     result: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    origin: dict[str, str] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
 
     def phase_at(self, stamp_ns: Array) -> Array:
         """The phase in force at each stamp: that of the latest command emitted at or before it, else ''."""
@@ -258,12 +274,16 @@ class RunRecord:
 
     @classmethod
     def load(cls, path: str | Path) -> RunRecord:
-        """Read what `save` wrote."""
-        with np.load(path) as file:
-            arrays = dict(file)
-        plain = json.loads(str(arrays["plain"]))
-        stages = plain.pop("stages")
+        """Read what `save` wrote; `ValueError` for a file that is damaged or anything else."""
+        try:
+            with np.load(path) as file:
+                arrays = dict(file)
+            plain = json.loads(str(arrays["plain"]))
+            stages = plain.pop("stages")
+        except (BadZipFile, EOFError, KeyError, ValueError, zlib.error) as error:
+            raise ValueError(f"{path}: no record of a run, or damaged: {error}") from error
         record = cls(**plain)
+        record.events = [Event(*event) for event in record.events]
         for item in dataclasses.fields(cls):
             value = getattr(record, item.name)
             if isinstance(value, Series | SurfaceMesh | LooseBody):

@@ -90,9 +90,11 @@ def places(run: Run, folder: Path) -> dict[str, Path]:
 
 
 def write_numbers(run: Run, arm: str, path: Path) -> dict[str, Any]:
-    """Write one arm's numbers and return them."""
-    values: dict[str, Any] = metrics.without_nan(report_of(run[arm]).numbers(run[arm], run))
-    path.write_text(json.dumps(values, indent=2) + "\n")
+    """Write one arm's numbers, with its settings and its origin (`RunRecord`), and return the numbers."""
+    record = run[arm]
+    values: dict[str, Any] = metrics.without_nan(report_of(record).numbers(record, run))
+    kept = {"settings": record.settings, "origin": record.origin}
+    path.write_text(json.dumps(values | kept, indent=2) + "\n")
     return values
 
 

@@ -19,6 +19,9 @@ from tactile_records.runs.report import TaskReport
 
 Array = NDArray[Any]
 
+_WELL = (
+    "When all is well, the sensor's axis lies along the normal, and depth and angle stay in the green bands."
+)
 DEPTH_REQUIREMENT, NORMAL_REQUIREMENT = 0.3, 2.0  # mm, deg: what the runs are held to
 
 
@@ -105,6 +108,7 @@ def _side_view(record: RunRecord, track: _Track) -> Figure:
     _draw_depth(depth, record, at, track.depth, TRUTH)
     _draw_angle(angle, at, track.angle, TRUTH)
     angle.set_xlabel("distance along the path, horizontally [mm]")
+    figures.caption(figure, _WELL)
     return figure
 
 
@@ -209,6 +213,7 @@ def _three_dimensional(record: RunRecord, tracks: list[_Track]) -> Figure:
     view.legend(loc="upper left", ncols=2)
     depth.set_title("depth and alignment along each path")
     angle.set_xlabel("arc length of the tip's centre [mm]")
+    figures.caption(figure, _WELL)
     return figure
 
 

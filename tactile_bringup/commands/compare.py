@@ -1,0 +1,82 @@
+"""`tactile compare RUN RUN...`: what differs in settings and results, and what is mere spread."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from tactile_base.console import number_table, say
+from tactile_base.whole_file import room_for_results
+from tactile_bringup.commands.changes import refusing
+
+if TYPE_CHECKING:
+    from tactile_records.runs.comparison_page import Comparison
+
+MOST_ROWS = 25
+
+
+def register(subparsers: Any) -> None:
+    """Add `compare`."""
+    parser = subparsers.add_parser(
+        "compare",
+        help="what differs between runs, in settings and results, and what is mere spread",
+        description="Compares recordings, what simulate wrote, or folders with report.json. Runs that differ "
+        "by their seeds alone are a group; groups are held against the first.",
+        epilog="exit codes: 0 written, 2 nothing written",
+    )
+    parser.add_argument(
+        "runs", type=Path, nargs="+", metavar="RUN", help="at least two; a group of several is better"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", default=Path("out/compare"), help="(default: out/compare)"
+    )
+    parser.set_defaults(run=run)
+
+
+@refusing("compare", status=2)
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns the exit code."""
+    from tactile_records.runs.comparison import read_compared
+    from tactile_records.runs.comparison_page import NUMBERS, compared, write_comparison
+
+    if len(arguments.runs) < 2:
+        raise ValueError("one run is nothing to compare; name two or more")
+    found = compared(read_compared(arguments.runs))
+    alone = [one.arm for one in found if sum(len(group.runs) for group in one.groups) < 2]
+    if len(alone) == len(found):
+        raise ValueError(f"no arm is in more than one of these runs ({', '.join(alone)}): nothing to compare")
+    room_for_results(arguments.out, NUMBERS)
+    console = Console()
+    for one in found:
+        if one.arm not in alone:
+            _show(one, console)
+    for path in write_comparison([one for one in found if one.arm not in alone], arguments.out):
+        say(console, str(path))
+    return 0
+
+
+def _show(one: Comparison, console: Console) -> None:
+    from tactile_records.runs.comparison_page import spread, summary
+
+    for group in one.groups:
+        say(console, f"{one.arm}, group {group.name}: {', '.join(run.source for run in group.runs)}")
+    for name, values in one.settings.items():
+        told = (f"{group.name} {value}" for group, value in zip(one.groups, values, strict=True))
+        say(console, f"  {name}: {', '.join(told)}")
+    if len(one.groups) == 1:
+        say(console, "  all of them are of one kind: the page shows how their numbers are spread")
+        return
+    say(console, f"  {summary(one)}")
+    if one.larger:
+        runs = {group.name: len(group.runs) for group in one.groups}
+        table = number_table("", ["", "group", one.groups[0].name, "that group", "difference"])
+        for difference in one.larger[:MOST_ROWS]:
+            pair = (one.groups[0].name, difference.first), (difference.group, difference.second)
+            values = (spread(found, runs[name]) for name, found in pair)
+            table.add_row(difference.number, difference.group, *values, f"{difference.size:+.3g}")
+        console.print(table)
+    if len(one.larger) > MOST_ROWS:
+        say(console, f"  and {len(one.larger) - MOST_ROWS} more, on the page")

@@ -1,0 +1,60 @@
+"""Which settings of a run are not the declared defaults."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from tactile_control.tasks import TASKS
+from tactile_filter.filter_settings import FilterSettings
+from tactile_records.runs.record import RunRecord
+
+
+class Given(NamedTuple):
+    """A setting of a node, and its default; None where nothing declares one."""
+
+    node: str
+    name: str
+    value: Any
+    default: Any
+
+
+def given(parameters: Mapping[str, Mapping[str, Any]], arm: str) -> dict[str, dict[str, Any]]:
+    """`RunRecord.settings` of an arm, from the parameters of all nodes of a graph by their full names."""
+    found = {}
+    for node, values in parameters.items():
+        namespace, _, name = node.rpartition("/")
+        if namespace in ("", f"/{arm}"):
+            found[name] = dict(values)
+    return found
+
+
+def differing(record: RunRecord) -> Iterator[Given]:
+    """The settings of a run that differ from their defaults, as they are declared now, and all others given.
+
+    What a node is told of the cell, as the name of its task, is no setting and not among them.
+    """
+    for node, values in record.settings.items():
+        known = _defaults(node, record.task)
+        for name, value in values.items():
+            if known is None:
+                yield Given(node, name, value, None)
+            elif name in known and plain(value) != plain(known[name]):
+                yield Given(node, name, value, known[name])
+
+
+def _defaults(node: str, task: str) -> dict[str, Any] | None:
+    """None for a node without declared defaults here."""
+    if node == "filter":
+        return dataclasses.asdict(FilterSettings())
+    if node == "controller" and task in TASKS.names():
+        return TASKS.load(task).settings_class().dotted()
+    return None
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON holds it, so that what was kept in a file compares with what was not."""
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
