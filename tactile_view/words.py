@@ -11,9 +11,8 @@ import numpy as np
 
 from tactile_base.stamps import SECOND_NS
 from tactile_geometry import se3
-from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas
+from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
 from tactile_records.runs.from_bag import STAGES
-from tactile_records.runs.metrics import inverses
 from tactile_records.runs.record import GaussianSeries
 from tactile_view.cell_state import MODES, ArmState, CellState
 

@@ -75,8 +75,9 @@ def _show(one: Comparison, console: Console) -> None:
         table = number_table("", ["", "group", one.groups[0].name, "that group", "difference"])
         for difference in one.larger[:MOST_ROWS]:
             pair = (one.groups[0].name, difference.first), (difference.group, difference.second)
-            values = (spread(found, runs[name]) for name, found in pair)
-            table.add_row(difference.number, difference.group, *values, f"{difference.size:+.3g}")
+            cells = (spread(found, runs[name]) for name, found in pair)
+            table.add_row(difference.number, difference.group, *cells, f"{difference.size:+.3g}")
+        table.columns[0].overflow = "fold"
         console.print(table)
     if len(one.larger) > MOST_ROWS:
         say(console, f"  and {len(one.larger) - MOST_ROWS} more, on the page")

@@ -59,11 +59,11 @@ def draw_flow(result: CheckResult, path: Path) -> None:
     fields = regressions(basis, flow.positions, deep, 4 * basis.shape[1] + 1)
     size = np.abs(basis[deep]).max(axis=0)
     shown = (
-        ("shear: x and y parallel,\nat a right angle to each other", ("x", 2, "C0"), ("y", 3, "C1")),
-        ("tilt: -beta as x, alpha as y", ("-beta", 4, "C2"), ("alpha", 5, "C3")),
-        ("twist: round the middle,\nfrom x towards y", ("gamma", 6, "C4")),
+        ("shear: x and y parallel,\nat a right angle to each other", (("x", 2, "C0"), ("y", 3, "C1"))),
+        ("tilt: -beta as x, alpha as y", (("-beta", 4, "C2"), ("alpha", 5, "C3"))),
+        ("twist: round the middle", (("gamma", 6, "C4"),)),
     )
-    for axis, (right, *group) in zip(axes, shown, strict=False):
+    for axis, (right, group) in zip(axes, shown, strict=False):
         axis.set_title(right, fontsize=10)
         for name, k, color in group:
             larger = _GAMMA_LARGER if name == "gamma" else 1

@@ -23,7 +23,7 @@ from tactile_base.input_file import parse_json
 from tactile_records.runs.metrics import without_nan
 from tactile_records.runs.read_runs import read_runs
 from tactile_records.runs.report import report_of
-from tactile_records.runs.settings_given import plain
+from tactile_records.runs.settings_given import plain, settings_of
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ WRONG = 0.05
 REPORT = "report.json"
 IDENTITY = ("scene", "task", "task_file", "role", "arm", "source")  # of a report: what makes runs of one kind
 _NO_RESULT = ("seed", "wall_s")  # numbers of a report that say nothing about how well it went
-_OF_THE_RUN = ("seed",)  # settings that differ between runs of one kind
+_OF_THE_RUN = ("seed", "scene")  # what a simulation is given: differs between runs of one kind, or is told
 
 LARGER, WITHIN, UNTOLD = "larger than the spread", "within the spread", "nothing to say"
 
@@ -131,8 +131,8 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _of_report(source: str, values: Mapping[str, Any]) -> ComparedRun:
-    given = values.get("settings") or {}
-    settings = {f"{node} {name}": plain(value) for node in given for name, value in given[node].items()}
+    given = settings_of(values.get("settings") or {}, values["task"])
+    settings = {f"{node} {name}": plain(value) for node, name, value, _ in given}
     results = {k: v for k, v in values.items() if k not in (*IDENTITY, *_NO_RESULT, "settings", "origin")}
     return ComparedRun(
         source, values["arm"], {k: values.get(k) for k in IDENTITY}, settings, dict(_numbers(results))

@@ -70,8 +70,8 @@ def spread(values: Array, runs: int) -> str:
     """Mean and deviation of what so many runs say, as far as several of them have it."""
     some = f" ({len(values)} of {runs})" if len(values) < runs else ""
     if len(values) == 1:
-        return f"{values[0]:.4g}{some}"
-    return f"{values.mean():.4g} \u00b1 {values.std(ddof=1):.1g}{some}"
+        return f"{values[0]:.5g}{some}"
+    return f"{values.mean():.5g} \u00b1 {values.std(ddof=1):.3g}{some}"
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> list[Path]:
@@ -91,10 +91,10 @@ def write_comparison(found: Sequence[Comparison], folder: Path) -> list[Path]:
 
 
 _HOW = (
-    "Runs with the same task, scene and settings are one group, whatever their seeds. A number is mean \u00b1 "
-    "standard deviation. A difference is called larger than the spread where runs of one kind would show one "
-    "so large by chance, in any number of an arm, in fewer than 5 of 100 such comparisons (Welch's t test, or "
-    "the prediction interval of a single run; Holm's correction)."
+    "Runs with the same task, scene and settings are one group, whatever their seeds. A number is mean "
+    "\u00b1 deviation. A difference is called larger than the spread where runs of one kind would show one "
+    "so large by chance, in any number of an arm, in fewer than 5 of 100 such comparisons (Welch's t test, or the "
+    "prediction interval of a single run; Holm's correction)."
 )
 
 
@@ -104,7 +104,7 @@ def _runs(one: Comparison) -> Html:
             group.name,
             code(run.source),
             run.identity["scene"],
-            run.identity["task_file"] or run.identity["task"],
+            run.identity["task_file"],
         )
         for group in one.groups
         for run in group.runs
@@ -153,7 +153,7 @@ def _numbers(one: Comparison) -> Html:
             cells.append(_cell(by_place.get((number, group.name))))
         rows.append([*cells, one.meaning(number)])
     heads = [head for group in others for head in (group.name, f"{group.name} against {first.name}")]
-    return table(["", first.name, *heads, "what it is"], rows)
+    return table(["", first.name, *heads, "what it is"], rows, numbers=range(1, 2 + len(heads)))
 
 
 def _all_numbers(one: Comparison) -> list[str]:

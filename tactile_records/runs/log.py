@@ -93,7 +93,7 @@ class RunLog:
 def _phases(record: RunRecord) -> list[Event]:
     """The phases of the task, as a recording of nodes tells them."""
     phase = record.command.phase
-    begins = np.flatnonzero(np.r_[True, phase[1:] != phase[:-1]]) if len(phase) else []
+    begins = np.flatnonzero(np.append(np.ones(min(1, len(phase)), bool), phase[1:] != phase[:-1]))
     return [Event(int(record.command.stamp_ns[k]), "phase", f"{record.arm}: {phase[k]}") for k in begins]
 
 

@@ -31,17 +31,19 @@ def given(parameters: Mapping[str, Mapping[str, Any]], arm: str) -> dict[str, di
 
 
 def differing(record: RunRecord) -> Iterator[Given]:
-    """The settings of a run that differ from their defaults, as they are declared now, and all others given.
+    """The settings of a run that are not their defaults, as they are declared now, or have none here."""
+    for given in settings_of(record.settings, record.task):
+        if given.default is None or plain(given.value) != plain(given.default):
+            yield given
 
-    What a node is told of the cell, as the name of its task, is no setting and not among them.
-    """
-    for node, values in record.settings.items():
-        known = _defaults(node, record.task)
+
+def settings_of(settings: Mapping[str, Mapping[str, Any]], task: str) -> Iterator[Given]:
+    """All settings of `RunRecord.settings`, without what nodes are told of their cell."""
+    for node, values in settings.items():
+        known = _defaults(node, task)
         for name, value in values.items():
-            if known is None:
-                yield Given(node, name, value, None)
-            elif name in known and plain(value) != plain(known[name]):
-                yield Given(node, name, value, known[name])
+            if known is None or name in known:
+                yield Given(node, name, value, (known or {}).get(name))
 
 
 def _defaults(node: str, task: str) -> dict[str, Any] | None:
