@@ -93,8 +93,8 @@ def write_comparison(found: Sequence[Comparison], folder: Path) -> list[Path]:
 _HOW = (
     "Runs with the same task, scene and settings are one group, whatever their seeds. A number is mean "
     "\u00b1 deviation. A difference is called larger than the spread where runs of one kind would show one "
-    "so large by chance, in any number of an arm, in fewer than 5 of 100 such comparisons (Welch's t test, or the "
-    "prediction interval of a single run; Holm's correction)."
+    "so large by chance, in any number of an arm, in fewer than 5 of 100 such comparisons (Welch's t test, "
+    "or the prediction interval of a single run; Holm's correction)."
 )
 
 
