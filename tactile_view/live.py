@@ -11,6 +11,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from tactile_base import topics
 from tactile_base.raised import told
@@ -22,14 +23,9 @@ from tactile_ros.qos import DIAGNOSTICS, IMAGE, LATENCY, NOTES, STATE, TF, TF_ST
 from tactile_view.cell_state import CellState, installed_types, shown_topics
 
 LOOK = 1.0  # s, between looks for arms that are new
-SHARED = (
-    topics.TF,
-    topics.TF_STATIC,
-    topics.DIAGNOSTICS,
-    topics.ROSOUT,
-    topics.PARAMETER_EVENTS,
-    topics.ESTOP,
-)
+KEPT = 5.0  # s, that it goes on after the last page was closed: it may be loaded anew
+ALWAYS = (topics.DIAGNOSTICS, topics.ROSOUT, topics.PARAMETER_EVENTS, topics.ESTOP)  # little, and told once
+SHARED = (topics.TF, topics.TF_STATIC)
 _PROFILES = {
     topics.TF.name: TF,
     topics.TF_STATIC.name: TF_STATIC,
@@ -41,31 +37,47 @@ IMAGE_RATE = 10.0  # Hz, at which images are taken: others are not even copied
 
 
 class LiveGraph(GraphClient):
-    """Gives each message that arrives to a `CellState`; a context, as `GraphClient`."""
+    """Gives each message that arrives to a `CellState`; a context, as `GraphClient`.
+
+    What arms say many times a second is heard only while somebody looks: else no byte of it comes here.
+    """
 
     types = staticmethod(installed_types)
 
     def __init__(self, domain_id: int, state: CellState) -> None:
         super().__init__("/tactile_view", domain_id)
-        self._state, self._arms, self._looked = state, set[str](), -1.0
-        for topic in SHARED:
+        self._state, self._heard, self._found_at, self._looked_at = state, dict[str, Any](), -LOOK, -KEPT
+        for topic in ALWAYS:
             self._listen(topic)
 
-    def poll(self, timeout_s: float) -> None:
-        """Handle what arrives within so long; listen to arms that are new."""
-        if time.monotonic() - self._looked > LOOK:
-            self._looked = time.monotonic()
-            for name, _ in self._node.get_topic_names_and_types():
-                arm = topics.ARM_STATUS.arm_of(name)
-                if arm is not None and arm not in self._arms:
-                    self._arms.add(arm)
-                    for topic in shown_topics(arm):
-                        self._listen(topic)
-        end = time.monotonic() + timeout_s
-        while (left := end - time.monotonic()) > 0.0:
+    def poll(self, timeout_s: float, looked_at: bool) -> None:
+        """Handle what arrives within so long; while somebody looks, listen also to arms that are new."""
+        now = time.monotonic()
+        if looked_at:
+            self._looked_at = now
+            if now - self._found_at > LOOK:
+                self._found_at = now
+                self._hear_arms()
+        elif self._heard and now - self._looked_at > KEPT:
+            self._hear_no_arm()
+        while (left := now + timeout_s - time.monotonic()) > 0.0:
             self.spin(left)
 
-    def _listen(self, topic: Topic) -> None:
+    def _hear_arms(self) -> None:
+        names = [name for name, _ in self._node.get_topic_names_and_types()]
+        arms = filter(None, map(topics.ARM_STATUS.arm_of, names))
+        for topic in (*SHARED, *(topic for arm in arms for topic in shown_topics(arm))):
+            if topic.name not in self._heard:
+                self._heard[topic.name] = self._listen(topic)
+
+    def _hear_no_arm(self) -> None:
+        for subscription in self._heard.values():
+            self._node.destroy_subscription(subscription)
+        self._heard.clear()
+        self._state.arms.clear()  # it would be old when somebody looks again
+        self._found_at = -LOOK
+
+    def _listen(self, topic: Topic) -> Any:
         name, kind, due = topic.name, topic.type, 0.0
         is_image = topics.IMAGE.arm_of(name) is not None
 
@@ -79,7 +91,7 @@ class LiveGraph(GraphClient):
 
         profile = _PROFILES.get(name, LATENCY if name.endswith(topics.LATENCY.name) else STATE)
         profile = IMAGE if is_image else NOTES if topic.qos == LATCHED and name not in _PROFILES else profile
-        self._node.create_subscription(message_class(kind), name, take, profile, raw=True)
+        return self._node.create_subscription(message_class(kind), name, take, profile, raw=True)
 
 
 class Hands:

@@ -20,7 +20,7 @@ from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
 from tactile_view.words import events_in_words, set_html, state_in_words, troubles_in_words
 
 SCENE_PERIOD, PLOT_PERIOD, WORDS_PERIOD, TOUCH_PERIOD = 0.06, 0.25, 0.25, 0.12  # s, between two looks at it
-POLL = 0.02  # s
+POLL, IDLE = 0.02, 0.2  # s, while somebody looks and while nobody does
 
 
 class Source(Protocol):
@@ -29,8 +29,8 @@ class Source(Protocol):
     def types(self, type_name: str) -> Any:
         """What `rosbags` reads messages of a type with."""
 
-    def poll(self, timeout_s: float) -> None:
-        """Give what comes within so long to the cell's state."""
+    def poll(self, timeout_s: float, looked_at: bool) -> None:
+        """Give what comes within so long to the cell's state; while nobody looks, no more than has to be."""
 
 
 class Page:
@@ -103,8 +103,9 @@ class Page:
     def run(self, ends: Callable[[], bool]) -> None:
         """Show what comes until it `ends`."""
         while not ends():
-            self.source.poll(POLL)
-            if self.server.get_clients():
+            looked_at = bool(self.server.get_clients())
+            self.source.poll(POLL if looked_at else IDLE, looked_at)
+            if looked_at:
                 self.show()
 
     def show(self) -> None:

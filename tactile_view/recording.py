@@ -1,19 +1,31 @@
-"""Recording: a bag as messages in time, which is played, paused and sought."""
+"""Recording: a bag as messages in time, which is played, paused and sought.
+
+What is shown is read when its time comes, so that the bag may be larger than the memory. What the whole
+recording tells beside its numbers is gathered little by little, meanwhile.
+"""
 
 from __future__ import annotations
 
-import bisect
 import time
+from collections.abc import Iterator
+from itertools import chain, groupby, islice, repeat
 from pathlib import Path
 from typing import Any
 
+from tactile_base import topics
 from tactile_base.stamps import SECOND_NS
-from tactile_base.topics import ARM_STATUS, CONTROLLER_STATUS, TF_STATIC
-from tactile_records.bags.reader import Bag, BagError, read_bag
+from tactile_records.bags.contents import BagError, Recorded
+from tactile_records.bags.seeking import SeekableBag
+from tactile_records.runs.from_bag import STREAMS
 from tactile_view.cell_state import WINDOW, CellState, Event
 
-SLOWEST, FASTEST = 0.05, 10.0  # times real time
 MOST_AT_ONCE = 20_000  # messages in one step; further ones come with the next
+MOST_EVENTS = 20_000  # of a recording, the latest
+MOMENT, BETWEEN = SECOND_NS // 2, SECOND_NS // 60
+TELLING = {topic.name for topic in (topics.DIAGNOSTICS, topics.ROSOUT, topics.PARAMETER_EVENTS, topics.ESTOP)}
+LASTING = {topics.TF_STATIC.name}
+_OFTEN = tuple(f"/{name}" for name, _ in STREAMS.values())
+_TOLD_BY_ARMS = topics.ARM_STATUS.name, topics.CONTROLLER_STATUS.name
 
 
 class Recording:
@@ -23,25 +35,33 @@ class Recording:
     ----------
     playing, speed : whether time goes on, and how many times as fast as it went
     now_ns : the time that is shown
-    events : all phases, refusals, warnings and changes of the recording
+    events : phases, refusals, warnings and changes of the recording, as far as it was `looked_through`
+    looked_through : part of it, 0 to 1
     """
 
     def __init__(self, folder: Path, state: CellState) -> None:
-        self.bag: Bag = read_bag(folder)
-        self.messages = sorted(self.bag.messages, key=lambda message: message.received_ns)
-        if not any(name.endswith((ARM_STATUS.name, CONTROLLER_STATUS.name)) for name in self.bag.topics):
-            listed = ", ".join(sorted(self.bag.topics)) or "none"
+        self._bag, self._state = SeekableBag(folder), state
+        self.bag = self._bag.contents
+        if not any(name.endswith(_TOLD_BY_ARMS) for name in self.bag.types):
+            listed = ", ".join(sorted(self.bag.types)) or "none"
             raise BagError(f"{folder}: holds no arm's status, so there is nothing to show; topics: {listed}")
-        self._stamps = [message.received_ns for message in self.messages]
-        self._state = state
-        self.start_ns, self.end_ns = self._stamps[0], self._stamps[-1]
+        self.start_ns, self.end_ns = self._bag.start_ns, self._bag.end_ns
         self.playing, self.speed = True, 1.0
-        self.now_ns, self._next, self._shown_at = self.start_ns, 0, time.monotonic()
-        self.events = self._all_events()
+        self.now_ns, self._shown_at = self.start_ns, time.monotonic()
+        self._next: Recorded | None = None
+        self._coming = self._after(self.start_ns - 1)
+        self._lasting: list[Recorded] = []
+        self._told = CellState(self.types, MOST_EVENTS)
+        self._looking, self.looked_through = self._look_through(), 0.0
 
     def types(self, type_name: str) -> Any:
         """A type as the bag defines it, else as it is installed."""
         return self.bag.typestore(type_name)
+
+    @property
+    def events(self) -> list[Event]:
+        """See the attributes."""
+        return list(self._told.events)
 
     @property
     def seconds(self) -> float:
@@ -53,11 +73,14 @@ class Recording:
         """How long the recording is, s."""
         return (self.end_ns - self.start_ns) / SECOND_NS
 
-    def poll(self, timeout_s: float) -> None:
-        """Go on by the time that has passed, and wait for the rest of so long."""
-        time.sleep(timeout_s)
+    def poll(self, timeout_s: float, looked_at: bool = True) -> None:
+        """Go on by the time that has passed, if somebody looks, and gather events for so long."""
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end and self.look_on():
+            pass
+        time.sleep(max(0.0, end - time.monotonic()))
         passed, self._shown_at = time.monotonic() - self._shown_at, time.monotonic()
-        if self.playing:
+        if self.playing and looked_at:
             self.now_ns = min(self.end_ns, self.now_ns + round(passed * self.speed * SECOND_NS))
             self.playing = self.now_ns < self.end_ns
         self._give(self.now_ns)
@@ -65,33 +88,72 @@ class Recording:
     def seek(self, seconds: float) -> None:
         """Show another time; what came in the last seconds before it is given again, and what lasts."""
         self.now_ns = min(self.end_ns, max(self.start_ns, self.start_ns + round(seconds * SECOND_NS)))
-        since = bisect.bisect_left(self._stamps, self.now_ns - round(WINDOW * SECOND_NS))
+        since = self.now_ns - round(WINDOW * SECOND_NS)
         self._state.clear()
-        for message in self.messages[:since]:
-            if message.topic == TF_STATIC.name:  # what lasts: where arms stand
-                self._state.take(message.topic, message.type, message.data, message.received_ns)
-        self._next = since
-        self._give(self.now_ns)
+        for message in self._lasting:
+            if message.received_ns < since:
+                self._state.take(*message[:4])
+        for message in self._thinned(self._bag.between(since, self.now_ns + 1)):
+            self._state.take(*message[:4])
+        self._coming, self._next = self._after(self.now_ns), None
+        self._shown_at = time.monotonic()
 
     def step(self, frames: int) -> None:
         """Go by so many exposures, forwards or backwards, and stay there."""
-        self.playing = False
-        stamps = sorted({m.received_ns for m in self.messages if m.topic.endswith("contact/state")})
-        stamps = stamps or self._stamps
-        place = bisect.bisect_right(stamps, self.now_ns) - 1 + frames
-        self.seek((stamps[min(max(place, 0), len(stamps) - 1)] - self.start_ns) / SECOND_NS)
+        self.playing, now, away = False, self.now_ns, SECOND_NS
+        names = {name for name in self.bag.types if name.endswith(topics.STATE.name)} or None
+        if frames > 0:
+            later = (message.received_ns for message in self._bag.between(now + 1, self.end_ns + 1, names))
+            stamps = list(islice((stamp for stamp, _ in groupby(later)), frames))
+            self.seek(((stamps or [now])[-1] - self.start_ns) / SECOND_NS)
+            return
+        stamps = self._stamps(now - away, now, names)
+        while len(stamps) <= -frames and now - away > self.start_ns:
+            away *= 10
+            stamps = self._stamps(now - away, now, names)
+        self.seek(((stamps or [now])[max(-len(stamps), frames - 1)] - self.start_ns) / SECOND_NS)
+
+    def look_on(self) -> bool:
+        """Gather a few more events; False once all are."""
+        return next(self._looking, False)
+
+    def _stamps(self, start_ns: int, last_ns: int, names: set[str] | None) -> list[int]:
+        return sorted({message.received_ns for message in self._bag.between(start_ns, last_ns + 1, names)})
+
+    def _after(self, ns: int) -> Iterator[Recorded | None]:
+        """What comes after a time; None for ever behind it."""
+        return chain(self._bag.between(ns + 1, self.end_ns + 1), repeat(None))
 
     def _give(self, until_ns: int) -> None:
-        stop = min(bisect.bisect_right(self._stamps, until_ns), self._next + MOST_AT_ONCE)
-        for message in self.messages[self._next : stop]:
-            self._state.take(message.topic, message.type, message.data, message.received_ns)
-        self._next = max(self._next, stop)
+        for _ in range(MOST_AT_ONCE):
+            if self._next is None:
+                self._next = next(self._coming)
+            if self._next is None or self._next.received_ns > until_ns:
+                return
+            self._state.take(*self._next[:4])
+            self._next = None
 
-    def _all_events(self) -> list[Event]:
-        """What the whole recording tells beside its numbers."""
-        state = CellState(self.types, most_events=None)
-        telling = ("/diagnostics", "/rosout", "/parameter_events", "/estop")
-        for message in self.messages:
-            if message.topic in telling or message.topic.endswith((ARM_STATUS.name, CONTROLLER_STATUS.name)):
-                state.take(message.topic, message.type, message.data, message.received_ns)
-        return list(state.events)
+    def _thinned(self, messages: Iterator[Recorded]) -> Iterator[Recorded]:
+        """Of what is said more often than a chart shows, what is shown; of the last moment everything."""
+        taken = dict[str, int]()
+        for message in messages:
+            if message.topic.endswith(_OFTEN) and self.now_ns - message.received_ns > MOMENT:
+                if message.received_ns - taken.get(message.topic, 0) < BETWEEN:
+                    continue
+                taken[message.topic] = message.received_ns
+            yield message
+
+    def _look_through(self) -> Iterator[bool]:
+        """What the whole recording tells beside its numbers, and what lasts."""
+        names = {name for name in self.bag.types if name in TELLING | LASTING or name.endswith(_TOLD_BY_ARMS)}
+        for count, message in enumerate(self._bag.between(self.start_ns, self.end_ns + 1, names)):
+            if message.topic in LASTING:
+                self._lasting.append(message)
+                if message.received_ns < self.now_ns:  # what is shown was sought before this was found
+                    self._state.take(*message[:4])
+            else:
+                self._told.take(*message[:4])
+            if count % 20 == 0:
+                self.looked_through = (message.received_ns - self.start_ns) / (self.end_ns - self.start_ns)
+                yield True
+        self.looked_through = 1.0

@@ -18,7 +18,8 @@ SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 COLORS = {"phase": "#1e78dc", "refused": "#d2691e", "warning": "#c8a000", "diagnostics": "#c8a000",
           "parameter": "#7828c8", "stop": "#c01c1c", "arm": "#c01c1c"}  # fmt: skip
 OTHER = "#888888"
-MOST_LISTED = 60
+MOST_LISTED, MOST_MARKS = 60, 1000  # events in words, places of the time line
+MARKS_PERIOD = 1.0  # s
 
 
 class RecordingPage(Page):
@@ -33,17 +34,14 @@ class RecordingPage(Page):
         self.top.label = "Time"
         gui, length = self.server.gui, max(recording.duration, 1e-3)
         with self.top:
-            self._marks = gui.add_html(timeline(recording.events, recording.start_ns, length))
+            self._marks = gui.add_html("")
             self._time: Any = gui.add_slider("s", 0.0, round(length, 2), 0.01, 0.0)
             row = gui.add_button_group("", ("play / pause", "◀ frame", "frame ▶"))
             self._paused = gui.add_html("")
             speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
-            if recording.bag.problem:
-                gui.add_html(f"<div style='color:#c01c1c'>{escape(recording.bag.problem)}</div>")
+            self._problem = gui.add_html("")
         with self.tabs.add_tab("Phases"):
-            listed = gui.add_html("")
-            set_html(listed, all_events(recording))
-        self._opened = recording.playing = False
+            self._listed = gui.add_html("")
         self._asked: list[tuple[str, Any]] = []
         self._time.on_update(self._dragged)
         row.on_click(lambda event: self._ask(event.target.value, None))
@@ -58,14 +56,13 @@ class RecordingPage(Page):
         self._asked.append((what, value))
 
     def show(self) -> None:
-        """See `Page`; what was asked for comes first."""
+        """See `Page`; what was asked for comes first, of several places sought the last."""
         recording = self.source
-        if not self._opened:  # it begins when somebody looks
-            self._opened = recording.playing = True
         while self._asked:
             what, value = self._asked.pop(0)
             if what == "seek":
-                recording.seek(float(value))
+                if not (self._asked and self._asked[0][0] == "seek"):
+                    recording.seek(float(value))
             elif what == "play / pause":
                 if recording.now_ns >= recording.end_ns:
                     recording.seek(0.0)
@@ -74,23 +71,37 @@ class RecordingPage(Page):
                 recording.step(-1 if what.startswith("◀") else 1)
         super().show()
         set_html(self._paused, "" if recording.playing else "paused")
+        if self._is_due("time line", MARKS_PERIOD):
+            self._show_events()
         if abs(self._time.value - recording.seconds) > 0.1:
             self._time.value = round(recording.seconds, 2)
 
+    def _show_events(self) -> None:
+        recording = self.source
+        events = recording.events
+        marks = timeline(events, recording.start_ns, max(recording.duration, 1e-3))
+        if self._marks.content != marks:
+            self._marks.content = marks
+        part, left = recording.looked_through, len(events) - MOST_LISTED
+        more = [f"{left} more"] if left > 0 else []
+        more += [f"{part:.0%} of the recording looked through so far"] if part < 1.0 else []
+        set_html(self._listed, "<br>".join([*listed(events[:MOST_LISTED], recording.start_ns), *more]))
+        set_html(self._problem, f"<span style='color:#c01c1c'>{escape(recording.bag.problem)}</span>")
+
 
 def timeline(events: list[Event], start_ns: int, length: float) -> str:
-    """A bar with a mark for each event."""
+    """A bar with a mark for each event; at one place one of each kind."""
     mark = (
         "<div title='{}' style='position:absolute;top:0;height:100%;width:2px;"
         "left:{:.2f}%;background:{}'></div>"
     )
+    places = {
+        (round(MOST_MARKS * (event.stamp_ns - start_ns) / SECOND_NS / length), event.kind): event.text
+        for event in reversed(events)
+    }  # of several at one place the first
     marks = "".join(
-        mark.format(
-            escape(event.text, quote=True),
-            100.0 * (event.stamp_ns - start_ns) / SECOND_NS / length,
-            COLORS.get(event.kind, OTHER),
-        )
-        for event in events
+        mark.format(escape(text, quote=True), 100.0 * place / MOST_MARKS, COLORS.get(kind, OTHER))
+        for (place, kind), text in places.items()
     )
     kinds = sorted({event.kind for event in events})
     legend = " ".join(f"<span style='color:{COLORS.get(kind, OTHER)}'>{kind}</span>" for kind in kinds)
@@ -98,12 +109,12 @@ def timeline(events: list[Event], start_ns: int, length: float) -> str:
     return f"{bar}<div style='font-size:0.75em;padding:0 0.8em'>{legend}</div>"
 
 
-def all_events(recording: Recording) -> str:
-    """The events of the whole recording with their times."""
-    return "<br>".join(
-        f"{(event.stamp_ns - recording.start_ns) / SECOND_NS:.2f} s {event.kind}: {escape(event.text)}"
-        for event in recording.events[:MOST_LISTED]
-    )
+def listed(events: list[Event], start_ns: int) -> list[str]:
+    """Events in words, with their times."""
+    return [
+        f"{(event.stamp_ns - start_ns) / SECOND_NS:.2f} s {event.kind}: {escape(event.text)}"
+        for event in events
+    ]
 
 
 def scene_of_bag(bag: Bag) -> Scene | None:

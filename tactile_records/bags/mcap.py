@@ -8,17 +8,17 @@ has them too, may be damaged; of chunks that were not read it tells the time. Fo
 
 from __future__ import annotations
 
-import mmap
 import struct
 import zlib
 from collections import Counter
 from io import BytesIO
+from typing import Protocol
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.well_known import SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
@@ -27,32 +27,41 @@ from tactile_records.bags.contents import Bag, Gap, Recorded
 from tactile_records.bags.unpacking import MESSAGE_COST, TooLarge, Unpacker
 from tactile_records.bags.writer import GAP
 
-_OPCODES = frozenset({*map(int, Opcode), *range(0x80, 0x100)})  # from 0x80 on they are private
+OPCODES = frozenset({*map(int, Opcode), *range(0x80, 0x100)})  # from 0x80 on they are private
 _ANNOUNCING: dict[int, type[Schema | Channel]] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)  # to compare with an enum takes longer
-_RECORD = struct.Struct("<BQ")  # opcode, length
-_MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, time of reception, of publication
+RECORD = struct.Struct("<BQ")  # opcode, length
+MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, time of reception, of publication
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
 # What reading a damaged record raises; ValueError includes wrong checksums and texts.
-_DAMAGE = (McapError, ValueError, LookupError, OverflowError, RuntimeError, struct.error, zstandard.ZstdError)
+DAMAGE = (McapError, ValueError, LookupError, OverflowError, RuntimeError, struct.error, zstandard.ZstdError)
+WITHOUT_FOOTER = "without its footer: its writer was killed, or still writes"
+
+
+class Sliced(Protocol):
+    """Bytes of a file, of which parts are taken."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> bytes: ...
 
 
 class McapReader:
     """Reads one file into `bag`; `bag.problems` call it by `name`."""
 
-    def __init__(self, data: mmap.mmap, name: str, bag: Bag, unpacker: Unpacker) -> None:
+    def __init__(self, data: Sliced, name: str, bag: Bag, unpacker: Unpacker) -> None:
         self._data, self._name, self._bag, self._unpacker = data, name, bag, unpacker
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, bool]] = {}  # topic, type, whether it is kept
         self._counts: Counter[int] = Counter()  # messages by channel
         self._chunks: dict[int, ChunkIndex] = {}  # by where they start; those that were read are taken out
+        self._metadata: list[MetadataIndex] = []
         self._has_end = False
         self._statistics: Statistics | None = None
 
     def read(self) -> bool:
         """Read all that is readable; False if it is no MCAP file or holds nothing at all."""
-        if self._data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
-            self._report("is not an MCAP file: it does not start as one")
+        if not self._starts():
             return False
         self._read_summary()
         try:
@@ -62,13 +71,19 @@ class McapReader:
         self._report_missing()
         return bool(self._channels) or not self._bag.problems
 
+    def _starts(self) -> bool:
+        if starts := self._data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC:
+            return starts
+        self._report("is not an MCAP file: it does not start as one")
+        return False
+
     def _read_summary(self) -> None:
         """Types, topics, chunks and counts, where the end of the file is as it was written."""
         end = len(self._data) - len(MCAP0_MAGIC) - _FOOTER.size
         if end < len(MCAP0_MAGIC):
             return
-        opcode, length, start, _, crc = _FOOTER.unpack_from(self._data, end)
-        if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size or not 0 < start <= end:
+        opcode, length, start, _, crc = _FOOTER.unpack(self._data[end : end + _FOOTER.size])
+        if opcode != Opcode.FOOTER or length != _FOOTER.size - RECORD.size or not 0 < start <= end:
             return
         self._has_end = True
         if crc not in (0, zlib.crc32(self._data[start : end + _FOOTER.size - 4])):
@@ -80,20 +95,22 @@ class McapReader:
                     self._chunks[record.chunk_start_offset] = record
                 elif isinstance(record, Schema | Channel):
                     self._announce(record)
+                elif isinstance(record, MetadataIndex):
+                    self._metadata.append(record)
                 elif isinstance(record, Statistics):
                     self._statistics = record
-        except _DAMAGE as error:
-            self._report_damage(start, _text(error))
+        except DAMAGE as error:
+            self._report_damage(start, text_of(error))
 
     def _read_data(self) -> None:
         """All records; behind one that is none the summary tells where the next chunk starts."""
         starts, position = sorted(self._chunks, reverse=True), len(MCAP0_MAGIC)
-        while position + _RECORD.size <= len(self._data):
+        while position + RECORD.size <= len(self._data):
             while starts and starts[-1] <= position:
                 starts.pop()
-            opcode, length = _RECORD.unpack_from(self._data, position)
-            at, position = position, position + _RECORD.size + length
-            if opcode not in _OPCODES or position > (starts[-1] if starts else len(self._data)):
+            opcode, length = RECORD.unpack(self._data[position : position + RECORD.size])
+            at, position = position, position + RECORD.size + length
+            if opcode not in OPCODES or position > (starts[-1] if starts else len(self._data)):
                 if not self._has_end:
                     if opcode == Opcode.CHUNK:
                         self._take_part_of_chunk(at)
@@ -107,16 +124,14 @@ class McapReader:
                     self._take(opcode, at, position)
                 except TooLarge:
                     raise
-                except _DAMAGE as error:
-                    self._report_damage(at, _text(error))
+                except DAMAGE as error:
+                    self._report_damage(at, text_of(error))
         if not self._has_end:
-            without = "without its footer: its writer was killed"
-            self._report(
-                f"the file ends early, after {len(self._data)} bytes and {without}; {self._read_so_far}"
-            )
+            end = f"after {len(self._data)} bytes and {WITHOUT_FOOTER}"
+            self._report(f"the file ends early, {end}; {self._read_so_far}")
 
     def _take(self, opcode: int, at: int, stop: int) -> None:
-        content = ReadDataStream(BytesIO(self._data[at + _RECORD.size : stop]))
+        content = ReadDataStream(BytesIO(self._data[at + RECORD.size : stop]))
         if opcode == Opcode.MESSAGE or opcode in _ANNOUNCING:
             self._take_records(self._data[at:stop])
         elif opcode == Opcode.CHUNK:
@@ -134,7 +149,7 @@ class McapReader:
 
     def _take_part_of_chunk(self, at: int) -> None:
         """What can be unpacked of the chunk that the end of the file cuts; it may be all there is."""
-        rest = self._data[at + _RECORD.size :]
+        rest = self._data[at + RECORD.size :]
         stream = ReadDataStream(BytesIO(rest))
         try:
             stream.read(8 + 8 + 8 + 4)  # first and last time, size, checksum
@@ -144,7 +159,7 @@ class McapReader:
             self._take_records(data)
         except TooLarge:
             raise
-        except _DAMAGE:
+        except DAMAGE:
             return  # the early end is reported all the same, and nothing of it counts as read
 
     def _take_records(self, data: bytes) -> None:
@@ -152,10 +167,10 @@ class McapReader:
         bag, channels = self._bag, self._channels
         keep, counts, before = bag.messages.append, dict.fromkeys(channels, 0), len(bag.messages)
         position, end = 0, len(data)
-        data += bytes(_MESSAGE.size)  # a short last record is unpacked like all others
+        data += bytes(MESSAGE.size)  # a short last record is unpacked like all others
         while position < end:
-            opcode, length, channel, _, received_ns, published_ns = _MESSAGE.unpack_from(data, position)
-            start, position = position, position + _RECORD.size + length
+            opcode, length, channel, _, received_ns, published_ns = MESSAGE.unpack_from(data, position)
+            start, position = position, position + RECORD.size + length
             if position > end:
                 break
             if opcode == _MESSAGE_OPCODE:
@@ -164,10 +179,10 @@ class McapReader:
                 topic, type_name, kept = channels[channel]
                 counts[channel] = counts.get(channel, 0) + 1
                 if kept:
-                    cdr = data[start + _MESSAGE.size : position]
+                    cdr = data[start + MESSAGE.size : position]
                     keep(Recorded(topic, type_name, cdr, received_ns, published_ns))
             elif opcode in _ANNOUNCING:
-                stream = ReadDataStream(BytesIO(data[start + _RECORD.size : position]))
+                stream = ReadDataStream(BytesIO(data[start + RECORD.size : position]))
                 self._announce(_ANNOUNCING[opcode].read(stream))
         self._counts.update(counts)
         for channel, count in counts.items():
@@ -213,5 +228,5 @@ class McapReader:
         return f"{self._bag.read} messages before that were read"
 
 
-def _text(error: Exception) -> str:
+def text_of(error: Exception) -> str:
     return str(error) or type(error).__name__

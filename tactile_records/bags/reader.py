@@ -43,10 +43,10 @@ def read_bag(folder: Path, wanted: Wanted | None = None) -> Bag:
     """
     bag = Bag(folder.parent if folder.is_file() else folder)
     bag.wanted = wanted or bag.wanted
-    information = _read_metadata(folder, bag.problems)
-    files = _files(folder, information, bag.problems)
-    packed = _packed_messages(information)
-    readable = [_read_file(file, bag, packed, Unpacker(file.stat().st_size)) for file in files]
+    information = read_metadata(folder, bag.problems)
+    files = files_of(folder, information, bag.problems)
+    packed = packed_messages(information)
+    readable = [read_file(file, bag, packed, Unpacker(file.stat().st_size)) for file in files]
     if not any(readable):
         raise BagError(f"{folder}: nothing in it can be read ({bag.problem})")
     bag.note = {str(key): str(value) for key, value in information["custom_data"].items()}
@@ -55,14 +55,14 @@ def read_bag(folder: Path, wanted: Wanted | None = None) -> Bag:
     return bag
 
 
-def _read_file(file: Path, bag: Bag, packed: bool, unpacker: Unpacker) -> bool:
+def read_file(file: Path, bag: Bag, packed: bool, unpacker: Unpacker) -> bool:
     """Read one file into `bag`, its messages compressed or not; False if it holds nothing readable."""
     first = len(bag.messages)
     if file.suffix == ".zstd":
         with TemporaryDirectory(prefix="tactile_bag_") as folder:
             target = Path(folder) / file.stem
-            _unpack_file(file, target, bag.problems, unpacker)
-            return _read_file(target, bag, packed, unpacker)
+            unpack_file(file, target, bag.problems, unpacker)
+            return read_file(target, bag, packed, unpacker)
     if file.suffix == ".db3":
         readable = read_sqlite(file, bag, unpacker)
     elif not file.stat().st_size:
@@ -77,7 +77,7 @@ def _read_file(file: Path, bag: Bag, packed: bool, unpacker: Unpacker) -> bool:
     return readable
 
 
-def _unpack_file(file: Path, target: Path, problems: list[str], unpacker: Unpacker) -> None:
+def unpack_file(file: Path, target: Path, problems: list[str], unpacker: Unpacker) -> None:
     """Decompress a file that `ros2 bag` compressed as a whole, as far as it goes."""
     with file.open("rb") as packed:
         try:
@@ -104,7 +104,7 @@ def _unpack_messages(name: str, bag: Bag, first: int, unpacker: Unpacker) -> Non
         bag.problems.append(f"{name}: {len(damaged)} messages are damaged, the first: {damaged[0]}")
 
 
-def _packed_messages(information: dict[str, Any]) -> bool:
+def packed_messages(information: dict[str, Any]) -> bool:
     """Whether the messages were compressed one by one."""
     mode, form = (str(information.get(f"compression_{what}") or "") for what in ("mode", "format"))
     if form not in ("", "zstd"):
@@ -123,7 +123,7 @@ def _compare(bag: Bag, information: dict[str, Any]) -> None:
         bag.problems.append(f"messages that were read, of those that {METADATA} names: {', '.join(missing)}")
 
 
-def _files(folder: Path, information: dict[str, Any], problems: list[str]) -> list[Path]:
+def files_of(folder: Path, information: dict[str, Any], problems: list[str]) -> list[Path]:
     """The files of a bag in their order."""
     if folder.is_file():
         return [folder]
@@ -148,7 +148,7 @@ def _numbers_last(path: Path) -> tuple[str, int]:
     return (match[1], int(match[2] or -1)) if match else (path.name, -1)
 
 
-def _read_metadata(folder: Path, problems: list[str]) -> dict[str, Any]:
+def read_metadata(folder: Path, problems: list[str]) -> dict[str, Any]:
     """What metadata.yaml says; empty without one, as after a kill of `ros2 bag record`."""
     file = (folder.parent if folder.is_file() else folder) / METADATA
     if not file.is_file():

@@ -24,14 +24,65 @@ _SENSIBLE = "WHERE typeof(id) || typeof(timestamp) || typeof(data) = 'integerint
 _MOVE = "UPDATE sqlite_master SET rootpage = ? WHERE name = 'messages'"
 
 
-def read_sqlite(file: Path, bag: Bag, unpacker: Unpacker) -> bool:
-    """Read one file into `bag`, as far as `unpacker` allows; False if nothing in it can be read."""
-    before, faults = bag.read, list[str]()
+def _connected(file: Path) -> sqlite3.Connection:
+    """The file, opened to be read."""
     # A bag whose recorder was killed may have its last rows in a write-ahead log, which only a reader that
     # takes part in the locking sees.
     mode = "mode=ro" if file.with_name(f"{file.name}-wal").exists() else "immutable=1"
+    return sqlite3.connect(f"file:{quote(str(file))}?{mode}", uri=True)
+
+
+class SeekingSqlite:
+    """One file whose messages are found by their time; `bag` gets types, topics and problems.
+
+    Raises `sqlite3.DatabaseError` for one that is damaged, or has no index of times.
+    """
+
+    def __init__(self, file: Path, bag: Bag) -> None:
+        self._name, self._bag = file.name, bag
+        if (missing := _pages_of(file)[1]) > 0:
+            raise sqlite3.DatabaseError(f"{missing} bytes of it are missing")
+        self._database = _connected(file)
+        _refuse_computed(self._database)
+        if not any(self._begins_with_time(name) for _, name, *_ in self._rows("PRAGMA index_list(messages)")):
+            raise sqlite3.DatabaseError("it has no index of timestamps")
+        faults = list[str]()
+        self._topics = _read_topics(self._database, bag, faults)
+        _read_definitions(self._database, bag, faults)
+        bag.problems += [f"{file.name}: damaged: {fault}" for fault in faults]
+        self.start_ns, self.end_ns = (
+            next(self._rows(f"SELECT {which}(timestamp) FROM messages"))[0] or 0 for which in ("MIN", "MAX")
+        )
+
+    def _rows(self, query: str, *values: int) -> Iterator[tuple[Any, ...]]:
+        return self._database.execute(query, values)
+
+    def _begins_with_time(self, index: str) -> bool:
+        columns = self._database.execute("SELECT name FROM pragma_index_info(?)", (index,))
+        return next(iter(columns), None) == ("timestamp",)
+
+    def between(
+        self, start_ns: int, stop_ns: int, names: Collection[str] | None = None
+    ) -> Iterator[Recorded]:
+        """Messages of these topics, or of all, with start <= time of reception < stop, by that time."""
+        chosen = [number for number, (name, _) in self._topics.items() if names is None or name in names]
+        query = (
+            "SELECT topic_id, timestamp, data FROM messages WHERE timestamp >= ? AND timestamp < ? "
+            f"AND topic_id IN ({', '.join('?' * len(chosen))}) ORDER BY timestamp"
+        )
+        try:
+            for number, stamp_ns, data in self._rows(query, start_ns, stop_ns, *chosen):
+                if isinstance(stamp_ns, int) and isinstance(data, bytes):
+                    yield Recorded(*self._topics[number], data, stamp_ns, stamp_ns)
+        except sqlite3.DatabaseError as error:
+            self._bag.problems.append(f"{self._name}: damaged: {error}")
+
+
+def read_sqlite(file: Path, bag: Bag, unpacker: Unpacker) -> bool:
+    """Read one file into `bag`, as far as `unpacker` allows; False if nothing in it can be read."""
+    before, faults = bag.read, list[str]()
     try:
-        with closing(sqlite3.connect(f"file:{quote(str(file))}?{mode}", uri=True)) as database:
+        with closing(_connected(file)) as database:
             database.execute("PRAGMA writable_schema = ON")  # else a truncated file is refused as a whole
             _refuse_computed(database)
             topics = _read_topics(database, bag, faults)
@@ -60,10 +111,7 @@ def _rows(
     database: sqlite3.Connection, file: Path, topics: Collection[int], faults: list[str]
 ) -> Iterator[tuple[int, int, bytes]]:
     """Topic, stamp (ns) and data of the messages by their ids; page by page where sqlite meets damage."""
-    with file.open("rb") as stream:
-        head = stream.read(32)
-    page = {1: 65536}.get(stored := int.from_bytes(head[16:18], "big"), stored)
-    missing = page * int.from_bytes(head[28:32], "big") - file.stat().st_size
+    page, missing = _pages_of(file)
     last, senseless = 0, list[str]()
     try:
         if missing > 0:  # of a page that the end cuts sqlite would make messages that end in zeros
@@ -85,6 +133,14 @@ def _rows(
                 yield topic, stamp_ns, data
     if senseless:
         faults.append(f"{len(senseless)} rows of messages make no sense, the first with id {senseless[0]}")
+
+
+def _pages_of(file: Path) -> tuple[int, int]:
+    """Size of a page, and how many bytes the file is shorter than it says."""
+    with file.open("rb") as stream:
+        head = stream.read(32)
+    page = {1: 65536}.get(stored := int.from_bytes(head[16:18], "big"), stored)
+    return page, page * int.from_bytes(head[28:32], "big") - file.stat().st_size
 
 
 def _rows_of_pages(file: Path, page: int) -> Iterator[tuple[Any, ...]]:

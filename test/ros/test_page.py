@@ -77,6 +77,18 @@ def test_the_button_stops_the_arm_in_motion(cell, viewer):
     assert cell.graph.wait(lambda: cell.arms[-1].mode != ArmStatus.ESTOP)
 
 
+def test_what_arms_say_comes_to_the_page_only_while_somebody_looks(cell, viewer):
+    def heard() -> bool:
+        readers = cell.graph.node.get_subscriptions_info_by_topic("/arm/arm/pose")
+        return "tactile_view" in {reader.node_name for reader in readers}
+
+    assert cell.graph.wait(heard)
+    viewer.page.goto("about:blank")
+    assert cell.graph.wait(lambda: not heard())
+    viewer.page.goto(viewer.address)
+    assert cell.graph.wait(heard) and told(cell, viewer, "surface_following")
+
+
 def test_what_becomes_of_the_page_changes_nothing_for_the_arm(cell, viewer):
     """Held up and killed in mid motion: the goal ends as if nobody had looked."""
     import signal

@@ -66,6 +66,9 @@ def test_a_step_is_one_exposure(opened):
 
 def test_the_time_line_has_all_phases_with_their_times(opened):
     recording, _ = opened
+    while recording.look_on():
+        pass
+    assert recording.looked_through == 1.0
     phases = [
         (event.text, (event.stamp_ns - START) / 1e9) for event in recording.events if event.kind == "phase"
     ]
