@@ -33,6 +33,8 @@ _OTHERS = tuple(_TAG + name for name in ("str", "seq", "map"))
 # far more than any file or message has that people write, and little enough to be read at once
 _LONGEST_FILE, _LONGEST_TEXT, _LONGEST_NUMBER = 200_000, 20_000, 40
 _MOST_VALUES, _DEEPEST = 20_000, 50
+#: In the description of a ROS parameter, before the value with which its node was started.
+STARTED_WITH = "; started with "
 _TOO_DEEP = f"nested more than {_DEEPEST} deep"
 
 
@@ -297,6 +299,20 @@ def text_of(settings: Settings | SettingGroups | Mapping[str, Any]) -> str:
     ).strip()
 
 
+def value_text(value: Any) -> str:
+    """One value as YAML in one line, as people type it: `[0.0, 3.0]`."""
+    text = yaml.safe_dump(_plain(value), default_flow_style=True, width=math.inf, allow_unicode=True)
+    return text.removesuffix("\n...\n").strip()
+
+
+def typed_value(text: str, what: str) -> Any:
+    """The value that somebody typed, read as YAML; a `SettingError` begins with `what`."""
+    try:
+        return _load(text)
+    except yaml.YAMLError as error:
+        raise SettingError(f"{what}: not valid YAML: {' '.join(str(error).split())}") from error
+
+
 def values_of(text: str, what: str) -> dict[str, Any]:
     """The names and values that `text_of` wrote, or that somebody typed; an empty text holds none.
 
@@ -305,10 +321,7 @@ def values_of(text: str, what: str) -> dict[str, Any]:
     SettingError
         If it is not a mapping in YAML; the message begins with `what`.
     """
-    try:
-        values = _load(text)
-    except yaml.YAMLError as error:
-        raise SettingError(f"{what}: not valid YAML: {' '.join(str(error).split())}") from error
+    values = typed_value(text, what)
     if values is None:
         return {}
     if not isinstance(values, dict):
@@ -320,6 +333,7 @@ def _plain(value: Any) -> Any:
     """What YAML has types for."""
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
+    value = value.tolist() if hasattr(value, "tolist") else value
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
@@ -334,8 +348,4 @@ def name_and_value(change: str, example: str) -> tuple[str, Any]:
     name, equals, text = change.partition("=")
     if not equals:
         raise SettingError(f"--set {change}: must have the form NAME=VALUE, as {example}")
-    try:
-        value = _load(text)
-    except yaml.YAMLError as error:
-        raise SettingError(f"--set {change}: the value cannot be read: {error}") from error
-    return name, value
+    return name, typed_value(text, f"--set {change}")

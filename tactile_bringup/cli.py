@@ -19,6 +19,7 @@ COMMANDS = (
     "tactile_bringup.commands.run",
     "tactile_bringup.commands.stop",
     "tactile_bringup.commands.operate",
+    "tactile_bringup.commands.tune",
     "tactile_bringup.commands.move",
     "tactile_bringup.commands.demo",
     "tactile_bringup.commands.simulate",

@@ -108,7 +108,7 @@ class GraphOptions:
     seed : of the simulated cell
     model : of all estimators; None: the one that the scene names for each sensor, else the shipped one
     filter : one of config/filters, or a path; empty: config/filter.yaml
-    controller : one of config/controllers in place of those that the task names
+    controller : one of config/controllers, or a path, in place of those that the task names
     changes : settings on top of all files, each as ROLE.GROUP.NAME=VALUE
     goals : names of the goals to run; empty: all
     record : the bag to write

@@ -35,6 +35,7 @@ from tactile_geometry import se3
 
 Array = NDArray[np.float64]
 TASK_GROUPS = "tasks"  # in a controller file: groups of settings that only some tasks have, by task
+SUFFIXES = (".yaml", ".yml")
 OTHER = "other"  # among a task's scenes: those that it does not name
 G = TypeVar("G", bound=SettingGroups)
 
@@ -68,7 +69,7 @@ class Role:
     task : str
         Name in the registry `TASKS`.
     controller : str
-        The file of config/controllers that the settings began with; '' for none.
+        The file of config/controllers, or the path, that the settings began with; '' for none.
     settings : SettingGroups
         Of the task's `settings_class`.
     arms : tuple of str
@@ -165,7 +166,8 @@ def load_task(
         Folder of the controller files, by default `../controllers` seen from the task file if there is one,
         else the packaged ones.
     controller
-        Name of one of them in place of those that the task names for the roles that feel; ROLE=NAME for one.
+        Name of one of them, or a path (with .yaml), in place of those that the task names for the roles that
+        feel; ROLE=NAME for one.
     changes
         Settings on top of all files, each as ROLE.GROUP.NAME=VALUE; with one role its name may be left out.
     goals_of
@@ -221,12 +223,13 @@ def _role(
     chosen = section.choice("controller", names) if "controller" in section.values else ""
     only, _, wanted = (controller or "").rpartition("=")
     if controller is not None and (only == name if only else task_type.needs_sensor):
-        if wanted not in names:
-            raise SettingError(f"controller: {unknown_name(wanted, names)}")
+        if wanted not in names and not wanted.endswith(SUFFIXES):
+            raise SettingError(f"controller: {unknown_name(wanted, names)}; or give the path of a .yaml file")
         chosen = wanted
     settings = task_type.settings_class()
     if chosen:
-        settings = load_controller(folder / f"{chosen}.yaml", settings)
+        file = Path(chosen) if chosen.endswith(SUFFIXES) else folder / f"{chosen}.yaml"
+        settings = load_controller(file, settings)
     for changes in (section.section("settings"), on_scene.section("settings")):
         settings = _merged(settings, changes)
     ends = on_scene.value("ends_run", False)

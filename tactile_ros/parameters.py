@@ -8,6 +8,7 @@ effect between two steps and never within one.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -17,9 +18,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tactile_base.settings import SettingError, SettingGroups, Settings, bounds_of, range_text
+from tactile_base.yaml_file import STARTED_WITH, value_text
 
 G = TypeVar("G", bound=SettingGroups)
 S = TypeVar("S", bound=Settings)
+INT32 = 1 << 31
 
 
 class SettingsParameters(Generic[S]):
@@ -161,7 +164,10 @@ def _declare(
 ) -> Any:
     descriptor = _descriptor(field, default)
     descriptor.read_only = field.name in read_only
-    return _declared_value(node, name, list(default) if isinstance(default, tuple) else default, descriptor)
+    value = _declared_value(node, name, list(default) if isinstance(default, tuple) else default, descriptor)
+    if not descriptor.read_only:  # known only now, and `set_descriptor` would tell everybody of a change
+        node.describe_parameter(name).description += f"{STARTED_WITH}{value_text(value)}"
+    return value
 
 
 def _declared_value(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
@@ -189,18 +195,25 @@ def _plain(value: Any) -> Any:
 
 
 def _descriptor(field: dataclasses.Field[Any], default: Any) -> ParameterDescriptor:
+    """Of a field; `Settings` checks what a range cannot say here, and the description tells it.
+
+    rqt_reconfigure (param_editors.py, branch rolling) shows the description, and a slider for a range. It
+    divides by the width of the range, and its sliders have 32 bits: a range without end, or a larger one,
+    keeps it from showing this parameter and all that follow. No step: nodes would refuse what lies between.
+    """
     meta = field.metadata
-    unit = f" ({meta['unit']})" if meta.get("unit") else ""
-    descriptor = ParameterDescriptor(description=f"{meta.get('doc', '')}{unit}")
-    descriptor.additional_constraints = _constraints(meta)
+    descriptor = ParameterDescriptor(additional_constraints=_constraints(meta))
     lower, upper = meta.get("lower"), meta.get("upper")
-    if lower is None or upper is None:  # an open side cannot be said here; `Settings` checks it
-        return descriptor
-    if isinstance(default, int):
-        descriptor.integer_range = [IntegerRange(from_value=int(lower), to_value=int(upper), step=0)]
-    elif isinstance(default, float):
-        ends = {"from_value": float(lower), "to_value": float(upper)}
-        descriptor.floating_point_range = [FloatingPointRange(**ends, step=0.0)]
+    if isinstance(default, int | float) and lower is not None and upper is not None and lower < upper:
+        if isinstance(default, int) and lower >= -INT32 and upper < INT32:
+            descriptor.integer_range = [IntegerRange(from_value=int(lower), to_value=int(upper), step=0)]
+        elif isinstance(default, float) and math.isfinite(upper - lower):
+            ends = {"from_value": float(lower), "to_value": float(upper)}
+            descriptor.floating_point_range = [FloatingPointRange(**ends, step=0.0)]
+    unit = meta.get("unit") or ""
+    told = unit and not descriptor.additional_constraints.endswith(unit)
+    parts = (f"{meta.get('doc', '')}{f' ({unit})' if told else ''}", descriptor.additional_constraints)
+    descriptor.description = "; ".join(filter(None, parts))
     return descriptor
 
 
@@ -212,5 +225,6 @@ def _constraints(meta: Any) -> str:
         parts.append(f"{meta['length']} elements")
     ranges = [range_text(*bounds_of(meta, index)) for index in range(meta.get("length") or 1)]
     if ranges[0] != range_text(None, None):
-        parts.append(f"in {', '.join(ranges if len(set(ranges)) > 1 else ranges[:1])}")
+        unit = f" {meta['unit']}" if meta.get("unit") else ""
+        parts.append(f"in {', '.join(ranges if len(set(ranges)) > 1 else ranges[:1])}{unit}")
     return "; ".join(parts)

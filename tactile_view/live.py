@@ -1,20 +1,11 @@
-"""LiveGraph: hears what the arms of a ROS domain say, and acts on them for the page.
-
-What a person asks for is done one after the other in a thread of its own, with a context of its own, so that
-an answer that does not come holds up nothing. The emergency stop alone waits for nobody: it is sent by
-whoever asks for it.
-"""
+"""LiveGraph: hears what the arms of a ROS domain say, for the page."""
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 from tactile_base import topics
-from tactile_base.raised import told
 from tactile_base.topics import LATCHED, Topic
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_bringup.launching.operator import Operator, OperatorError
@@ -92,46 +83,6 @@ class LiveGraph(GraphClient):
         profile = _PROFILES.get(name, LATENCY if name.endswith(topics.LATENCY.name) else STATE)
         profile = IMAGE if is_image else NOTES if topic.qos == LATCHED and name not in _PROFILES else profile
         return self._node.create_subscription(message_class(kind), name, take, profile, raw=True)
-
-
-class Hands:
-    """Does what a person asks for, in a thread of its own; `say` gets what came of it."""
-
-    def __init__(self, domain_id: int, say: Callable[[str, bool], None]) -> None:
-        self._say, self._asked = say, queue.Queue[Callable[[Operator], str] | None]()
-        self._operator = Operator(domain_id)
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def stop_all(self) -> None:
-        """Publish /estop at once, from whatever thread."""
-        self._operator.stop()
-
-    def ask(self, act: Callable[[Operator], str]) -> None:
-        """Have something done with the operator; it returns what is to be said."""
-        self._asked.put(act)
-
-    def close(self) -> None:
-        """End the thread, once what was asked for is done."""
-        self._asked.put(None)
-        self._thread.join()
-        self._operator.close()
-
-    def _run(self) -> None:
-        while True:
-            try:
-                act = self._asked.get(timeout=0.2)
-            except queue.Empty:
-                self._operator.look()
-                continue
-            if act is None:
-                return
-            try:
-                self._say(act(self._operator), True)
-            except OperatorError as error:
-                self._say(str(error), False)
-            except Exception as error:  # as of a value that is none at all
-                self._say(told(error), False)
 
 
 def scene_of(operator: Operator) -> str:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import threading
 from html import escape
-from typing import Any
 
+from tactile_bringup.launching.hands import Hands, carry_out, settings_of
 from tactile_bringup.launching.operator import Operator, OperatorError
+from tactile_bringup.tuning import Request
 from tactile_scene.scene import Scene
 from tactile_scene.scene_file import SceneError, load_scene
 from tactile_view.cell_state import CellState
-from tactile_view.live import Hands, LiveGraph, scene_of
+from tactile_view.live import LiveGraph, scene_of
 from tactile_view.page import Page
-from tactile_view.settings_panel import Parameter, SettingsPanel
+from tactile_view.settings_panel import SettingsPanel
 from tactile_view.words import set_html
 
 NODES = ("controller", "filter", "estimator", "arm")
@@ -26,7 +27,7 @@ class LivePage(Page):
     source: LiveGraph
 
     def __init__(self, graph: LiveGraph, state: CellState, host: str, port: int) -> None:
-        self.hands = Hands(graph.domain_id, self._say)
+        self.hands = Hands(Operator(graph.domain_id), self._say)
         self._domain_id, self._node = graph.domain_id, ""
         super().__init__(state, graph, None, host, port)
         self._build_acts()
@@ -123,52 +124,26 @@ class LivePage(Page):
         node = f"/{self.arm}/{self._nodes.value}"
         if self.arm in self.state.arms and node != self._node:
             self._load_settings()
-        for name, value in self.state.changed.pop(node, {}).items():
-            self._settings.taken(name, tuple(value) if isinstance(value, list) else value)
+        for changed in list(self.state.changed):
+            for name, value in self.state.changed.pop(changed, {}).items():
+                self._settings.heard(changed, name, value)
 
     def _load_settings(self) -> None:
         self._node = node = f"/{self.arm}/{self._nodes.value}"
 
         def act(operator: Operator) -> str:
-            found = operator.parameters(node)
-            self._settings.fill(
-                [described(name, *both) for name, both in found.items() if shown(name, both[1])]
-            )
+            found = settings_of(operator, node)
+            self._settings.fill(node, found)
             return f"{node}: {len(found)} parameters"
 
         self.hands.ask(act)
 
-    def _set(self, name: str, value: Any) -> None:
-        node = self._node
-
+    def _set(self, request: Request) -> None:
         def act(operator: Operator) -> str:
-            try:
-                operator.set_parameter(node, name, list(value) if isinstance(value, tuple) else value)
-            except Exception as error:  # a person may type anything
-                self._settings.refused(name, str(error))
-                raise
-            return f"{node}: {name} = {value}"  # that it is in force /parameter_events tells
+            taken, refusals = carry_out(operator, request)
+            self._settings.finished(request, taken, refusals)
+            if refusals:
+                raise OperatorError("; ".join(refusals))
+            return ", ".join(f"{node} {name}" for node, name in taken) + " changed"
 
         self.hands.ask(act)
-
-
-def shown(name: str, descriptor: Any) -> bool:
-    """Whether a parameter is one that a person changes at runtime."""
-    return not descriptor.read_only and name not in ("use_sim_time",) and not name.startswith("qos_overrides")
-
-
-def described(name: str, value: Any, descriptor: Any) -> Parameter:
-    """A parameter with what its descriptor says."""
-    ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
-    choices: tuple[str, ...] = ()
-    if isinstance(value, str) and descriptor.additional_constraints.startswith("one of "):
-        choices = tuple(descriptor.additional_constraints.removeprefix("one of ").split("; ")[0].split(", "))
-    lower, upper = (ranges[0].from_value, ranges[0].to_value) if ranges else (None, None)
-    return Parameter(
-        name,
-        tuple(value) if hasattr(value, "tolist") or isinstance(value, list) else value,
-        "; ".join(filter(None, (descriptor.description, descriptor.additional_constraints))),
-        lower,
-        upper,
-        choices if value in choices else (),
-    )

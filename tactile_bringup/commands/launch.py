@@ -95,7 +95,7 @@ def add_task_options(parser: argparse.ArgumentParser) -> None:
     add("--model", type=Path, metavar="FILE", help="of all estimators (default: each sensor's in the scene)")
     add("--filter", default="", metavar="NAME", help="one of config/filters, or a file")
     add("--controller", metavar="NAME",
-        help="one of config/controllers in place of the task's; ROLE=NAME: for one role")  # fmt: skip
+        help="one of config/controllers, or a file, for the task's; ROLE=NAME: for one role")  # fmt: skip
     add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
     add("--goals", nargs="+", default=(), help="names of the goals to run (default: all)")
 

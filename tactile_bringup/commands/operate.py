@@ -13,8 +13,6 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from tactile_base.stop_line import arms_here
 
 if TYPE_CHECKING:
@@ -210,6 +208,8 @@ def _get(arguments: argparse.Namespace, operator: Operator, console: Console) ->
         for name in sorted(operator.nodes):
             _say(console, name)
         return 0 if operator.nodes else 1
+    from tactile_base.yaml_file import value_text
+
     known = operator.parameters(arguments.node)
     chosen = {name: found for name, found in known.items() if name.startswith(arguments.name)}
     if not chosen:
@@ -217,33 +217,19 @@ def _get(arguments: argparse.Namespace, operator: Operator, console: Console) ->
 
         raise ValueError(f"{arguments.node}: {unknown_name(arguments.name, list(known))}")
     for name, (value, descriptor) in chosen.items():
-        _say(console, f"{name}: {_as_yaml(value)}")
-        notes = [descriptor.description, _range(descriptor), "fixed" if descriptor.read_only else ""]
-        if about := "; ".join(filter(None, notes)):
+        _say(console, f"{name}: {value_text(value)}")
+        if about := "; ".join(filter(None, [descriptor.description, "fixed" * descriptor.read_only])):
             _say(console, f"    {about}", "bright_black")
     return 0
 
 
 def _set(arguments: argparse.Namespace, operator: Operator, console: Console) -> int:
-    from tactile_base.yaml_file import name_and_value
+    from tactile_base.yaml_file import name_and_value, value_text
 
     for name, value in [name_and_value(change, EXAMPLE) for change in arguments.changes]:
         before, after = operator.set_parameter(arguments.node, name, value)
-        _say(console, f"{arguments.node} {name}: {_as_yaml(before)} -> {_as_yaml(after)}")
+        _say(console, f"{arguments.node} {name}: {value_text(before)} -> {value_text(after)}")
     return 0
-
-
-def _as_yaml(value: Any) -> str:
-    text = yaml.safe_dump(
-        list(value) if hasattr(value, "tolist") else value, default_flow_style=True, width=1000
-    )
-    return text.removesuffix("\n...\n").strip()
-
-
-def _range(descriptor: Any) -> str:
-    for found in (*descriptor.floating_point_range, *descriptor.integer_range):
-        return f"{found.from_value:g} to {found.to_value:g}"
-    return ""
 
 
 # ---- goals ----

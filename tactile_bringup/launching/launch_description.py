@@ -44,7 +44,7 @@ ARGUMENTS = {
     "seed": ("0", "seed of the simulated cell"),
     "model": ("", "model of all estimators; empty: each sensor's in the scene"),
     "filter": ("", "one of config/filters, or the path of a file; empty: config/filter.yaml"),
-    "controller": ("", "one of config/controllers in place of the task's"),
+    "controller": ("", "one of config/controllers, or a file, in place of the task's"),
     "set": ("", "settings on top of the files, ROLE.GROUP.NAME=VALUE, several divided by blanks"),
     "goals": ("", "names of the goals to run, divided by blanks; empty: all"),
     "record": ("", "folder of a new bag to record; empty: none"),

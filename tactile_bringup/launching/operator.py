@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rcl_interfaces.msg import ParameterDescriptor, ParameterEvent, ParameterType
 from rclpy.action.client import ActionClient
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
@@ -18,7 +18,8 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from tactile_base import topics
-from tactile_base.settings import unknown_name
+from tactile_base.settings import shown, unknown_name
+from tactile_base.yaml_file import value_text
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_drivers.motion_bounds import BOUNDS
 from tactile_msgs.action import RunTask
@@ -33,6 +34,7 @@ SETTLED = 1.0  # s without anything new after which all that is there counts as 
 MOST_NODES = 1000  # that are told of
 REPORT = 3.0  # s, for a node to report in /diagnostics
 SPIN = 0.01  # s
+_DESCRIBE = "/describe_parameters"
 
 
 class OperatorError(RuntimeError):
@@ -72,10 +74,11 @@ class NodeView:
 
 
 class Operator(GraphClient):
-    """Looks at all arms of a ROS domain and acts on them; a context (`GraphClient`)."""
+    """Looks at the arms of a ROS domain, unless `looks` is False, and acts; a context (`GraphClient`)."""
 
-    def __init__(self, domain_id: int) -> None:
+    def __init__(self, domain_id: int, looks: bool = True) -> None:
         super().__init__(ENCLAVE, domain_id)
+        self._looks = looks
         self.arms: dict[str, ArmView] = {}
         self.nodes: dict[str, NodeView] = {}
         self._estop = self._node.create_publisher(Bool, topics.ESTOP.name, STATE)
@@ -94,7 +97,7 @@ class Operator(GraphClient):
     def look(self) -> None:
         """Handle what has arrived, and listen to arms that are new."""
         self.spin(SPIN)
-        for name, _ in self._node.get_topic_names_and_types():
+        for name, _ in self._node.get_topic_names_and_types() if self._looks else ():
             arm = topics.ARM_STATUS.arm_of(name)
             if arm is not None and arm not in self.arms and self._node.count_publishers(name):
                 self.arms[arm] = view = ArmView(arm)
@@ -230,17 +233,44 @@ class Operator(GraphClient):
         return dict(zip(names, pairs, strict=True))
 
     def set_parameter(self, node: str, name: str, value: Any) -> tuple[Any, Any]:
-        """Set one parameter; returns its values before and after; `OperatorError` where it is refused."""
-        client = self._parameter_client(node)
-        names = self._result(client.list_parameters()).result.names
-        if name not in names:
-            raise OperatorError(f"{node}: {unknown_name(name, sorted(names))}")
-        before, descriptor = self._described(client, [name])[name]
-        answer = self._result(client.set_parameters([Parameter(name, value=_as_type(value, descriptor))]))
-        if not answer.results[0].successful:
-            raise OperatorError(f"{node} refuses {name} = {value}: {answer.results[0].reason}")
-        after = self._result(client.get_parameters([name])).values[0]
-        return before, parameter_value_to_python(after)
+        """Set one parameter; returns its values before and after; raises as `set_parameters`."""
+        return self.set_parameters(node, {name: value})[name]
+
+    def set_parameters(self, node: str, values: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+        """Set parameters of a node, all or, where one is refused, none.
+
+        Returns the values of each before and after. Raises `OperatorError` with what was refused and why.
+        """
+        client, names = self._parameter_client(node), list(values)
+        known = self._result(client.list_parameters()).result.names
+        for name in names:
+            if name not in known:
+                raise OperatorError(f"{node}: {unknown_name(name, sorted(known))}")
+        before = self._described(client, names)
+        given = [_parameter(name, value, before[name][1]) for name, value in values.items()]
+        answer = self._result(client.set_parameters_atomically(given)).result
+        if not answer.successful:
+            told = ", ".join(f"{name} = {value_text(value)}" for name, value in values.items())
+            raise OperatorError(f"{node} refuses {told}: {answer.reason}")
+        after = map(parameter_value_to_python, self._result(client.get_parameters(names)).values)
+        return {name: (before[name][0], value) for name, value in zip(names, after, strict=True)}
+
+    def hear_parameters(self, hear: Callable[[str, str, Any], None]) -> None:
+        """Tell `hear` node, name and value of each parameter that has changed, from now on."""
+
+        def take(message: ParameterEvent) -> None:
+            for changed in message.changed_parameters:
+                hear(message.node, changed.name, parameter_value_to_python(changed.value))
+
+        topic = topics.PARAMETER_EVENTS.name
+        self._node.create_subscription(ParameterEvent, topic, take, DIAGNOSTICS)
+
+    def nodes_with_parameters(self) -> set[str]:
+        """Full names of the nodes that answer for their parameters, as far as they are known by now."""
+        services = [name for name, _ in self._node.get_service_names_and_types()]
+        found = {name.removesuffix(_DESCRIBE) for name in services if name.endswith(_DESCRIBE)}
+        # a service that only a client of ours still asks for is listed, too
+        return (found & self.node_names()) - {f"/{self._node.get_name()}"}
 
     def _parameter_client(self, node: str) -> AsyncParameterClient:
         client = AsyncParameterClient(self._node, node)
@@ -270,6 +300,17 @@ class Operator(GraphClient):
             if time.monotonic() > end:
                 raise OperatorError(otherwise)
             self.look()
+
+
+def _parameter(name: str, value: Any, descriptor: ParameterDescriptor) -> Parameter[Any]:
+    """A parameter; `OperatorError` for a value of which ROS has no type."""
+    try:
+        parameter = Parameter(name, value=_as_type(value, descriptor))
+        parameter.to_parameter_msg()  # checks that a number has no more than 64 bits
+    except (TypeError, ValueError, AssertionError, OverflowError) as error:
+        right = "must be a number of up to 64 bits, a text, true or false, or a list of one of these kinds"
+        raise OperatorError(f"{name} = {shown(value)}: {right}") from error
+    return parameter
 
 
 def _as_type(value: Any, descriptor: ParameterDescriptor) -> Any:
