@@ -129,7 +129,7 @@ def test_tactile_simulate_leaves_report_pictures_and_record(tmp_path, capsys):
     assert code == 0
     assert json.loads((out / "report.json").read_text())["succeeded"]
     assert {path.name for path in out.iterdir()} == {
-        "report.json", "run.npz", "trajectory.png", "contact.png", "twists.png", "latency.png",
+        "report.html", "report.json", "run.npz", "trajectory.png", "contact.png", "twists.png",
     }  # fmt: skip
     assert "depth RMS about reference" in capsys.readouterr().out
 
