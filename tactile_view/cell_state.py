@@ -25,7 +25,9 @@ from tactile_base import topics
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import Topic
 from tactile_records.bags.contents import Recorded
+from tactile_records.runs.events import Telling, tells
 from tactile_records.runs.from_bag import STREAMS, frames_of, transform_matrix
+from tactile_records.runs.record import Event
 from tactile_wire.errors import MessageError
 from tactile_wire.message_definitions import message_definition, typestore
 
@@ -51,15 +53,6 @@ _IMAGES = (topics.IMAGE.name, topics.compressed(topics.IMAGE).name)
 def installed_types(type_name: str) -> Any:
     """A type as it is installed."""
     return typestore(type_name, message_definition(type_name))
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that is told beside the numbers: a phase, a refusal, a change of a parameter, a warning."""
-
-    stamp_ns: int
-    kind: str
-    text: str
 
 
 @dataclass
@@ -109,23 +102,15 @@ class CellState:
 
     def __init__(self, types: Types = installed_types, most_events: int | None = MOST_EVENTS) -> None:
         self.types, self._most_events = types, most_events
-        self._shared: dict[str, Callable[[Any, int], None]] = {
-            topics.TF.name: self._take_transforms,
-            topics.TF_STATIC.name: self._take_transforms,
-            topics.DIAGNOSTICS.name: self._take_diagnostics,
-            topics.ROSOUT.name: self._take_log,
-            topics.PARAMETER_EVENTS.name: self._take_change,
-            topics.ESTOP.name: self._take_stop,
-        }
         self.clear()
 
     def clear(self) -> None:
         """Forget everything, as for another place in a recording."""
         self.arms: dict[str, ArmState] = {}
         self.bodies: dict[str, Array] = {}
-        self.trouble: dict[str, str] = {}
+        self._telling = Telling()
+        self.trouble, self.changed = self._telling.trouble, self._telling.changed
         self.events: deque[Event] = deque(maxlen=self._most_events)
-        self.changed: dict[str, dict[str, Any]] = {}
         self.refused: Counter[str] = Counter()
         self.now_ns = 0
 
@@ -137,23 +122,27 @@ class CellState:
 
     def take(self, topic: str, type_name: str, data: bytes, received_ns: int) -> None:
         """One message; what nobody shows is passed over."""
-        act = self._shared.get(topic)
         arm, _, name = topic[1:].partition("/")
-        act = act or (self._of_arm(arm, name) if name in _SHOWN else None)
-        if act is None:
+        shows = name in _SHOWN
+        if not shows and not tells(topic) and topic not in _TRANSFORMS:
             return
         self.now_ns = max(self.now_ns, received_ns)
         if name in _IMAGES:
             self.arm(arm).image = Recorded(topic, type_name, data, received_ns, received_ns)
             return
         try:
-            act(self.types(type_name).deserialize_cdr(data, type_name), received_ns)
+            message = self.types(type_name).deserialize_cdr(data, type_name)
+            if topic in _TRANSFORMS:
+                self._take_transforms(message)
+            elif shows:
+                self._take_of_arm(self.arm(arm), name, message)
+            self.events.extend(self._telling.take(topic, message, received_ns))
         except SENSELESS:
             self.refused[topic] += 1
 
     # ---- of all ----
 
-    def _take_transforms(self, message: Any, received_ns: int) -> None:
+    def _take_transforms(self, message: Any) -> None:
         for item in message.transforms:
             child, parent = item.child_frame_id, item.header.frame_id
             if parent != topics.WORLD:
@@ -163,49 +152,19 @@ class CellState:
             elif child.endswith(BASE):
                 self.arm(child.removesuffix(BASE)).T_world_base = transform_matrix(item.transform)
 
-    def _take_diagnostics(self, message: Any, received_ns: int) -> None:
-        for status in message.status:
-            bad = status.level not in (0, b"\x00")
-            was = self.trouble.pop(status.name, "")
-            if bad:
-                self.trouble[status.name] = status.message
-                if status.message != was:
-                    self._tell(received_ns, "diagnostics", f"{status.name}: {status.message}")
-
-    def _take_log(self, message: Any, received_ns: int) -> None:
-        if message.level >= WARNING:
-            self._tell(received_ns, "warning", f"{message.name}: {message.msg}")
-
-    def _take_change(self, message: Any, received_ns: int) -> None:
-        for changed in message.changed_parameters:
-            value = _value_of(changed.value)
-            self.changed.setdefault(message.node, {})[changed.name] = value
-            self._tell(received_ns, "parameter", f"{message.node} {changed.name} = {value}")
-
-    def _take_stop(self, message: Any, received_ns: int) -> None:
-        if message.data:
-            self._tell(received_ns, "stop", "emergency stop of all arms")
-
-    def _tell(self, stamp_ns: int, kind: str, text: str) -> None:
-        self.events.append(Event(stamp_ns, kind, text))
-
     # ---- of an arm ----
 
-    def _of_arm(self, arm: str, name: str) -> Callable[[Any, int], None]:
-        def act(message: Any, received_ns: int) -> None:
-            state = self.arm(arm)
-            if name in _NAMES:
-                self._take_row(state, _NAMES[name], message)
-            if name == topics.ARM_STATUS.name:
-                self._take_status(state, message, received_ns)
-            elif name == topics.CONTROLLER_STATUS.name:
-                self._take_controller(state, message, received_ns)
-            elif name == topics.JOINT_STATES.name:
-                state.joints = np.asarray(message.position, dtype=np.float64)
-            elif name == topics.LATENCY.name:
-                self._take_latency(state, message)
-
-        return act
+    def _take_of_arm(self, state: ArmState, name: str, message: Any) -> None:
+        if name in _NAMES:
+            self._take_row(state, _NAMES[name], message)
+        if name == topics.ARM_STATUS.name:
+            state.status = message
+        elif name == topics.CONTROLLER_STATUS.name:
+            state.controller = message
+        elif name == topics.JOINT_STATES.name:
+            state.joints = np.asarray(message.position, dtype=np.float64)
+        elif name == topics.LATENCY.name:
+            self._take_latency(state, message)
 
     def _take_row(self, state: ArmState, stream: str, message: Any) -> None:
         row = STREAMS[stream][1](message)
@@ -222,19 +181,6 @@ class CellState:
             if not state.path or np.linalg.norm(position - state.path[-1]) > STEP:
                 state.path.append(position)
 
-    def _take_status(self, state: ArmState, message: Any, received_ns: int) -> None:
-        before, state.status = state.status, message
-        if before is not None and (before.mode, before.reason) != (message.mode, message.reason):
-            mode = MODES[message.mode] if message.mode < len(MODES) else str(message.mode)
-            self._tell(received_ns, "arm", f"{state.name}: {mode} {message.reason}".rstrip())
-        if before is not None and message.refused and message.refused != before.refused:
-            self._tell(received_ns, "refused", f"{state.name}: {message.refused}")
-
-    def _take_controller(self, state: ArmState, message: Any, received_ns: int) -> None:
-        before, state.controller = state.controller, message
-        if before is None or (before.phase, before.reason) != (message.phase, message.reason):
-            self._tell(received_ns, "phase", f"{state.name}: {message.phase} {message.reason}".rstrip())
-
     def _take_latency(self, state: ArmState, message: Any) -> None:
         stage, frames = frames_of(message)
         if frames:
@@ -244,8 +190,7 @@ class CellState:
 
 
 BODY, BASE = topics.body_frame(""), topics.base_frame("")
-WARNING = 30  # rcl_interfaces/Log.WARN
-MODES = ("resting", "moving", "stopping", "fault", "emergency stop")  # of tactile_msgs/ArmStatus
+_TRANSFORMS = (topics.TF.name, topics.TF_STATIC.name)
 _SHOWN = {
     *_NAMES, *_IMAGES, topics.ARM_STATUS.name, topics.CONTROLLER_STATUS.name, topics.STATE.name,
     topics.JOINT_STATES.name, topics.LATENCY.name,
@@ -257,14 +202,3 @@ def shown_topics(arm: str, images: bool = True) -> list[Topic]:
     found = {topic.name: topic for topic in (*topics.ARM_TOPICS, *topics.SENSOR_TOPICS, topics.JOINT_STATES)}
     chosen = [topic for name, topic in found.items() if name in _SHOWN]
     return [topic.of(arm) for topic in (*chosen, *((topics.IMAGE,) if images else ()))]
-
-
-def _value_of(value: Any) -> Any:
-    """What a rcl_interfaces/ParameterValue holds."""
-    names = (
-        "", "bool_value", "integer_value", "double_value", "string_value", "byte_array_value",
-        "bool_array_value", "integer_array_value", "double_array_value", "string_array_value",
-    )  # fmt: skip
-    name = names[value.type] if value.type < len(names) else ""
-    found = getattr(value, name) if name else None
-    return found.tolist() if isinstance(found, np.ndarray) else found

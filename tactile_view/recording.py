@@ -17,7 +17,8 @@ from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.contents import BagError, Recorded
 from tactile_records.bags.seeking import SeekableBag
 from tactile_records.runs.from_bag import STREAMS
-from tactile_view.cell_state import WINDOW, CellState, Event
+from tactile_records.runs.record import Event
+from tactile_view.cell_state import WINDOW, CellState
 
 MOST_AT_ONCE = 20_000  # messages in one step; further ones come with the next
 MOST_EVENTS = 20_000  # of a recording, the latest

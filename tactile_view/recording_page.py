@@ -7,9 +7,10 @@ from typing import Any
 
 from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.contents import Bag
+from tactile_records.runs.record import Event
 from tactile_scene.scene import Scene
 from tactile_scene.scene_file import SceneError, load_scene
-from tactile_view.cell_state import CellState, Event
+from tactile_view.cell_state import CellState
 from tactile_view.page import Page
 from tactile_view.recording import Recording
 from tactile_view.words import set_html

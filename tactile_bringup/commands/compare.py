@@ -59,13 +59,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _show(one: Comparison, console: Console) -> None:
-    from tactile_records.runs.comparison_page import spread, summary
+    from tactile_records.runs.comparison_page import doubt, spread, summary
 
     for group in one.groups:
         say(console, f"{one.arm}, group {group.name}: {', '.join(run.source for run in group.runs)}")
     for name, values in one.settings.items():
         told = (f"{group.name} {value}" for group, value in zip(one.groups, values, strict=True))
         say(console, f"  {name}: {', '.join(told)}")
+    if one.untold:
+        say(console, f"  {doubt(one)}", "yellow")
     if len(one.groups) == 1:
         say(console, "  all of them are of one kind: the page shows how their numbers are spread")
         return

@@ -178,7 +178,7 @@ def _deliver(arguments: argparse.Namespace, trials: list[Trial], rows: list[Row]
         for cells in table_rows(table, rows):
             shown.add_row(*map(cell, cells))
         console.print(shown)
-        paths = write_table(folder, table, rows)
+        paths = write_table(folder, table, rows, trials[0].common)
     for path in (folder / "trials.jsonl", *paths):
         say(console, str(path))
     return 0 if all(row["succeeded"] for row in rows) else 1

@@ -37,7 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_records.runs.report import FILES
 
     source: Path = arguments.run_of
-    folder = arguments.out or source.with_name(f"{source.stem}-report")
+    name = source.stem if source.is_file() else source.name
+    folder = arguments.out or source.with_name(f"{name}-report")
     room_for_results(folder, *FILES, source=source)
     return 0 if deliver(read_runs(source), source, folder, Console()) else 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base import html_page as html
 from tactile_base.jobs import Row
+from tactile_base.origin import origin
 from tactile_base.whole_file import whole_file, write_csv
-from tactile_bringup.experiments.pushing import Map, Table, Trial, shown
+from tactile_bringup.experiments.pushing import Common, Map, Table, Trial, shown
+from tactile_records.runs.page import origin_table
 from tactile_sim.pushing_scene import SET
 
 Array = NDArray[np.float64]
@@ -100,8 +104,8 @@ def table_rows(table: Table, rows: Sequence[Row]) -> list[list[Any]]:
     return found
 
 
-def write_table(folder: Path, table: Table, rows: Sequence[Row]) -> list[Path]:
-    """The table as Markdown and CSV, and the trials as CSV; returns their paths."""
+def write_table(folder: Path, table: Table, rows: Sequence[Row], common: Common) -> list[Path]:
+    """The table as a page, Markdown and CSV, and the trials as CSV; returns their paths."""
     lines, folder = table_rows(table, rows), Path(folder)
     paths = [folder / "table.md", folder / "table.csv", folder / "trials.csv"]
     with whole_file(paths[0]) as temporary:
@@ -109,7 +113,32 @@ def write_table(folder: Path, table: Table, rows: Sequence[Row]) -> list[Path]:
     write_csv(paths[1], COLUMNS, lines)
     names = [name for name in rows[0] if name != "varied"] if rows else []
     write_csv(paths[2], names, ([row.get(name) for name in names] for row in rows))
-    return paths
+    return [_page(folder, f"{table.title}: final target error", COLUMNS, lines, rows, common), *paths]
+
+
+def _page(
+    folder: Path,
+    title: str,
+    columns: Sequence[str],
+    lines: Sequence[Sequence[Any]],
+    rows: Sequence[Row],
+    common: Common,
+    pictures: Sequence[Path] = (),
+) -> Path:
+    """One file with the table, what did not go well, and how it was made."""
+    numbers = [k for k, value in enumerate(lines[0]) if not isinstance(value, str)] if lines else []
+    there = sum(bool(row["succeeded"]) for row in rows)
+    content = [
+        html.element("p", f"Simulated; {there} of {len(rows)} trials came to the target.", class_="quiet"),
+        html.table(columns, [list(map(cell, line)) for line in lines], numbers),
+        *(html.picture(path, title) for path in pictures),
+    ]
+    if failed := failures(rows):
+        content += [html.element("h2", "What did not go well"), html.table([""], [[line] for line in failed])]
+    settings = html.table(["", ""], list(dataclasses.asdict(common).items()))
+    content += [html.element("h2", "Settings"), settings]
+    content += [html.element("h2", "How it was made"), *origin_table(origin())]
+    return html.write_page(folder / "report.html", title, *content)
 
 
 def markdown(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
@@ -141,7 +170,7 @@ def failures(rows: Sequence[Row]) -> list[str]:
 
 
 def write_map(folder: Path, chosen: Map, rows: Sequence[Row], trials: Sequence[Trial]) -> list[Path]:
-    """Picture and table of a map; the table names one trial of each place where it breaks."""
+    """Picture, page and table of a map; the table names one trial of each place where it breaks."""
     paths = [folder / f"{chosen.name}.png", folder / f"{chosen.name}.md"]
     by_name = {row["name"]: row for row in rows}
     places = [
@@ -155,12 +184,14 @@ def write_map(folder: Path, chosen: Map, rows: Sequence[Row], trials: Sequence[T
         broken = next(iter(failures(found)), "")
         counts = [outcome.trials, len(outcome.errors)]
         lines.append([*(shown(v) for _, v in varied), *counts, *outcome.numbers()[:3], broken])
+    columns.append("a trial that shows how it breaks")
     with whole_file(paths[1]) as temporary:
-        temporary.write_text(markdown([*columns, "a trial that shows how it breaks"], lines))
+        temporary.write_text(markdown(columns, lines))
     title = f"{chosen.name}: {chosen.object} on {chosen.floor}, controller {trials[0].common.controller}"
     outcomes = {varied: Outcome.of(found) for varied, found in places}
-    _draw_map(paths[0], chosen, outcomes, title.replace("_", " "))
-    return paths
+    title = title.replace("_", " ")
+    _draw_map(paths[0], chosen, outcomes, title)
+    return [_page(folder, title, columns, lines, rows, trials[0].common, paths[:1]), *paths]
 
 
 def _draw_map(path: Path, chosen: Map, outcomes: dict[Any, Outcome], title: str) -> None:

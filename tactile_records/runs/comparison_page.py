@@ -36,10 +36,14 @@ _FIRST = ("depth_rms_mm", "normal_rms_deg", "contact_fraction", "push.error_abs_
 
 
 class Comparison:
-    """One arm of all runs: groups, and how the further ones differ from the first."""
+    """One arm of all runs: groups, and how the further ones differ from the first.
+
+    `untold` are those runs whose record does not hold their settings.
+    """
 
     def __init__(self, arm: str, runs: Sequence[ComparedRun]) -> None:
         self.arm = arm
+        self.untold = [run.source for run in runs if not run.settings]
         self.groups = groups_of(runs)
         self.settings = differing_settings([group.runs[0] for group in self.groups])
         self.differences = differences(self.groups)
@@ -124,10 +128,20 @@ def _value(value: Any) -> str:
 
 
 def _verdict(one: Comparison) -> Iterator[Html]:
+    if one.untold:
+        yield element("p", doubt(one), class_="open")
     if len(one.groups) == 1:
         yield element("p", "There is one group: below is how its runs are spread.")
         return
     yield element("p", summary(one))
+
+
+def doubt(one: Comparison) -> str:
+    """In a sentence, what is not known of an arm's groups; empty if all is."""
+    if not one.untold:
+        return ""
+    listed = ", ".join(one.untold)
+    return f"Of {listed} the settings are not recorded, so runs that look alike may not be of one kind."
 
 
 def summary(one: Comparison) -> str:

@@ -98,7 +98,8 @@ def test_a_map_names_a_trial_where_it_breaks(tmp_path, name):
     ]
     rows = [made_up() | {"name": trial.name} for trial in trials]
     rows[0] |= {"succeeded": False, "reason": "the target was passed"}
-    picture, table = write_map(tmp_path, chosen, rows, trials)
+    page, picture, table = write_map(tmp_path, chosen, rows, trials)
+    assert "data:image/png" in page.read_text() and chosen.name.replace("_", " ") in page.read_text()
     assert picture.stat().st_size > 20_000
     first, second = table.read_text().splitlines()[2:4]
     assert f"{trials[0].name}: the target was passed" in first and "| 2 | 1 |" in first

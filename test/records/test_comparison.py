@@ -92,6 +92,13 @@ def test_seeds_make_no_group_and_settings_do(tmp_path):
     assert "task.speed" in paths[0].read_text()
 
 
+def test_runs_whose_settings_are_not_known_are_named(tmp_path):
+    runs = read_compared([report(tmp_path / f"{k}", k, settings={}, value=1.0) for k in range(2)])
+    (one,) = compared(runs)
+    assert one.untold == [str(tmp_path / "0"), str(tmp_path / "1")]
+    assert "settings are not recorded" in write_comparison([one], tmp_path / "out")[0].read_text()
+
+
 @pytest.mark.parametrize("text, words", [("{", "is no JSON"), ("[1]", "no report of a run")])
 def test_what_is_no_report_is_named(tmp_path, text, words):
     (tmp_path / "report.json").write_text(text)
