@@ -169,7 +169,7 @@ def test_numbers_summary_and_pictures_of_both_arms(tmp_path):
 
 @pytest.mark.parametrize("record", [RunRecord(task="pushing", work="push")])
 def test_a_run_that_came_to_nothing_gives_pictures_that_say_so_and_numbers_that_are_missing(tmp_path, record):
-    assert len(write_pictures({"arm": record}, "arm", tmp_path)) == 5
+    assert len(write_pictures({"arm": record}, "arm", tmp_path)) == 4
     values = write_numbers({"arm": record}, "arm", tmp_path / "report.json")
     assert values["push"]["error_mm"] is None and values["push"]["toppled"] is None
 
