@@ -27,7 +27,7 @@ class LivePage(Page):
     source: LiveGraph
 
     def __init__(self, graph: LiveGraph, state: CellState, host: str, port: int) -> None:
-        self.hands = Hands(Operator(graph.domain_id), self._say)
+        self.hands = Hands(Operator(graph.domain_id, looks=False), self._say)
         self._domain_id, self._node = graph.domain_id, ""
         super().__init__(state, graph, None, host, port)
         self._build_acts()
@@ -47,7 +47,7 @@ class LivePage(Page):
 
     def _find_scene(self, operator: Operator) -> str:
         """Which scene the graph has, as its nodes say, where its file is on this machine."""
-        operator.find(FIND, lambda: bool(operator.arms))
+        operator.find(FIND, lambda: any(name.endswith("/arm") for name in operator.node_names()))
         path, self._tries = scene_of(operator), self._tries - 1
         try:
             self._scene = load_scene(path) if path else None

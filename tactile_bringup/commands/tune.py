@@ -124,11 +124,15 @@ class _Watch:
             return
         self._due = time.monotonic() + LOOK
         there = operator.nodes_with_parameters()
-        for node in self._known - there:
-            self._post(functools.partial(self._gone, node))
+        gone, new = sorted(self._known - there), sorted(there - self._known)
+        for node in gone:
+            self._post(functools.partial(self._screen.tuning.gone, node))
         self._known &= there
-        for node in sorted(there - self._known):
+        for node in new:
             self._read(operator, node)
+        told = [f"{what}: {', '.join(nodes)}" for what, nodes in (("gone", gone), ("new", new)) if nodes]
+        if told:
+            self._post(functools.partial(self._screen.say, "; ".join(told), not gone))
 
     def _read(self, operator: Operator, node: str) -> None:
         from tactile_bringup.launching.hands import settings_of
@@ -136,7 +140,7 @@ class _Watch:
         held: list[tuple[str, str, Any]] = []
         self._held = held
         try:
-            self._post(functools.partial(self._found, node, settings_of(operator, node)))
+            self._post(functools.partial(self._screen.tuning.found, node, settings_of(operator, node)))
             self._known.add(node)
         finally:
             self._held = None
@@ -153,11 +157,3 @@ class _Watch:
                 self._screen.say(said)
 
         self._post(tell)
-
-    def _found(self, node: str, settings: Any) -> None:
-        self._screen.tuning.found(node, settings)
-        self._screen.say(f"{node} is there")
-
-    def _gone(self, node: str) -> None:
-        self._screen.tuning.gone(node)
-        self._screen.say(f"{node} is gone", ok=False)

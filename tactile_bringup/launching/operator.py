@@ -85,6 +85,7 @@ class Operator(GraphClient):
         self._node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_report, DIAGNOSTICS)
         self._told = 0  # how many heard the last /estop
         self._actions: list[ActionClient] = []
+        self._clients: dict[str, AsyncParameterClient] = {}  # by node
 
     def close(self) -> None:
         """See `GraphClient`."""
@@ -269,11 +270,12 @@ class Operator(GraphClient):
         """Full names of the nodes that answer for their parameters, as far as they are known by now."""
         services = [name for name, _ in self._node.get_service_names_and_types()]
         found = {name.removesuffix(_DESCRIBE) for name in services if name.endswith(_DESCRIBE)}
-        # a service that only a client of ours still asks for is listed, too
+        # a service is also known of by its clients, as ours, when its node has gone
         return (found & self.node_names()) - {f"/{self._node.get_name()}"}
 
     def _parameter_client(self, node: str) -> AsyncParameterClient:
-        client = AsyncParameterClient(self._node, node)
+        client = self._clients.get(node) or AsyncParameterClient(self._node, node)
+        self._clients[node] = client
         try:
             self._wait(client.services_are_ready, "it does not answer")
         except OperatorError as error:  # by now, all that are there are known

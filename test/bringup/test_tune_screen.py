@@ -77,7 +77,7 @@ def test_keys_choose_and_the_chosen_one_stays_in_view(desk):
     desk("\x1b[B\x1b[B")
     assert desk.chosen() == "task.number_10"  # by name
     desk("\x1b[6~")
-    assert desk.chosen() == "task.number_10", "a page on, of the next node"
+    assert desk.screen._chosen == ("/arm/filter", "task.number_10")  # a page of 14 on
     desk("\x1b[F")
     assert desk.chosen() == "name"
     for key in ["\x1b[A"] * 40:
