@@ -15,6 +15,7 @@ import rclpy
 from rclpy.parameter import Parameter
 
 from tactile_base.settings import SettingError, Settings, setting
+from tactile_bringup.launching.environment import ros_environment
 from tactile_ros.parameters import SettingsParameters
 
 ROOT = Path(__file__).parents[2]
@@ -58,9 +59,9 @@ def has_defaults(kind: type[Settings]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def node():
+def node(tmp_path_factory):
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=0)
+    rclpy.init(context=context, domain_id=ros_environment(tmp_path_factory.mktemp("logs")).domain_id)
     node = rclpy.create_node("descriptors", context=context, start_parameter_services=False)
     yield node
     node.destroy_node()
