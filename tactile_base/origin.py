@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import platform
 import shlex
@@ -17,10 +18,18 @@ LIBRARIES = ("numpy", "scipy", "onnxruntime", "opencv-contrib-python-headless")
 def origin() -> dict[str, str]:
     """Names and texts, as a person reads them."""
     program = "tactile" if Path(sys.argv[0]).name in ("tactile", "cli.py") else Path(sys.argv[0]).name
-    libraries = [f"{name} {found}" for name in LIBRARIES if (found := _version(name))]
     return {
         "command": shlex.join([program, *sys.argv[1:]]),
         "time": datetime.now(timezone.utc).isoformat(sep=" ", timespec="seconds"),
+        **_installation(),
+    }
+
+
+@functools.cache
+def _installation() -> dict[str, str]:
+    """What stays as it is while a process runs, of which an experiment makes thousands of records."""
+    libraries = [f"{name} {found}" for name in LIBRARIES if (found := _version(name))]
+    return {
         "version": f"{PACKAGE} {_version(PACKAGE) or 'not installed'}",
         "libraries": ", ".join([f"Python {platform.python_version()}", *libraries]),
         "machine": f"{processor()}, {platform.system()} {platform.release()}",

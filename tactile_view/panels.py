@@ -14,10 +14,17 @@ from viser import uplot
 
 from tactile_base.stamps import SECOND_NS
 from tactile_records.replay.images import image_of
-from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
+from tactile_records.runs.euler_poses import (
+    COMPONENTS,
+    UNIT_NAMES,
+    UNITS,
+    euler_poses,
+    euler_sigmas,
+    inverses,
+)
 from tactile_records.runs.record import GaussianSeries
 from tactile_view.cell_state import WINDOW, ArmState, Types
-from tactile_view.words import UNIT_NAMES, estimate_in_words, latency_in_words, set_html
+from tactile_view.words import estimate_in_words, latency_in_words, set_html
 
 Array = NDArray[Any]
 

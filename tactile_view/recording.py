@@ -16,6 +16,7 @@ from tactile_base import topics
 from tactile_base.stamps import SECOND_NS
 from tactile_records.bags.contents import BagError, Recorded
 from tactile_records.bags.seeking import SeekableBag
+from tactile_records.runs.events import tells
 from tactile_records.runs.from_bag import STREAMS
 from tactile_records.runs.record import Event
 from tactile_view.cell_state import WINDOW, CellState
@@ -23,7 +24,6 @@ from tactile_view.cell_state import WINDOW, CellState
 MOST_AT_ONCE = 20_000  # messages in one step; further ones come with the next
 MOST_EVENTS = 20_000  # of a recording, the latest
 MOMENT, BETWEEN = SECOND_NS // 2, SECOND_NS // 60
-TELLING = {topic.name for topic in (topics.DIAGNOSTICS, topics.ROSOUT, topics.PARAMETER_EVENTS, topics.ESTOP)}
 LASTING = {topics.TF_STATIC.name}
 _OFTEN = tuple(f"/{name}" for name, _ in STREAMS.values())
 _TOLD_BY_ARMS = topics.ARM_STATUS.name, topics.CONTROLLER_STATUS.name
@@ -146,7 +146,7 @@ class Recording:
 
     def _look_through(self) -> Iterator[bool]:
         """What the whole recording tells beside its numbers, and what lasts."""
-        names = {name for name in self.bag.types if name in TELLING | LASTING or name.endswith(_TOLD_BY_ARMS)}
+        names = {name for name in self.bag.types if name in LASTING or tells(name)}
         for count, message in enumerate(self._bag.between(self.start_ns, self.end_ns + 1, names)):
             if message.topic in LASTING:
                 self._lasting.append(message)

@@ -11,13 +11,19 @@ import numpy as np
 
 from tactile_base.stamps import SECOND_NS
 from tactile_geometry import se3
-from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
+from tactile_records.runs.euler_poses import (
+    COMPONENTS,
+    UNIT_NAMES,
+    UNITS,
+    euler_poses,
+    euler_sigmas,
+    inverses,
+)
 from tactile_records.runs.events import MODES
 from tactile_records.runs.from_bag import STAGES
 from tactile_records.runs.record import GaussianSeries
 from tactile_view.cell_state import ArmState, CellState
 
-UNIT_NAMES = ("mm", "mm", "mm", "deg", "deg", "deg")
 LATEST = 12  # events
 BOX = "<div style='font-size:0.85em;line-height:1.5;padding:0 0.5em'>{}</div>"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,16 +45,16 @@ def run(arguments: argparse.Namespace) -> int:
 
     if len(arguments.runs) < 2:
         raise ValueError("one run is nothing to compare; name two or more")
-    found = compared(read_compared(arguments.runs))
-    alone = [one.arm for one in found if sum(len(group.runs) for group in one.groups) < 2]
-    if len(alone) == len(found):
-        raise ValueError(f"no arm is in more than one of these runs ({', '.join(alone)}): nothing to compare")
+    runs = read_compared(arguments.runs)
+    times = Counter(run.arm for run in runs)
+    found = compared([run for run in runs if times[run.arm] > 1])
+    if not found:
+        raise ValueError(f"no arm is in more than one of these runs ({', '.join(times)}): nothing to compare")
     room_for_results(arguments.out, NUMBERS)
     console = Console()
     for one in found:
-        if one.arm not in alone:
-            _show(one, console)
-    for path in write_comparison([one for one in found if one.arm not in alone], arguments.out):
+        _show(one, console)
+    for path in write_comparison(found, arguments.out):
         say(console, str(path))
     return 0
 

@@ -36,26 +36,17 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from tactile_base.console import lasting_console, say
     from tactile_base.whole_file import check_folder
+    from tactile_records.runs.read_runs import read_runs
 
     if arguments.form == "parquet" and importlib.util.find_spec("pyarrow") is None:
         raise ValueError("--as parquet needs pyarrow: pip install pyarrow; --as csv needs nothing")
     source: Path = arguments.run_of
     folder = arguments.out or source.with_name(f"{source.stem}-export")
     check_folder(folder)
-    for arm, record in _runs(source).items():
+    for arm, record in read_runs(source).items():
         for file in _write(record, arguments.form, folder / arm):
             say(lasting_console(), str(file))
     return 0
-
-
-def _runs(source: Path) -> dict[str, RunRecord]:
-    from tactile_records.runs.from_bag import read_arms
-    from tactile_records.runs.record import RunRecord
-
-    if source.suffix == ".npz":
-        record = RunRecord.load(source)
-        return {record.arm: record}
-    return read_arms(source)
 
 
 def _write(record: RunRecord, form: str, folder: Path) -> list[Path]:

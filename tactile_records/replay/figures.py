@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_records.replay.report import RunResult
 from tactile_records.replay.track import ArmInputs
-from tactile_records.runs.euler_poses import (
-    COMPONENT_NAMES,
-    COMPONENTS,
-    UNITS,
-    euler_poses,
-    euler_sigmas,
-    inverses,
-)
+from tactile_records.runs.euler_poses import component, euler_poses, euler_sigmas, inverses
 from tactile_records.runs.figures import BELIEF, ESTIMATE, TRUTH, range_of, style, with_gaps
 
 Array = NDArray[Any]
@@ -104,8 +97,7 @@ def _dashes(result: RunResult) -> str:
 def _draw_component(
     axes: Any, arm: ArmInputs, results: Sequence[RunResult], colors: list[Any], axis: _Axis, name: str
 ) -> None:
-    column, (what, unit) = COMPONENTS.index(name), COMPONENT_NAMES[name]
-    factor = UNITS[column]
+    column, factor, label = component(name)
     drawn = [np.zeros(0)]
     touching = [m for m in arm.measurements if m.estimate is not None]
     if touching:
@@ -131,7 +123,7 @@ def _draw_component(
         gt, (line,) = with_gaps(t, true, gap=axis.gap)
         axes.plot(gt, line, color=TRUTH, lw=1.0, label="truth", zorder=4)
         drawn.append(true)
-    axes.set(ylabel=f"{what} [{unit}]")
+    axes.set(ylabel=label)
     axes.set_ylim(*range_of(*drawn))
 
 
@@ -161,14 +153,13 @@ def _draw_nis(axes: Any, results: Sequence[RunResult], colors: list[Any], axis: 
 
 
 def _draw_sigma(axes: Any, results: Sequence[RunResult], colors: list[Any], axis: _Axis) -> None:
-    column, (what, unit) = COMPONENTS.index("z"), COMPONENT_NAMES["z"]
-    factor = UNITS[column]
+    column, factor, label = component("z")
     for result, color in zip(results, colors, strict=True):
         rows, t = axis.rows(result.beliefs.stamp_ns)
         if len(rows):
             sigma = euler_sigmas(result.beliefs.rows(rows))[:, column] * factor
             axes.plot(*_flat(with_gaps(t, sigma, gap=axis.gap)), color=color, lw=1.0, ls=_dashes(result))
-    axes.set(ylabel=f"σ of {what} [{unit}]", yscale="log")
+    axes.set(ylabel=f"σ of {label}", yscale="log")
 
 
 def _flat(series: tuple[Array, list[Array]]) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ from scipy import stats
 
 from tactile_base.input_file import parse_json
 from tactile_records.runs.metrics import without_nan
-from tactile_records.runs.read_runs import read_runs
+from tactile_records.runs.read_runs import of_arms, read_runs
 from tactile_records.runs.report import report_of
 from tactile_records.runs.settings_given import plain, settings_of
 
@@ -106,10 +106,7 @@ def read_compared(sources: Sequence[Path]) -> list[ComparedRun]:
 
 
 def _runs_of(source: Path) -> Iterator[ComparedRun]:
-    if source.name == REPORT:
-        reports = [source]
-    else:
-        reports = [source / REPORT] if (source / REPORT).exists() else sorted(source.glob(f"*/{REPORT}"))
+    reports = [source] if source.name == REPORT else of_arms(source, REPORT)
     if reports:
         for path in reports:
             yield _of_report(str(source), _read(path))

@@ -21,6 +21,7 @@ COMPONENT_NAMES = {  # component: what it is, and its unit
     "gamma": ("shear γ", "deg"),
 }
 COMPONENTS = tuple(COMPONENT_NAMES)
+UNIT_NAMES = tuple(unit for _, unit in COMPONENT_NAMES.values())
 UNITS = np.array([1e3, 1e3, 1e3, *(180.0 / np.pi,) * 3])  # of the components: mm, deg
 
 
@@ -31,6 +32,12 @@ def inverses(T: Array) -> Array:
     result[:, :3, 3] = -np.einsum("nij,nj->ni", result[:, :3, :3], T[:, :3, 3])
     result[:, 3, 3] = 1.0
     return result
+
+
+def component(name: str) -> tuple[int, float, str]:
+    """Of a component its column, the factor to its unit, and what it is, with the unit, for an axis."""
+    column, (what, unit) = COMPONENTS.index(name), COMPONENT_NAMES[name]
+    return column, float(UNITS[column]), f"{what} [{unit}]"
 
 
 def euler_poses(T: Array) -> Array:

@@ -22,14 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from tactile_records.runs.euler_poses import (
-    COMPONENT_NAMES,
-    COMPONENTS,
-    UNITS,
-    euler_poses,
-    euler_sigmas,
-    inverses,
-)
+from tactile_records.runs.euler_poses import component, euler_poses, euler_sigmas, inverses
 from tactile_records.runs.metrics import COMMAND_STAGE
 from tactile_records.runs.record import RunRecord
 
@@ -169,9 +162,7 @@ class _ContactClock:
 
 
 def _draw_component(axes: Any, record: RunRecord, clock: _ContactClock, name: str) -> None:
-    what, unit = COMPONENT_NAMES[name]
-    column = COMPONENTS.index(name)
-    factor = UNITS[column]
+    column, factor, label = component(name)
     for first, stop, begin, phase, _ in clock.stretches:
         if phase == "settle":
             axes.axvspan(begin, begin + (stop - first) * 1e-9, color=PHASES["settle"], lw=0, zorder=0)
@@ -195,7 +186,7 @@ def _draw_component(axes: Any, record: RunRecord, clock: _ContactClock, name: st
     t, at = _by_time(clock, record.truth.stamp_ns)
     t, (true,) = with_gaps(t, euler_poses(record.truth.T_fs[at])[:, column] * factor)
     axes.plot(t, true, color=TRUTH, lw=1.2, label="truth", zorder=4)
-    axes.set(ylabel=f"{what} [{unit}]")
+    axes.set(ylabel=label)
     axes.set_ylim(*range_of(mean, true))
 
 

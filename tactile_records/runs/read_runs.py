@@ -10,15 +10,17 @@ from tactile_records.runs.record import RunRecord
 RECORD = "run.npz"
 
 
+def of_arms(folder: Path, name: str) -> list[Path]:
+    """The files of that name in a folder of results: of one arm, or in a folder of each of several."""
+    return [folder / name] if (folder / name).exists() else sorted(folder.glob(f"*/{name}"))
+
+
 def read_runs(source: Path) -> dict[str, RunRecord]:
     """Records by arm, of a bag, a run.npz, or a folder with one of an arm or of each.
 
     `BagError` or `ValueError` where it is none of them, or damaged.
     """
-    if source.suffix == ".npz":
-        files = [source]
-    else:
-        files = [source / RECORD] if (source / RECORD).exists() else sorted(source.glob(f"*/{RECORD}"))
+    files = [source] if source.suffix == ".npz" else of_arms(source, RECORD)
     if not files:
         return read_arms(source)
     records = map(RunRecord.load, files)

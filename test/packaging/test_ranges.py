@@ -1,36 +1,18 @@
 """Every number that can be set has a range of the thing that it is of, not of floating point."""
 
 import dataclasses
-import importlib
-import itertools
 import math
-from pathlib import Path
 
 import pytest
+from all_settings import all_settings
 
-from tactile_base.settings import SettingError, Settings, bounds_of
-
-ROOT = Path(__file__).parents[2]
-PACKAGES = [path.parent for path in sorted(ROOT.glob("tactile_*/__init__.py"))]
+from tactile_base.settings import SettingError, bounds_of
 
 #: Settings without a finite largest value, and why.
 UNLIMITED = {
     "PidSettings.integral_limit": "infinity switches the limit off",
     "PidSettings.output_limit": "infinity switches the limit off",
 }
-
-
-def all_settings() -> list[type[Settings]]:
-    """Every class that a file of ours declares, the goals of tasks among them."""
-    for file in itertools.chain(*(sorted(package.rglob("*.py")) for package in PACKAGES)):
-        if "= setting(" in file.read_text():
-            importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
-    found, ahead = [], [Settings]
-    while ahead:
-        ahead += (below := ahead.pop().__subclasses__())
-        found += [kind for kind in below if kind.__module__.startswith("tactile_")]
-    return sorted(set(found), key=lambda kind: (kind.__module__, kind.__qualname__))
-
 
 NUMBERS = [
     pytest.param(kind, field, id=f"{kind.__name__}.{field.name}")

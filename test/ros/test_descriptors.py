@@ -6,19 +6,16 @@ parameter nor those that follow.
 """
 
 import dataclasses
-import importlib
 import math
-from pathlib import Path
 
 import pytest
 import rclpy
+from all_settings import all_settings
 from rclpy.parameter import Parameter
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_bringup.launching.environment import ros_environment
 from tactile_ros.parameters import SettingsParameters
-
-ROOT = Path(__file__).parents[2]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,18 +32,6 @@ class Odd(Settings):
         [0.0, 1.0], length=2, lower=[0.0, -1.0], upper=[2.0, math.inf], unit="1/s", doc="two of them"
     )
     mode: str = setting("fast", choices=("fast", "exact"), doc="which")
-
-
-def settings_of_nodes() -> list[type[Settings]]:
-    """Every class whose fields may be parameters of a node, which have a default."""
-    for file in sorted(ROOT.glob("tactile_*/**/*.py")):
-        if "= setting(" in file.read_text():
-            importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
-    found, ahead = [], [Settings]
-    while ahead:
-        ahead += (below := ahead.pop().__subclasses__())
-        found += [kind for kind in below if kind.__module__.startswith("tactile_")]
-    return sorted(filter(has_defaults, set(found)), key=lambda kind: kind.__qualname__)
 
 
 def has_defaults(kind: type[Settings]) -> bool:
@@ -92,7 +77,7 @@ def in_32_bits(number: int) -> None:
 
 def test_rqt_reconfigure_can_show_every_setting_of_ours(node):
     count = 0
-    for kind in settings_of_nodes():
+    for kind in filter(has_defaults, all_settings()):
         prefix = f"{kind.__module__}.{kind.__qualname__}".replace("_", "")
         SettingsParameters(node, kind(), prefix=prefix)
         for field in dataclasses.fields(kind):
