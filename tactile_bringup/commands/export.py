@@ -7,26 +7,28 @@ import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_bringup.commands.changes import refusing
+from tactile_bringup.commands.changes import positive_int, refusing
 
 if TYPE_CHECKING:
     from tactile_records.runs.record import RunRecord
 
-FORMATS = ("csv", "parquet", "tum")
+FORMATS = ("csv", "parquet", "tum", "lerobot")
 
 
 def register(subparsers: Any) -> None:
     """Add `export`."""
     parser = subparsers.add_parser(
         "export",
-        help="a recording as CSV, Parquet or TUM trajectories, for pandas, PlotJuggler and evo",
+        help="recordings as CSV, Parquet, TUM or LeRobot, for pandas, PlotJuggler, evo and learning",
         description="Write poses, estimates, beliefs with covariance, truth, commands and latency of each "
-        "arm as tables, whose columns end in their unit, or trajectories as evo reads them.",
+        "arm as tables, whose columns end in their unit, or trajectories as evo reads them; or recordings "
+        "with images as one LeRobot data set, an episode each.",
         epilog="Exit codes: 0 written, 2 nothing written.",
     )
     add = parser.add_argument
-    add("run_of", type=Path, metavar="BAG|RUN", help="a recording, or run.npz of simulate")
+    add("runs_of", type=Path, nargs="+", metavar="BAG|RUN", help="a recording, or run.npz of simulate")
     add("--as", dest="form", choices=FORMATS, default="csv", help="(csv)")
+    add("--fps", type=positive_int, help="of lerobot: frames a second (default: the first camera's)")
     add("--out", type=Path, metavar="FOLDER", help="(default: beside it, its name with -export)")
     parser.set_defaults(run=run)
 
@@ -38,13 +40,23 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_base.whole_file import check_folder
     from tactile_records.runs.read_runs import read_runs
 
-    if arguments.form == "parquet" and importlib.util.find_spec("pyarrow") is None:
-        raise ValueError("--as parquet needs pyarrow: pip install pyarrow; --as csv needs nothing")
-    source: Path = arguments.run_of
-    folder = arguments.out or source.with_name(f"{source.stem}-export")
+    form, sources = arguments.form, arguments.runs_of
+    if form in ("parquet", "lerobot") and importlib.util.find_spec("pyarrow") is None:
+        raise ValueError(f"--as {form} needs pyarrow: pip install pyarrow; --as csv needs nothing")
+    folder = arguments.out or sources[0].with_name(f"{sources[0].stem}-export")
     check_folder(folder)
-    for arm, record in read_runs(source).items():
-        for file in _write(record, arguments.form, folder / arm):
+    if form == "lerobot":
+        from tactile_records.runs.lerobot import write_dataset
+
+        if folder.exists() and any(folder.iterdir()):
+            raise ValueError(f"{folder}: is not empty; a data set of its own needs a folder of its own")
+        for line in write_dataset(sources, folder, arguments.fps):
+            say(lasting_console(), line)
+        return 0
+    if len(sources) > 1:
+        raise ValueError(f"--as {form} writes one run; lerobot takes several, an episode each")
+    for arm, record in read_runs(sources[0]).items():
+        for file in _write(record, form, folder / arm):
             say(lasting_console(), str(file))
     return 0
 

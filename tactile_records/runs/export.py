@@ -25,11 +25,11 @@ Array = NDArray[Any]
 Table = dict[str, Array]
 
 STREAMS = ("pose", "estimate", "belief", "truth", "presence", "command", "arm_twist")
-_TANGENT = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
-_EULER = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
-_TWIST = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
+TANGENT = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
+EULER = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
+TWIST = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 _ERROR = ("x_m", "y_m", "z_m", "x_rad", "y_rad", "z_rad")
-_OF_SIX = {"error": _ERROR, "reference": _EULER}  # other columns of six are twists
+_OF_SIX = {"error": _ERROR, "reference": EULER}  # other columns of six are twists
 
 
 def tables(record: RunRecord) -> dict[str, Table]:
@@ -57,7 +57,7 @@ def table_of(series: Series) -> Table:
         elif values.shape[1:] == (6, 6):
             table |= covariance_columns(values)
         elif values.shape[1:] == (6,):
-            names = _OF_SIX.get(item.name, _TWIST)
+            names = _OF_SIX.get(item.name, TWIST)
             table |= {f"{item.name}_{name}": values[:, k] for k, name in enumerate(names)}
         elif item.name.endswith("_ns"):
             table[f"{item.name.removesuffix('_ns')}_s"] = seconds_of(values)
@@ -65,7 +65,7 @@ def table_of(series: Series) -> Table:
             table[item.name] = values
     if isinstance(series, GaussianSeries):
         euler = euler_poses(inverses(series.mean))
-        table |= {f"contact_{name}": euler[:, k] for k, name in enumerate(_EULER)}
+        table |= {f"contact_{name}": euler[:, k] for k, name in enumerate(EULER)}
     return table
 
 
@@ -85,7 +85,7 @@ def covariance_columns(cov: Array) -> Table:
     """The 21 different elements of left covariances (N, 6, 6)."""
     units = np.array([["m2", "m_rad"], ["m_rad", "rad2"]])
     return {
-        f"cov_{_TANGENT[i]}_{_TANGENT[j]}_{units[i // 3, j // 3]}": cov[:, i, j]
+        f"cov_{TANGENT[i]}_{TANGENT[j]}_{units[i // 3, j // 3]}": cov[:, i, j]
         for i in range(6)
         for j in range(i, 6)
     }
