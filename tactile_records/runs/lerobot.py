@@ -2,8 +2,8 @@
 
 Written from LeRobot's format v3.0 (`lerobot/datasets/utils.py`, `lerobot_dataset.py` of release 0.4.4), with
 images inside the Parquet files, its `dtype: image`; as JPEG, since PNG takes 0.5 instead of 0.1 MB an image
-and saves less than a sensor's own noise. A frame is an image and what was known at its exposure; its action is
-the command that followed. Names of numbers end in their unit.
+and saves less than a sensor's own noise. A frame is an image and what was known at its exposure; its action
+is the command that followed. Names of numbers end in their unit.
 """
 
 from __future__ import annotations
@@ -85,36 +85,41 @@ def episode_of(folder: Path, fps: int | None = None) -> Episode:
     """
     bag = read_bag(folder)
     records = {arm: run_from_bag(bag, arm) for arm in arms_of(bag)}
-    if not records:
-        raise ValueError(f"{folder}: no arm in this bag has a controller: there is no run to export")
-    streams = {arm: _stream(bag, arm) for arm in records}
-    stamps = next(iter(streams.values()))[0]
-    fps = fps or max(1, round(SECOND_NS / float(np.median(np.diff(stamps)))))
-    first = max(max(ns[0], records[arm].pose.stamp_ns[0]) for arm, (ns, _) in streams.items())
-    last = min(min(ns[-1], records[arm].pose.stamp_ns[-1]) for arm, (ns, _) in streams.items())
-    times = first + (np.arange(max(0, (last - first) * fps // SECOND_NS + 1)) * SECOND_NS) // fps
-    if len(times) < 2:
-        raise ValueError(f"{folder}: images and poses overlap for {(last - first) / SECOND_NS:.2f} s alone")
-    nearest = {arm: _nearest(ns, times) for arm, (ns, _) in streams.items()}
+    records = {arm: record for arm, record in records.items() if len(record.pose)}
+    streams = {arm: stream for arm in records if (stream := _stream(bag, arm)) is not None}
+    if not streams:
+        raise ValueError(f"{folder}: no arm with poses and images: record them with --record-images")
+    fps = fps or max(1, round(SECOND_NS / float(np.median(np.diff(next(iter(streams.values()))[0])))))
     period = SECOND_NS // fps
-    # what was known at the exposure itself, which is not quite the frame's time
-    exposed = {arm: streams[arm][0][index] for arm, index in nearest.items()}
-    at = {arm: np.clip(ns, times - period // 2, times + period // 2) for arm, ns in exposed.items()}
-    parts = [_numbers(arm, records[arm], at[arm], period) for arm in records]
+    spans = [stream[0] for stream in streams.values()] + [record.pose.stamp_ns for record in records.values()]
+    first, last = max(ns[0] for ns in spans), min(ns[-1] for ns in spans)
+    times = first + np.arange(max(0, (last - first) * fps // SECOND_NS + 1)) * SECOND_NS // fps
+    if len(times) < 2:
+        raise ValueError(f"{folder}: images and poses have {(last - first) / SECOND_NS:.2f} s in common")
+    images, parts, repeated = {}, [], 0
+    for arm, record in records.items():
+        at = times
+        if arm in streams:
+            stamps, messages = streams[arm]
+            nearest = _nearest(stamps, times)
+            # what was known at the exposure itself, which is not quite the frame's time
+            at = np.clip(stamps[nearest], times - period // 2, times + period // 2)
+            images[arm] = [messages[k] for k in nearest]
+            repeated += int(np.count_nonzero(np.diff(nearest) == 0))
+        parts.append(_numbers(arm, record, at, period))
     numbers = {
         feature: ([n for p in parts for n in p[feature][0]], np.hstack([p[feature][1] for p in parts]))
         for feature in (STATE, CONTACT, ACTION)
     }
-    images = {arm: [streams[arm][1][k] for k in index] for arm, index in nearest.items()}
-    repeated = sum(int(np.count_nonzero(np.diff(index) == 0)) for index in nearest.values())
-    record = next(iter(records.values()))
-    return Episode(
-        f"{record.task} in {record.scene or 'an unnamed scene'}", fps, numbers, bag, images, repeated
-    )
+    task = f"{record.task} in {record.scene or 'an unnamed scene'}"
+    return Episode(task, fps, numbers, bag, images, repeated)
 
 
-def _stream(bag: Bag, arm: str) -> tuple[Array, list[Recorded]]:
-    """Exposure stamps (ns) and messages of an arm's images, in order; damaged ones are told and left out."""
+def _stream(bag: Bag, arm: str) -> tuple[Array, list[Recorded]] | None:
+    """Exposure stamps (ns) and messages of an arm's images, in order; damaged ones are told and left out.
+
+    None of an arm without images.
+    """
     for topic in (IMAGE.of(arm).name, COMPRESSED.of(arm).name):
         found: list[tuple[int, int, Recorded]] = []
         for message in bag.messages:
@@ -129,7 +134,7 @@ def _stream(bag: Bag, arm: str) -> tuple[Array, list[Recorded]]:
         if len(found) > 1:
             found.sort()
             return np.array([stamp for stamp, _, _ in found]), [message for _, _, message in found]
-    raise ValueError(f"{bag.folder}: no images of '{arm}': record them with --record-images")
+    return None
 
 
 def _nearest(stamps: Array, times: Array) -> Array:
@@ -242,40 +247,45 @@ def _write_episode(
 
     count = len(episode)
     frame = np.arange(count)
-    seconds = (frame / episode.fps).astype(np.float32)
-    counters = [seconds, frame, np.full(count, number), begin + frame, np.full(count, task)]
+    counters: list[Array] = [frame / episode.fps, frame, np.full(count, number), begin + frame]
+    values = {name: numbers for name, (_, numbers) in episode.numbers.items()}
+    values |= dict(zip(COUNTERS, [*counters, np.full(count, task)], strict=True))
     path = folder / DATA.format(chunk_index=number // PER_CHUNK, file_index=number % PER_CHUNK)
     path.parent.mkdir(parents=True, exist_ok=True)
-    wanted = set(np.linspace(0, count - 1, min(count, IMAGES_FOR_STATISTICS)).astype(int).tolist())
     samples: dict[str, list[Array]] = {arm: [] for arm in episode.images}
+    every = -(-count // IMAGES_FOR_STATISTICS)
     writer = None
     for start in range(0, count, AT_ONCE):
         end = min(count, start + AT_ONCE)
         columns: dict[str, Any] = {}
         for arm in episode.images:
-            cells = []
-            for k, picture in enumerate(episode.pictures(arm, start, end), start):
-                packed = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-                cells.append({"bytes": packed.tobytes(), "path": None})
-                if k in wanted:
-                    samples[arm].append(picture[:, :, 0] / 255.0)
-            kind = pyarrow.struct([("bytes", pyarrow.binary()), ("path", pyarrow.string())])
-            columns[PICTURE + arm] = pyarrow.array(cells, kind)
-        for name, (names, values) in episode.numbers.items():
-            flat = pyarrow.array(values[start:end].astype(np.float32).ravel())
-            columns[name] = pyarrow.FixedSizeListArray.from_arrays(flat, len(names))
-        for name, each in zip(COUNTERS, counters, strict=True):
-            columns[name] = pyarrow.array(
-                each[start:end].astype(np.float32 if each.dtype.kind == "f" else int)
-            )
-        table = pyarrow.table(columns)
+            pictures = list(episode.pictures(arm, start, end))
+            samples[arm] += [picture[:, :, 0] / 255.0 for picture in pictures[-start % every :: every]]
+            columns[PICTURE + arm] = _images(pictures)
+        table = pyarrow.table(columns | {name: _column(each[start:end]) for name, each in values.items()})
         writer = writer or ParquetWriter(path, table.schema)
         writer.write_table(table)
     assert writer is not None
     writer.close()
     found = {PICTURE + arm: _picture_statistics(np.array(each)) for arm, each in samples.items()}
-    found |= {name: _statistics(values) for name, (_, values) in episode.numbers.items()}
-    return found | {n: _statistics(v[:, None]) for n, v in zip(COUNTERS, counters, strict=True)}
+    return found | {name: _statistics(each.reshape(count, -1)) for name, each in values.items()}
+
+
+def _images(pictures: list[Array]) -> Any:
+    """A column of images, as LeRobot's readers take them."""
+    import pyarrow
+
+    packed = [cv2.imencode(".jpg", each, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1] for each in pictures]
+    kind = pyarrow.struct([("bytes", pyarrow.binary()), ("path", pyarrow.string())])
+    return pyarrow.array([{"bytes": each.tobytes(), "path": None} for each in packed], kind)
+
+
+def _column(values: Array) -> Any:
+    """A column of numbers (N,) or of vectors (N, M); float32 unless they are integers."""
+    import pyarrow
+
+    flat = pyarrow.array(values.ravel().astype(np.int64 if values.dtype.kind == "i" else np.float32))
+    return flat if values.ndim == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, values.shape[1])
 
 
 def _statistics(values: Array) -> dict[str, Array]:

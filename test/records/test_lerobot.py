@@ -169,7 +169,7 @@ def test_what_cannot_be_one_data_set_is_refused_in_a_sentence(tmp_path, capsys):
     code, said = export(capsys, one, "--out", tmp_path / "set")
     assert code == 2 and "is not empty" in said
     code, said = export(capsys, recording(10).write(tmp_path / "none"), "--out", tmp_path / "set2")
-    assert code == 2 and "no arm in this bag has a controller" in said
+    assert code == 2 and "no arm with poses and images" in said
     code, said = export(capsys, bag(tmp_path / "blind", without=range(COUNT)), "--out", tmp_path / "set2")
     assert code == 2 and "record them with --record-images" in said
     assert main(["export", str(one), str(other), "--out", str(tmp_path / "csv")]) == 2
