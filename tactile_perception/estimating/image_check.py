@@ -10,6 +10,7 @@ sensor is refused, whoever sends it: as if it had not come, so that the arm rest
   that is mirrored, turned, shifted or another one from one image to the next has as many markers, all of them
   elsewhere; those of a skin that is pressed, or springs back, move by a part of their distance.
 - Of an estimate, against the depth that the brightness of the image's parts has (`plain_depth`).
+- Of what the network sees of it: it is like the images that the network was trained on (`novelty.Novelty`).
 - Of the image without contact, against the mean of the images that the network was trained on: no mirrored or
   turned form of that fits better (`layout.Layout`).
 
@@ -40,6 +41,7 @@ _PERIOD = 1.0 / 60.0  # s, between images
 _FEWEST = 20  # markers of a reference that can be counted: other sensors have no separate ones
 
 MARKERS, CHANGE = "no image of the sensor", "another picture at once"
+FOREIGN = "unlike the images of the training"
 
 
 class ImageRefused(ImageError):
@@ -76,6 +78,11 @@ class ImageCheckSettings(Settings):
         doc="correlation in contact with the image before it, or with that without contact, 1/60 s later; "
         "for longer times in inverse proportion. Skin that moves by 0.5 mm has 0.47 at least (simulated)",
     )  # fmt: skip
+    most_novelty: float = setting(
+        1.0, lower=0.0, upper=1e6,
+        doc="how unlike the training images an image may be, as a part of the limit in the model's file; "
+        "0: any",
+    )  # fmt: skip
     depth_difference: float = setting(
         0.0013, lower=0.0, upper=0.05, unit="m",
         doc="an estimate whose depth is, in two images on end, further than this and than four RMS errors "
@@ -110,9 +117,8 @@ class _Reference:
 class ImageCheck:
     """Refuses images; see the module's text.
 
-    A further check, as of a network that has learnt what its images look like, belongs into `look`.
-
-    Used by `Perceiver` in the order: `exposure`, `look`, `capture` or `take` of the reference, `remember`.
+    Used by `Perceiver` in the order: `exposure`, `look`, `foreign`, `capture` or `take` of the reference,
+    `remember`.
 
     Attributes
     ----------
@@ -145,6 +151,16 @@ class ImageCheck:
             raise ImageRefused(repeats)
         if why := objection(image, self.settings.least_contrast):
             raise ImageRefused(why)
+
+    def foreign(self, novelty: float) -> str:
+        """Why an image of this novelty, NaN: not known, is not believed; else empty."""
+        most = self.settings.most_novelty
+        if not most or not novelty > most:
+            return ""
+        return (
+            f"{FOREIGN}: by {novelty:.2f}, must be at most {most:g}: is the model this sensor's, the camera "
+            "as it was in training, and its lens clean?"
+        )
 
     def remember(self, image: Image) -> None:
         """Take a camera's image for what only several of them show; this can wait a while."""

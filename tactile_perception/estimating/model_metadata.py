@@ -18,6 +18,7 @@ from tactile_base.input_file import parse_json
 from tactile_base.settings import shown
 from tactile_perception.estimating.labels import COMPONENTS, NETWORK_UNITS
 from tactile_perception.estimating.layout import Layout
+from tactile_perception.estimating.novelty import Novelty
 from tactile_perception.estimating.plain_depth import PlainDepth
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.evaluation.calibration import Calibration
@@ -34,7 +35,7 @@ FRAMES = (
     "center of the hemispherical tip, z out of the tip. {f}: z into the surface, aligned with {s} where the "
     "sensor just touches; inverse_sigma or covariance: of the components of xi around mu"
 )
-LAYOUT, PLAIN_DEPTH = "layout", "plain_depth"
+LAYOUT, PLAIN_DEPTH, NOVELTY = "layout", "plain_depth", "novelty"
 #: Entry with the SHA-256 of the whole file as it is with `UNSUMMED` in the entry's place.
 CHECKSUM = "file_sha256"
 UNSUMMED = "-" * 64
@@ -46,7 +47,7 @@ SIMULATED_ONLY = (
     "the shipped model has seen simulated images alone: of a real sensor it only guesses; train one of your "
     "own (docs/own_sensor.md)"
 )
-_VIEWS = LAYOUT, PLAIN_DEPTH  # of the training images, with texts of their own
+_VIEWS = LAYOUT, PLAIN_DEPTH, NOVELTY  # of the training images, with texts of their own
 _REQUIRED = ("format", "preprocessing", "components", "units", "frames", "training_data", "validation")
 
 
@@ -73,6 +74,7 @@ class ModelMetadata:
     layout : mean of the training images, by which a camera is known that is mirrored or turned; None: not
     known
     plain_depth : depth by a weighted sum of brightness, which the network is held against; None: not known
+    novelty : whether an image is like those of the training; None: not known
     """
 
     preprocessing: PreprocessingSettings
@@ -82,6 +84,7 @@ class ModelMetadata:
     calibration: Calibration = field(default_factory=Calibration)
     layout: Layout | None = None
     plain_depth: PlainDepth | None = None
+    novelty: Novelty | None = None
     components: tuple[str, ...] = COMPONENTS
     units: tuple[str, ...] = NETWORK_UNITS
     frames: str = FRAMES
@@ -125,6 +128,8 @@ class ModelMetadata:
                 values[LAYOUT] = Layout.from_text(properties[LAYOUT], values["preprocessing"].size)
             if PLAIN_DEPTH in properties:
                 values[PLAIN_DEPTH] = PlainDepth.from_text(properties[PLAIN_DEPTH])
+            if NOVELTY in properties:
+                values[NOVELTY] = Novelty.from_text(properties[NOVELTY], values["preprocessing"].size)
         except (ValueError, TypeError) as error:
             raise MetadataError(f"unreadable metadata: {error}") from error
         for name, expected in (("units", NETWORK_UNITS), ("components", COMPONENTS)):

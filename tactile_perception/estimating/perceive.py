@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from math import nan
 from typing import TYPE_CHECKING
 
+import numpy as np
 from numpy.typing import NDArray
 
 from tactile_geometry.gaussian import PoseGaussian
 from tactile_perception.estimating.image import Image
-from tactile_perception.estimating.image_check import SIDE, ImageCheck
+from tactile_perception.estimating.image_check import SIDE, ImageCheck, ImageRefused
 from tactile_perception.estimating.labels import EstimateError
+from tactile_perception.estimating.preprocessing import as_input
 from tactile_perception.estimating.presence import ContactPresence
 
 if TYPE_CHECKING:  # percepts of an ideal sensor need no onnxruntime
@@ -41,6 +43,9 @@ class Percept:
         Whether the latest images have shown nothing but noise.
     plain_depth : float
         How deep (m) the contact is by the image's brightness (`PlainDepth`); NaN where that is not known.
+    novelty : float
+        How unlike the training images the image is, foreign above 1 (`Novelty`); NaN where that is not known.
+        From what is usual on, the estimate's covariance has grown with it.
     """
 
     in_contact: bool | None
@@ -49,6 +54,7 @@ class Percept:
     fault: str = ""
     still: bool = False
     plain_depth: float = nan
+    novelty: float = nan
 
 
 class DepthAgreement:
@@ -110,27 +116,30 @@ class Perceiver:
         Raises `ImageError` if the image has the wrong size or type, `ImageRefused` if it cannot show the
         sensor: then nothing is known of this exposure.
         """
+        prepare = self.estimator.preprocessor
         if self.presence is None:
             make = self.estimator.estimate_processed if processed else self.estimator.estimate
-            return self._estimated(make, image, None, float("nan"))
+            percept = self._estimated(make, image, None, float("nan"))
+            return self._widened(percept, self._novelty(as_input(prepare.view(prepare.settings.size))))
         self.catch_up()
-        prepare = self.estimator.preprocessor
         prepared = prepare.from_processed(image) if processed else prepare(image)
         if not processed:  # what is drawn at the network's input has no noise: it repeats itself
             self.check.exposure(image)
             self._kept = image
-        view = prepare.view(SIDE)
+        view, novelty = prepare.view(SIDE), self._novelty(prepared)
         if self.presence.ready:
             self.check.look(view, self.presence.touched, stamp_ns)
+            if why := self.check.foreign(novelty):
+                raise ImageRefused(why)
         else:
             self.check.capture(view)
         presence = self.presence.update(prepared)
         if presence.in_contact is None and (self.presence.ready or presence.refused):
             self.check.take(not presence.refused)
         if not presence.in_contact:
-            return Percept(presence.in_contact, presence.score, fault=presence.refused)
+            return Percept(presence.in_contact, presence.score, fault=presence.refused, novelty=novelty)
         percept = self._estimated(self.estimator.estimate_prepared, prepared, True, presence.score)
-        percept = replace(percept, still=self.check.still)
+        percept = replace(self._widened(percept, novelty), still=self.check.still)
         plain, limit = self.estimator.metadata.plain_depth, self.check.settings.depth_difference
         if plain is None or not limit:
             return percept
@@ -143,6 +152,17 @@ class Perceiver:
             self.check.remember(self._kept)
             self._kept = None
 
+    def _novelty(self, prepared: NDArray[np.float32]) -> float:
+        measure = self.estimator.metadata.novelty
+        return measure(prepared) if measure is not None else nan
+
+    def _widened(self, percept: Percept, novelty: float) -> Percept:
+        """A percept with its image's novelty, by which its covariance grows."""
+        measure, estimate = self.estimator.metadata.novelty, percept.estimate
+        if measure is not None and estimate is not None and novelty > measure.usual:
+            estimate = replace(estimate, cov=measure.growth(novelty) ** 2 * estimate.cov)
+        return replace(percept, estimate=estimate, novelty=novelty)
+
     def _no_reference(self, prepared: NDArray) -> str:
         """Why an image is not one without contact, as the camera of the training was mounted; else empty."""
         metadata = self.estimator.metadata
@@ -150,7 +170,7 @@ class Perceiver:
             why := metadata.layout.objection(prepared, metadata.preprocessing)
         ):
             return why
-        return self._touching(prepared)
+        return self.check.foreign(self._novelty(prepared)) or self._touching(prepared)
 
     def _touching(self, prepared: NDArray) -> str:
         """Why an image is not one without contact, by the depth that the network sees; else empty."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_perception.datasets.dataset import DatasetError, DatasetReport, TactileDataset, read_dataset
 from tactile_perception.estimating.model_metadata import unseen_rows
-from tactile_perception.estimating.preprocessing import PreprocessingSettings
+from tactile_perception.estimating.preprocessing import PreprocessingSettings, as_input
 from tactile_perception.evaluation import metrics
 from tactile_perception.evaluation.calibration import fit_calibration
 from tactile_perception.evaluation.metrics import Accuracy, Bins, Consistency, Predictions
@@ -97,15 +97,29 @@ def load_data(
     if limit is not None and limit < len(rows):
         rows = rows[np.linspace(0, len(rows) - 1, limit).round().astype(int)]
         notes.append(f"took {limit} samples, spread over the table")
+    images = {settings: found.images[rows] for settings, found in zip(wanted, sets, strict=True)}
+    notes += [_familiarity(model, images[model.metadata.preprocessing]) for model in models]
     return EvaluationData(
         folder=folder,
         names=[first.names[row] for row in rows],
         labels=first.labels[rows],
         euler_mm_deg=first.euler_mm_deg[rows],
-        images={settings: found.images[rows] for settings, found in zip(wanted, sets, strict=True)},
+        images=images,
         sha256=first.sha256,
         report=first.report,
-        notes=notes,
+        notes=list(filter(None, notes)),
+    )
+
+
+def _familiarity(model: Model, images: NDArray[np.uint8]) -> str:
+    """How many images are foreign to a model; empty where it cannot tell."""
+    measure = model.metadata.novelty
+    if measure is None:
+        return ""
+    found = np.array([measure(as_input(image)) for image in images])
+    median = float(np.median(found))
+    return (
+        f"{(found > 1.0).mean():.1%} of the images are foreign to {model.name} (novelty {median:.2f}, median)"
     )
 
 

@@ -66,6 +66,7 @@ def _joined_metadata(files: Sequence[Path], members: Sequence[ModelMetadata]) ->
         training={"members": facts},
         layout=first.layout,
         plain_depth=first.plain_depth,
+        novelty=first.novelty,
     )
 
 

@@ -15,6 +15,7 @@ from tactile_perception.datasets.dataset import TactileDataset, read_dataset
 from tactile_perception.estimating.estimator import Estimator
 from tactile_perception.estimating.labels import depths
 from tactile_perception.estimating.model_metadata import is_training_data, unseen_rows
+from tactile_perception.estimating.novelty import Novelty
 from tactile_perception.estimating.plain_depth import PlainDepth
 from tactile_perception.evaluation.calibration import (
     Calibration,
@@ -31,7 +32,7 @@ def recalibrate(
 ) -> tuple[Calibration, bool]:
     """Write a copy of a model file with a calibration fitted to labelled data.
 
-    It gets a plain depth as well, if it has none.
+    It gets a plain depth and a novelty as well, if it has none.
 
     The settings are those of the model's training. Margin and floor stand for what the training session
     cannot show of another one: data of another session show it, and get neither.
@@ -67,7 +68,8 @@ def recalibrate(
         settings = settings.replaced(margin=plain.margin, floor=plain.floor)
     calibration = fit_on(estimator, samples, rows, settings.replaced(**(changes or {})))
     depth = metadata.plain_depth or PlainDepth.fit(samples.images, depths(samples.labels))
-    changed = dataclasses.replace(metadata, calibration=calibration, plain_depth=depth)
+    novelty = metadata.novelty or Novelty.fit(samples.images)
+    changed = dataclasses.replace(metadata, calibration=calibration, plain_depth=depth, novelty=novelty)
     save_model(onnx.load(str(model)), out, changed)
     return calibration, own_session
 

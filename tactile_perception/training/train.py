@@ -17,6 +17,7 @@ from torch import Tensor
 from tactile_perception.estimating.labels import COMPONENTS, depths
 from tactile_perception.estimating.layout import Layout
 from tactile_perception.estimating.model_metadata import MODEL_NAME, ModelMetadata
+from tactile_perception.estimating.novelty import Novelty
 from tactile_perception.estimating.plain_depth import PlainDepth
 from tactile_perception.evaluation.calibration import Calibration, fit_calibration
 from tactile_perception.training.augmentation import Augmenter
@@ -257,6 +258,7 @@ class _Run:
             calibration=calibration,
             layout=Layout.of(self.data.training.images),
             plain_depth=PlainDepth.fit(self.data.training.images, depths(self.data.training.labels)),
+            novelty=Novelty.fit(self.data.training.images),
         )
         sigma = self._constant_sigma()
         self.network.to("cpu")

@@ -185,7 +185,7 @@ class _Estimates:
         if percept.in_contact is None:
             return self._refuse("references are none", percept.fault) if percept.fault else []
         frame = image.frame_id or sensor_frame(self.arm)
-        numbers = percept.score, self.presence.settings.on, percept.in_contact
+        numbers = percept.score, self.presence.settings.on, percept.in_contact, percept.novelty
         messages = [_presence_message(self.arm, image, frame, *numbers)]
         if percept.fault:
             messages += self._refuse("estimates are no Gaussians", percept.fault)
@@ -208,12 +208,13 @@ class _Estimates:
 
 
 def _presence_message(
-    arm: str, image: Image, frame: str, score: float, threshold: float, in_contact: bool
+    arm: str, image: Image, frame: str, score: float, threshold: float, in_contact: bool, novelty: float
 ) -> Recorded:
     layout = blank_layout(PRESENCE.type, {"header.frame_id": frame})
     row = np.frombuffer(bytearray(layout.template), layout.dtype)
     row["header.stamp.sec"], row["header.stamp.nanosec"] = divmod(image.stamp_ns, SECOND_NS)
     row["score"], row["threshold"], row["in_contact"] = score, threshold, in_contact
+    row["novelty"] = novelty
     return _recorded(arm, PRESENCE, row.tobytes(), image)
 
 

@@ -155,6 +155,7 @@ def state_rows(beliefs: Sequence[Belief], sensor_frame: str) -> Array:
     rows["flags"] = [int(belief.flags) for belief in beliefs]
     rows["rejected"] = [belief.rejected for belief in beliefs]
     rows["inflation"] = [belief.inflation for belief in beliefs]
+    rows["novelty"] = np.nan  # of images, which a filter does not see
     return rows
 
 

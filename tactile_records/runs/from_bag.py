@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -196,7 +197,9 @@ def _belief_row(message: Any) -> dict[str, Any] | None:
 
 
 def _presence_row(message: Any) -> dict[str, Any]:
-    return {"stamp_ns": stamp_of(message), "score": message.score, "in_contact": message.in_contact}
+    novelty = getattr(message, "novelty", math.nan)  # earlier recordings have none
+    answer = {"score": message.score, "in_contact": message.in_contact, "novelty": novelty}
+    return {"stamp_ns": stamp_of(message), **answer}
 
 
 def _command_row(message: Any) -> dict[str, Any]:

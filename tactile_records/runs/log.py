@@ -49,7 +49,8 @@ class RunLog:
 
     def percept(self, stamp_ns: int, percept: Percept) -> None:
         """What perception says of an exposure."""
-        self._rows["presence"].append((stamp_ns, percept.score, bool(percept.in_contact)))
+        row = (stamp_ns, percept.score, bool(percept.in_contact), percept.novelty)
+        self._rows["presence"].append(row)
         if percept.in_contact and percept.estimate is not None:
             self._rows["estimate"].append((stamp_ns, percept.estimate.mean, percept.estimate.cov))
 

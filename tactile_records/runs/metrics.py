@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_geometry import se3
 from tactile_records.runs.euler_poses import COMPONENTS, UNITS, euler_poses, euler_sigmas, inverses
-from tactile_records.runs.record import GaussianSeries, RunRecord, TruthSeries
+from tactile_records.runs.record import GaussianSeries, PresenceSeries, RunRecord, TruthSeries
 
 Array = NDArray[Any]
 
@@ -70,6 +70,8 @@ REPORT_FIELDS: dict[str, str] = {
     "contact.*.bias": "mean error of the believed contact pose in this component (mm, deg)",
     "contact.*.rms": "RMS error of the believed contact pose in this component (mm, deg)",
     "contact.*.in_2_sigma": "part of the beliefs whose true component lies within 2 sigma (0..1)",
+    "novelty.mean": "how unlike the training images those in contact were, foreign above 1",
+    "novelty.max": "the largest of them",
     "latency_ms.p50": "median time from exposure to command emission",
     "latency_ms.p99": "its 99th percentile",
     "latency_ms.max": "its largest",
@@ -105,6 +107,7 @@ def report(record: RunRecord) -> dict[str, Any]:
         "estimate": _errors(record, record.estimate),
         "belief": _errors(record, record.belief) | _consistency(record),
         "contact": _components(record),
+        "novelty": _novelty(record.presence),
         "latency_ms": _latency(record),
         "frames": _frames(record),
         "goals": {name: _goal(record, index, truth) for index, name in enumerate(record.goals)},
@@ -304,6 +307,11 @@ def _matched(record: RunRecord, series: GaussianSeries) -> tuple[Array, Array]:
     common, mine, true = np.intersect1d(series.stamp_ns, record.truth.stamp_ns, return_indices=True)
     following = record.working(common)
     return mine[following], true[following]
+
+
+def _novelty(presence: PresenceSeries) -> dict[str, float]:
+    known = presence.novelty[presence.in_contact & np.isfinite(presence.novelty)]
+    return {"mean": mean(known), "max": largest(known)}
 
 
 def _latency(record: RunRecord) -> dict[str, Any]:

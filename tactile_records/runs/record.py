@@ -104,6 +104,7 @@ class PresenceSeries(Series):
 
     score: Array = _array()
     in_contact: Array = _array(dtype=np.bool_)
+    novelty: Array = _array()  # of the image against those of the training, foreign above 1
 
 
 @dataclass
@@ -307,4 +308,7 @@ def columns(prefix: str, value: Any) -> dict[str, Array]:
 
 def from_columns(kind: Any, prefix: str, arrays: dict[str, Array]) -> Any:
     """The data class that `columns` took apart."""
-    return kind(**{f.name: arrays[f"{prefix}/{f.name}"] for f in dataclasses.fields(kind)})
+    names = {f.name: f"{prefix}/{f.name}" for f in dataclasses.fields(kind)}
+    return kind(
+        **{name: arrays[key] for name, key in names.items() if key in arrays}
+    )  # older ones have fewer

@@ -30,6 +30,7 @@ from tactile_msgs.msg import ContactPresence as PresenceMessage
 from tactile_perception.estimating.estimator import Estimator, EstimatorSettings, ModelError
 from tactile_perception.estimating.image import ImageError
 from tactile_perception.estimating.image_check import ImageCheck, ImageCheckSettings, ImageRefused
+from tactile_perception.estimating.novelty import NoveltyDrift
 from tactile_perception.estimating.perceive import Perceiver, Percept
 from tactile_perception.estimating.presence import ContactPresence, PresenceSettings
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
@@ -86,6 +87,7 @@ class EstimatorNode(ManagedNode):
         self.check.configure(checked.value)
         self.last_stamp_ns = 0
         self.refusing = False
+        self.novelty = NoveltyDrift()
 
     def configure(self) -> None:
         """Load the model, run it warm, and create publishers and subscription."""
@@ -108,6 +110,7 @@ class EstimatorNode(ManagedNode):
     def activate(self) -> None:
         """Take a new reference image; the last one stays if that is none."""
         self.last_stamp_ns = 0
+        self.novelty = NoveltyDrift()
         self.presence.capture()
 
     def _receive(self, image: Received) -> None:
@@ -129,7 +132,9 @@ class EstimatorNode(ManagedNode):
             return
         self._publish_estimate(percept, stamp_ns)
         emitted_ns = self.now_ns()
-        numbers = percept.score, self.presence.settings.on, percept.in_contact, percept.still
+        self.novelty.add(percept.novelty)
+        flags = percept.in_contact, percept.still
+        numbers = percept.score, self.presence.settings.on, *flags, percept.novelty
         self.presence_out.publish(headed_bytes(PresenceMessage, stamp_ns, self.sensor_frame, *numbers))
         self.latency.note(stamp_ns, received_ns, emitted_ns, self._dropped())
         self.perceive.catch_up()
@@ -169,6 +174,15 @@ class EstimatorNode(ManagedNode):
         if not self.refusing:
             self.refusing = True
             self.publish_diagnostics()
+
+    def publish_diagnostics(self) -> None:
+        """Add how unlike the training images the latest ones are."""
+        if self.active and (measure := self.perceive.estimator.metadata.novelty) is not None:
+            mean = f"{self.novelty.mean:.2f}, usual is up to {measure.usual:.2f}, foreign above 1"
+            self.report.values["mean novelty of images"] = mean
+            if complaint := self.novelty.complaint(measure.usual):
+                self.report.complain("novelty", complaint)
+        super().publish_diagnostics()
 
     def _dropped(self) -> int:
         return sum(self.counters[name] for name in DROPPED)

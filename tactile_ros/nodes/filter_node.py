@@ -10,6 +10,7 @@ belief. Without contact `contact/state` says so and holds no belief.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from typing import Any
@@ -112,7 +113,7 @@ class FilterNode(ManagedNode):
     # ---- inputs ----
 
     def _take_presence(self, data: bytes) -> None:
-        stamp_ns, _, (_, _, in_contact, self.still) = read_presence(data)
+        stamp_ns, _, (_, _, in_contact, self.still, self.novelty) = read_presence(data)
         if not in_contact and self.estimates is not None:
             self.estimates.excuse()  # there are none without contact
         if not in_contact or stamp_ns > self.join.done_ns:  # else its estimate came first, as it should
@@ -185,7 +186,7 @@ class FilterNode(ManagedNode):
     def _publish(self, belief: Belief) -> int:
         """Publish the belief and return when; the state first, since the controller waits for it."""
         emitted_ns = self.now_ns()
-        self.state_out.publish(state_bytes(belief, self.sensor_frame, emitted_ns, self.still))
+        self.state_out.publish(state_bytes(belief, self.sensor_frame, emitted_ns, self.still, self.novelty))
         if belief.valid:
             self._publish_for_others(belief)
         if belief.reason:
@@ -232,12 +233,14 @@ class FilterNode(ManagedNode):
         self.join.clear()
         self.monitor.reset()
         self.no_contact_ns = -1
-        self.still = False  # of the last presence: what the camera showed for a second before
+        self.still, self.novelty = False, math.nan  # of the last presence
         self.frame_out.clear()
 
 
-def state_bytes(belief: Belief, frame_id: str, emitted_ns: int, still: bool = False) -> bytes:
-    """ContactState message of a belief; NaN where it holds nothing. `still` is of the images."""
+def state_bytes(
+    belief: Belief, frame_id: str, emitted_ns: int, still: bool = False, novelty: float = math.nan
+) -> bytes:
+    """ContactState of a belief; NaN where it holds nothing. `still` and `novelty` are of the images."""
     xi, euler = belief.vectors()
     latency = parts_from_ns(emitted_ns - belief.stamp_ns)
     return headed_bytes(
@@ -252,6 +255,7 @@ def state_bytes(belief: Belief, frame_id: str, emitted_ns: int, still: bool = Fa
         int(belief.flags) | (ContactState.STILL if still else 0),
         belief.rejected,
         belief.inflation,
+        novelty,
         *latency,
     )
 

@@ -109,7 +109,7 @@ class SensorOutlet:
 
     def _publish_ideal(self, frame: Frame) -> None:
         in_contact = frame.estimate is not None
-        numbers = float(in_contact), 0.5, in_contact, False
+        numbers = float(in_contact), 0.5, in_contact, False, math.nan
         self._presence.publish(headed_bytes(ContactPresence, frame.stamp_ns, self.frame, *numbers))
         if frame.estimate is not None:
             mean, cov = frame.estimate.mean, frame.estimate.cov

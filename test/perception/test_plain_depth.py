@@ -125,7 +125,7 @@ def test_of_images_an_estimate_that_stays_where_it_was_is_refused(monkeypatch, d
     monkeypatch.setattr(estimator, "estimate_prepared", lambda prepared: said(2e-3))
     perceive.check = SimpleNamespace(
         settings=perceive.check.settings, still=False, exposure=lambda image: None,
-        look=lambda *given: None, remember=lambda image: None,
+        look=lambda *given: None, remember=lambda image: None, foreign=lambda novelty: "",
     )  # fmt: skip
     *_, percept = [perceive(pressed(sensor, depth)) for _ in range(APART)]
     assert percept.in_contact and (percept.estimate is None) == refused
