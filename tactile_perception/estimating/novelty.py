@@ -8,7 +8,7 @@ pixels of
     ((image - mean) / (spread + 0.01))^2
 
 tells real sensors apart better than a density of the network's features, or than what a subspace of training
-images leaves over (docs/results/novelty.md). It cannot tell an image that differs in nothing but how its
+images leaves over (docs/results/perception.md). It cannot tell an image that differs in nothing but how its
 markers lie among each other::
 
     novelty = Novelty.fit(images)         # of the training images
