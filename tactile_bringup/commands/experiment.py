@@ -1,4 +1,4 @@
-"""`tactile experiment pushing`: the paper's tables of pushing, or a map of where it works, trial by trial."""
+"""`tactile experiment`: the paper's tables of pushing, maps of where it works, and real pushes."""
 
 from __future__ import annotations
 
@@ -31,16 +31,26 @@ WIDTH = 160  # columns of the table where there is no terminal
 
 def register(subparsers: Any) -> None:
     """Add `experiment`."""
-    parser = subparsers.add_parser(
+    experiment = subparsers.add_parser(
         "experiment",
-        help="many trials of a task in simulation: the paper's tables, maps of where it works",
+        help="many trials of a task in simulation, and friction models on real pushes",
+        description="The paper's tables of pushing, maps of where it works, and friction on real pushes.",
+    )
+    kinds = experiment.add_subparsers(dest="what", required=True, metavar="EXPERIMENT")
+    _register_pushing(kinds)
+    _register_real_pushes(kinds)
+
+
+def _register_pushing(kinds: Any) -> None:
+    parser = kinds.add_parser(
+        "pushing",
+        help="the paper's tables, maps of where pushing works",
         description="Runs trials of pushing without ROS, on all cores or a cluster, and makes the paper's "
         "table of them or a map. The same command goes on after an interruption: each trial is kept as a "
         "line of trials.jsonl and is not done again.",
         epilog="exit codes: 0 all trials came to the target; 1 some did not; 2 wrong input; 130 interrupted",
     )
     add = parser.add_argument
-    add("what", choices=("pushing",), help="what is tried")
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--table", metavar="NAME", help="one of the paper's tables: single, dual or tall")
     which.add_argument("--map", metavar="NAME", help="one of config/experiments/pushing_maps.yaml")
@@ -60,6 +70,45 @@ def register(subparsers: Any) -> None:
     add_job_options(parser)
     add("--out", type=Path, metavar="FOLDER", help="(default: out/pushing/TABLE-CONTROLLER-FIDELITY)")
     parser.set_defaults(run=run)
+
+
+def _register_real_pushes(kinds: Any) -> None:
+    parser = kinds.add_parser(
+        "real-pushes",
+        help="three models of friction on the real pushes of Zhou et al. (2016)",
+        description="Predicts the motion of a pushed block by its measured load, and where each push leaves "
+        "it by the finger's way alone, with an ellipsoid, points of support, and a convex polynomial that is "
+        "fitted to other pushes. Medians with 95 % intervals by the bootstrap.",
+        epilog="exit codes: 0 done; 2 wrong input",
+    )
+    parser.add_argument(
+        "folder", type=Path, metavar="FOLDER|FILE", help="files named after what the block stands on"
+    )
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="(default: out/real-pushes)")
+    parser.set_defaults(run=run_real_pushes)
+
+
+@refusing("experiment", status=2)
+def run_real_pushes(arguments: argparse.Namespace) -> int:
+    """Run `experiment real-pushes`; returns the exit code."""
+    from tactile_bringup.experiments import real_pushes_results as results
+
+    files = [arguments.folder] if arguments.folder.is_file() else sorted(arguments.folder.glob("*.txt"))
+    if not files:
+        raise ValueError(f"{arguments.folder}: holds no pushes: must be files as patch.txt, or one of them")
+    folder = arguments.out or Path("out") / "real-pushes"
+    check_folder(folder)
+    found = results.results_of_files(files)
+    shown = number_table("real pushes: medians [95 %]", results.COLUMNS, box=box.SIMPLE_HEAD)
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    for result in found:
+        shown.add_row(*results.cells(result))
+    console.print(shown)
+    for path in results.write_results(folder, found):
+        say(console, str(path))
+    return 0
 
 
 @refusing("experiment", status=2)
