@@ -133,6 +133,7 @@ def _of_the_graph(
     from tactile_bringup import cell_touching
     from tactile_bringup.commands.launch import launch_graph
     from tactile_bringup.graph import GraphOptions, build_graph
+    from tactile_bringup.launching.launcher import Manner
     from tactile_bringup.run_sequence import arm_plans
 
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{arguments.what}"
@@ -140,7 +141,7 @@ def _of_the_graph(
     options = GraphOptions(record=folder / "bag", seed=arguments.seed, rehearse=arguments.rehearse)
     task = cell_touching.task_of(scene, arm, arguments.what, **changed_settings(arguments.changes, EXAMPLE))
     graph = build_graph(task.name, scene, arm_plans(task, scene), options)
-    if launch_graph(graph, folder, console, arguments.headless).exit_code:
+    if launch_graph(graph, folder, console, Manner(headless=arguments.headless)).exit_code:
         return None
     say(console, f"bag: {folder / 'bag'}")
     return cell_touching.recorded(folder / "bag", arm)

@@ -79,13 +79,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _launch(plan: Plan, arguments: argparse.Namespace, console: Console) -> Outcome:
-    from tactile_bringup.launching.launcher import Launcher
+    from tactile_bringup.launching.launcher import Launcher, Manner
     from tactile_bringup.launching.progress import CollectionDisplay
 
     folder = arguments.logs / f"{time.strftime('%Y%m%d-%H%M%S')}-collect"
     live = console.is_terminal and not arguments.headless
     with CollectionDisplay(console, live, plan.samples) as display:
-        return Launcher(plan.graph, folder.absolute(), display, "data collect").run()
+        return Launcher(plan.graph, folder.absolute(), display, Manner("data collect")).run()
 
 
 def _contents(folder: Path) -> list[str]:

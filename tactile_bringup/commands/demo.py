@@ -39,13 +39,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from tactile_base.console import lasting_console
     from tactile_bringup.commands.launch import graph_options, launch
+    from tactile_bringup.launching.launcher import Manner
 
     console, folder = lasting_console(), arguments.out.absolute()
     bag = folder / BAG
     room_for_results(folder, f"{BAG}/{MARKER}")
     options = graph_options(arguments, record=bag)
-    headless, view = arguments.headless, arguments.view
-    outcome = launch(arguments.task, arguments.scene, options, folder, console, headless, view=view)
+    manner = Manner("demo", arguments.headless, view=arguments.view)
+    outcome = launch(arguments.task, arguments.scene, options, folder, console, manner)
     if outcome is None:
         return 2
     if not bag.is_dir():

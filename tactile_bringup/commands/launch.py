@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tactile_bringup.graph import Graph, GraphOptions
-    from tactile_bringup.launching.launcher import Outcome
+    from tactile_bringup.launching.launcher import Manner, Outcome
 
 TASK_HELP = "task: the name of one of config/tasks, or a task file of your own"
 FOUND = ""  # no file of the object: where it is touched is found by touch
@@ -116,6 +116,7 @@ def graph_options(arguments: argparse.Namespace, **more: Any) -> GraphOptions:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from tactile_base.console import lasting_console
+    from tactile_bringup.launching.launcher import Manner
 
     if arguments.record_images and arguments.record is None:
         return _refuse("--record-images needs --record BAG")
@@ -123,9 +124,8 @@ def run(arguments: argparse.Namespace) -> int:
     options = graph_options(arguments, object_belief=place is not None, object_file=place or FOUND)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(arguments.task).stem}"
     console = lasting_console()
-    headless, waits = arguments.headless, arguments.nodes_only
-    view = arguments.view
-    outcome = launch(arguments.task, arguments.scene, options, folder, console, headless, waits, view)
+    manner = Manner(headless=arguments.headless, waits=arguments.nodes_only, view=arguments.view)
+    outcome = launch(arguments.task, arguments.scene, options, folder, console, manner)
     if outcome is None:
         return 2
     if options.record is not None and options.record.exists():
@@ -134,19 +134,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def launch(
-    task: str,
-    scene: str | None,
-    options: GraphOptions,
-    folder: Path,
-    console: Console,
-    headless: bool,
-    waits: bool = False,
-    view: bool = False,
+    task: str, scene: str | None, options: GraphOptions, folder: Path, console: Console, manner: Manner
 ) -> Outcome | None:
-    """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong.
-
-    `waits`: whether goals come from elsewhere, until somebody ends it; `view`: with the page beside it.
-    """
+    """Load, launch, and say how it ended; None, with the reason printed, where the input is wrong."""
     from tactile_base.settings import SettingError
     from tactile_base.whole_file import check_folder
     from tactile_bringup.graph import check_options, load_graph
@@ -158,27 +148,19 @@ def launch(
     except (SettingError, ValueError, OSError) as error:
         _refuse(str(error))
         return None
-    return launch_graph(graph, folder, console, headless, waits=waits, view=view)
+    return launch_graph(graph, folder, console, manner)
 
 
-def launch_graph(
-    graph: Graph,
-    folder: Path,
-    console: Console,
-    headless: bool,
-    command: str = "launch",
-    waits: bool = False,
-    view: bool = False,
-) -> Outcome:
-    """Launch a graph that was loaded before, for a command of that name."""
+def launch_graph(graph: Graph, folder: Path, console: Console, manner: Manner) -> Outcome:
+    """Launch a graph that was loaded before."""
     from tactile_bringup.launching.launcher import Launcher
     from tactile_bringup.launching.progress import Display
     from tactile_bringup.launching.view import write_view
 
     write_view(graph, folder)
-    live = console.is_terminal and not headless
+    live = console.is_terminal and not manner.headless
     with Display(console, live) as display:
-        return Launcher(graph, folder.absolute(), display, command, waits, view).run()
+        return Launcher(graph, folder.absolute(), display, manner).run()
 
 
 def _refuse(message: str) -> int:

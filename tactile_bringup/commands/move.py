@@ -49,11 +49,12 @@ def run(arguments: argparse.Namespace) -> int:
     from tactile_base.console import lasting_console
     from tactile_base.whole_file import check_folder
     from tactile_bringup.commands.launch import launch_graph
+    from tactile_bringup.launching.launcher import Manner
 
     graph = make_graph(arguments)
     folder = arguments.out / f"{time.strftime('%Y%m%d-%H%M%S')}-{TASK}"
     check_folder(folder)
-    return launch_graph(graph, folder, lasting_console(), arguments.headless, TASK).exit_code
+    return launch_graph(graph, folder, lasting_console(), Manner(TASK, arguments.headless)).exit_code
 
 
 def make_graph(arguments: argparse.Namespace) -> Graph:

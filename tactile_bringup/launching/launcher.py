@@ -73,6 +73,24 @@ class Outcome:
     escalated: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class Manner:
+    """How a graph is launched.
+
+    Attributes
+    ----------
+    command : what the user has called, for messages
+    headless : whether there is no live display
+    waits : whether it runs no goal, but waits for its end while they come from elsewhere
+    view : whether the page in the browser is served beside it; what becomes of that does not matter
+    """
+
+    command: str = "launch"
+    headless: bool = False
+    waits: bool = False
+    view: bool = False
+
+
 class Launcher:
     """One run of a graph; `run` does it all.
 
@@ -84,24 +102,12 @@ class Launcher:
         For logs and parameter files.
     display : Display
         Shows progress, and how it ended.
-    command : str
-        What the user has called, for messages.
-    waits : bool
-        Whether it runs no goal, but waits for its end while they come from elsewhere.
-    view : bool
-        Whether the page in the browser is served beside it; what becomes of that does not matter.
+    manner : Manner
+        How.
     """
 
-    def __init__(
-        self,
-        graph: Graph,
-        folder: Path,
-        display: Display,
-        command: str = "launch",
-        waits: bool = False,
-        view: bool = False,
-    ) -> None:
-        self.graph, self.display, self.command, self.waits, self.view = graph, display, command, waits, view
+    def __init__(self, graph: Graph, folder: Path, display: Display, manner: Manner | None = None) -> None:
+        self.graph, self.display, self.manner = graph, display, manner or Manner()
         self.logs = folder / "logs"
         self._parameters = folder / "parameters"
         self._signals: list[int] = []
@@ -170,10 +176,10 @@ class Launcher:
         self._runner = self._connect(group)
         self._runner.wait_until_active()
         self._worked = True
-        if self.view:
+        if self.manner.view:
             address = beside.enter_context(served_page(self._environment.variables, self.logs / "view.log"))
             self.display.say(f"page: {address}, in a few seconds")
-        if self.waits:
+        if self.manner.waits:
             self._runner.wait()
         self._runner.run()
 
@@ -253,7 +259,7 @@ class Launcher:
         if outcome.overload:
             self.display.say(f"note: {outcome.overload}", "yellow")
         if outcome.reason:
-            self.display.say(f"tactile {self.command}: {outcome.reason}", "red")
+            self.display.say(f"tactile {self.manner.command}: {outcome.reason}", "red")
         refused = outcome.exit_code == EXIT_REFUSED
         ended = f"stopped: {RESTS[outcome.at_rest]}; logs: {outcome.logs}"
         self.display.say("nothing was started" if refused else ended)
