@@ -116,9 +116,9 @@ def main() -> None:
     pipes, processes = [], []
     for driver in arguments.drivers or HOSTS:
         mine, theirs = multiprocessing.Pipe()
-        processes.append(
-            multiprocessing.get_context("spawn").Process(target=drive, args=(theirs, driver, arguments))
-        )
+        # as daemons: where one fails, the other ends with this process, and its double with it
+        spawned = multiprocessing.get_context("spawn")
+        processes.append(spawned.Process(target=drive, args=(theirs, driver, arguments), daemon=True))
         processes[-1].start()
         theirs.close()
         pipes.append(mine)
