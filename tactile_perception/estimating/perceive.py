@@ -116,12 +116,15 @@ class Perceiver:
         Raises `ImageError` if the image has the wrong size or type, `ImageRefused` if it cannot show the
         sensor: then nothing is known of this exposure.
         """
-        prepare = self.estimator.preprocessor
         if self.presence is None:
             make = self.estimator.estimate_processed if processed else self.estimator.estimate
             percept = self._estimated(make, image, None, float("nan"))
-            return self._widened(percept, self._novelty(as_input(prepare.view(prepare.settings.size))))
+            if self.estimator.metadata.novelty is None:
+                return percept
+            seen = self.estimator.preprocessor.view(self.estimator.metadata.preprocessing.size)
+            return self._widened(percept, self._novelty(as_input(seen)))
         self.catch_up()
+        prepare = self.estimator.preprocessor
         prepared = prepare.from_processed(image) if processed else prepare(image)
         if not processed:  # what is drawn at the network's input has no noise: it repeats itself
             self.check.exposure(image)

@@ -43,6 +43,7 @@ class NoisyEstimator:
         rng = np.random.default_rng(seed)
         self._answers = iter(labels + rng.normal(size=labels.shape) / INVERSE_SIGMA)
         self.times = type("Times", (), {"preprocess": 0.0, "infer": 0.0, "convert": 0.0})()
+        self.metadata = type("Metadata", (), {"novelty": None})()
 
     def estimate_processed(self, image: np.ndarray) -> PoseGaussian:
         return pose_gaussian(next(self._answers), np.diag(INVERSE_SIGMA**-2))

@@ -47,7 +47,7 @@ class Brightness:
             raise ModelError("broken.onnx: is not a usable ONNX model")
 
         self.preprocessor = Reduced()
-        self.metadata = SimpleNamespace(layout=None, plain_depth=None)
+        self.metadata = SimpleNamespace(layout=None, plain_depth=None, novelty=None)
 
     def estimate_prepared(self, prepared) -> PoseGaussian:
         depth = 0.01 * float(prepared.mean())
