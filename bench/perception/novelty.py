@@ -6,7 +6,7 @@ Each measure is fitted to images of TRAIN, and its limit is 1.5 times what 99.5 
 below. `pixels` is what model files have (`Novelty`); `subspace` the part of an image that is left over by the
 128 main directions of the training images; `features` the Mahalanobis distance of the last features of a
 network that was trained on TRAIN, in their 64 main directions. The rows `validation, ...` are VALIDATION's
-images changed as a camera changes. A cell has the part that is refused and the median, as a part of the limit.
+images changed as a camera changes. A cell has the part that is refused, and the median over the limit.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 Markers are where they are because of how camera and tip are mounted. A camera that is mirrored or turned
 shows them elsewhere, and a network then takes left for right. In the mean of many contacts the markers are
 blurred, but stand where the sensor has them; the image without contact fits that mean better than any
-mirrored or turned form of it (on simulated and on real sensors; docs/perception.md).
+mirrored or turned form of it (on simulated and on real sensors; docs/perception.md), also of one that is
+turned by a few degrees, as of a camera that has come loose.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from tactile_perception.estimating.preprocessing import PreprocessingSettings
 Array = NDArray[np.float64]
 #: By how much another form has to fit better, as a correlation, to be what the camera shows.
 MARGIN = 0.05
+#: Degrees by which a camera may have turned and is still where it was, and up to which a turn is looked for.
+_LEAST, _MOST, _STEP = 3.0, 20.0, 0.5
 
 
 class LayoutError(ValueError):
@@ -98,6 +101,10 @@ class Layout:
                 # about the image's middle, seen from that of the crop: p -> turn (p + off) - off
                 shift = scale * (turn @ center - center)
                 yield name, _moved(self.mean, turn, shift)
+        for degrees in np.arange(_LEAST, _MOST + _STEP, _STEP):
+            for sense, name in ((1.0, "clockwise"), (-1.0, "counter-clockwise")):
+                turn = _rotation(sense * np.deg2rad(degrees))
+                yield f"turned {name} by {degrees:g} degrees", _moved(self.mean, turn, np.zeros(2))
 
 
 def _turned(quarters: int) -> str:
@@ -106,8 +113,12 @@ def _turned(quarters: int) -> str:
 
 def _turn(mirrored: bool, quarters: int) -> Array:
     """(2, 2) of columns and rows: a mirror of the columns, then quarter turns."""
-    cosine, sine = np.cos(np.pi / 2 * quarters), np.sin(np.pi / 2 * quarters)
-    return np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([-1.0 if mirrored else 1.0, 1.0])
+    return _rotation(np.pi / 2 * quarters) @ np.diag([-1.0 if mirrored else 1.0, 1.0])
+
+
+def _rotation(angle: float) -> Array:
+    """Of columns and rows, which is clockwise on a screen."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def _moved(image: Image, turn: Array, shift: Array) -> Image:

@@ -1,5 +1,6 @@
 """Images that cannot show the sensor: cameras that lie are refused, contacts at the edges are not."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -106,6 +107,24 @@ def test_a_camera_that_is_mirrored_or_turned_from_the_start_gives_no_reference(k
     assert percept.in_contact is None
     assert percept.fault.startswith("the picture is ") and "what the model was trained on" in percept.fault
     assert Pressed().reference().fault == ""
+
+
+@pytest.mark.parametrize("degrees", [-12.0, -5.0, -1.0, 1.0, 5.0, 12.0])
+def test_a_camera_that_has_come_loose_gives_no_reference_and_is_told_by_how_much_it_turned(degrees):
+    """OpenCV turns counter-clockwise by positive angles. A turn of one degree is as good as none."""
+
+    def camera(image):
+        rows, columns = image.shape
+        x0, y0, x1, y1 = PreprocessingSettings().bbox
+        matrix = cv2.getRotationMatrix2D(((x0 + x1 - 1) / 2, (y0 + y1 - 1) / 2), degrees, 1.0)
+        return cv2.warpAffine(image, matrix, (columns, rows))
+
+    fault = Pressed().reference(camera).fault
+    if abs(degrees) < 3.0:
+        assert fault == ""
+    else:
+        sense = "counter-clockwise" if degrees > 0.0 else "clockwise"
+        assert f"the picture is turned {sense} by {abs(degrees):g} degrees: as such" in fault
 
 
 @pytest.mark.parametrize("kind", ["mirrored", "upside_down", "turned_180"])
