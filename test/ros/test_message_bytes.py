@@ -170,6 +170,6 @@ def test_the_bytes_of_gaussians_and_twists_are_those_of_their_messages():
 
 
 def test_a_stamp_before_the_epoch_is_none():
-    data = headed_bytes(ContactPresence, -5, "s", 0.1, 0.2, True, False)
+    data = headed_bytes(ContactPresence, -5, "s", 0.1, 0.2, True, False, 0.5)
     message = deserialize_message(data, ContactPresence)
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)
