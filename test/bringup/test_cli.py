@@ -79,7 +79,7 @@ def test_a_damaged_model_is_refused_before_a_node_is_started(capsys, tmp_path, d
     pytest.importorskip("rclpy", reason="needs ROS 2")
     assert cli.main([*command.split(), "--out", str(tmp_path), "--model", str(damaged), "--headless"]) == 2
     shown = capsys.readouterr().out
-    assert "tactile launch: model of /" in shown and f"/estimator: {damaged}: " in shown
+    assert f"tactile {command.split()[0]}: model of /" in shown and f"/estimator: {damaged}: " in shown
     assert "nothing was started" in shown and not list(tmp_path.glob("**/logs"))
 
 

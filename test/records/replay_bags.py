@@ -96,7 +96,7 @@ class Recording:
 
     def presence(self, stamp_ns: int, in_contact: bool, arm: str = "arm") -> None:
         head = header(stamp_ns, f"{arm}/tactile_sensor")
-        message = make(PRESENCE, head, float(in_contact), 0.5, in_contact, False)
+        message = make(PRESENCE, head, float(in_contact), 0.5, in_contact, False, np.nan)
         self.add(f"/{arm}/contact/presence", PRESENCE, message, stamp_ns)
 
     def truth(self, stamp_ns: int, T_fs, arm: str = "arm") -> None:
@@ -116,7 +116,7 @@ class Recording:
         euler = se3.euler_from_pose(se3.inverse(belief.mean)) if valid else np.full(6, np.nan)
         message = make(
             STATE, header(belief.stamp_ns, f"{arm}/tactile_sensor"), xi, belief.cov.reshape(36), euler,
-            belief.nis, belief.nis_dof, int(belief.flags), belief.rejected, belief.inflation,
+            belief.nis, belief.nis_dof, int(belief.flags), belief.rejected, belief.inflation, np.nan,
             make("builtin_interfaces/msg/Duration", 0, 8_000_000),
         )  # fmt: skip
         self.add(f"/{arm}/contact/state", STATE, message, belief.stamp_ns)
