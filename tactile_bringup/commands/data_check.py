@@ -16,7 +16,7 @@ from tactile_base.console import number_table, say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
-from tactile_perception.estimating.labels import EULER_TITLES
+from tactile_perception.estimating.labels import EULER_COMPONENTS, EULER_TITLES
 
 if TYPE_CHECKING:
     from tactile_perception.datasets.check import CheckResult
@@ -33,7 +33,7 @@ def register(commands: Any) -> None:
         epilog=EXIT_CODES,
     )  # fmt: skip
     add = parser.add_argument
-    add("folder", type=Path, help="data folder")
+    add("folder", type=Path, help="data folder, or one of parts (train, val)")
     add("--out", type=Path, metavar="DIR", help="write pictures and check.json there")
     add("--samples", type=int, default=1000, metavar="N", help="images in which markers are followed (1000)")
     add("--seed", type=int, default=0, help="of their choice")
@@ -49,24 +49,28 @@ def run(arguments: argparse.Namespace) -> int:
     """`tactile data check`: returns the exit status."""
     from tactile_perception.datasets.check import check
     from tactile_perception.datasets.dataset import open_folder
+    from tactile_perception.datasets.layout import data_folders
     from tactile_perception.markers.flow import FlowSettings
 
     console = Console()
-    if arguments.out is not None:
-        room_for_results(arguments.out, "check.json", source=arguments.folder)
-    folder = open_folder(arguments.folder)
     settings = FlowSettings(samples=arguments.samples, seed=arguments.seed)
-    with Progress() as progress:
-        result = check(folder, settings, progress.update)
     if arguments.out is not None:
-        _write(result, arguments.out)
-    show(result, console)
-    if arguments.out is not None:
-        say(console, f"pictures and check.json: {arguments.out}")
-    if arguments.write_conventions:
-        say(console, write_conventions(result))
+        room_for_results(arguments.out, "check.json", "*/check.json", source=arguments.folder)
     bad = ("error", "warning") if arguments.strict else ("error",)
-    return int(result.worst in bad)
+    status = 0
+    for part, path in data_folders(arguments.folder).items():
+        folder = open_folder(path)
+        with Progress() as progress:
+            result = check(folder, settings, progress.update)
+        if arguments.out is not None:
+            write_check(result, arguments.out / part)
+        show(result, console)
+        if arguments.out is not None:
+            say(console, f"pictures and check.json: {arguments.out / part}")
+        if arguments.write_conventions:
+            say(console, write_conventions(result))
+        status |= int(result.worst in bad)
+    return status
 
 
 def show(result: CheckResult, console: Console) -> None:
@@ -74,8 +78,9 @@ def show(result: CheckResult, console: Console) -> None:
     title = f"{result.folder.folder}: {len(result.folder)} samples"
     columns = ("component", "least", "largest", "mean", "deviation")
     ranges = number_table(title, columns, title_justify="left")
-    for name, row in zip(EULER_TITLES, result.statistics.ranges, strict=True):
-        ranges.add_row(name, *(f"{value:.3f}" for value in row))
+    for name, title, row in zip(EULER_COMPONENTS, EULER_TITLES, result.statistics.ranges, strict=True):
+        labelled = name in result.folder.labelled
+        ranges.add_row(title, *(f"{value:.3f}" if labelled else "-" for value in row))
     console.print(ranges)
     table = Table(show_header=False, box=None, pad_edge=False)
     for finding in result.findings:
@@ -87,29 +92,24 @@ def show(result: CheckResult, console: Console) -> None:
 
 def write_conventions(result: CheckResult) -> str:
     """Write `conventions.json` if there is one way to correct the labels; returns what was done, in words."""
-    from tactile_perception.datasets.table import CONVENTIONS_NAME
+    from tactile_perception.datasets.table import CONVENTIONS_NAME, ConventionSettings
 
     found = result.conventions
     path = result.folder.folder / CONVENTIONS_NAME
     if found is None or path.exists():
         return f"{path}: not written, since " + ("it is there already" if found else "images tell nothing")
-    ways = [way for way in found.explanations if not way.swapped and not way.mirrored]
-    if len(ways) != 1:
-        listed = "; ".join(map(str, found.explanations)) or "none"
-        return f"{path}: not written, since there is not one way to correct the signs (found: {listed})"
-    flip = [*ways[0].flipped, *(["z"] if found.depth_flipped else [])]
-    content = {
-        "flip": flip,
-        "length_unit": found.length_unit or "mm",
-        "angle_unit": found.angle_unit or "deg",
-    }
-    if not flip and content["length_unit"] == "mm" and content["angle_unit"] == "deg":
+    if not found.wrong:
         return f"{path}: not needed"
-    path.write_text(json.dumps(content) + "\n")
-    return f"{path}: written; every reader applies it from now on: {json.dumps(content)}"
+    contents = [json.dumps(content) for content, _ in found.corrections(ConventionSettings())]
+    if len(contents) != 1:
+        listed = "; or ".join(contents) or "none"
+        return f"{path}: not written, since there is not one way to correct the signs (found: {listed})"
+    path.write_text(contents[0] + "\n")
+    return f"{path}: written; every reader applies it from now on: {contents[0]}"
 
 
-def _write(result: CheckResult, folder: Path) -> None:
+def write_check(result: CheckResult, folder: Path) -> None:
+    """Write pictures and `check.json`."""
     from tactile_perception.datasets import check_plots
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -121,6 +121,8 @@ def _write(result: CheckResult, folder: Path) -> None:
         "samples": len(result.folder),
         "worst": result.worst,
         "findings": [vars(finding) for finding in result.findings],
+        "shows": result.visibility.shares if result.visibility else {},
+        "noise": result.visibility.noise if result.visibility else math.nan,
         "gains": result.conventions.gains if result.conventions else {},
         "camera_deg": result.conventions.camera_deg if result.conventions else math.nan,
     }

@@ -84,6 +84,7 @@ def _from_folder(
     from tactile_perception.evaluation.filtering import motion_filter, with_motion_noise
 
     folder = open_folder(arguments.source, estimator.metadata.preprocessing)
+    folder.check_labelled()
     order = usable_order(folder, arguments.seed, arguments.limit)
     say(console, "\n".join(folder.report.lines()))
     frames = folder_frames(folder, order)

@@ -74,8 +74,9 @@ def quantize_run(run: Path, data: Path, validation: Path | None = None) -> Path:
 def _validation(data: Path, given: Path | None) -> Path | None:
     """The folder to compare on, if there is one; `DatasetError` if it is none."""
     from tactile_perception.datasets.dataset import open_folder
+    from tactile_perception.datasets.layout import parts_of
 
-    folder = given or (data / "val" if (data / "val").is_dir() else None)
+    folder = given or parts_of(data).get("val")
     if folder is not None:
         open_folder(folder)
     return folder

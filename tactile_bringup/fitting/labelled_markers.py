@@ -67,6 +67,7 @@ def track(folder: Path, samples: int | None = None) -> Tracked:
         There is no contact less than `DEPTH_STEPS[0]` deep, in which the markers are where they rest.
     """
     data = open_folder(folder)
+    data.check_labelled()
     index = np.arange(len(data))
     if samples is not None and samples < len(index):
         index = np.sort(np.random.default_rng(0).choice(index, samples, replace=False))

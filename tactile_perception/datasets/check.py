@@ -10,20 +10,32 @@ A finding is "ok", "note" (worth knowing), "warning" (costs accuracy) or "error"
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tactile_perception.datasets import visibility
 from tactile_perception.datasets.conventions import Conventions, find_conventions
 from tactile_perception.datasets.dataset import TactileFolder
+from tactile_perception.datasets.layout import DatasetReport
 from tactile_perception.datasets.statistics import LabelStatistics, label_statistics
-from tactile_perception.estimating.image import ImageError, read_image
-from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, measure
+from tactile_perception.datasets.table import CONVENTIONS_NAME, read_conventions
+from tactile_perception.datasets.visibility import Visibility
+from tactile_perception.estimating.image import Image, ImageError, read_image
+from tactile_perception.estimating.labels import EULER_COMPONENTS
+from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, follow, look
 
 LEVELS = ("ok", "note", "warning", "error")
 _USUAL_DEPTH_MM, _USUAL_ANGLE_DEG = 20.0, 90.0
+#: What has to be labelled for images to tell directions: they come from what shear and tilt have in common.
+_DIRECTED = ("x", "y", "alpha", "beta")
+
+
+_WIDEST_GAMMA_DEG = 90.0  # range up to which x and y are directions in the sensor, too
 
 
 @dataclass(frozen=True)
@@ -44,6 +56,7 @@ class CheckResult:
     findings: list[Finding] = field(default_factory=list)
     flow: MarkerFlow | None = None
     conventions: Conventions | None = None
+    visibility: Visibility | None = None
 
     def add(self, level: str, topic: str, text: str) -> None:
         self.findings.append(Finding(level, topic, text))
@@ -64,7 +77,19 @@ def check(
     _report_reading(result)
     _report_images(result, progress)
     _report_labels(result)
-    _report_conventions(result, settings or FlowSettings(), progress)
+    settings = settings or FlowSettings()
+    step = None if progress is None else partial(progress, "markers")
+    seen = None
+    try:
+        seen = look(folder, settings, step)
+        result.flow = follow(folder, *seen, settings)
+    except FlowError as error:
+        result.add("warning", "conventions", f"images do not tell the conventions: {error}")
+    else:
+        _report_conventions(result)
+    if seen and len(seen[0]) >= visibility.FEWEST:
+        _report_visibility(result, *seen)
+        _report_sums(result, seen[0])
     return result
 
 
@@ -114,10 +139,11 @@ def _report_images(result: CheckResult, progress: Callable[[str, int, int], None
 def _report_labels(result: CheckResult) -> None:
     found = result.statistics
     ranges = found.ranges
-    if found.constant:
-        result.add(
-            "warning", "labels", f"{', '.join(found.constant)} never changes: nothing to learn from it"
-        )
+    labelled = result.folder.labelled
+    if missing := [name for name in EULER_COMPONENTS if name not in labelled]:
+        result.add("warning", "labels", f"{', '.join(missing)} not labelled: most commands refuse such data")
+    if constant := [name for name in found.constant if name in labelled]:
+        result.add("warning", "labels", f"{', '.join(constant)} never changes: nothing to learn from it")
     if found.repeated:
         result.add("warning", "labels", f"{found.repeated} labels occur more than once")
     if found.outliers:
@@ -153,37 +179,91 @@ def _report_labels(result: CheckResult) -> None:
         result.add("ok", "balance", "signs are balanced and no two components are correlated")
 
 
-def _report_conventions(
-    result: CheckResult, settings: FlowSettings, progress: Callable[[str, int, int], None] | None
-) -> None:
-    step = None if progress is None else partial(progress, "markers")
-    try:
-        result.flow = measure(result.folder, settings, step)
-    except FlowError as error:
-        result.add("warning", "conventions", f"images do not tell the conventions: {error}")
+def _report_visibility(result: CheckResult, chosen: NDArray[np.int64], images: list[Image]) -> None:
+    """How much of each component shows in the images, and which hardly do."""
+    flow, labelled = result.flow, result.folder.labelled
+    labels = result.folder.euler_mm_deg[chosen]
+    found = result.visibility = (
+        visibility.of_images(labels, images, labelled)
+        if flow is None
+        else visibility.of_markers(labels, flow.positions, labelled)
+    )
+    shares = ", ".join(f"{name} {share:.1%}" for name, share in found.shares.items())
+    result.add(
+        "ok", "shows", f"of the {found.of} each component explains: {shares}; noise is {found.noise:.1%}"
+    )
+    for name in found.hardly:
+        text = f"{name} hardly shows: it explains {found.shares[name]:.1%} of the {found.of}"
+        if name == "gamma" and flow is not None and result.conventions:
+            full = 1.0 if result.conventions.angle_unit == "rad" else np.radians(1.0)
+            text += f", markers turn by {abs(flow.turn.value) / full:.2f} of it"
+        result.add("warning", "shows", f"{text}: no network will tell it well")
+
+
+def _report_sums(result: CheckResult, chosen: NDArray[np.int64]) -> None:
+    """Whether the sum of pose and shear is what images show, where both vary."""
+    if result.flow is None:
         return
+    rows = [result.folder.rows[k] for k in chosen]
+    pose, shear = np.array([row.pose for row in rows]), np.array([row.shear for row in rows])
+    found = visibility.better_parts(pose, shear, result.flow.positions, result.folder.labelled)
+    for name, part in found.items():
+        other = "shear" if part == "pose" else "pose"
+        result.add(
+            "error", "sums", f"{name}: markers follow its {part} alone better than pose and shear together: "
+            f"import the folder by a mapping file that leaves out its column of the {other}",
+        )  # fmt: skip
+
+
+def _report_conventions(result: CheckResult) -> None:
+    assert result.flow is not None
     found = result.conventions = find_conventions(result.flow)
+    labelled = result.folder.labelled
+    depth = [text for text in found.uncertain if text.endswith(" z")]
+    for text in depth:
+        result.add("warning", "conventions", f"images do not tell {text}")
+    _report_depth(result, found)
+    missing = [name for name in _DIRECTED if name not in labelled]
+    if missing or np.ptp(result.flow.labels[:, 5]) > _WIDEST_GAMMA_DEG:
+        why = f"{', '.join(missing)} not labelled" if missing else "gamma goes round too far"
+        result.add(
+            "note", "conventions", f"images cannot tell other signs, units and the order of angles: {why}"
+        )
+        _report_correction(result, found)
+        return
+    more = "" if len(result.flow.labels) == len(result.folder) else ": follow markers in more (--samples)"
+    for text in found.uncertain:
+        if text not in depth:
+            result.add("warning", "conventions", f"{len(result.flow.labels)} images do not tell {text}{more}")
     _report_signs(result, found)
     _report_units(result, found)
-    for text in found.uncertain:
-        result.add("warning", "conventions", f"images do not tell {text}")
+    _report_correction(result, found)
     turned = {"extrinsic": "fixed axes (extrinsic xyz)", "intrinsic": "the sensor's own axes (intrinsic xyz)"}
-    if found.order:
-        level = "ok" if found.order == "extrinsic" else "error"
-        result.add(level, "angles", f"they turn about {turned[found.order]} (t = {found.order_t:+.1f})")
+    if found.order == "extrinsic":
+        result.add("ok", "angles", f"they turn about {turned[found.order]} (t = {found.order_t:+.1f})")
+    elif found.order:
+        result.add(
+            "error", "angles",
+            f"they turn about {turned[found.order]} (t = {found.order_t:+.1f}): import the folder by a "
+            "mapping file with the line `euler: intrinsic xyz` (tactile data import --mapping)",
+        )  # fmt: skip
     else:
         text = f"too few samples tell extrinsic from intrinsic order (t = {found.order_t:+.1f}, 3 needed)"
         result.add("note", "angles", text)
 
 
-def _report_signs(result: CheckResult, found: Conventions) -> None:
+def _report_depth(result: CheckResult, found: Conventions) -> None:
     assert result.flow is not None
-    if found.depth_flipped is not None:
-        ratio = f"images at the largest z differ {result.flow.deeper:.1f} times as much as at the least"
-        if found.depth_flipped:
-            result.add("error", "signs", f"z falls as contacts get deeper, must grow ({ratio})")
-        else:
-            result.add("ok", "signs", f"z grows with depth ({ratio})")
+    if found.depth_flipped is None:
+        return
+    ratio = f"images at the largest z differ {result.flow.deeper:.1f} times as much as at the least"
+    if found.depth_flipped:
+        result.add("error", "signs", f"z falls as contacts get deeper, must grow ({ratio})")
+    else:
+        result.add("ok", "signs", f"z grows with depth ({ratio})")
+
+
+def _report_signs(result: CheckResult, found: Conventions) -> None:
     if any(text.startswith("the direction of x") or "alpha" in text for text in found.uncertain):
         return
     if not found.explanations:
@@ -191,13 +271,38 @@ def _report_signs(result: CheckResult, found: Conventions) -> None:
             "error", "signs", "x, y, alpha, beta and the images do not fit together by any choice of signs"
         )
     elif found.explanations[0].cost == 0:
+        gamma = "" if any("gamma" in text for text in found.uncertain) else " and gamma"
         result.add(
             "ok", "signs",
-            "x, y, alpha, beta and gamma move the markers as the paper's contact pose does; the sensor's "
+            f"x, y, alpha, beta{gamma} move the markers as the paper's contact pose does; the sensor's "
             f"x-axis is at {found.camera_deg:.0f} deg in the image",
         )  # fmt: skip
     else:
         result.add("error", "signs", "; or ".join(map(str, found.explanations)))
+
+
+def _report_correction(result: CheckResult, found: Conventions) -> None:
+    """What to write into conventions.json, or between which lines the images leave the choice."""
+    path = result.folder.folder / CONVENTIONS_NAME
+    applied = read_conventions(result.folder.folder, DatasetReport(result.folder.folder))
+    lines = [(json.dumps(content), camera) for content, camera in found.corrections(applied)]
+    if not lines and found.explanations:
+        result.add(
+            "note", "correction", f"no {CONVENTIONS_NAME} swaps axes or mirrors images: import the folder "
+            "anew (`tactile data import --mapping`), or mirror its images",
+        )  # fmt: skip
+    if not lines or not found.wrong:
+        return
+    if len(lines) == 1:
+        text = f"write into {path} (--write-conventions does): {lines[0][0]}"
+    else:
+        ways = "; or, ".join(
+            f"if the sensor's x-axis is at {camera:.0f} deg in the image, {line}" for line, camera in lines
+        )
+        text = f"images leave a choice, how the camera is mounted tells. Write into {path}, {ways}"
+    if any("gamma" in name for name in found.uncertain):
+        text += "; whether gamma is flipped too is open"
+    result.add("note", "correction", text)
 
 
 def _report_units(result: CheckResult, found: Conventions) -> None:
@@ -205,4 +310,4 @@ def _report_units(result: CheckResult, found: Conventions) -> None:
         if unit == right:
             result.add("ok", "units", f"{name} are in {right}")
         elif unit:
-            result.add("error", "units", f"{name} are in {unit}, must be {right} (see conventions.json)")
+            result.add("error", "units", f"{name} are in {unit}, must be {right}")

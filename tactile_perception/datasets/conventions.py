@@ -10,11 +10,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tactile_perception.datasets.table import ConventionSettings
 from tactile_perception.estimating.labels import EULER_COMPONENTS
 from tactile_perception.markers.flow import MarkerFlow, regressions
 
@@ -61,8 +63,9 @@ class Conventions:
     depth_flipped : whether z falls as contacts get deeper; None where images do not tell
     explanations : the simplest ones that make labels and images fit, all of one cost; empty where none does,
         or where images do not tell
+    cameras_deg : by each explanation, the angle of the sensor's x-axis in the image, from columns to rows
     uncertain : what images do not tell
-    camera_deg : angle of the sensor's x-axis in the image, from columns to rows
+    camera_deg : the same angle by the labels as they are
     length_unit, angle_unit : "mm", "m", "deg", "rad", or "" where images do not tell
     gains : numbers from which the units were inferred
     order : "extrinsic", "intrinsic", or ""
@@ -71,6 +74,7 @@ class Conventions:
 
     depth_flipped: bool | None
     explanations: list[Explanation]
+    cameras_deg: list[float]
     uncertain: list[str]
     camera_deg: float
     length_unit: str
@@ -78,6 +82,36 @@ class Conventions:
     gains: dict[str, float]
     order: str
     order_t: float
+
+    @property
+    def wrong(self) -> bool:
+        """Whether a sign or a unit is found to be another one than the paper's."""
+        flipped = bool(self.explanations) and self.explanations[0].cost > 0
+        return flipped or bool(self.depth_flipped) or self.length_unit == "m" or self.angle_unit == "rad"
+
+    def corrections(self, applied: ConventionSettings) -> list[tuple[dict[str, Any], float]]:
+        """What `conventions.json` may hold: each way to correct signs and units, with the camera's angle.
+
+        `applied` is what it holds already.
+        """
+        z = ["z"] if self.depth_flipped else []
+        units = {
+            "length_unit": "m" if self.length_unit == "m" else applied.length_unit,
+            "angle_unit": "rad" if self.angle_unit == "rad" else applied.angle_unit,
+        }
+
+        def flip(way: Explanation) -> list[str]:
+            found, before = [*way.flipped, *z], applied.flip
+            return [n for n in found if n not in before] + [n for n in before if n not in found]
+
+        ways = list(zip(self.explanations, self.cameras_deg, strict=True))
+        if self.uncertain and not ways:  # of which z and units may be told all the same
+            ways = [(Explanation(), self.camera_deg)]
+        return [
+            ({"flip": flip(way), **units}, camera)
+            for way, camera in ways
+            if not way.swapped and not way.mirrored
+        ]
 
 
 def find_conventions(flow: MarkerFlow) -> Conventions:
@@ -100,8 +134,10 @@ def find_conventions(flow: MarkerFlow) -> Conventions:
     explanations = explain(C_shear, C_tilt, float(np.sign(np.nan_to_num(flow.turn.value))), uncertain)
     length_unit, angle_unit, gains = _units(flow, uncertain)
     order, t = euler_order(flow, explanations, angle_unit)
+    cameras = [_angle(_corrected_shear(C_shear, explanation)) for explanation in explanations]
+    angle = _angle(C_shear)
     return Conventions(
-        depth_flipped, explanations, uncertain, _angle(C_shear), length_unit, angle_unit, gains, order, t
+        depth_flipped, explanations, cameras, uncertain, angle, length_unit, angle_unit, gains, order, t
     )
 
 
@@ -130,10 +166,8 @@ def explain(C_shear: Array, C_tilt: Array, turn: float, uncertain: Sequence[str]
 def _fits(C_shear: Array, C_tilt: Array, turn: float, explanation: Explanation) -> bool:
     """Whether shear, tilt and rotation agree on one camera, once labels are changed as explained."""
     signs = {name: -1.0 if name in explanation.flipped else 1.0 for name in _FLIPPABLE}
-    shear = C_shear * [signs["x"], signs["y"]]
+    shear = _corrected_shear(C_shear, explanation)
     tilt = C_tilt * [signs["beta"], signs["alpha"]]
-    if explanation.swapped == "x and y":
-        shear = shear[:, ::-1]
     if explanation.swapped == "alpha and beta":
         # (-beta, alpha) of swapped labels: the columns change places, and each its sign
         tilt = -tilt[:, ::-1]
@@ -142,6 +176,12 @@ def _fits(C_shear: Array, C_tilt: Array, turn: float, explanation: Explanation) 
         return False
     apart = (_angle(shear) - _angle(tilt) + 180.0) % 360.0 - 180.0
     return abs(apart) < _FITS and turn * signs["gamma"] * handed <= 0.0
+
+
+def _corrected_shear(C_shear: Array, explanation: Explanation) -> Array:
+    signs = [-1.0 if name in explanation.flipped else 1.0 for name in ("x", "y")]
+    shear = C_shear * signs
+    return shear[:, ::-1] if explanation.swapped == "x and y" else shear
 
 
 def _angle(C: Array) -> float:
@@ -203,6 +243,8 @@ def euler_order(flow: MarkerFlow, explanations: Sequence[Explanation], angle_uni
         errors.append(_squared_errors(basis, flow.positions[:, inner], deep))
     better = (errors[1] - errors[0])[deep]
     better = better[np.isfinite(better)]
+    if not len(better):
+        return "", 0.0
     t = float(better.mean() / max(better.std() / np.sqrt(max(len(better), 1)), 1e-12))
     return ("extrinsic" if t > 3.0 else "intrinsic" if t < -3.0 else ""), t
 

@@ -8,6 +8,7 @@ left out, repaired or assumed is named and counted in a `DatasetReport`.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import threading
 from collections import Counter
@@ -21,21 +22,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.input_file import read_text
-from tactile_base.settings import SettingError
 from tactile_perception.datasets import layout, lenient_json
+from tactile_perception.datasets.image_settings import image_settings
 from tactile_perception.datasets.layout import DatasetError, DatasetReport
-from tactile_perception.datasets.table import Row, read_conventions, read_table
+from tactile_perception.datasets.mapping import TableMapping, UnknownTable
+from tactile_perception.datasets.table import Row, read_conventions, read_header, read_table
 from tactile_perception.datasets.writer import DatasetWriter
 from tactile_perception.estimating.image import (
     Image,
     ImageError,
+    ImageKind,
     check_image,
-    common_shape,
+    common_kind,
     list_images,
     read_image,
     resolve,
 )
-from tactile_perception.estimating.labels import labels_from_euler
+from tactile_perception.estimating.labels import EULER_COMPONENTS, labels_from_euler
 from tactile_perception.estimating.preprocessing import PreprocessingSettings, Preprocessor
 
 __all__ = [
@@ -49,9 +52,19 @@ __all__ = [
 ]
 
 
+_FEW = 30  # rows, in which a component may be 0 by chance
+_TRIED = 20  # rows whose images tell where all of them are
+_OTHERS = ", ".join(f"{name}/" for name in layout.IMAGE_FOLDERS[1:])
+_RIGHT = f"a data folder holds {layout.TARGETS_NAME} and {layout.IMAGES_NAME}/ (or {_OTHERS})"
+
+
 @dataclass
 class TactileFolder:
-    """A data folder's rows and settings, images still on disk: `names[i]` has the label `euler_mm_deg[i]`."""
+    """A data folder's rows and settings, images still on disk: `names[i]` has the label `euler_mm_deg[i]`.
+
+    Of the components of a label, those that are not among `labelled` are 0 and mean nothing; `forces` are
+    those of Fx, Fy and Fz that the table has.
+    """
 
     folder: Path
     image_folder: Path
@@ -61,6 +74,10 @@ class TactileFolder:
     processed: bool
     parameters: dict[str, Any]
     report: DatasetReport
+    labelled: tuple[str, ...]
+    forces: tuple[str, ...]
+    rows: list[Row]
+    kind: ImageKind | None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -68,16 +85,26 @@ class TactileFolder:
     def image(self, index: int) -> Image:
         """Image `index` as stored, gray; `ImageError` if it cannot be read or has the wrong size."""
         path = self.image_folder / self.names[index]
-        expected = self.preprocessing.crop_shape if self.processed else self.preprocessing.raw_shape
-        return check_image(read_image(path), expected, str(path))
+        image, settings = read_image(path), self.preprocessing
+        cropped = self.processed or image.shape == settings.crop_shape  # by its camera
+        return check_image(image, settings.crop_shape if cropped else settings.raw_shape, str(path))
 
     def reference(self) -> Image | None:
         """The image without contact, which tools keep as number 0; None where there is no usable one."""
         path = self.image_folder / layout.REFERENCE_NAME
         try:
-            return read_image(path) if path.exists() else None
+            return read_image(path) if path.exists() and layout.REFERENCE_NAME not in self.names else None
         except ImageError:
             return None
+
+    def check_labelled(self) -> None:
+        """`DatasetError` unless all six components are labelled."""
+        if missing := [name for name in EULER_COMPONENTS if name not in self.labelled]:
+            said = json.dumps({"components": EULER_COMPONENTS})
+            raise DatasetError(
+                f"{self.folder}: {', '.join(missing)} not labelled, only {', '.join(self.labelled)}: this "
+                f"needs all six. Where they were truly 0, write {said} into {layout.LABELS_NAME} of the folder"
+            )
 
     def resized(self, index: int, preprocessor: Preprocessor) -> Image:
         """Image `index` pre-processed to uint8 (size, size)."""
@@ -109,50 +136,64 @@ class TactileDataset:
         return len(self.names)
 
 
-def open_folder(folder: Path | str, preprocessing: PreprocessingSettings | None = None) -> TactileFolder:
+def open_folder(
+    folder: Path | str,
+    preprocessing: PreprocessingSettings | None = None,
+    mapping: TableMapping | None = None,
+) -> TactileFolder:
     """Read a folder's labels and settings, match rows with images, and report what does not match.
 
-    Raises `DatasetError` if the folder, its table or its images are not there, or no row is usable.
+    Raises `DatasetError` if the folder, its table or its images are not there, no row is usable, or camera
+    images are not of the size of `preprocessing`.
 
     Parameters
     ----------
     folder : holds `targets_images.csv` and `processed_images/` (cropped, thresholded) or `images/` (raw)
     preprocessing : overrides what `processed_image_params.json` says, as with those of a model; where they
         differ, the report says in what. Processed images may have any one size.
+    mapping : how to read the table, if it is not one that public tools write
     """
     folder = Path(folder)
     report = DatasetReport(folder)
-    tables, image_folder = _find_parts(folder, report)
+    tables = _find_tables(folder, mapping, report)
     parameters = _read_parameters(folder, report)
     conventions = read_conventions(folder, report)
-    processed = image_folder.name == layout.IMAGES_NAME
-    rows = [row for table in tables for row in read_table(table, conventions, report)]
+    stated = _stated_components(parameters, folder)
+    read = [read_table(table, mapping, stated or None, conventions, report) for table in tables]
+    rows = [row for part, _ in read for row in part]
+    by_hand = mapping is not None and bool(mapping.image)
+    labelled = stated or _labelled(rows, read[0][1], by_hand, report)
+    image_folder = _find_images(folder, [row.name for row in rows])
     rows = _with_images(rows, image_folder, report)
     rows = _without_duplicates(rows, report)
     if not rows:
         raise DatasetError("\n".join([f"{folder}: no usable sample", *report.lines()]))
-    names = [name for name, _ in rows]
-    settings = preprocessing or _preprocessing(parameters, processed, report)
-    if preprocessing and processed:
-        _note_differences(preprocessing, parameters, report)
-    if processed or preprocessing is None:  # a model's settings say what camera images must be
-        settings = _suited(settings, common_shape(image_folder, names), processed, report)
+    names = [row.name for row in rows]
+    kind = common_kind(image_folder, names)
+    processed = image_folder.name == layout.IMAGES_NAME
+    if not processed and kind is not None and kind.binary:
+        report.notes.append("images are binary: taken as processed ones")
+        processed = True
     report.samples = len(rows)
     return TactileFolder(
         folder=folder,
         image_folder=image_folder,
         names=names,
-        euler_mm_deg=np.array([euler for _, euler in rows]),
-        preprocessing=settings,
+        euler_mm_deg=np.array([row.pose + row.shear for row in rows]),
+        preprocessing=image_settings(preprocessing, parameters, kind, processed, report),
         processed=processed,
         parameters=parameters,
         report=report,
+        labelled=labelled,
+        forces=read[0][1].forces,
+        rows=rows,
+        kind=kind,
     )
 
 
 def training_part(folder: Path) -> Path:
-    """The part `train` of a folder of splits, or the folder itself."""
-    return folder / "train" if (folder / "train").is_dir() else folder
+    """The part for training of a folder of parts, or the folder itself."""
+    return layout.parts_of(folder).get("train", folder)
 
 
 def read_dataset(
@@ -172,6 +213,7 @@ def read_dataset(
     progress : called with (done, total)
     """
     source = open_folder(folder, preprocessing)
+    source.check_labelled()
     source.preprocessing = source.preprocessing.replaced(**(changes or {}))
     chosen = np.arange(len(source))
     if limit is not None and limit < len(source):
@@ -227,23 +269,39 @@ def _loaded(source: TactileFolder, chosen: list[int]) -> Iterator[tuple[int, Ima
         yield from pool.map(load, chosen)
 
 
-def _find_parts(folder: Path, report: DatasetReport) -> tuple[list[Path], Path]:
-    """The label tables and the image folder, or an error that says what the layout is."""
+def _find_tables(folder: Path, mapping: TableMapping | None, report: DatasetReport) -> list[Path]:
+    """The label tables, or an error that says what is there and what the layout is."""
     if not folder.is_dir():
         raise DatasetError(f"{folder}: is not a folder")
-    others = ", ".join(f"{name}/" for name in layout.IMAGE_FOLDERS[1:])
-    right = f"a data folder holds {layout.TARGETS_NAME} and {layout.IMAGES_NAME}/ (or {others})"
-    tables = [folder / name for name in layout.TARGETS_NAMES if (folder / name).is_file()][:1]
+    names = (mapping.table,) if mapping and mapping.table else layout.TARGETS_NAMES
+    tables = [folder / name for name in names if (folder / name).is_file()][:1]
     if (folder / layout.JOURNAL_NAME).is_file():
         note = "the collection of this folder was not finished; read as well"
         report.notes.append(f"{layout.JOURNAL_NAME}: {note}")
         tables.append(folder / layout.JOURNAL_NAME)
-    if not tables:
-        raise DatasetError(f"{folder}: has no {layout.TARGETS_NAME}; {right}")
-    for name in layout.IMAGE_FOLDERS:
-        if (folder / name).is_dir():
-            return tables, folder / name
-    raise DatasetError(f"{folder}: has neither {layout.IMAGES_NAME}/ nor {others}; {right}")
+    if tables:
+        return tables
+    missing = f"has no {', '.join(names)}"
+    if parts := layout.parts_of(folder):
+        raise DatasetError(
+            f"{folder}: {missing}; name one of its parts {', '.join(map(str, parts.values()))}"
+        )
+    others = sorted(path for path in folder.glob("*.csv") if path.is_file())
+    if others:
+        raise UnknownTable(others[0], f"{folder} {missing}", read_header(others[0]))
+    raise DatasetError(f"{folder}: {missing}; {_RIGHT}")
+
+
+def _find_images(folder: Path, names: list[str]) -> Path:
+    """The folder in which the images of a table are, or from which it names them by a path."""
+    there = [folder / name for name in layout.IMAGE_FOLDERS if (folder / name).is_dir()]
+    for candidate in (*there, folder):
+        present = list_images(candidate)
+        if any(resolve(candidate, name, present) for name in names[:: max(1, len(names) // _TRIED)]):
+            return candidate
+    if not there:
+        raise DatasetError(f"{folder}: has neither {layout.IMAGES_NAME}/ nor {_OTHERS}; {_RIGHT}")
+    return there[0]
 
 
 def _read_parameters(folder: Path, report: DatasetReport) -> dict[str, Any]:
@@ -259,79 +317,48 @@ def _read_parameters(folder: Path, report: DatasetReport) -> dict[str, Any]:
     return parameters
 
 
-def _preprocessing(
-    parameters: dict[str, Any], processed: bool, report: DatasetReport
-) -> PreprocessingSettings:
-    """Pre-processing settings of a folder from the JSON file that holds them."""
-    names = layout.IMAGE_PARAMS_NAMES + (() if processed else layout.CAMERA_PARAMS_NAMES)
-    name = next((name for name in names if isinstance(parameters.get(name), dict)), None)
-    if name is None:
-        report.notes.append(f"no {layout.IMAGE_PARAMS_NAME}: assumed the default crop and threshold")
-        return PreprocessingSettings()
-    params = parameters[name]
-    values = {key: params[key] for key in ("bbox", "circle_mask_radius") if params.get(key) is not None}
-    values |= {key: params[key] for key in ("median", "threshold_method") if key in params}
-    if params.get("thresh") is not None:
-        block_and_offset = params["thresh"]
-        if not isinstance(block_and_offset, list) or len(block_and_offset) != 2:
-            raise DatasetError(
-                f"{report.folder}: {name}: thresh = {block_and_offset!r}: must be a block and an offset"
-            )
-        values["threshold_block"], values["threshold_offset"] = block_and_offset
-    try:
-        return PreprocessingSettings.from_mapping(values, where=name)
-    except SettingError as error:
-        raise DatasetError(f"{report.folder}: {error}") from error
-
-
-def _note_differences(
-    wanted: PreprocessingSettings, parameters: dict[str, Any], report: DatasetReport
-) -> None:
-    """Say in which settings the images of a folder are not those that a model was trained on."""
-    if any(name in parameters for name in layout.IMAGE_PARAMS_NAMES):
-        stated = _preprocessing(parameters, True, report)
-        stated = stated.replaced(size=wanted.size, redraw_radius=wanted.redraw_radius)
-        if stated != wanted:
-            report.notes.append(f"images pre-processed otherwise than wanted: {stated.differences(wanted)}")
-
-
-def _suited(
-    settings: PreprocessingSettings, shape: tuple[int, int] | None, processed: bool, report: DatasetReport
-) -> PreprocessingSettings:
-    """Settings for the size that most images have, where that is another than the settings say."""
-    expected = settings.crop_shape if processed else settings.raw_shape
-    if shape is None or shape == expected:
-        return settings
-    rows, columns = shape
-    found, right = f"{columns}x{rows}", f"{expected[1]}x{expected[0]}"
-    if processed:
-        report.notes.append(
-            f"processed images are {found}, not {right} as the settings say: taken as they are; the crop "
-            "of the camera image is unknown"
+def _stated_components(parameters: dict[str, Any], folder: Path) -> tuple[str, ...]:
+    """What the folder itself says is labelled; nothing where it does not say."""
+    if layout.LABELS_NAME not in parameters:
+        return ()
+    stated = parameters[layout.LABELS_NAME]
+    names = stated.get("components") if isinstance(stated, dict) else None
+    if not isinstance(names, list) or not names or not set(map(str, names)) <= set(EULER_COMPONENTS):
+        raise DatasetError(
+            f"{folder / layout.LABELS_NAME}: components = {names!r}: must be a list of some of "
+            f"{', '.join(EULER_COMPONENTS)}"
         )
-    else:
-        report.notes.append(f"camera images are {found}, not {right}: taken whole, without a mask")
-    return settings.replaced(
-        bbox=(0, 0, columns, rows),
-        raw_width=columns if not processed else max(columns, settings.raw_width),
-        raw_height=rows if not processed else max(rows, settings.raw_height),
-        circle_mask_radius=settings.circle_mask_radius if processed else 0,
-    )
+    return tuple(name for name in EULER_COMPONENTS if name in names)
+
+
+def _labelled(
+    rows: list[Row], mapping: TableMapping, by_hand: bool, report: DatasetReport
+) -> tuple[str, ...]:
+    """Components that the table has; of one that is 0 in every row only a mapping by hand can say so."""
+    empty: set[str] = set()
+    if len(rows) >= _FEW and not by_hand:
+        labels = np.array([row.pose + row.shear for row in rows])
+        empty = {name for name, values in zip(EULER_COMPONENTS, labels.T, strict=True) if not values.any()}
+    found = tuple(name for name in mapping.labelled if name not in empty)
+    if missing := [name for name in EULER_COMPONENTS if name not in found]:
+        report.notes.append(f"{', '.join(missing)} not labelled: without a column, or 0 in every row")
+    return found
 
 
 def _without_duplicates(rows: list[Row], report: DatasetReport) -> list[Row]:
     """One row an image: repeated rows are dropped; where their labels disagree, all of them are."""
-    by_name: dict[str, list[NDArray[np.float64]]] = {}
-    for name, euler in rows:
-        by_name.setdefault(name, []).append(euler)
+    by_name: dict[str, list[Row]] = {}
+    for row in rows:
+        by_name.setdefault(row.name, []).append(row)
     kept: list[Row] = []
-    for name, labels in by_name.items():
+    for name, same in by_name.items():
+        labels = [row.pose + row.shear for row in same]
         if any(not np.array_equal(labels[0], other) for other in labels[1:]):
             report.add("image with rows that disagree (all left out)", name)
             continue
-        if len(labels) > 1:
+        if len(same) > 1:
             report.add("repeated row (first kept)", name)
-        kept.append((name, labels[0]))
+        kept.append(same[0])
     return kept
 
 
@@ -339,13 +366,13 @@ def _with_images(rows: list[Row], image_folder: Path, report: DatasetReport) -> 
     """The rows that have an image, in the table's order, named after the file."""
     present = list_images(image_folder)
     found: list[Row] = []
-    for name, euler in rows:
-        file = resolve(image_folder, name, present)
+    for row in rows:
+        file = resolve(image_folder, row.name, present)
         if file is None:
-            report.add("row without its image", Path(name).name)
+            report.add("row without its image", Path(row.name).name)
         else:
-            found.append((file, euler))
-    named = {Path(name).name for name, _ in rows}.union(*report.problems.values())
+            found.append(row._replace(name=file))
+    named = {Path(row.name).name for row in rows}.union(*report.problems.values())
     for name in sorted(present - named - {layout.REFERENCE_NAME}):
         report.add("image without its row", name)
     return found

@@ -7,7 +7,9 @@ from pathlib import Path
 
 TARGETS_NAME = "targets_images.csv"
 #: Names of the label table, the first that is there counts: tools write targets.csv with raw images.
-TARGETS_NAMES = (TARGETS_NAME, "targets.csv")
+TARGETS_NAMES = (TARGETS_NAME, "targets.csv", "labels.csv")
+#: Which components are labelled, where it is not all six; `tactile data import` writes it.
+LABELS_NAME = "labels.json"
 JOURNAL_NAME = "targets_images.partial.csv"
 IMAGES_NAME = "processed_images"
 RAW_IMAGES_NAME = "images"
@@ -26,7 +28,10 @@ REFERENCE_NAME = "image_0.png"
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
 POSE_COLUMNS = tuple(f"pose_{axis}" for axis in AXES)
 SHEAR_COLUMNS = tuple(f"shear_{axis}" for axis in AXES)
+FORCE_COLUMNS = ("Fx", "Fy", "Fz")
 IMAGE_COLUMNS = ("sensor_image", "image_name")
+#: Parts of a data set, and what tools call their folders.
+PARTS = {"train": ("train", "train_data"), "val": ("val", "val_data"), "test": ("test", "test_data")}
 
 
 class DatasetError(ValueError):
@@ -56,6 +61,20 @@ class DatasetReport:
             rest = f", and {len(which) - names} more" if len(which) > names else ""
             lines.append(f"  {problem}: {len(which)} ({', '.join(which[:names])}{rest})")
         return lines
+
+
+def parts_of(folder: Path) -> dict[str, Path]:
+    """The folders of the parts "train", "val" and "test" that a folder holds; empty where it has none."""
+    found = {
+        part: [folder / name for name in names if (folder / name).is_dir()] for part, names in PARTS.items()
+    }
+    return {part: folders[0] for part, folders in found.items() if folders}
+
+
+def data_folders(folder: Path) -> dict[str, Path]:
+    """A folder's parts by name; itself, by the name "", where it has a table or no parts."""
+    table = any((folder / name).is_file() for name in (*TARGETS_NAMES, JOURNAL_NAME))
+    return {"": folder} if table else parts_of(folder) or {"": folder}
 
 
 def image_name(number: int) -> str:

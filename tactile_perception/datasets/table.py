@@ -11,9 +11,10 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,10 @@ from tactile_base.input_file import parse_json, read_text
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_perception.datasets import layout
 from tactile_perception.datasets.layout import AXES, DatasetError, DatasetReport
+from tactile_perception.datasets.mapping import Column, TableMapping, UnknownTable
 from tactile_perception.estimating.labels import EULER_COMPONENTS
+
+Array = NDArray[np.float64]
 
 CONVENTIONS_NAME = "conventions.json"
 #: Columns of pose, and of the shear that may go with it, in the names of several generations of tools.
@@ -77,40 +81,71 @@ def read_conventions(folder: Path, report: DatasetReport) -> ConventionSettings:
     return conventions
 
 
-Row = tuple[str, NDArray[np.float64]]
+class Row(NamedTuple):
+    """A sample: its label is `pose` + `shear`, (6,) in mm and degrees; `force` (3,) in N."""
+
+    name: str
+    pose: Array
+    shear: Array
+    force: Array
 
 
-def read_table(path: Path, conventions: ConventionSettings, report: DatasetReport) -> list[Row]:
-    """(image name, Euler pose in mm and degrees) of each row with usable labels; the rest is reported.
+def read_table(
+    path: Path, mapping: TableMapping | None, labelled: Sequence[str] | None,
+    conventions: ConventionSettings, report: DatasetReport,
+) -> tuple[list[Row], TableMapping]:  # fmt: skip
+    """The rows with usable labels, and which columns they are from; what is not usable is reported.
 
-    Raises `DatasetError` if the columns of image and pose are not there.
+    Raises `DatasetError` if columns that are needed are not there.
+
+    Parameters
+    ----------
+    mapping : None, or without columns, for those that public tools write
+    labelled : components that the folder says are labelled, if it does: others need no column
     """
-    rows: list[Row] = []
-    parts: list[NDArray[np.float64]] = []
-    factors = conventions.factors()
+    names: list[str] = []
+    numbers: list[Array] = []
     before = 0
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         # A crash of the machine may leave zero bytes in a file.
         lines = _lines(csv.reader(line.replace("\0", "") for line in file), path, report)
         _, columns = next(lines, (0, []))
-        image_column, groups = _columns(columns, path, report)
+        if mapping is None or not mapping.image:
+            known = _known_mapping(columns, path, labelled, report)
+            mapping = replace(mapping, **known) if mapping else TableMapping(**known)
+        if mapping.lacking:
+            raise DatasetError(
+                f"{path}: {', '.join(mapping.lacking)} must be there to turn poses ({mapping.convention}) "
+                "into ours; where it was held at a value, write {value: 0} for it in the mapping file"
+            )
+        _check_columns(columns, mapping, path, report)
         place = {name: k for k, name in enumerate(columns)}
         for number, fields in lines:
             report.rows += 1
-            before = len(rows)
-            name = fields[place[image_column]].strip() if place[image_column] < len(fields) else ""
-            values = _numbers(fields, columns, groups, place, name or f"line {number}", report)
+            before = len(names)
+            name = fields[place[mapping.image]].strip() if place[mapping.image] < len(fields) else ""
+            values = _numbers(fields, mapping, place, name or f"line {number}", report)
             if values is None:
                 continue
             if not name:
                 report.add("row without an image name", f"line {number}")
             else:
-                rows.append((name, factors * values.sum(axis=0)))
-                parts.append(values)
-    if len(rows) > before:  # the table's last row is among them
-        _drop_unended(path, rows, report)
-    _note_sums(path, parts, report)
-    return rows
+                names.append(name)
+                numbers.append(values)
+    if len(names) > before and not _ended(path):  # the table's last row is among them
+        report.add("last row without a line end, so that it may be cut (left out)", names.pop())
+        numbers.pop()
+    whole = np.array(numbers).reshape(-1, 15)
+    pose, shear = mapping.converted(whole[:, :6], whole[:, 6:12])
+    _note_sums(path, pose, shear, report)
+    factors = conventions.factors()
+    return list(map(Row, names, factors * pose, factors * shear, whole[:, 12:])), mapping
+
+
+def read_header(path: Path) -> list[str]:
+    """The names of a table's columns."""
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+        return next(csv.reader(line.replace("\0", "") for line in file), [])
 
 
 def _lines(reader: Iterator[list[str]], path: Path, report: DatasetReport) -> Iterator[tuple[int, list[str]]]:
@@ -128,80 +163,89 @@ def _lines(reader: Iterator[list[str]], path: Path, report: DatasetReport) -> It
 
 
 def _numbers(
-    fields: list[str],
-    columns: list[str],
-    groups: list[list[str | None]],
-    place: dict[str, int],
-    where: str,
-    report: DatasetReport,
-) -> NDArray[np.float64] | None:
-    """The numbers of a row, one line a group of columns; None where it has none, with the reason reported."""
-    if len(fields) > len(columns):
+    fields: list[str], mapping: TableMapping, place: dict[str, int], where: str, report: DatasetReport
+) -> Array | None:
+    """Pose, shear and force (15,) of a row; None where it has no label, with the reason reported.
+
+    What has no column is 0; a force that is missing or not a number is NaN.
+    """
+    if len(fields) > len(place):
         report.add("row with more fields than there are columns", where)
         return None
+
+    def number(column: Column | None) -> float:
+        if column is None or not column.name:
+            return column.value if column else 0.0
+        return column.factor * float(fields[place[column.name]])
+
     try:
-        values = np.array(
-            [[0.0 if name is None else float(fields[place[name]]) for name in group] for group in groups]
-        )
+        label = [number(column) for column in (*mapping.pose, *mapping.shear)]
     except (IndexError, ValueError):
         report.add("row with a label that is missing or not a number", where)
         return None
-    if not np.isfinite(values).all():
+    if not np.isfinite(label).all():
         report.add("row with a non-finite label", where)
         return None
-    return values
+    try:
+        force = [number(column) for column in mapping.force]
+    except (IndexError, ValueError):
+        report.add("row with a force that is missing or not a number (kept, without it)", where)
+        force = [math.nan] * 3
+    return np.array(label + force)
 
 
-def _columns(columns: list[str], path: Path, report: DatasetReport) -> tuple[str, list[list[str | None]]]:
-    """The image column, and the label columns in groups to be added up; None for one that counts as zero."""
+def _known_mapping(
+    columns: list[str], path: Path, labelled: Sequence[str] | None, report: DatasetReport
+) -> dict[str, Any]:
+    """The columns that public tools write, as far as a table has them; `UnknownTable` if it has others."""
     image = next((name for name in layout.IMAGE_COLUMNS if name in columns), None)
     pose, shears = max(COLUMN_SETS, key=lambda item: sum(name in columns for name in item[0]))
-    missing = [name for name in pose if name not in columns]
-    if image is None or pose[2] in missing:
-        absent = [*([] if image else [" or ".join(layout.IMAGE_COLUMNS)]), *missing]
-        found = ", ".join(columns) or "none"
-        raise DatasetError(f"{path}: has no column {', '.join(absent)}; its columns: {found}")
-    if missing:
-        report.notes.append(f"{path.name} has no column {', '.join(missing)}: taken as 0")
-    groups: list[list[str | None]] = [[name if name in columns else None for name in pose]]
     shear = max(shears, key=lambda names: sum(name in columns for name in names))
-    absent = [name for name in shear if name not in columns]
-    if not absent:
-        groups.append(list(shear))
-    elif len(absent) < len(shear):
+    wanted = [k for k, name in enumerate(EULER_COMPONENTS) if labelled is None or name in labelled]
+    missing = [pose[k] for k in wanted if pose[k] not in columns]
+    if image is None or (labelled is None and pose[2] in missing):
+        absent = [*([] if image else [" or ".join(layout.IMAGE_COLUMNS)]), *missing]
+        raise UnknownTable(path, f"has no column {', '.join(absent)}", columns)
+    absent = [shear[k] for k in wanted if shear[k] not in columns]
+    if 0 < len(absent) < len(wanted):
         raise DatasetError(f"{path}: has only some shear columns; missing {', '.join(absent)}")
-    else:
+    if absent:
         report.notes.append(
             f"{path.name} has no shear_* columns: pose_* taken as the whole surface contact pose"
         )
-    _note_other_names(path, columns, [image, *pose, *shear], report)
-    return image, groups
+
+    def found(names: Sequence[str]) -> tuple[Column | None, ...]:
+        return tuple(Column(name) if name in columns else None for name in names)
+
+    if pose != layout.POSE_COLUMNS:
+        used = [name for name in (*pose, *shear) if name in columns]
+        report.notes.append(f"{path.name}: labels read from {', '.join(used)}")
+    return {"image": image, "pose": found(pose), "shear": found(shear), "force": found(layout.FORCE_COLUMNS)}
 
 
-def _note_other_names(path: Path, columns: list[str], used: list[str], report: DatasetReport) -> None:
-    if "pose_x" not in used:
-        report.notes.append(f"{path.name}: labels read from {', '.join(c for c in columns if c in used[1:])}")
+def _check_columns(columns: list[str], mapping: TableMapping, path: Path, report: DatasetReport) -> None:
+    """`UnknownTable` unless the table has the columns that it is to be read by; those not used are noted."""
+    used = [mapping.image, *(column.name for group in mapping.groups for column in group if column)]
+    if missing := [name for name in used if name and name not in columns]:
+        raise UnknownTable(path, f"has no column {', '.join(missing)}", columns)
     others = [name for name in columns if name not in used and not name.startswith(_KNOWN_OTHERS)]
     if others:
         report.notes.append(f"{path.name}: columns not used: {', '.join(others)}")
 
 
-def _drop_unended(path: Path, rows: list[Row], report: DatasetReport) -> None:
-    """Leave out a last row that has no line end: a table that was cut may end within a number."""
+def _ended(path: Path) -> bool:
+    """Whether the last row has a line end: a table that was cut may end within a number."""
     with path.open("rb") as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - 1))
-        ended = file.read(1) in (b"\n", b"\r", b"")
-    if not ended:
-        name, _ = rows.pop()
-        report.add("last row without a line end, so that it may be cut (left out)", name)
+        return file.read(1) in (b"\n", b"\r", b"")
 
 
-def _note_sums(path: Path, parts: list[NDArray[np.float64]], report: DatasetReport) -> None:
+def _note_sums(path: Path, pose: Array, shear: Array, report: DatasetReport) -> None:
     """Say which components come from both pose and shear: tools differ in what that means."""
-    if not parts or len(parts[0]) < 2:
+    if not len(pose):
         return
-    spread = np.ptp(np.array(parts), axis=0)
-    both = [name for name, moves in zip(EULER_COMPONENTS, (spread > 0).all(axis=0), strict=True) if moves]
-    if both:
-        report.notes.append(f"{path.name}: pose and shear both vary in {', '.join(both)}; their sum is taken")
+    moves = (np.ptp(pose, axis=0) > 0) & (np.ptp(shear, axis=0) > 0)
+    if moves.any():
+        both = ", ".join(name for name, moving in zip(EULER_COMPONENTS, moves, strict=True) if moving)
+        report.notes.append(f"{path.name}: pose and shear both vary in {both}; their sum is taken")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -90,16 +91,29 @@ def resolve(image_folder: Path, name: str, present: set[str]) -> str | None:
     return plain if plain in present else None
 
 
-def common_shape(image_folder: Path, names: list[str]) -> tuple[int, int] | None:
-    """(rows, columns) of more than half of some images spread over the names; None where there is no such."""
+class ImageKind(NamedTuple):
+    """What some images have in common: (rows, columns), nothing but 0 and 255, how many channels."""
+
+    shape: tuple[int, int]
+    binary: bool
+    channels: int
+
+
+def common_kind(image_folder: Path, names: list[str]) -> ImageKind | None:
+    """What more than half of some images spread over the names are; None where there is no such."""
     chosen = np.unique(np.linspace(0, len(names) - 1, min(_PROBES, len(names))).round().astype(int))
-    shapes: Counter[tuple[int, ...]] = Counter()
+    kinds: Counter[ImageKind] = Counter()
     for index in chosen:
+        path = image_folder / names[index]
         try:
-            shapes[read_image(image_folder / names[index]).shape] += 1
+            image = read_image(path)
         except ImageError:
             continue  # named when it is read as a sample
-    if not shapes:
+        stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        channels = 1 if stored is None or stored.ndim == 2 else stored.shape[2]
+        binary = bool(np.isin(image, (0, 255)).all()) and image.min() < image.max()
+        kinds[ImageKind((image.shape[0], image.shape[1]), binary, channels)] += 1
+    if not kinds:
         return None
-    (shape, count), *_ = shapes.most_common(1)
-    return (shape[0], shape[1]) if count > len(chosen) / 2 else None
+    (kind, count), *_ = kinds.most_common(1)
+    return kind if count > len(chosen) / 2 else None

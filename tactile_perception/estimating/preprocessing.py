@@ -147,7 +147,7 @@ class Preprocessor:
 
     def _binarize(self, image: Image, result: Image) -> None:
         settings = self.settings
-        crop = self._cropped(_row_by_row(check_image(image, None, "camera image")))
+        crop = self.cropped(image)
         if settings.median:
             crop = np.asarray(cv2.medianBlur(crop, settings.median, dst=self._smooth), np.uint8)
         method = _THRESHOLD_METHODS[settings.threshold_method]
@@ -155,9 +155,13 @@ class Preprocessor:
         cv2.adaptiveThreshold(crop, 255, method, cv2.THRESH_BINARY, block, offset, dst=result)
         cv2.bitwise_and(result, self._mask, dst=result)
 
-    def _cropped(self, image: Image) -> Image:
-        """The part that the settings want; an image of just that size has been cropped by its camera."""
+    def cropped(self, image: Image) -> Image:
+        """The part that the settings want; an image of just that size has been cropped by its camera.
+
+        Raises `ImageError` as a call does.
+        """
         settings = self.settings
+        image = _row_by_row(check_image(image, None, "camera image"))
         if image.shape == settings.crop_shape:
             return image
         if image.shape != settings.raw_shape:

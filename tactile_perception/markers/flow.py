@@ -24,7 +24,7 @@ from tactile_base.settings import LARGEST_SEED, Settings, setting
 from tactile_perception.datasets.dataset import TactileFolder
 from tactile_perception.estimating.image import Image, ImageError
 from tactile_perception.estimating.preprocessing import Preprocessor
-from tactile_perception.markers.detection import detect
+from tactile_perception.markers.detection import DetectionSettings, detect
 from tactile_perception.markers.tracking import track
 
 Array = NDArray[np.float64]
@@ -33,6 +33,8 @@ BOOTSTRAPS = 24
 _SMALL = 64  # px, side of the images whose variety tells shallow from deep
 _END_SHARE = 0.15
 _LEAST_SEEN, _LEAST_MARKERS = 30, 10
+_FEWEST = 60  # images
+_FINE_SIDE = 200  # px, of an image in which markers are so small that a median would wipe them out
 
 
 class FlowError(ValueError):
@@ -110,11 +112,19 @@ def measure(
     Raises `FlowError` if there are too few images, or too few markers in them.
     """
     settings = settings or FlowSettings()
-    labels, images = _chosen(folder, settings, progress)
+    return follow(folder, *look(folder, settings, progress), settings)
+
+
+def follow(
+    folder: TactileFolder, chosen: NDArray[np.int64], images: list[Image], settings: FlowSettings
+) -> MarkerFlow:
+    """`measure` with the samples that `look` has chosen."""
+    labels = folder.euler_mm_deg[chosen]
     deeper = _variety_with_depth(images, labels)
     order = np.argsort(labels[:, 2] if deeper >= 1.0 else -labels[:, 2])
-    blobs = [detect(image).centers for image in images]
-    rest = _rest(folder, blobs, labels, order)
+    detection = DetectionSettings(median=5 if min(images[0].shape) >= _FINE_SIDE else 0)
+    blobs = [detect(image, detection).centers for image in images]
+    rest = _rest(folder, blobs, labels, order, detection)
     return flow_of(track(blobs, labels, order, rest), labels, rest, deeper, settings)
 
 
@@ -131,10 +141,13 @@ def flow_of(
     return MarkerFlow(positions, labels, rest, center, radius, deeper, *maps, found)
 
 
-def _chosen(
-    folder: TactileFolder, settings: FlowSettings, progress: Callable[[int, int], None] | None
-) -> tuple[Array, list[Image]]:
-    """Labels and binary images of samples at random; unreadable ones are left out (they are reported)."""
+def look(
+    folder: TactileFolder, settings: FlowSettings, progress: Callable[[int, int], None] | None = None
+) -> tuple[NDArray[np.int64], list[Image]]:
+    """Indices and images of samples at random, binary or the gray crops; `FlowError` with too few.
+
+    Unreadable ones are left out: they are reported elsewhere.
+    """
     rng = np.random.default_rng(settings.seed)
     index = np.sort(rng.permutation(len(folder))[: settings.samples])
     preprocessor = None if folder.processed else Preprocessor(folder.preprocessing)
@@ -142,15 +155,15 @@ def _chosen(
     for count, i in enumerate(index.tolist()):
         try:
             image = folder.image(i)
-            images.append(image if preprocessor is None else preprocessor.binary(image))
+            images.append(image if preprocessor is None else preprocessor.cropped(image))
             kept.append(i)
         except ImageError:
             continue
         if progress is not None:
             progress(count + 1, len(index))
-    if len(kept) < 60:
-        raise FlowError(f"{len(kept)} readable images: at least 60 are needed to follow markers")
-    return folder.euler_mm_deg[kept], images
+    if len(kept) < _FEWEST:
+        raise FlowError(f"{len(kept)} readable images: at least {_FEWEST} are needed to follow markers")
+    return np.array(kept), images
 
 
 def _variety_with_depth(images: list[Image], labels: Array) -> float:
@@ -166,7 +179,10 @@ def _variety_with_depth(images: list[Image], labels: Array) -> float:
     return variety(order[-count:]) / max(variety(order[:count]), 1e-9)
 
 
-def _rest(folder: TactileFolder, blobs: list[Array], labels: Array, order: NDArray[np.int64]) -> Array:
+def _rest(
+    folder: TactileFolder, blobs: list[Array], labels: Array, order: NDArray[np.int64],
+    detection: DetectionSettings,
+) -> Array:  # fmt: skip
     """Markers of the image without contact, else of the shallow contact that is sheared the least."""
     shallow = order[: max(3, len(order) // 10)]
     size = np.maximum(np.abs(labels).max(axis=0), 1e-12)
@@ -174,7 +190,7 @@ def _rest(folder: TactileFolder, blobs: list[Array], labels: Array, order: NDArr
     rest = blobs[int(shallow[np.argmin(active[shallow])])]
     reference = folder.reference()
     if reference is not None and folder.processed and reference.shape == folder.preprocessing.crop_shape:
-        rest = detect(reference).centers
+        rest = detect(reference, detection).centers
     if len(rest) < _LEAST_SEEN:
         raise FlowError(
             f"{len(rest)} markers found in an image without shear: at least {_LEAST_SEEN} are needed"

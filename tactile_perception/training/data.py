@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from tactile_base.input_file import parse_json, read_text
 from tactile_base.settings import SettingError
 from tactile_perception.datasets.dataset import DatasetError, TactileDataset, read_dataset, training_part
+from tactile_perception.datasets.layout import parts_of
 from tactile_perception.estimating.image import Image
 from tactile_perception.estimating.model_metadata import split_holdback
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
@@ -154,8 +155,9 @@ def data_folders(data_dir: Path, validation_dir: Path | str | None) -> tuple[Pat
     train_dir = training_part(data_dir)
     if validation_dir is not None:
         return train_dir, Path(validation_dir)
-    if (data_dir / "train").is_dir() and (data_dir / "val").is_dir():
-        return train_dir, data_dir / "val"
+    parts = parts_of(data_dir)
+    if "train" in parts and "val" in parts:
+        return train_dir, parts["val"]
     raise DatasetError(f"{data_dir}: holds no train/ and val/; name the validation data with --val")
 
 

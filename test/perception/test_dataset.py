@@ -266,15 +266,32 @@ def test_object_poses_and_forces_beside_the_label_do_not_disturb(folder):
     write_table(folder, rows, [*COLUMNS, "object_x", "Fx", "speed"])
     data = read_dataset(folder)
     np.testing.assert_array_equal(data.euler_mm_deg, EULER)
-    assert data.report.notes == ["targets_images.csv: columns not used: Fx, speed"]
+    assert data.report.notes == ["targets_images.csv: columns not used: speed"]
 
 
-def test_a_table_without_the_components_that_never_change_is_read_and_said(folder):
-    names = ["sensor_image", "pose_z", "pose_Rx", "pose_Ry"]
-    write_table(folder, table(folder), names)
-    data = read_dataset(folder)
-    np.testing.assert_array_equal(data.euler_mm_deg[0], [0, 0, 3.0, 10.0, -12.0, 0])
-    assert any("no column pose_x, pose_y, pose_Rz: taken as 0" in note for note in data.report.notes)
+def test_what_is_not_labelled_is_said_and_refused_by_those_who_need_all(folder):
+    write_table(folder, table(folder), ["sensor_image", "pose_z", "pose_Rx", "pose_Ry"])
+    with pytest.raises(DatasetError, match=r"x, y, gamma not labelled.*labels\.json"):
+        read_dataset(folder)
+    source = open_folder(folder)
+    assert source.labelled == ("z", "alpha", "beta")
+    assert any("x, y, gamma not labelled" in note for note in source.report.notes)
+    (folder / "labels.json").write_text(json.dumps({"components": ["x", "y", "z", "alpha", "beta", "gamma"]}))
+    np.testing.assert_array_equal(read_dataset(folder).euler_mm_deg[0], [0, 0, 3.0, 10.0, -12.0, 0])
+
+
+def test_a_component_that_is_zero_in_every_row_is_not_labelled(tmp_path):
+    labels = np.tile(EULER, (10, 1)) * [1, 1, 1, 1, 1, 0]
+    folder = write_folder(tmp_path / "data", ((camera_image(k), euler) for k, euler in enumerate(labels)))
+    with pytest.raises(DatasetError, match="gamma not labelled"):
+        read_dataset(folder)
+
+
+@pytest.mark.parametrize("content", ["[]", '{"components": []}', '{"components": ["w"]}', "{}"])
+def test_labels_that_cannot_be_understood_are_an_error(folder, content):
+    (folder / "labels.json").write_text(content)
+    with pytest.raises(DatasetError, match=r"labels\.json: components = "):
+        open_folder(folder)
 
 
 def test_components_in_both_pose_and_shear_are_said(folder):

@@ -1,0 +1,113 @@
+"""`tactile data import`: brings data of other labs into our layout, and says what the images say of them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from tactile_base.console import say
+from tactile_base.progress import Progress
+from tactile_base.whole_file import check_folder, room_for_results
+from tactile_bringup.commands.changes import positive_int, refusing
+from tactile_bringup.commands.data_check import EXIT_CODES, show
+
+if TYPE_CHECKING:
+    from tactile_perception.datasets.dataset import TactileFolder
+    from tactile_perception.datasets.mapping import UnknownTable
+
+TEMPLATE_NAME = "mapping.yaml"
+SHEET_NAME = "samples.png"
+
+
+def register(commands: Any) -> None:
+    """Add `import` to the subparsers of `tactile data`."""
+    parser = commands.add_parser(
+        "import", help="bring another lab's data into our layout", description=__doc__, epilog=EXIT_CODES
+    )
+    add = parser.add_argument
+    add("folder", type=Path, help="their data folder, or one of parts (train, train_data, val, val_data)")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for the imported data")
+    add("--mapping", type=Path, metavar="FILE", help="which of their columns is what, if they are not known")
+    add(
+        "--samples",
+        type=positive_int,
+        default=1000,
+        metavar="N",
+        help="images in which markers are followed (1000)",
+    )
+    parser.set_defaults(run=run)
+
+
+@refusing("data import", status=2)
+def run(arguments: argparse.Namespace) -> int:
+    """`tactile data import`: returns the exit status."""
+    from tactile_perception.datasets.check import check
+    from tactile_perception.datasets.importing import import_folder
+    from tactile_perception.datasets.layout import LABELS_NAME, DatasetError, data_folders
+    from tactile_perception.datasets.mapping import UnknownTable, read_mapping
+    from tactile_perception.datasets.sample_sheet import draw_samples
+    from tactile_perception.markers.flow import FlowSettings
+
+    console = Console()
+    if not arguments.folder.is_dir():
+        raise DatasetError(f"{arguments.folder}: is not a folder")
+    mapping = read_mapping(arguments.mapping) if arguments.mapping else None
+    parts = (
+        data_folders(arguments.folder)
+        if not (mapping and (arguments.folder / mapping.table).is_file())
+        else {}
+    )
+    parts = parts or {"": arguments.folder}
+    inside = arguments.folder.resolve().is_relative_to(arguments.out.resolve())
+    of = arguments.folder if inside else arguments.mapping  # what is not to be put aside with earlier results
+    room_for_results(arguments.out, LABELS_NAME, f"*/{LABELS_NAME}", source=of)
+    worst = 0
+    for part, source in parts.items():
+        out = arguments.out / part
+        try:
+            folder, said = import_folder(source, out, mapping)
+        except UnknownTable as error:
+            raise DatasetError(f"{error}. {_with_template(error, arguments.out)}") from error
+        with Progress() as progress:
+            result = check(folder, FlowSettings(samples=arguments.samples), progress.update)
+        camera = (
+            result.conventions.camera_deg if result.conventions and result.conventions.explanations else None
+        )
+        draw_samples(folder, out / SHEET_NAME, camera)
+        show(result, console)
+        for line in _report(source, folder, said):
+            say(console, line)
+        worst = max(worst, int(result.worst == "error"))
+    return worst
+
+
+def _with_template(error: UnknownTable, out: Path) -> str:
+    """Write a mapping file to be filled in, unless there is one; returns what to do with it."""
+    path = out / TEMPLATE_NAME
+    if not path.exists():
+        check_folder(out)
+        out.mkdir(parents=True, exist_ok=True)
+        path.write_text(error.template)
+    return f"Fill in {path} and give it by --mapping"
+
+
+def _report(source: Path, folder: TactileFolder, said: dict[str, Any]) -> list[str]:
+    """What has been imported, in sentences."""
+    from tactile_perception.datasets.layout import LABELS_NAME
+
+    facts = said["images"]
+    size = f" of {facts['width']}x{facts['height']}" if "width" in facts else ""
+    circle = ", dark outside a circle" if facts.get("circular") else ""
+    forces = (
+        f", and the forces {', '.join(folder.forces)} (N; nothing trains on them)" if folder.forces else ""
+    )
+    return [
+        *(f"{source}: {note.strip()}" for note in said["notes"]),
+        f"{source}: {len(folder)} samples imported to {folder.folder}",
+        f"images: {facts['kind']}{size}{circle}, in {folder.image_folder.name}/",
+        f"labelled: {', '.join(folder.labelled)}{forces}; stated in {folder.folder / LABELS_NAME}",
+        f"look at {folder.folder / SHEET_NAME}: ten samples with their labels",
+    ]
