@@ -103,7 +103,7 @@ class TactileFolder:
             said = json.dumps({"components": EULER_COMPONENTS})
             raise DatasetError(
                 f"{self.folder}: {', '.join(missing)} not labelled, only {', '.join(self.labelled)}: this "
-                f"needs all six. Where they were truly 0, write {said} into {layout.LABELS_NAME} of the folder"
+                f"needs all six. Where they were truly 0, write {said} into its {layout.LABELS_NAME}"
             )
 
     def resized(self, index: int, preprocessor: Preprocessor) -> Image:

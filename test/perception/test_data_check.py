@@ -7,16 +7,20 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from folders import write_folder
 
 from tactile_bringup.commands import data as data_command
 from tactile_perception.datasets.check import check
-from tactile_perception.datasets.conventions import Explanation, explain, find_conventions
-from tactile_perception.datasets.dataset import open_folder
+from tactile_perception.datasets.conventions import Conventions, Explanation, explain, find_conventions
+from tactile_perception.datasets.dataset import DatasetError, open_folder
 from tactile_perception.datasets.statistics import label_statistics
+from tactile_perception.datasets.table import ConventionSettings
+from tactile_perception.datasets.visibility import better_parts, of_markers
 from tactile_perception.estimating.labels import EULER_COMPONENTS
+from tactile_perception.estimating.preprocessing import PreprocessingSettings
 from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, flow_of, measure
 from tactile_sim.collection import CollectionSettings, generate
 
@@ -169,6 +173,118 @@ def test_labels_that_the_images_do_not_follow_are_told_as_such(data, tmp_path):
     assert found.explanations == [] and len(found.uncertain) >= 2
 
 
+def test_markers_of_small_binary_and_of_gray_images_tell_the_same(data, tmp_path, flow):
+    for name, shape in (("small", (200, 198)), ("gray", (440, 445))):
+        folder = changed(data, tmp_path / name, flipped())
+        target = folder / ("images" if name == "gray" else "processed_images")
+        (folder / "processed_images").unlink()
+        target.mkdir()
+        for path in (data / "processed_images").iterdir():
+            image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            image = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
+            gray = 20 + cv2.GaussianBlur(image, (0, 0), 2.0) // 4
+            cv2.imwrite(
+                str(target / path.name), gray if name == "gray" else 255 * (image > 127).astype(np.uint8)
+            )
+        source = open_folder(folder)
+        assert source.processed == (name == "small")
+        measured = measure(source, SETTINGS)
+        assert measured.found > 0.8 and find_conventions(measured).explanations == [Explanation()]
+
+
+# ---- what to write into conventions.json ----
+
+
+def found(*explanations: Explanation, **changes) -> Conventions:
+    values = {
+        "depth_flipped": False,
+        "uncertain": [],
+        "camera_deg": 0.0,
+        "length_unit": "mm",
+        "angle_unit": "deg",
+    }
+    cameras = [10.0 * k for k in range(len(explanations))]
+    return Conventions(
+        explanations=list(explanations),
+        cameras_deg=cameras,
+        gains={},
+        order="",
+        order_t=0.0,
+        **{**values, **changes},
+    )
+
+
+@pytest.mark.parametrize(
+    ("conventions", "applied", "flips", "units"),
+    [
+        (found(Explanation(("beta",))), {}, [["beta"]], ("mm", "deg")),
+        (found(Explanation(("alpha",))), {"flip": ("x",)}, [["alpha", "x"]], ("mm", "deg")),
+        (found(Explanation(("x",))), {"flip": ("x",)}, [[]], ("mm", "deg")),
+        (found(Explanation(), depth_flipped=True, angle_unit="rad"), {}, [["z"]], ("mm", "rad")),
+        (found(Explanation(), depth_flipped=True), {"length_unit": "m"}, [["z"]], ("m", "deg")),
+        (found(Explanation(("x",)), Explanation(("y",))), {}, [["x"], ["y"]], ("mm", "deg")),
+        (found(Explanation(swapped="x and y"), Explanation(mirrored=True)), {}, [], None),
+        (found(depth_flipped=True, uncertain=["the direction of x and y"]), {}, [["z"]], ("mm", "deg")),
+        (found(depth_flipped=True), {}, [], None),
+    ],
+)
+def test_the_lines_that_correct_what_was_found(conventions, applied, flips, units):
+    lines = [content for content, _ in conventions.corrections(ConventionSettings(**applied))]
+    assert [line["flip"] for line in lines] == flips
+    assert all((line["length_unit"], line["angle_unit"]) == units for line in lines)
+
+
+def test_where_two_lines_would_do_they_differ_by_half_a_turn_of_the_camera(flow):
+    labels = flow.labels * [-1.0, -1.0, 1.0, 1.0, 1.0, -1.0]
+    changed_flow = flow_of(flow.positions, labels, flow.rest, flow.deeper, SETTINGS)
+    lines = find_conventions(changed_flow).corrections(ConventionSettings())
+    assert [content["flip"] for content, _ in lines] == [["x", "y", "gamma"], ["alpha", "beta", "gamma"]]
+    (_, first), (_, second) = lines
+    assert abs(first - second) == pytest.approx(180.0)
+
+
+# ---- how much of each component shows ----
+
+
+def motion(labels: np.ndarray, rng: np.random.Generator, noise: float = 0.3) -> np.ndarray:
+    """Markers (n, 40, 2) that follow all labels but gamma, of which they see a hundredth."""
+    weights = rng.normal(size=(6, 40, 2)) * np.array([1, 1, 1, 0.3, 0.3, 0.01])[:, None, None]
+    return np.einsum("nk,kmd->nmd", labels, weights) + rng.normal(size=(len(labels), 40, 2)) * noise
+
+
+def test_a_component_that_hardly_shows_is_named_and_shares_are_those_put_in():
+    rng = np.random.default_rng(3)
+    labels = rng.uniform(-1, 1, (400, 6)) * [4, 4, 2, 15, 15, 5]
+    found = of_markers(labels, motion(labels, rng), EULER_COMPONENTS)
+    variance = labels.var(axis=0) * np.array([1, 1, 1, 0.09, 0.09, 1e-4])
+    expected = variance / (variance.sum() + 0.09)
+    np.testing.assert_allclose(list(found.shares.values()), expected, rtol=0.35, atol=2e-4)
+    assert found.hardly == ["gamma"]
+    assert found.noise == pytest.approx(0.09 / (variance.sum() + 0.09), rel=0.3)
+
+
+def test_an_angle_all_round_shows_though_its_mean_effect_is_none():
+    rng = np.random.default_rng(3)
+    labels = np.zeros((400, 6))
+    labels[:, 1], labels[:, 5] = rng.uniform(-6, 6, 400), rng.uniform(-180, 180, 400)
+    gamma = np.radians(labels[:, 5])
+    positions = (labels[:, 1:2] * np.stack([np.cos(gamma), np.sin(gamma)], axis=1))[:, None].repeat(
+        30, axis=1
+    )
+    found = of_markers(labels, positions + rng.normal(size=positions.shape), ("y", "gamma"))
+    assert found.hardly == [] and found.shares["gamma"] > 0.5
+
+
+def test_markers_that_follow_the_pose_alone_are_told_from_those_that_follow_the_sum():
+    rng = np.random.default_rng(5)
+    pose = rng.uniform(-1, 1, (400, 6)) * [4, 4, 2, 15, 15, 5]
+    shear = np.zeros_like(pose)
+    shear[:, 3:5] = rng.uniform(-5, 5, (400, 2))
+    assert better_parts(pose, shear, motion(pose + shear, rng), EULER_COMPONENTS) == {}
+    shown = pose + shear * [1, 1, 1, 0, 1, 1]
+    assert better_parts(pose, shear, motion(shown, rng), EULER_COMPONENTS) == {"alpha": "pose"}
+
+
 # ---- the labels alone ----
 
 
@@ -253,6 +369,31 @@ def test_damage_is_told_by_the_command(data, tmp_path, capsys):
     output = " ".join(capsys.readouterr().out.split())
     assert "row without its image: 1" in output
     assert "1 images that cannot be read" in output and "1 images with the same content" in output
+
+
+def test_parts_are_checked_each(data, tmp_path, capsys):
+    for name in ("train_data", "val_data"):
+        changed(data, tmp_path / name, flipped())
+    assert run(str(tmp_path), "--samples", "60", "--out", str(tmp_path / "check")) == 0
+    assert {path.parent.name for path in (tmp_path / "check").glob("*/check.json")} == {"train", "val"}
+
+
+def test_check_and_estimate_say_the_same_of_camera_images_of_another_size(tmp_path, capsys):
+    for count in range(60):
+        image = np.full((420, 420), count, np.uint8)
+        image[:200] = 255
+        (tmp_path / "images").mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / "images" / f"image_{count + 1}.png"), image)
+    columns = ["x", "y", "z", "Rx", "Ry", "Rz"]
+    rows = [[f"image_{k + 1}.png", *label] for k, label in enumerate(labels(60).tolist())]
+    with (tmp_path / "labels.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([["image_name", *columns], *rows])
+    run(str(tmp_path), "--samples", "60")
+    output = " ".join(capsys.readouterr().out.split())
+    with pytest.raises(DatasetError) as refusal:
+        open_folder(tmp_path, PreprocessingSettings())
+    said = str(refusal.value).partition(": ")[2]
+    assert "camera images are 420x420, not 640x480" in said and said in output
 
 
 def test_a_folder_that_is_none_ends_with_2(tmp_path, capsys):
