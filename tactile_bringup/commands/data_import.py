@@ -45,8 +45,8 @@ def register(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """`tactile data import`: returns the exit status."""
     from tactile_perception.datasets.check import check
-    from tactile_perception.datasets.importing import import_folder
-    from tactile_perception.datasets.layout import LABELS_NAME, DatasetError, data_folders
+    from tactile_perception.datasets.importing import check_outside, import_folder
+    from tactile_perception.datasets.layout import TARGETS_NAME, DatasetError, data_folders
     from tactile_perception.datasets.mapping import UnknownTable, read_mapping
     from tactile_perception.datasets.sample_sheet import draw_samples
     from tactile_perception.markers.flow import FlowSettings
@@ -55,15 +55,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.folder.is_dir():
         raise DatasetError(f"{arguments.folder}: is not a folder")
     mapping = read_mapping(arguments.mapping) if arguments.mapping else None
-    parts = (
-        data_folders(arguments.folder)
-        if not (mapping and (arguments.folder / mapping.table).is_file())
-        else {}
-    )
-    parts = parts or {"": arguments.folder}
+    whole = mapping is not None and (arguments.folder / mapping.table).is_file()
+    parts = {"": arguments.folder} if whole else data_folders(arguments.folder)
+    check_outside(arguments.out, arguments.folder)
     inside = arguments.folder.resolve().is_relative_to(arguments.out.resolve())
-    of = arguments.folder if inside else arguments.mapping  # what is not to be put aside with earlier results
-    room_for_results(arguments.out, LABELS_NAME, f"*/{LABELS_NAME}", source=of)
+    kept = arguments.folder if inside else arguments.mapping  # not to be put aside with earlier results
+    room_for_results(arguments.out, TARGETS_NAME, f"*/{TARGETS_NAME}", source=kept)
     worst = 0
     for part, source in parts.items():
         out = arguments.out / part
@@ -73,10 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise DatasetError(f"{error}. {_with_template(error, arguments.out)}") from error
         with Progress() as progress:
             result = check(folder, FlowSettings(samples=arguments.samples), progress.update)
-        camera = (
-            result.conventions.camera_deg if result.conventions and result.conventions.explanations else None
-        )
-        draw_samples(folder, out / SHEET_NAME, camera)
+        told = result.conventions
+        draw_samples(folder, out / SHEET_NAME, told.camera_deg if told and told.explanations else None)
         show(result, console)
         for line in _report(source, folder, said):
             say(console, line)
@@ -101,9 +96,7 @@ def _report(source: Path, folder: TactileFolder, said: dict[str, Any]) -> list[s
     facts = said["images"]
     size = f" of {facts['width']}x{facts['height']}" if "width" in facts else ""
     circle = ", dark outside a circle" if facts.get("circular") else ""
-    forces = (
-        f", and the forces {', '.join(folder.forces)} (N; nothing trains on them)" if folder.forces else ""
-    )
+    forces = f"; forces {', '.join(folder.forces)} in N (nothing trains on them)" if folder.forces else ""
     return [
         *(f"{source}: {note.strip()}" for note in said["notes"]),
         f"{source}: {len(folder)} samples imported to {folder.folder}",

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -32,9 +32,7 @@ from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow,
 LEVELS = ("ok", "note", "warning", "error")
 _USUAL_DEPTH_MM, _USUAL_ANGLE_DEG = 20.0, 90.0
 #: What has to be labelled for images to tell directions: they come from what shear and tilt have in common.
-_DIRECTED = ("x", "y", "alpha", "beta")
-
-
+_DIRECTED = ("x", "y", "z", "alpha", "beta")
 _WIDEST_GAMMA_DEG = 90.0  # range up to which x and y are directions in the sensor, too
 
 
@@ -197,7 +195,7 @@ def _report_visibility(result: CheckResult, chosen: NDArray[np.int64], images: l
         if name == "gamma" and flow is not None and result.conventions:
             full = 1.0 if result.conventions.angle_unit == "rad" else np.radians(1.0)
             text += f", markers turn by {abs(flow.turn.value) / full:.2f} of it"
-        result.add("warning", "shows", f"{text}: no network will tell it well")
+        result.add("note" if flow is None else "warning", "shows", f"{text}: expect little of its estimates")
 
 
 def _report_sums(result: CheckResult, chosen: NDArray[np.int64]) -> None:
@@ -208,22 +206,23 @@ def _report_sums(result: CheckResult, chosen: NDArray[np.int64]) -> None:
     pose, shear = np.array([row.pose for row in rows]), np.array([row.shear for row in rows])
     found = visibility.better_parts(pose, shear, result.flow.positions, result.folder.labelled)
     for name, part in found.items():
-        other = "shear" if part == "pose" else "pose"
         result.add(
-            "error", "sums", f"{name}: markers follow its {part} alone better than pose and shear together: "
-            f"import the folder by a mapping file that leaves out its column of the {other}",
+            "error", "sums", f"{name}: pose and shear do not add up, markers follow the {part} alone more "
+            "closely: import the folder by a mapping file that takes one of the two columns",
         )  # fmt: skip
 
 
 def _report_conventions(result: CheckResult) -> None:
     assert result.flow is not None
-    found = result.conventions = find_conventions(result.flow)
-    labelled = result.folder.labelled
+    found = find_conventions(result.flow)
+    missing = [name for name in _DIRECTED if name not in result.folder.labelled]
+    if "z" in missing:
+        found = replace(found, depth_flipped=None)
+    result.conventions = found
     depth = [text for text in found.uncertain if text.endswith(" z")]
     for text in depth:
         result.add("warning", "conventions", f"images do not tell {text}")
     _report_depth(result, found)
-    missing = [name for name in _DIRECTED if name not in labelled]
     if missing or np.ptp(result.flow.labels[:, 5]) > _WIDEST_GAMMA_DEG:
         why = f"{', '.join(missing)} not labelled" if missing else "gamma goes round too far"
         result.add(

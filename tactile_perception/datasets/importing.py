@@ -38,10 +38,10 @@ def import_folder(
 ) -> tuple[TactileFolder, dict[str, Any]]:
     """Write the data of `source` to `out`; gives the folder as it is read from there, and its `labels.json`.
 
-    Raises `DatasetError` if the source cannot be read as a data set, or `out` lies in it or holds data.
+    Signs and units by `conventions.json` of the source are applied. Raises `DatasetError` if the source cannot
+    be read as a data set, or `out` lies in it.
     """
-    if out.resolve().is_relative_to(source.resolve()):
-        raise DatasetError(f"{out}: lies in {source}, which is left as it is; name a folder elsewhere")
+    check_outside(out, source)
     folder = open_folder(source, mapping=mapping)
     images = out / (layout.IMAGES_NAME if folder.processed else layout.RAW_IMAGES_NAME)
     images.mkdir(parents=True, exist_ok=True)
@@ -52,10 +52,7 @@ def import_folder(
     if folder.reference() is not None and layout.REFERENCE_NAME not in names:
         _bring(reference, images / layout.REFERENCE_NAME)
     for name, content in folder.parameters.items():
-        if name not in (
-            CONVENTIONS_NAME,
-            layout.LABELS_NAME,
-        ):  # one is applied, the other written anew
+        if name not in (CONVENTIONS_NAME, layout.LABELS_NAME):
             _write_json(out / name, content)
     forces = _write_table(folder, names, out / layout.TARGETS_NAME)
     said = {
@@ -71,14 +68,21 @@ def import_folder(
     return open_folder(out), said
 
 
+def check_outside(out: Path, source: Path) -> None:
+    """`DatasetError` if `out` lies in the source."""
+    if out.resolve().is_relative_to(source.resolve()):
+        raise DatasetError(f"{out}: lies in {source}, which is left as it is; name a folder elsewhere")
+
+
 def flat_names(names: Sequence[str]) -> list[str]:
-    """Names of files in one folder, for paths: their last parts, as many as tell all of them apart."""
+    """Names of files in one folder, for paths: their last parts, or all where these are not different."""
     plain = [Path(name).name for name in names]
     count = Counter(plain)
-    return [
+    flat = [
         short if count[short] == 1 else re.sub(r"[^\w.-]+", "_", name.replace("..", "")).strip("_")
         for short, name in zip(plain, names, strict=True)
     ]
+    return flat if len(set(flat)) == len(flat) else [f"{k}_{short}" for k, short in enumerate(plain)]
 
 
 def image_facts(folder: TactileFolder) -> dict[str, Any]:

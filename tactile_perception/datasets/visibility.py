@@ -58,15 +58,17 @@ def better_parts(pose: Array, shear: Array, positions: Array, labelled: Sequence
 
     Tools differ in what they mean: a motion after the contact, or the one that led to the pose in the table.
     """
+    both = np.flatnonzero((np.ptp(pose, axis=0) > 0.0) & (np.ptp(shear, axis=0) > 0.0))
+    if not len(both):
+        return {}
     noise = of_markers(pose + shear, positions, labelled).noise
     found = {}
-    for k, name in enumerate(EULER_COMPONENTS):
-        if np.ptp(pose[:, k]) > 0.0 and np.ptp(shear[:, k]) > 0.0:
-            for part, values in (("pose", pose), ("shear", shear)):
-                labels = pose + shear
-                labels[:, k] = values[:, k]
-                if of_markers(labels, positions, labelled).noise < _BETTER * noise:
-                    found[name] = part
+    for k in both:
+        for part, values in (("pose", pose), ("shear", shear)):
+            labels = pose + shear
+            labels[:, k] = values[:, k]
+            if of_markers(labels, positions, labelled).noise < _BETTER * noise:
+                found[EULER_COMPONENTS[k]] = part
     return found
 
 

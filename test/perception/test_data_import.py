@@ -202,6 +202,7 @@ def test_gray_images_with_forces_and_no_crop_are_taken_whole(tmp_path):
 def test_names_that_occur_in_two_folders_stay_apart():
     names = ["a/1.png", "b/1.png", "../c/2.png"]
     assert flat_names(names) == ["a_1.png", "b_1.png", "2.png"]
+    assert len(set(flat_names([*names, "a_1.png"]))) == 4
 
 
 def test_color_and_a_circle_are_told(tmp_path):
