@@ -99,7 +99,7 @@ def write_conventions(result: CheckResult) -> str:
     if found is None or path.exists():
         return f"{path}: not written, since " + ("it is there already" if found else "images tell nothing")
     if not found.wrong:
-        return f"{path}: not needed"
+        return f"{path}: not needed" + (", as far as images tell" if found.uncertain else "")
     contents = [json.dumps(content) for content, _ in found.corrections(ConventionSettings())]
     if len(contents) != 1:
         listed = "; or ".join(contents) or "none"

@@ -12,14 +12,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.datasets import visibility
-from tactile_perception.datasets.conventions import Conventions, find_conventions
+from tactile_perception.datasets.conventions import Conventions, depth_alone, find_conventions
 from tactile_perception.datasets.dataset import TactileFolder
 from tactile_perception.datasets.layout import DatasetReport
 from tactile_perception.datasets.statistics import LabelStatistics, label_statistics
@@ -27,7 +27,14 @@ from tactile_perception.datasets.table import CONVENTIONS_NAME, read_conventions
 from tactile_perception.datasets.visibility import Visibility
 from tactile_perception.estimating.image import Image, ImageError, read_image
 from tactile_perception.estimating.labels import EULER_COMPONENTS
-from tactile_perception.markers.flow import FlowError, FlowSettings, MarkerFlow, follow, look
+from tactile_perception.markers.flow import (
+    FlowError,
+    FlowSettings,
+    MarkerFlow,
+    follow,
+    look,
+    variety_with_depth,
+)
 
 LEVELS = ("ok", "note", "warning", "error")
 _USUAL_DEPTH_MM, _USUAL_ANGLE_DEG = 20.0, 90.0
@@ -76,18 +83,22 @@ def check(
     _report_images(result, progress)
     _report_labels(result)
     settings = settings or FlowSettings()
-    step = None if progress is None else partial(progress, "markers")
-    seen = None
     try:
-        seen = look(folder, settings, step)
-        result.flow = follow(folder, *seen, settings)
+        chosen, images = look(folder, settings, None if progress is None else partial(progress, "markers"))
     except FlowError as error:
         result.add("warning", "conventions", f"images do not tell the conventions: {error}")
+        return result
+    _report_depth(result, variety_with_depth(images, folder.euler_mm_deg[chosen]))
+    try:
+        result.flow = follow(folder, chosen, images, settings)
+    except FlowError as error:
+        result.add("warning", "conventions", f"images do not tell directions and units: {error}")
     else:
         _report_conventions(result)
-    if seen and len(seen[0]) >= visibility.FEWEST:
-        _report_visibility(result, *seen)
-        _report_sums(result, seen[0])
+    _report_correction(result)
+    if len(chosen) >= visibility.FEWEST:
+        _report_visibility(result, chosen, images)
+        _report_sums(result, chosen)
     return result
 
 
@@ -212,31 +223,35 @@ def _report_sums(result: CheckResult, chosen: NDArray[np.int64]) -> None:
         )  # fmt: skip
 
 
+def _report_depth(result: CheckResult, deeper: float) -> None:
+    """Whether images change more the larger z is; they tell that without markers, too."""
+    if "z" not in result.folder.labelled:
+        return
+    found = result.conventions = depth_alone(deeper)
+    ratio = f"images at the largest z differ {deeper:.1f} times as much as at the least"
+    if found.depth_flipped is None:
+        result.add("warning", "conventions", f"images do not tell the direction of z ({ratio})")
+    elif found.depth_flipped:
+        result.add("error", "signs", f"z falls as contacts get deeper, must grow ({ratio})")
+    else:
+        result.add("ok", "signs", f"z grows with depth ({ratio})")
+
+
 def _report_conventions(result: CheckResult) -> None:
     assert result.flow is not None
-    found = find_conventions(result.flow)
     missing = [name for name in _DIRECTED if name not in result.folder.labelled]
-    if "z" in missing:
-        found = replace(found, depth_flipped=None)
-    result.conventions = found
-    depth = [text for text in found.uncertain if text.endswith(" z")]
-    for text in depth:
-        result.add("warning", "conventions", f"images do not tell {text}")
-    _report_depth(result, found)
     if missing or np.ptp(result.flow.labels[:, 5]) > _WIDEST_GAMMA_DEG:
         why = f"{', '.join(missing)} not labelled" if missing else "gamma goes round too far"
-        result.add(
-            "note", "conventions", f"images cannot tell other signs, units and the order of angles: {why}"
-        )
-        _report_correction(result, found)
+        text = f"images cannot tell other signs, units and the order of angles: {why}"
+        result.add("note", "conventions", text)
         return
+    found = result.conventions = find_conventions(result.flow)
     more = "" if len(result.flow.labels) == len(result.folder) else ": follow markers in more (--samples)"
     for text in found.uncertain:
-        if text not in depth:
+        if not text.endswith(" z"):
             result.add("warning", "conventions", f"{len(result.flow.labels)} images do not tell {text}{more}")
     _report_signs(result, found)
     _report_units(result, found)
-    _report_correction(result, found)
     turned = {"extrinsic": "fixed axes (extrinsic xyz)", "intrinsic": "the sensor's own axes (intrinsic xyz)"}
     if found.order == "extrinsic":
         result.add("ok", "angles", f"they turn about {turned[found.order]} (t = {found.order_t:+.1f})")
@@ -249,17 +264,6 @@ def _report_conventions(result: CheckResult) -> None:
     else:
         text = f"too few samples tell extrinsic from intrinsic order (t = {found.order_t:+.1f}, 3 needed)"
         result.add("note", "angles", text)
-
-
-def _report_depth(result: CheckResult, found: Conventions) -> None:
-    assert result.flow is not None
-    if found.depth_flipped is None:
-        return
-    ratio = f"images at the largest z differ {result.flow.deeper:.1f} times as much as at the least"
-    if found.depth_flipped:
-        result.add("error", "signs", f"z falls as contacts get deeper, must grow ({ratio})")
-    else:
-        result.add("ok", "signs", f"z grows with depth ({ratio})")
 
 
 def _report_signs(result: CheckResult, found: Conventions) -> None:
@@ -280,8 +284,11 @@ def _report_signs(result: CheckResult, found: Conventions) -> None:
         result.add("error", "signs", "; or ".join(map(str, found.explanations)))
 
 
-def _report_correction(result: CheckResult, found: Conventions) -> None:
+def _report_correction(result: CheckResult) -> None:
     """What to write into conventions.json, or between which lines the images leave the choice."""
+    found = result.conventions
+    if found is None:
+        return
     path = result.folder.folder / CONVENTIONS_NAME
     applied = read_conventions(result.folder.folder, DatasetReport(result.folder.folder))
     lines = [(json.dumps(content), camera) for content, camera in found.corrections(applied)]

@@ -125,10 +125,8 @@ def find_conventions(flow: MarkerFlow) -> Conventions:
         )
         if not measured.certain
     ]
-    depth_flipped = None
-    if max(flow.deeper, 1.0 / flow.deeper) >= CERTAIN_RATIO:
-        depth_flipped = flow.deeper < 1.0
-    else:
+    depth_flipped = depth_alone(flow.deeper).depth_flipped
+    if depth_flipped is None:
         uncertain.append("the direction of z")
     C_shear, C_tilt = -flow.shear.value, -flow.tilt.value * np.sign(flow.spread.value)
     explanations = explain(C_shear, C_tilt, float(np.sign(np.nan_to_num(flow.turn.value))), uncertain)
@@ -139,6 +137,15 @@ def find_conventions(flow: MarkerFlow) -> Conventions:
     return Conventions(
         depth_flipped, explanations, cameras, uncertain, angle, length_unit, angle_unit, gains, order, t
     )
+
+
+def depth_alone(deeper: float) -> Conventions:
+    """What is known where images tell nothing but the direction of z, by how `MarkerFlow.deeper` has it."""
+    certain = max(deeper, 1.0 / max(deeper, 1e-9)) >= CERTAIN_RATIO
+    return Conventions(
+        depth_flipped=deeper < 1.0 if certain else None, uncertain=["directions"], explanations=[],
+        cameras_deg=[], camera_deg=float("nan"), length_unit="", angle_unit="", gains={}, order="", order_t=0.0,
+    )  # fmt: skip
 
 
 def explain(C_shear: Array, C_tilt: Array, turn: float, uncertain: Sequence[str] = ()) -> list[Explanation]:

@@ -36,7 +36,7 @@ _DARK = 0.02  # of the brightest pixel, up to which the corners of an image coun
 def import_folder(
     source: Path, out: Path, mapping: TableMapping | None = None
 ) -> tuple[TactileFolder, dict[str, Any]]:
-    """Write the data of `source` to `out`; gives the folder as it is read from there, and its `labels.json`.
+    """Write the data of `source` to `out`; gives the folder as read from there, and its `labels.json`.
 
     Signs and units by `conventions.json` of the source are applied. Raises `DatasetError` if the source cannot
     be read as a data set, or `out` lies in it.

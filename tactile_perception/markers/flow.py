@@ -120,7 +120,7 @@ def follow(
 ) -> MarkerFlow:
     """`measure` with the samples that `look` has chosen."""
     labels = folder.euler_mm_deg[chosen]
-    deeper = _variety_with_depth(images, labels)
+    deeper = variety_with_depth(images, labels)
     order = np.argsort(labels[:, 2] if deeper >= 1.0 else -labels[:, 2])
     detection = DetectionSettings(median=5 if min(images[0].shape) >= _FINE_SIDE else 0)
     blobs = [detect(image, detection).centers for image in images]
@@ -166,7 +166,7 @@ def look(
     return np.array(kept), images
 
 
-def _variety_with_depth(images: list[Image], labels: Array) -> float:
+def variety_with_depth(images: list[Image], labels: Array) -> float:
     """Deep contacts differ from each other more than shallow ones: ratio of that at both ends of z."""
     order = np.argsort(labels[:, 2])
     count = max(5, round(_END_SHARE * len(order)))

@@ -15,7 +15,7 @@ from folders import write_folder
 from tactile_bringup.commands import data as data_command
 from tactile_perception.datasets.check import check
 from tactile_perception.datasets.conventions import Conventions, Explanation, explain, find_conventions
-from tactile_perception.datasets.dataset import DatasetError, open_folder
+from tactile_perception.datasets.dataset import DatasetError, DatasetWriter, open_folder
 from tactile_perception.datasets.statistics import label_statistics
 from tactile_perception.datasets.table import ConventionSettings
 from tactile_perception.datasets.visibility import better_parts, of_markers
@@ -190,6 +190,22 @@ def test_markers_of_small_binary_and_of_gray_images_tell_the_same(data, tmp_path
         assert source.processed == (name == "small")
         measured = measure(source, SETTINGS)
         assert measured.found > 0.8 and find_conventions(measured).explanations == [Explanation()]
+
+
+def test_depth_is_told_without_markers(tmp_path):
+    poses = labels(200)
+    wave = np.sin(np.arange(60) / 9.0)
+    with DatasetWriter(tmp_path, PreprocessingSettings(), images="raw") as writer:
+        for number, label in enumerate(poses, start=1):
+            pattern = np.outer(np.roll(wave, number), np.roll(wave, 7 * number))
+            image = cv2.resize((128 + 15 * label[2] * pattern).astype(np.uint8), (640, 480))
+            writer.add(number, image, label * [1, 1, -1, 1, 1, 1])
+        writer.finish()
+    result = check(open_folder(tmp_path), FlowSettings(samples=200))
+    assert any("z falls as contacts get deeper" in text for text in texts(result, "error"))
+    assert any('{"flip": ["z"]' in text for text in texts(result, "note"))
+    assert any("do not tell directions and units" in text for text in texts(result, "warning"))
+    assert result.visibility.of == "image change"
 
 
 # ---- what to write into conventions.json ----
