@@ -143,8 +143,9 @@ def depth_alone(deeper: float) -> Conventions:
     """What is known where images tell nothing but the direction of z, by how `MarkerFlow.deeper` has it."""
     certain = max(deeper, 1.0 / max(deeper, 1e-9)) >= CERTAIN_RATIO
     return Conventions(
-        depth_flipped=deeper < 1.0 if certain else None, uncertain=["directions"], explanations=[],
-        cameras_deg=[], camera_deg=float("nan"), length_unit="", angle_unit="", gains={}, order="", order_t=0.0,
+        depth_flipped=deeper < 1.0 if certain else None, uncertain=["directions"],
+        explanations=[], cameras_deg=[], camera_deg=float("nan"), length_unit="", angle_unit="", gains={},
+        order="", order_t=0.0,
     )  # fmt: skip
 
 

@@ -38,8 +38,8 @@ def import_folder(
 ) -> tuple[TactileFolder, dict[str, Any]]:
     """Write the data of `source` to `out`; gives the folder as read from there, and its `labels.json`.
 
-    Signs and units by `conventions.json` of the source are applied. Raises `DatasetError` if the source cannot
-    be read as a data set, or `out` lies in it.
+    What `conventions.json` of the source says is applied. Raises `DatasetError` if the source cannot be read
+    as a data set, or `out` lies in it.
     """
     check_outside(out, source)
     folder = open_folder(source, mapping=mapping)
