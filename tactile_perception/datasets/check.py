@@ -278,7 +278,7 @@ def _report_signs(result: CheckResult, found: Conventions) -> None:
         result.add(
             "ok", "signs",
             f"x, y, alpha, beta{gamma} move the markers as the paper's contact pose does; the sensor's "
-            f"x-axis is at {found.camera_deg:.0f} deg in the image",
+            f"x-axis is at {round(found.camera_deg)} deg in the image",
         )  # fmt: skip
     else:
         result.add("error", "signs", "; or ".join(map(str, found.explanations)))
@@ -303,7 +303,7 @@ def _report_correction(result: CheckResult) -> None:
         text = f"write into {path} (--write-conventions does): {lines[0][0]}"
     else:
         ways = "; or, ".join(
-            f"if the sensor's x-axis is at {camera:.0f} deg in the image, {line}" for line, camera in lines
+            f"if the sensor's x-axis is at {round(camera)} deg in the image, {line}" for line, camera in lines
         )
         text = f"images leave a choice, how the camera is mounted tells. Write into {path}, {ways}"
     if any("gamma" in name for name in found.uncertain):

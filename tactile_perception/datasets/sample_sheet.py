@@ -60,7 +60,7 @@ def draw_samples(folder: TactileFolder, path: Path, camera_deg: float | None) ->
             axis.plot([0, 0], [0, height], color=_DEPTH, lw=7, transform=axis.transAxes)
     known = "the sensor's x-axis drawn to the right: images did not tell where it is"
     if camera_deg is not None:
-        known = f"the sensor's x-axis at {camera_deg:.0f} deg, as the markers' shear tells"
+        known = f"the sensor's x-axis at {round(camera_deg)} deg, as the markers' shear tells"
     missing = ", ".join(name for name in EULER_COMPONENTS if name not in folder.labelled)
     figure.suptitle(
         f"{folder.folder}{f' (not labelled: {missing})' if missing else ''}\n"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -107,9 +107,9 @@ def read_table(
     numbers: list[Array] = []
     before = 0
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        # A crash of the machine may leave zero bytes in a file.
-        lines = _lines(csv.reader(line.replace("\0", "") for line in file), path, report)
+        lines = _lines(_reader(file), path, report)
         _, columns = next(lines, (0, []))
+        columns = [name.strip() for name in columns]
         if mapping is None or not mapping.image:
             known = _known_mapping(columns, path, labelled, report)
             mapping = replace(mapping, **known) if mapping else TableMapping(**known)
@@ -145,7 +145,15 @@ def read_table(
 def read_header(path: Path) -> list[str]:
     """The names of a table's columns."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        return next(csv.reader(line.replace("\0", "") for line in file), [])
+        return [name.strip() for name in next(_reader(file), [])]
+
+
+def _reader(file: Iterable[str]) -> Iterator[list[str]]:
+    """The fields of each line, between commas, semicolons or tabs, whichever its header has most of."""
+    lines = (line.replace("\0", "") for line in file)  # as a crash of the machine may leave in a file
+    header = next(iter(lines), "")
+    separator = max(",;\t", key=header.count)
+    return csv.reader(itertools.chain([header], lines), delimiter=separator, skipinitialspace=True)
 
 
 def _lines(reader: Iterator[list[str]], path: Path, report: DatasetReport) -> Iterator[tuple[int, list[str]]]:

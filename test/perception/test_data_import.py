@@ -100,13 +100,16 @@ def test_any_order_of_angles_and_inverted_poses_become_ours(euler, inverted, pos
         )
 
 
-def test_units_and_signs_of_a_mapping_give_our_labels(tmp_path):
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_units_and_signs_of_a_mapping_give_our_labels(tmp_path, separator):
     folder = tmp_path / "theirs"
     theirs = EULER * [1, 1, -1e-3, np.radians(1), -np.radians(1), 1]
     rows = [
         [f"run1/{name}", *map(repr, row.tolist()), 7.5] for name, row in zip(images(), theirs, strict=True)
     ]
     write_csv(folder / "contacts.csv", ["file", "tx", "ty", "height", "roll", "pitch", "yaw", "load"], rows)
+    table = folder / "contacts.csv"
+    table.write_text(table.read_text().replace(",", separator))
     write_images(folder / "run1", images(), (60, 80), binary=False)
     text = """
 table: contacts.csv
