@@ -16,7 +16,7 @@ from tactile_base.settings import SettingError
 from tactile_bringup.commands import data as data_command
 from tactile_perception.datasets.dataset import DatasetError, open_folder, read_dataset
 from tactile_perception.datasets.importing import flat_names, import_folder
-from tactile_perception.datasets.mapping import TableMapping, UnknownTable, read_mapping
+from tactile_perception.datasets.mapping import Column, TableMapping, UnknownTable, read_mapping
 from tactile_perception.datasets.sample_sheet import contact_direction, draw_samples, shear_direction
 from tactile_perception.estimating.labels import EULER_COMPONENTS, surface_contact_pose
 
@@ -238,6 +238,13 @@ def test_an_unknown_table_is_refused_with_its_columns_and_a_template_that_works(
     assert run(folder, "--out", tmp_path / "ours", "--mapping", path) in (0, 1)
     assert open_folder(tmp_path / "ours").labelled == ("z",)
     assert path.read_text().startswith("# How contacts.csv is to be read. Its columns: frame, depth")
+
+
+def test_the_mapping_in_the_docs_is_one(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text()
+    mapping = read_mapping(mapping_file(tmp_path, page.partition("```yaml\n")[2].partition("```")[0]))
+    assert mapping.labelled == ("x", "z", "beta") and mapping.forces == ("Fz",)
+    assert mapping.pose[2] == Column("depth", -1000.0)
 
 
 @pytest.mark.parametrize(
