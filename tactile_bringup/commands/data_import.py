@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
         with Progress() as progress:
             result = check(folder, FlowSettings(samples=arguments.samples), progress.update)
         told = result.conventions
-        draw_samples(folder, out / SHEET_NAME, told.camera_deg if told and told.explanations else None)
+        camera = told.camera_deg if told and told.explanations and math.isfinite(told.camera_deg) else None
+        draw_samples(folder, out / SHEET_NAME, camera)
         show(result, console)
         for line in _report(source, folder, said):
             say(console, line)

@@ -12,14 +12,20 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_perception.datasets import visibility
-from tactile_perception.datasets.conventions import Conventions, depth_alone, find_conventions
+from tactile_perception.datasets.conventions import (
+    Conventions,
+    Explanation,
+    depth_alone,
+    find_conventions,
+    sense_of_turning,
+)
 from tactile_perception.datasets.dataset import TactileFolder
 from tactile_perception.datasets.layout import DatasetReport
 from tactile_perception.datasets.statistics import LabelStatistics, label_statistics
@@ -40,6 +46,7 @@ LEVELS = ("ok", "note", "warning", "error")
 _USUAL_DEPTH_MM, _USUAL_ANGLE_DEG = 20.0, 90.0
 #: What has to be labelled for images to tell directions: they come from what shear and tilt have in common.
 _DIRECTED = ("x", "y", "z", "alpha", "beta")
+_CERTAIN = 5.0  # standard errors
 _WIDEST_GAMMA_DEG = 90.0  # range up to which x and y are directions in the sensor, too
 
 
@@ -171,6 +178,8 @@ def _report_labels(result: CheckResult) -> None:
             "note", "coverage", f"{len(result.folder)} samples are too few to tell how they are spread"
         )
     for spread in found.spreads:
+        if spread.name.startswith("x, y") and not {"x", "y"} <= set(labelled):
+            continue  # there is no disk
         text = f"{spread.name}: {spread.emptiest} to {spread.fullest} samples in each tenth"
         if spread.even:
             result.add("ok", "coverage", f"{text}, even (distance {spread.distance:.3f})")
@@ -178,7 +187,7 @@ def _report_labels(result: CheckResult) -> None:
             result.add("warning", "coverage", f"{text}, uneven (distance {spread.distance:.3f})")
     for name, sectors in (("x, y", found.shear_sectors), ("alpha, beta", found.tilt_sectors)):
         empty = int((sectors == 0).sum())
-        if empty and sectors.sum() >= 10 * sectors.size:
+        if empty and sectors.sum() >= 10 * sectors.size and set(name.split(", ")) <= set(labelled):
             result.add("warning", "coverage", f"{name}: {empty} of {sectors.size} sectors are empty")
     if found.off_center:
         result.add("warning", "balance", f"the mean of {', '.join(found.off_center)} is far from zero")
@@ -240,7 +249,10 @@ def _report_depth(result: CheckResult, deeper: float) -> None:
 def _report_conventions(result: CheckResult) -> None:
     assert result.flow is not None
     missing = [name for name in _DIRECTED if name not in result.folder.labelled]
-    if missing or np.ptp(result.flow.labels[:, 5]) > _WIDEST_GAMMA_DEG:
+    round_about = np.ptp(result.flow.labels[:, 5]) > _WIDEST_GAMMA_DEG
+    if round_about:
+        _report_turning(result)
+    if missing or round_about:
         why = f"{', '.join(missing)} not labelled" if missing else "gamma goes round too far"
         text = f"images cannot tell other signs, units and the order of angles: {why}"
         result.add("note", "conventions", text)
@@ -264,6 +276,22 @@ def _report_conventions(result: CheckResult) -> None:
     else:
         text = f"too few samples tell extrinsic from intrinsic order (t = {found.order_t:+.1f}, 3 needed)"
         result.add("note", "angles", text)
+
+
+def _report_turning(result: CheckResult) -> None:
+    """The sign of a gamma that goes all round, as at an edge."""
+    assert result.flow is not None
+    t = sense_of_turning(result.flow)
+    if t < -_CERTAIN:
+        result.add("ok", "signs", f"what is seen turns against gamma, as it must (t = {t:+.1f})")
+    elif t > _CERTAIN:
+        text = f"gamma has the opposite sign, or the images are mirrored (t = {t:+.1f})"
+        result.add("error", "signs", text)
+        if result.conventions:
+            way = Explanation(("gamma",))
+            result.conventions = replace(result.conventions, explanations=[way], cameras_deg=[np.nan])
+    else:
+        result.add("warning", "conventions", f"images do not tell the direction of gamma (t = {t:+.1f})")
 
 
 def _report_signs(result: CheckResult, found: Conventions) -> None:

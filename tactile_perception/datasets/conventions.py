@@ -27,6 +27,7 @@ CERTAIN_RATIO = 1.15  # variety at one end of z over that at the other
 _FLIPPABLE = ("x", "y", "alpha", "beta", "gamma")
 _SWAPS = ("", "x and y", "alpha and beta")
 _COST_SWAP, _COST_MIRROR = 2.0, 1.5
+_DRAWS = 12  # of the samples, for a standard error
 _FITS = 45.0  # deg between the camera's angle by shear and by tilt
 
 
@@ -213,6 +214,27 @@ def _units(flow: MarkerFlow, uncertain: Sequence[str]) -> tuple[str, str, dict[s
         # by radian, contacts move by one to four radii of the marker field, on sensors real and simulated
         angle = "rad" if tilt > 2.0 / np.sqrt(180.0 / np.pi) else "deg"
     return length, angle, gains
+
+
+def sense_of_turning(flow: MarkerFlow) -> float:
+    """Whether what is seen turns against gamma, for labels whose gamma goes all round, as at an edge.
+
+    The sensor turns by gamma over the surface: all that is not round turns by -gamma in the image. How
+    inner markers move by (cos gamma, sin gamma) is then a map (2, 2) with a negative determinant. Gives that
+    in standard errors: below -5 as in the paper, over 5 if gamma is flipped or images are mirrored.
+    """
+    gamma, z = np.radians(flow.labels[:, 5]), flow.labels[:, 2]
+    y = flow.labels[:, 1] / max(float(np.abs(flow.labels[:, 1]).max()), 1e-12)
+    basis = np.stack([np.ones_like(y), z - z.mean(), y, y * y, np.cos(gamma), np.sin(gamma)], axis=1)
+    basis = np.hstack([basis, y[:, None] * basis[:, 4:], (y * y)[:, None] * basis[:, 4:]])
+    inner = np.linalg.norm(flow.rest - flow.center, axis=1) < 0.5 * flow.radius
+    rng, dets = np.random.default_rng(0), []
+    for draw in range(1 + _DRAWS):
+        weights = np.ones(len(y)) if draw == 0 else rng.multinomial(len(y), np.full(len(y), 1.0 / len(y)))
+        moved = regressions(basis, flow.positions, weights, markers=inner)
+        moved = moved[np.isfinite(moved[:, 0, 0])]
+        dets.append(np.linalg.det(moved[:, 4:6].mean(axis=0)) if len(moved) else 0.0)
+    return float(dets[0] / max(float(np.std(dets[1:])), 1e-12))
 
 
 def corrected(labels: Array, explanation: Explanation, angle_unit: str) -> Array:

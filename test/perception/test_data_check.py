@@ -14,7 +14,13 @@ from folders import write_folder
 
 from tactile_bringup.commands import data as data_command
 from tactile_perception.datasets.check import check
-from tactile_perception.datasets.conventions import Conventions, Explanation, explain, find_conventions
+from tactile_perception.datasets.conventions import (
+    Conventions,
+    Explanation,
+    explain,
+    find_conventions,
+    sense_of_turning,
+)
 from tactile_perception.datasets.dataset import DatasetError, DatasetWriter, open_folder
 from tactile_perception.datasets.statistics import label_statistics
 from tactile_perception.datasets.table import ConventionSettings
@@ -257,6 +263,20 @@ def test_where_two_lines_would_do_they_differ_by_half_a_turn_of_the_camera(flow)
     assert [content["flip"] for content, _ in lines] == [["x", "y", "gamma"], ["alpha", "beta", "gamma"]]
     (_, first), (_, second) = lines
     assert abs(first - second) == pytest.approx(180.0)
+
+
+@pytest.mark.parametrize("sense", [-1.0, 1.0])
+def test_a_gamma_all_round_that_turns_the_wrong_way_is_found(sense):
+    """At an edge markers are pushed to one side of it, and the edge turns by -gamma in the image."""
+    rng = np.random.default_rng(7)
+    poses = np.zeros((200, 6))
+    poses[:, 1], poses[:, 5] = rng.uniform(-6, 6, 200), rng.uniform(-180, 180, 200)
+    turned = np.radians(40.0 + sense * poses[:, 5])
+    push = (6.0 - 0.3 * poses[:, 1])[:, None] * np.stack([np.cos(turned), np.sin(turned)], axis=1)
+    rest = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=2).reshape(-1, 2) * 20
+    positions = rest + push[:, None] + rng.normal(size=(200, 144, 2))
+    t = sense_of_turning(flow_of(positions, poses, rest, 2.0))
+    assert t * sense > 5.0
 
 
 # ---- how much of each component shows ----
