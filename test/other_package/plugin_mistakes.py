@@ -1,11 +1,11 @@
 """What a user reads of a mistake in a plug-in: `tactile check`, and a run of it by who has not checked.
 
-    python test/other_package/plugin_mistakes.py [shape motion task arm camera] [--no-nodes]
+    python test/other_package/plugin_mistakes.py [shape motion task arm camera] [--no-nodes | --all-nodes]
 
 The mistakes are those that the tests of `tactile check` make (mistakes.py), of each kind,
 installed as another package would be. Shapes, motions and tasks run without ROS (`tactile simulate`, ideal
-sensor); of drivers, and of tasks, those of `LIVE` run as nodes (`tactile launch`). All simulated: the arm is
-one that follows exactly, the camera gives a gray picture.
+sensor); of drivers, and of tasks, those of `LIVE`, or all drivers, run as nodes (`tactile launch`). All
+simulated: the arm is one that follows exactly, the camera gives a gray picture.
 """
 
 from __future__ import annotations
@@ -195,8 +195,11 @@ def main() -> None:
     names = {kind.split()[-1] if kind == "body motion" else kind.split()[0]: kind for kind in GROUPS}
     parser.add_argument("kinds", nargs="*", choices=[*names, []], help="(default: all)")
     parser.add_argument("--no-nodes", action="store_true", help="without what is launched")
+    parser.add_argument("--all-nodes", action="store_true", help="with every driver launched (11 minutes)")
     arguments = parser.parse_args()
     driver_check.LISTEN = 0.4
+    if arguments.all_nodes:
+        LIVE.update({kind: tuple(range(len(mistakes.KINDS[kind]))) for kind in GROUPS if "driver" in kind})
     begun, last = time.monotonic(), ""
     for kind, *cells in rows([names[name] for name in arguments.kinds or names], not arguments.no_nodes):
         if kind != last:

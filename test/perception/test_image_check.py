@@ -175,7 +175,7 @@ def test_a_scene_that_stands_still_before_a_camera_that_works_is_taken_and_said_
 def test_each_check_can_be_switched_off():
     any_image = ImageCheckSettings(
         repeats=True, least_contrast=0.0, fewest_markers=0.0, most_markers=100.0, least_white=0.0,
-        most_white=100.0, least_likeness=-1.0, least_continuity=-1.0,
+        most_white=100.0, least_likeness=-1.0, least_continuity=-1.0, most_novelty=0.0,
     )  # fmt: skip
     sensor = Pressed(ImageCheck(any_image))
     sensor.reference()

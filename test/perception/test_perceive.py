@@ -19,7 +19,7 @@ TOUCHED = np.full((480, 640), 90, np.uint8)
 #: These pictures are none of a sensor; what is refused of images is tested in test_image_check.py.
 ANY = ImageCheckSettings(
     repeats=True, least_contrast=0.0, fewest_markers=0.0, most_markers=100.0, least_white=0.0,
-    most_white=100.0, least_likeness=-1.0, least_continuity=-1.0,
+    most_white=100.0, least_likeness=-1.0, least_continuity=-1.0, most_novelty=0.0,
 )  # fmt: skip
 
 
