@@ -89,7 +89,7 @@ NODES: dict[str, Part] = {
         serves=("~/reset",),
     ),
     "controller": Part(
-        publishes=(topics.COMMAND, topics.CONTROLLER_STATUS, topics.LATENCY),
+        publishes=(topics.COMMAND, topics.CONTROLLER_STATUS, topics.PATH, topics.LATENCY),
         hears=(
             topics.ARM_STATUS,
             topics.STATE,

@@ -53,6 +53,7 @@ COMMAND = Topic("command/request", "tactile_msgs/msg/ArmCommand", RELIABLE, "con
 JOINT_STATES = Topic("joint_states", "sensor_msgs/msg/JointState", RELIABLE, "arm")
 ROBOT_DESCRIPTION = Topic("robot_description", "std_msgs/msg/String", LATCHED, "arm")
 CONTROLLER_STATUS = Topic("controller/status", "tactile_msgs/msg/ControllerStatus", RELIABLE, "controller")
+PATH = Topic("controller/path", "geometry_msgs/msg/PoseArray", RELIABLE, "controller")
 EXTERNAL_COMMAND = Topic("command/twist", "geometry_msgs/msg/TwistStamped", RELIABLE, "arm")
 LIMITED_COMMAND = Topic("command/twist_limited", "geometry_msgs/msg/TwistStamped", RELIABLE, "arm")
 
@@ -94,6 +95,7 @@ ARM_TOPICS = (
     COMMAND,
     LIMITED_COMMAND,
     CONTROLLER_STATUS,
+    PATH,
     TASK_STATUS,
     TASK_FEEDBACK,
 )

@@ -151,6 +151,10 @@ class PhaseMachine(ABC):
     def before_phase(self) -> None:  # noqa: B027 (few have it)
         """Called in each step before the phase is asked; may enter another one, or raise `PhaseFailed`."""
 
+    def ahead(self) -> list[Array]:
+        """Poses (4, 4) in the base that the controlled frame is yet to have, as far as it is known."""
+        return self.current_phase.ahead() if self.current_phase else []
+
     def details(self) -> dict[str, Any]:
         """What a step says beside what every task says: further fields of its `command_class`."""
         return {}

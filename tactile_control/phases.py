@@ -246,6 +246,10 @@ class Phase(Generic[T]):
         """What follows; `leads_to` unless it depends on what has happened."""
         return self.leads_to
 
+    def ahead(self) -> list[Array]:
+        """Poses (4, 4) in the base that the controlled frame is yet to have, as far as it is known."""
+        return []
+
     def missing(self) -> list[str]:
         """What it needs and has yet to come."""
         return [name for name in self.needs if getattr(self.task, name) is None]
@@ -324,6 +328,9 @@ class StraightTo(Phase[T]):
         if self.waypoints and self.elapsed > (limit := self.pace().timeout):
             raise PhaseFailed(f"{self.what} {self.late} {limit:g} s")
         return not self.waypoints
+
+    def ahead(self) -> list[Array]:
+        return [waypoint.T_base_goal for waypoint in self.waypoints or ()]
 
     def twist(self) -> Array:
         return twist_towards(self.T_base_sensor, (self.waypoints or self.way())[0].T_base_goal, self.pace())

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
 
 from tactile_base.settings import SettingError, SettingGroups
@@ -16,7 +18,7 @@ from tactile_control.task_file import NamedGoal
 from tactile_geometry import se3
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ControllerStatus
-from tactile_ros.conversions import matrix_from_pose, pose_from_matrix
+from tactile_ros.conversions import header, matrix_from_pose, pose_from_matrix
 from tactile_ros.message_bytes import LONGEST_NAME, headed_bytes, split_stamp
 from tactile_wire.errors import MessageError
 
@@ -109,6 +111,11 @@ def status_bytes(
         reason=reason,
         trouble=command.trouble if command else "",
     )
+
+
+def path_message(now_ns: int, frame_id: str, poses: Sequence[Array]) -> PoseArray:
+    """Poses (4, 4) of the controlled frame in the base."""
+    return PoseArray(header=header(now_ns, frame_id), poses=list(map(pose_from_matrix, poses)))
 
 
 def feedback_message(command: Command, X_fs: Array | None) -> RunTask.Feedback:

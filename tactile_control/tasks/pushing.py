@@ -208,6 +208,14 @@ class Pushing(ContactTask):
             )
         return ""
 
+    def ahead(self) -> list[Array]:
+        """To the target, once it is at the start."""
+        if self.phase in (STOPPING, RETREAT, DONE, FAILED) or self.pose is None:
+            return []
+        T = self.T_base_sensor.copy()
+        T[:3, 3] = self.goal.target
+        return [*super().ahead(), T]
+
     def fraction(self) -> float:
         """By the way that is left."""
         left = self._distance(self.T_base_sensor) - self.settings.task.tip_radius

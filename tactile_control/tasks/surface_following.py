@@ -157,6 +157,16 @@ class SurfaceFollowing(ContactTask):
         turn = se3.log(se3.between(self.T_base_work, self.T_base_sensor))[3:]
         return float(turn[0] * math.cos(direction) + turn[1] * math.sin(direction))
 
+    def ahead(self) -> list[Array]:
+        """To the target, or along the surface as it is felt here: how it bends nobody knows."""
+        if self.phase != FOLLOW:
+            return super().ahead()
+        T, direction = self.T_base_reference.copy(), math.radians(self.goal.direction_deg)
+        along = T[:3, :3] @ np.array([np.cos(direction), np.sin(direction), 0.0])
+        left = max(0.0, self.goal.length - self.odometer.length)
+        T[:3, 3] = self.goal.target or self.T_base_sensor[:3, 3] + left * along
+        return [T]
+
     def fraction(self) -> float:
         """By the way so far."""
         return min(1.0, self.odometer.length / self.goal.length)

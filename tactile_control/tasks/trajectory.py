@@ -18,6 +18,7 @@ from tactile_geometry import se3
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # s of path time; velocities are central differences of poses, exact to 1e-8 of them
+_DRAWN = 30  # poses of the trajectory ahead
 WAITED = 0.1  # s between two steps of the move, in which the arm has waited: it goes on from there
 
 
@@ -131,6 +132,11 @@ class Along(Phase["Trajectory"]):
         if off > self.task.settings.task.largest_error:
             raise PhaseFailed(f"the arm is {1e3 * off:.1f} mm off its trajectory")
         return self.path_s >= self.task.goal.duration and self._arrived(pose.stamp_ns)
+
+    def ahead(self) -> list[Array]:
+        if self.T_base_origin is None:
+            return []
+        return [self.pose(seconds) for seconds in np.linspace(self.path_s, self.task.goal.duration, _DRAWN)]
 
     def twist(self) -> Array:
         return self.feedforward + self.task.settings.task.gain * self.error

@@ -12,12 +12,15 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseArray
 from numpy.typing import NDArray
 
+from tactile_base import topics
 from tactile_base.raised import told
 from tactile_base.settings import SettingError, Settings, setting, unknown_name
 from tactile_base.stamps import SECOND_NS
@@ -40,7 +43,13 @@ from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_state
 from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
-from tactile_ros.task_messages import feedback_message, named_goal, status_bytes, with_settings
+from tactile_ros.task_messages import (
+    feedback_message,
+    named_goal,
+    path_message,
+    status_bytes,
+    with_settings,
+)
 from tactile_ros.task_node import ZERO, Run, TaskNode
 from tactile_scene.arm_settings import WorkspaceSettings
 from tactile_wire.errors import MessageError
@@ -121,6 +130,7 @@ class ControllerNode(TaskNode):
                 frame=self.sensor_frame,
             )
         listen_to_partners(self, self.partners)
+        self.path_out = self.publisher(PoseArray, topics.PATH.name, STATE)
         self.open_task(self.timing.value.watchdog_period, self.images.match if self.images else None)
         if self.images is not None:
             self.images.transforms = self.transforms
@@ -220,6 +230,14 @@ class ControllerNode(TaskNode):
             self.finish_run(command.reason, command.succeeded)
         elif phase_changed or self.run.feedback_due(now_ns, self.timing.value.feedback_period):
             self.run.handle.publish_feedback(feedback_message(command, self.run.task.contact_pose()))
+            self._publish_path(now_ns, self.run.task.ahead)
+
+    def _publish_path(self, now_ns: int, ahead: Callable[[], list[NDArray[np.float64]]]) -> None:
+        """Where the task leads, for people: what goes wrong with it keeps it from nothing."""
+        try:
+            self.path_out.publish(path_message(now_ns, self.base_frame, ahead()))
+        except Exception as error:  # a task may be somebody else's
+            self.warn("path", f"where the task leads is not told: {told(error, self.task_type)}")
 
     def _publish_status(self, now_ns: int, command: Command | None, twist: NDArray[np.float64]) -> None:
         goal = max(self.goals - 1, 0), self.goal_name
@@ -271,6 +289,7 @@ class ControllerNode(TaskNode):
         except Exception as error:  # a task may be somebody else's
             reason, succeeded = "; ".join(filter(None, (reason, told(error)))), False
         super().finish_run(reason, succeeded)
+        self._publish_path(self.now_ns(), list)
         if self.last is not None and not self.last.done:
             self.last = replace(self.last, phase=FAILED, reason=reason)
             self._publish_status(self.now_ns(), self.last, ZERO)
