@@ -152,7 +152,7 @@ class PhaseMachine(ABC):
         """Called in each step before the phase is asked; may enter another one, or raise `PhaseFailed`."""
 
     def ahead(self) -> list[Array]:
-        """Poses (4, 4) in the base that the controlled frame is yet to have, as far as it is known."""
+        """For people: poses (4, 4) in the base that lead to its goal, the last one there, as far as known."""
         return self.current_phase.ahead() if self.current_phase else []
 
     def details(self) -> dict[str, Any]:

@@ -247,7 +247,7 @@ class Phase(Generic[T]):
         return self.leads_to
 
     def ahead(self) -> list[Array]:
-        """Poses (4, 4) in the base that the controlled frame is yet to have, as far as it is known."""
+        """For people: poses (4, 4) in the base that lead to its end, the last one there, as far as known."""
         return []
 
     def missing(self) -> list[str]:

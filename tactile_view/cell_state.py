@@ -66,6 +66,7 @@ class ArmState:
     image : the last image's message, undecoded
     joints : angles of the joints (n,), rad, where the arm tells them
     path : where the sensor was, in the base (3,), m
+    ahead : where its task leads (n, 3), in the base, m, the last one its goal; none where nobody knows
     latency, dropped : stage -> (exposure (ns), seconds) of the last frames; how many were dropped so far
     """
 
@@ -76,6 +77,7 @@ class ArmState:
     image: Recorded | None = None
     joints: Array | None = None
     path: deque[Array] = field(default_factory=lambda: deque(maxlen=PATH))
+    ahead: Array = field(default_factory=lambda: np.zeros((0, 3)))
     latency: dict[str, deque[tuple[int, float]]] = field(default_factory=dict)
     dropped: dict[str, int] = field(default_factory=dict)
     T_world_base: Array = field(default_factory=lambda: np.eye(4))
@@ -163,6 +165,8 @@ class CellState:
             state.controller = message
         elif name == topics.JOINT_STATES.name:
             state.joints = np.asarray(message.position, dtype=np.float64)
+        elif name == topics.PATH.name:
+            state.ahead = _positions(message)
         elif name == topics.LATENCY.name:
             self._take_latency(state, message)
 
@@ -189,11 +193,20 @@ class CellState:
             state.dropped[stage] = frames[-1][2]
 
 
+def _positions(message: Any) -> Array:
+    """Of the poses of a PoseArray (n, 3); `ValueError` where they are nowhere."""
+    places = [pose.position for pose in message.poses]
+    found = np.array([(p.x, p.y, p.z) for p in places], dtype=np.float64).reshape(-1, 3)
+    if not np.isfinite(found).all():
+        raise ValueError("a path must lead along finite positions")
+    return found
+
+
 BODY, BASE = topics.body_frame(""), topics.base_frame("")
 _TRANSFORMS = (topics.TF.name, topics.TF_STATIC.name)
 _SHOWN = {
-    *_NAMES, *_IMAGES, topics.ARM_STATUS.name, topics.CONTROLLER_STATUS.name, topics.STATE.name,
-    topics.JOINT_STATES.name, topics.LATENCY.name,
+    *_NAMES, *_IMAGES, topics.ARM_STATUS.name, topics.CONTROLLER_STATUS.name, topics.PATH.name,
+    topics.STATE.name, topics.JOINT_STATES.name, topics.LATENCY.name,
 }  # fmt: skip
 
 

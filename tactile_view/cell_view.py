@@ -33,6 +33,7 @@ FIELD = 0.75  # rad, of the camera
 LINK = 0.07  # m, thickness of a link
 SHEAR_SCALE = 10.0  # an arrow of 10 mm is a shear of 1 mm
 TWIST_SECONDS = 2.0  # an arrow is as long as the way in so many seconds
+GOAL_RADIUS = 2e-3  # m
 LEAST_ARROW = 1e-4  # m; shorter ones are none
 _MESH = 60  # points of a surface along an edge
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 25)
@@ -156,6 +157,10 @@ class _ArmView:
         self._line(f"{self._root}/tip/stalk", stalk, ARM_COLOR, 0.025)
         self._links = self._line(f"{self._root}/links", np.zeros((1, 2, 3)), ARM_COLOR, LINK)
         self._path = self._line(f"{self._root}/path", np.zeros((1, 2, 3)), PATH_COLOR, 1e-3)
+        self._ahead = self._line(f"{self._root}/ahead", np.zeros((1, 2, 3)), TWIST_COLOR, 6e-4)
+        self._goal = scene3d.add_icosphere(
+            f"{self._root}/goal", GOAL_RADIUS, color=TWIST_COLOR, visible=False
+        )
         self._contact = scene3d.add_frame(f"{self._root}/contact", axes_length=0.02, axes_radius=6e-4)
         self._ellipsoid = scene3d.add_icosphere(
             f"{self._root}/contact_position", 1.0, color=BELIEF_COLOR, opacity=0.45
@@ -201,6 +206,7 @@ class _ArmView:
         place(self._tip, T)
         self._show_links(state)
         self._show_path(state, options)
+        self._show_ahead(state, T[:3, 3], options)
         self._show_contact(state, options)
         self._show_truth(state, options)
         command = state.newest("command")
@@ -219,6 +225,14 @@ class _ArmView:
         if self._path.visible:
             points = np.array(state.path)
             self._path.points = np.stack([points[:-1], points[1:]], axis=1)
+
+    def _show_ahead(self, state: ArmState, tip: Array, options: ViewOptions) -> None:
+        """Where the task leads, and its goal."""
+        self._ahead.visible = self._goal.visible = bool(options.path and len(state.ahead))
+        if self._ahead.visible:
+            points = way_ahead(tip, state.ahead)
+            self._ahead.points = np.stack([points[:-1], points[1:]], axis=1)
+            self._goal.position = tuple(points[-1].tolist())
 
     def _show_contact(self, state: ArmState, options: ViewOptions) -> None:
         """The believed feature frame where the sensor was at its exposure, if there is contact."""
@@ -266,6 +280,15 @@ def pose_at(state: ArmState, stamp_ns: int) -> Array | None:
         if row["stamp_ns"] <= stamp_ns:
             break
     return found
+
+
+def way_ahead(tip: Array, ahead: Array) -> Array:
+    """The way (n, 3) from the tip on: it is told twice a second, and the tip passes some points meanwhile."""
+    while len(ahead) > 1 and se3.norm(tip - ahead[1]) < max(
+        se3.norm(ahead[0] - ahead[1]), se3.norm(ahead[0] - tip)
+    ):
+        ahead = ahead[1:]
+    return np.concatenate([tip[None], ahead])
 
 
 def cone(mean: Array, cov: Array, scale: float, length: float = 0.02) -> Array:

@@ -209,9 +209,9 @@ class Pushing(ContactTask):
         return ""
 
     def ahead(self) -> list[Array]:
-        """To the target, once it is at the start."""
+        """To the target, until it leaves; how the sensor will be turned there nobody knows."""
         if self.phase in (STOPPING, RETREAT, DONE, FAILED) or self.pose is None:
-            return []
+            return super().ahead()
         T = self.T_base_sensor.copy()
         T[:3, 3] = self.goal.target
         return [*super().ahead(), T]

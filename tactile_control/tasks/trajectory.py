@@ -18,7 +18,7 @@ from tactile_geometry import se3
 Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # s of path time; velocities are central differences of poses, exact to 1e-8 of them
-_DRAWN = 30  # poses of the trajectory ahead
+_TOLD = 30  # poses of the trajectory, where it is told what lies ahead
 WAITED = 0.1  # s between two steps of the move, in which the arm has waited: it goes on from there
 
 
@@ -108,6 +108,7 @@ class Along(Phase["Trajectory"]):
         self.path_s = self.rate = 0.0
         self.moved_ns = self.ended_ns = self.last_ns = 0
         self.error, self.feedforward = np.full(6, np.nan), np.zeros(6)
+        self._whole: list[tuple[float, Array]] = []
 
     def pose(self, seconds: float) -> Array:
         """Where the controlled frame is to be in the base (4, 4), after that time at full speed."""
@@ -134,9 +135,10 @@ class Along(Phase["Trajectory"]):
         return self.path_s >= self.task.goal.duration and self._arrived(pose.stamp_ns)
 
     def ahead(self) -> list[Array]:
-        if self.T_base_origin is None:
-            return []
-        return [self.pose(seconds) for seconds in np.linspace(self.path_s, self.task.goal.duration, _DRAWN)]
+        if self.T_base_origin is not None and not self._whole:
+            seconds = np.linspace(0.0, self.task.goal.duration, _TOLD).tolist()
+            self._whole = [(second, self.pose(second)) for second in seconds]
+        return [T for second, T in self._whole if second >= self.path_s]
 
     def twist(self) -> Array:
         return self.feedforward + self.task.settings.task.gain * self.error

@@ -54,6 +54,8 @@ from tactile_ros.task_node import ZERO, Run, TaskNode
 from tactile_scene.arm_settings import WorkspaceSettings
 from tactile_wire.errors import MessageError
 
+PATH_PERIOD = 0.5  # s, between two times that it is told where the task leads
+
 
 @dataclass(frozen=True)
 class ControllerTimingSettings(Settings):
@@ -101,7 +103,7 @@ class ControllerNode(TaskNode):
             self.image_topic = fixed_settings(self, ImageTopicSettings(), "images")
             self.images = PosedImages(self, self.step)
         self.last: Command | None = None
-        self.goals = 0
+        self.goals = self.path_ns = 0
         self.goal_name = ""
         self.forget()
 
@@ -230,10 +232,12 @@ class ControllerNode(TaskNode):
             self.finish_run(command.reason, command.succeeded)
         elif phase_changed or self.run.feedback_due(now_ns, self.timing.value.feedback_period):
             self.run.handle.publish_feedback(feedback_message(command, self.run.task.contact_pose()))
+        if self.run is not None and (phase_changed or now_ns - self.path_ns >= PATH_PERIOD * SECOND_NS):
             self._publish_path(now_ns, self.run.task.ahead)
 
     def _publish_path(self, now_ns: int, ahead: Callable[[], list[NDArray[np.float64]]]) -> None:
-        """Where the task leads, for people: what goes wrong with it keeps it from nothing."""
+        """Where the task leads, for people: what goes wrong with it keeps the task from nothing."""
+        self.path_ns = now_ns
         try:
             self.path_out.publish(path_message(now_ns, self.base_frame, ahead()))
         except Exception as error:  # a task may be somebody else's
@@ -289,7 +293,7 @@ class ControllerNode(TaskNode):
         except Exception as error:  # a task may be somebody else's
             reason, succeeded = "; ".join(filter(None, (reason, told(error)))), False
         super().finish_run(reason, succeeded)
-        self._publish_path(self.now_ns(), list)
+        self._publish_path(self.now_ns(), list)  # nowhere
         if self.last is not None and not self.last.done:
             self.last = replace(self.last, phase=FAILED, reason=reason)
             self._publish_status(self.now_ns(), self.last, ZERO)

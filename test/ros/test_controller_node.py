@@ -7,7 +7,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from controlled_arm import CONTROLLER, PATIENT, PERIOD, SECOND, SENSOR, ControlledArm
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Pose, Quaternion
+from geometry_msgs.msg import Pose, PoseArray, Quaternion
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from tf2_msgs.msg import TFMessage
@@ -195,6 +195,20 @@ def test_a_goal_runs_through_all_phases_to_success_with_feedback(world):
     assert [f.progress for f in feedback] == sorted(f.progress for f in feedback)
     assert any(f.depth == pytest.approx(0.003, abs=1e-6) for f in feedback)
     assert world.run_until(world.rests)
+
+
+def test_it_tells_twice_a_second_where_the_goal_leads_until_that_has_ended(world):
+    paths = world.graph.collect(PoseArray, "controller/path")
+    handle = world.following()
+    paths.clear()
+    assert world.run_until(lambda: len(paths) >= 4)
+    assert all(path.header.frame_id == "arm/base" and len(path.poses) == 1 for path in paths)
+    assert paths[-1].poses[0].position.y == pytest.approx(0.5, abs=0.01), "of 0.5 m along y"
+    stamps = [ns_from_time(path.header.stamp) for path in paths]
+    assert min(np.diff(stamps)) >= 0.5 * SECOND
+    handle.cancel_goal_async()
+    assert world.result(handle).reason == "cancelled"
+    assert world.run_until(lambda: not paths[-1].poses)
 
 
 def test_a_command_answers_its_belief_and_is_stamped_at_emission(world):

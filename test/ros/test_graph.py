@@ -129,6 +129,8 @@ def test_nodes_that_are_all_signalled_at_once_end_after_the_arm_has_left_the_sur
     assert any(touching) and not touching[-1]
     *_, (_, last) = bag.decoded("/arm/command/request")
     assert not any(last.twist)
+    ahead = [len(path.poses) for _, path in bag.decoded("/arm/controller/path")]
+    assert any(ahead) and not ahead[-1], "where it leads is told until it has ended"
 
 
 def test_a_second_signal_ends_a_controller_at_once_with_the_arm_at_rest_where_it_is(cell):

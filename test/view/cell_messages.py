@@ -15,12 +15,13 @@ from tactile_wire.message_definitions import message_definition, typestore
 
 START, RATE = 1_700_000_000_000_000_000, 60
 DEPTH, SHEAR = 3e-3, 1e-3
+GOAL = (0.4, 0.1, 0.017)
 SIGMA = np.array([1e-4, 2e-4, 3e-4, 4e-3, 5e-3, 6e-3])
 TOPICS = (
     topics.ARM_POSE.of("arm"), topics.ARM_STATUS.of("arm"), topics.CONTROLLER_STATUS.of("arm"),
-    topics.STATE.of("arm"), topics.ESTIMATE.of("arm"), topics.PRESENCE.of("arm"), topics.TRUTH.of("arm"),
-    topics.LATENCY.of("arm"), topics.IMAGE.of("arm"), topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS,
-    topics.ROSOUT, topics.PARAMETER_EVENTS, topics.ESTOP,
+    topics.PATH.of("arm"), topics.STATE.of("arm"), topics.ESTIMATE.of("arm"), topics.PRESENCE.of("arm"),
+    topics.TRUTH.of("arm"), topics.LATENCY.of("arm"), topics.IMAGE.of("arm"), topics.TF, topics.TF_STATIC,
+    topics.DIAGNOSTICS, topics.ROSOUT, topics.PARAMETER_EVENTS, topics.ESTOP,
 )  # fmt: skip
 
 
@@ -105,6 +106,10 @@ def messages(seconds: float) -> Iterator[tuple[str, str, bytes, int]]:
             phase="approach" if k < RATE // 2 else "follow", progress=k / RATE / seconds, limited=twist(),
             unlimited=twist(), reference=np.array([0.0, 0.0, DEPTH, 0.0, 0.0, 0.0]),
         )  # fmt: skip
+        if k % (RATE // 2) == 0:
+            goal = blank(topics.PATH.type, "geometry_msgs/msg/Pose")
+            goal.position.x, goal.position.y, goal.position.z = GOAL
+            yield said(arm["/arm/controller/path"], ns, **header, poses=[goal])
         yield said(arm["/arm/contact/presence"], ns, **header, in_contact=True, score=1.0)
         yield said(
             arm["/arm/contact/state"],

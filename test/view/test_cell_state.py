@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cell_messages import DEPTH, RATE, SHEAR, START, X_SF, messages, packed, sensor_pose, stamp
+from cell_messages import DEPTH, GOAL, RATE, SHEAR, START, X_SF, messages, packed, sensor_pose, stamp
 from hypothesis import given, strategies
 
 from tactile_base import topics
@@ -15,6 +15,9 @@ from tactile_view.words import (
     state_in_words,
     troubles_in_words,
 )
+
+OF_ARM = topics.STATE, topics.ARM_STATUS, topics.PATH, topics.LATENCY
+FUZZED = {t.name: t.type for t in (topics.TF, topics.DIAGNOSTICS, *(t.of("arm") for t in OF_ARM))}
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +36,7 @@ def test_the_newest_of_each_stream_is_what_was_said_last(known):
     assert arm.newest("truth")["T_fs"][2, 3] == DEPTH
     assert arm.controller.phase == "follow" and arm.image is not None
     assert arm.T_world_base[2, 3] == 0.5
+    np.testing.assert_array_equal(arm.ahead, [GOAL])
     assert known.now_ns == START + round((2.0 * RATE - 1) / RATE * 1e9)
 
 
@@ -61,16 +65,11 @@ def test_what_is_no_message_is_counted_and_nothing_is_lost(known):
     assert "2 messages on /arm/arm/pose are none" in troubles_in_words(state)
 
 
-@given(
-    strategies.sampled_from(["/arm/contact/state", "/arm/arm/status", "/arm/latency", "/tf", "/diagnostics"]),
-    strategies.binary(max_size=300),
-)
+@given(strategies.sampled_from(sorted(FUZZED)), strategies.binary(max_size=300))
 def test_no_bytes_end_it(topic, data):
-    kinds = {t.name: t.type for t in (topics.TF, topics.DIAGNOSTICS)}
-    kinds |= {t.of("arm").name: t.type for t in (topics.STATE, topics.ARM_STATUS, topics.LATENCY)}
     state = CellState()
-    state.take(topic, kinds[topic], data, START)
-    state.take(topic, kinds[topic], b"\x00\x01\x00\x00" + data, START)
+    state.take(topic, FUZZED[topic], data, START)
+    state.take(topic, FUZZED[topic], b"\x00\x01\x00\x00" + data, START)
 
 
 def test_in_words_it_says_units_and_nothing_is_markup(known):
