@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.settings import Settings, setting
+from tactile_scene.simulated_sensors import IdealSensorSettings, SkinSettings, TacTipSettings
 from tactile_sim import _contact
 
 if TYPE_CHECKING:
     from tactile_sim.motions import BodyContact
 
 Array = NDArray[np.float64]
+
+SkinModel = TacTipSettings | IdealSensorSettings
 
 _REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper holds objects at
 
@@ -64,3 +67,22 @@ class SkinForces(Settings):
         return _contact.skin_force(
             contact.T_body_sensor, contact.truth.T_fs, press, stiffness, self.friction_tip
         )
+
+
+def largest_shear(model: SkinModel, depth: float) -> float | None:
+    """Shear (m) beyond which a simulated tip slides at a depth (m); None for a skin that nobody has measured.
+
+    That of an image sensor is within 15 % of what it does on a plane (test/sim/test_skin_force.py): parts of
+    the contact slip before, and on other surfaces it differs.
+    """
+    if isinstance(model, IdealSensorSettings):
+        return float(np.interp(depth, model.shear_depths, model.shear_limits))
+    measured, contact = SkinSettings(), model.contact
+    if model.skin.replaced(gel_modulus=measured.gel_modulus) != measured:
+        return None
+    if depth <= 0.0:
+        return 0.0
+    skin = SkinForces()
+    press = skin.normal_force(depth)
+    load = press * model.skin.gel_modulus / measured.gel_modulus
+    return contact.friction * load / (load + contact.friction_load) * press / skin.shear_stiffness(depth)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tactile_geometry import se3
 from tactile_geometry.gaussian import ros_from_left
 from tactile_scene.scene import ArmScene, Scene
+from tactile_sim.skin_force import SkinModel, largest_shear
 from tactile_view.cell_state import ArmState, CellState
 
 Array = NDArray[Any]
@@ -46,6 +47,7 @@ class ViewOptions:
     truth: bool = True
     path: bool = True
     twist: bool = True
+    friction: bool = True
     uncertainty: float = 10.0
 
 
@@ -116,12 +118,19 @@ class CellView:
             tips = [arm.T_world_start for arm in self._scene.arms.values()]
         return np.mean([T[:3, 3] for T in tips], axis=0) if tips else np.zeros(3)
 
+    def skin(self, arm: str) -> SkinModel | None:
+        """The skin of an arm's sensor as it is simulated; None of a real one, and where nobody says."""
+        described = None if self._scene is None else self._scene.arms.get(arm)
+        if self._scene is None or described is None or not described.simulated_sensor:
+            return None
+        return self._scene.simulation.sensors[arm].model
+
     def show(self, state: CellState) -> None:
         """Show the cell as it is known now."""
         for name, arm in state.arms.items():
             if name not in self._arms:
                 described = None if self._scene is None else self._scene.arms.get(name)
-                self._arms[name] = _ArmView(self._scene3d, name, described)
+                self._arms[name] = _ArmView(self._scene3d, name, described, self.skin(name))
             self._arms[name].show(arm, self.options)
         for name, node in self._bodies.items():
             place(node, self._T_world_body(name, state))
@@ -142,8 +151,8 @@ class CellView:
 class _ArmView:
     """One arm with all that belongs to it; its nodes stand in its base."""
 
-    def __init__(self, scene3d: Any, name: str, arm: ArmScene | None) -> None:
-        self._scene3d, self._root, self._arm = scene3d, f"/arms/{name}", arm
+    def __init__(self, scene3d: Any, name: str, arm: ArmScene | None, skin: SkinModel | None) -> None:
+        self._scene3d, self._root, self._arm, self._skin = scene3d, f"/arms/{name}", arm, skin
         self._feels = arm is None or arm.sensor is not None
         radius = TIP_RADIUS if arm is None or arm.sensor is None else arm.sensor.settings.tip_radius
         self._base = scene3d.add_frame(self._root, axes_length=0.05, axes_radius=0.002)
@@ -167,6 +176,7 @@ class _ArmView:
         )
         self._normals = self._line(f"{self._root}/contact/normals", np.zeros((1, 2, 3)), BELIEF_COLOR, 4e-4)
         self._shear = self._arrow("shear", SHEAR_COLOR)
+        self._friction = self._line(f"{self._root}/contact/friction", np.zeros((1, 2, 3)), SHEAR_COLOR, 4e-4)
         self._reference = scene3d.add_frame(
             f"{self._root}/reference", axes_length=0.015, axes_radius=4e-4, origin_color=TWIST_COLOR
         )
@@ -259,6 +269,11 @@ class _ArmView:
         X_fs = se3.inverse(belief["mean"])
         shear = T_base_f[:3, :2] @ X_fs[:2, 3] * SHEAR_SCALE
         _point(self._shear, T_base_f[:3, 3], shear, True)
+        limit = largest_shear(self._skin, X_fs[2, 3]) if self._skin is not None and options.friction else None
+        self._friction.visible = limit is not None
+        if limit is not None:
+            rim = limit * SHEAR_SCALE * np.stack([np.cos(_ROUND), np.sin(_ROUND), 0.0 * _ROUND], axis=1)
+            self._friction.points = np.stack([rim[:-1], rim[1:]], axis=1)
         if self._reference.visible and reference is not None:
             place(self._reference, T_base_f @ se3.pose_from_euler(reference))
 

@@ -82,7 +82,11 @@ class Page:
 
     def _build_look(self) -> None:
         gui, options = self.server.gui, self.view.options
-        for name, label in (("truth", "truth of the simulation"), ("path", "path"), ("twist", "twist")):
+        shown = (
+            ("truth", "truth of the simulation"), ("path", "path"), ("twist", "twist"),
+            ("friction", "shear at which a simulated skin slides"),
+        )  # fmt: skip
+        for name, label in shown:
             box: Any = gui.add_checkbox(label, getattr(options, name))
             box.on_update(functools.partial(self._choose, name))
         size = gui.add_slider("uncertainty, times", 1.0, 50.0, 1.0, options.uncertainty)
@@ -126,7 +130,7 @@ class Page:
             self._belief.show(state, self.state.now_ns)
             self._motion.show(state, self.state.now_ns)
         if self._is_due("words", WORDS_PERIOD):
-            set_html(self._words, state_in_words(state))
+            set_html(self._words, state_in_words(state, self.view.skin(self.arm)))
             set_html(self._troubles, troubles_in_words(self.state))
             set_html(self._events, events_in_words(self.state))
 

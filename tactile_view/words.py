@@ -22,6 +22,7 @@ from tactile_records.runs.euler_poses import (
 from tactile_records.runs.events import MODES
 from tactile_records.runs.from_bag import STAGES
 from tactile_records.runs.record import GaussianSeries
+from tactile_sim.skin_force import SkinModel, largest_shear
 from tactile_view.cell_state import ArmState, CellState
 
 LATEST = 12  # events
@@ -75,8 +76,11 @@ def latency_in_words(state: ArmState) -> str:
     return table(("from the exposure to", "p50 ms", "p99 ms", "dropped"), rows) if rows else ""
 
 
-def state_in_words(state: ArmState) -> str:
-    """Task, phase and progress, what it waits for, what limits it, who commands the arm, and its faults."""
+def state_in_words(state: ArmState, skin: SkinModel | None = None) -> str:
+    """Task, phase and progress, what it waits for, what limits it, who commands the arm, faults, and touch.
+
+    `skin` is that of a simulated sensor.
+    """
     task, arm, contact = state.controller, state.status, state.newest("belief")
     presence = state.newest("presence")
     lines = [] if task is None else _task_lines(task)
@@ -95,7 +99,10 @@ def state_in_words(state: ArmState) -> str:
     elif contact is not None:
         euler = se3.euler_from_pose(se3.inverse(contact["mean"])) * UNITS
         shear = math.hypot(euler[0], euler[1])
+        limit = None if skin is None else largest_shear(skin, 1e-3 * euler[2])
         lines.append(f"depth {euler[2]:.2f} mm, shear {shear:.2f} mm and {euler[5]:+.1f} deg")
+        known = "is not known" if limit is None else f"is {1e3 * limit:.2f} mm, of the simulated one"
+        lines.append(f"shear at which the skin slides {known}")
     return "<br>".join(lines) or "nothing heard yet"
 
 

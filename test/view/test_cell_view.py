@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import viser
-from cell_messages import GOAL, messages, packed, sensor_pose, stamp
+from cell_messages import DEPTH, GOAL, SHEAR, messages, packed, sensor_pose, stamp
 
 from tactile_base import topics
 from tactile_bringup.launching.page_process import free_port
+from tactile_scene.scene_file import load_scene
 from tactile_view.cell_state import CellState
-from tactile_view.cell_view import CellView, way_ahead
+from tactile_view.cell_view import SHEAR_SCALE, CellView, way_ahead
+from tactile_view.words import state_in_words
 
 SECONDS = 0.1
 
@@ -57,3 +59,23 @@ def test_points_that_the_tip_has_passed_are_not_gone_back_to():
     np.testing.assert_array_equal(way_ahead(tip, told), [tip, *told[1:]])
     np.testing.assert_array_equal(way_ahead(told[-1], told), [told[-1], told[-1]])
     np.testing.assert_array_equal(way_ahead(tip, told[2:]), [tip, *told[2:]])
+
+
+def test_around_the_shear_is_what_friction_holds_of_a_simulated_skin_alone(server, state):
+    ideal = load_scene("plane").with_fidelity(
+        "ideal", shear_depths=(0.0, DEPTH), shear_limits=(0.0, 2e-3), turn_limits=(0.0, 0.1)
+    )
+    view = CellView(server, ideal)
+    view.show(state)
+    rim = node(server, "contact/friction")
+    assert rim.visible
+    np.testing.assert_allclose(np.linalg.norm(rim.points, axis=-1), SHEAR_SCALE * 2e-3, rtol=1e-6)
+    np.testing.assert_array_equal(rim.points[..., 2], 0.0)
+    start, end = node(server, "shear").points[0]
+    assert np.linalg.norm(end - start) == pytest.approx(SHEAR_SCALE * SHEAR, rel=1e-4)
+    arm = state.arms["arm"]
+    assert "the skin slides is 2.00 mm, of the simulated one" in state_in_words(arm, view.skin("arm"))
+    view.set_scene(load_scene("ur_example"))
+    view.show(state)
+    assert not node(server, "contact/friction").visible
+    assert "the skin slides is not known" in state_in_words(arm, view.skin("arm"))

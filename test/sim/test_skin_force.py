@@ -1,0 +1,52 @@
+"""The largest shear of a simulated tip by a formula is that at which its simulation slides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactile_geometry import se3
+from tactile_scene.shapes import make_surface
+from tactile_scene.simulated_sensors import IdealSensorSettings, TacTipSettings
+from tactile_sim.ideal_sensor import IdealSensor
+from tactile_sim.skin_force import largest_shear
+from tactile_sim.tactip import TacTip
+
+MM = 1e-3
+PLANE = make_surface("plane", {})
+DOWN = se3.pose_from_euler([0.0, 0.0, 0.020, np.pi, 0.0, 0.0])
+
+
+def dragged(sensor: TacTip | IdealSensor, depth: float, way: float) -> float:
+    """Shear (m) after the sensor was pressed on the plane and dragged along it."""
+    shifts = ((0.0, -MM), (0.0, depth), *((x, depth) for x in np.linspace(0.0, way, 40)))
+    for x, z in shifts:
+        sensor.advance(PLANE, DOWN @ se3.pose_from_euler([x, 0.0, z, 0.0, 0.0, 0.0]))
+    return float(np.linalg.norm(sensor.truth().T_fs[:2, 3]))
+
+
+@pytest.mark.parametrize(
+    ("friction", "load", "modulus"), [(0.9, 0.0, 8e3), (0.5, 0.0, 8e3), (1.2, 0.0, 4e4), (0.9, 0.5, 8e3)]
+)
+@pytest.mark.parametrize("depth", [MM, 3 * MM, 6 * MM])
+def test_a_soft_tip_is_sheared_as_far_as_is_said_and_no_further(friction, load, modulus, depth):
+    model = TacTipSettings()
+    model = replace(
+        model,
+        contact=model.contact.replaced(friction=friction, friction_load=load),
+        skin=model.skin.replaced(gel_modulus=modulus),
+    )
+    limit = largest_shear(model, depth)
+    assert dragged(TacTip(model), depth, 2 * limit) == pytest.approx(limit, rel=0.15)
+
+
+def test_an_ideal_sensor_is_sheared_to_just_there():
+    model = IdealSensorSettings()
+    limit = largest_shear(model, 2.5 * MM)
+    assert dragged(IdealSensor(model), 2.5 * MM, 2 * limit) == pytest.approx(limit, rel=1e-6)
+
+
+def test_of_a_skin_that_was_not_measured_nothing_is_said_and_without_contact_there_is_no_shear():
+    model = TacTipSettings()
+    assert largest_shear(replace(model, skin=model.skin.replaced(stiffness_ratio=4.0)), 3 * MM) is None
+    assert largest_shear(model, -MM) == 0.0 == largest_shear(IdealSensorSettings(), -MM)
