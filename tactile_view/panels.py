@@ -24,10 +24,12 @@ from tactile_records.runs.euler_poses import (
 )
 from tactile_records.runs.record import GaussianSeries
 from tactile_view.cell_state import WINDOW, ArmState, Types
+from tactile_view.marker_picture import marker_picture
 from tactile_view.words import estimate_in_words, latency_in_words, set_html
 
 Array = NDArray[Any]
 
+PLAIN, MARKERS = "the image", "markers and density"
 MOST_POINTS = 300  # of a line
 BELIEF, REFERENCE, TRUTH, BAND = "#1e78dc", "#787878", "#14963c", "rgba(30, 120, 220, 0.18)"
 SMALL_PLOT, IMAGE_WIDTH = 150, 480  # pixels
@@ -88,10 +90,12 @@ def _scales(low: float, high: float) -> dict[str, uplot.Scale]:
 
 
 class TouchPanel:
-    """The tactile image, and what the network has made of it, in words."""
+    """The tactile image, with its markers if wanted, and what the network has made of it, in words."""
 
     def __init__(self, server: viser.ViserServer, types: Types) -> None:
-        self._types, self._shown = types, 0
+        self._types, self._shown, self._markers = types, 0, ""
+        self.choice: Any = server.gui.add_dropdown("show", (PLAIN, MARKERS))
+        self.choice.on_update(lambda event: self._draw_anew())
         self._image = server.gui.add_image(
             np.full((4, 4, 3), 235, np.uint8), label="tactile image", format="jpeg"
         )
@@ -106,10 +110,19 @@ class TouchPanel:
             if found.pixels is None:
                 set_html(self._words, f"image refused: {escape(found.fault)}")
                 return
-            every = max(1, round(found.pixels.shape[1] / IMAGE_WIDTH))
-            gray = found.pixels[::every, ::every]
-            self._image.image = np.repeat(gray[:, :, None], 3, axis=2)
-        set_html(self._words, estimate_in_words(state))
+            self._draw(found.pixels)
+        set_html(self._words, self._markers + estimate_in_words(state))
+
+    def _draw_anew(self) -> None:
+        self._shown = 0
+
+    def _draw(self, pixels: Array) -> None:
+        if self.choice.value == MARKERS:
+            self._image.image, words = marker_picture(pixels)
+            self._markers = f"{escape(words)}<br>"
+            return
+        every = max(1, round(pixels.shape[1] / IMAGE_WIDTH))
+        self._image.image, self._markers = np.repeat(pixels[::every, ::every, None], 3, axis=2), ""
 
 
 class BeliefPanel:
