@@ -18,6 +18,8 @@ from tactile_geometry.gaussian import ros_from_left
 from tactile_scene.scene import ArmScene, Scene
 from tactile_sim.skin_force import SkinModel, largest_shear
 from tactile_view.cell_state import ArmState, CellState
+from tactile_view.drawing import ROUND, cone, dome, place, se3_of, way_ahead
+from tactile_view.urdf_meshes import UrdfMeshes
 
 Array = NDArray[Any]
 
@@ -37,7 +39,6 @@ TWIST_SECONDS = 2.0  # an arrow is as long as the way in so many seconds
 GOAL_RADIUS = 2e-3  # m
 LEAST_ARROW = 1e-4  # m; shorter ones are none
 _MESH = 60  # points of a surface along an edge
-_ROUND = np.linspace(0.0, 2.0 * np.pi, 25)
 
 
 @dataclass
@@ -49,26 +50,6 @@ class ViewOptions:
     twist: bool = True
     friction: bool = True
     uncertainty: float = 10.0
-
-
-def place(handle: Any, T: Array) -> None:
-    """Put a node where a pose (4, 4) in its parent's frame is."""
-    x, y, z, w = se3.quaternion_from_rotation(T[:3, :3]).tolist()
-    handle.wxyz, handle.position = (w, x, y, z), tuple(T[:3, 3].tolist())
-
-
-def dome(radius: float, rings: int = 10) -> tuple[Array, Array]:
-    """Vertices and triangles of a tip: half a sphere about the origin, +z, on a cylinder of its radius."""
-    angles = np.linspace(0.5 * np.pi, 0.0, rings)
-    profile = [(radius, -radius), *((radius * np.sin(a), radius * np.cos(a)) for a in angles)]
-    columns = np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=1)
-    vertices = np.array([[*(r * column), z] for r, z in profile for column in columns])
-    n, faces = len(_ROUND), []
-    for ring in range(len(profile) - 1):
-        for k in range(n - 1):
-            a, b = ring * n + k, (ring + 1) * n + k
-            faces += [(a, a + 1, b), (b, a + 1, b + 1)]
-    return vertices, np.array(faces)
 
 
 class CellView:
@@ -125,6 +106,11 @@ class CellView:
             return None
         return self._scene.simulation.sensors[arm].model
 
+    @property
+    def remarks(self) -> dict[str, str]:
+        """Arm -> why it is not shown as its scene says."""
+        return {name: view.remark for name, view in self._arms.items() if view.remark}
+
     def show(self, state: CellState) -> None:
         """Show the cell as it is known now."""
         for name, arm in state.arms.items():
@@ -165,6 +151,8 @@ class _ArmView:
         stalk = np.array([[[0.0, 0.0, -STALK], [0.0, 0.0, -radius if self._feels else 0.0]]])
         self._line(f"{self._root}/tip/stalk", stalk, ARM_COLOR, 0.025)
         self._links = self._line(f"{self._root}/links", np.zeros((1, 2, 3)), ARM_COLOR, LINK)
+        self.remark = ""
+        self._meshes = self._add_meshes()
         self._path = self._line(f"{self._root}/path", np.zeros((1, 2, 3)), PATH_COLOR, 1e-3)
         self._ahead = self._line(f"{self._root}/ahead", np.zeros((1, 2, 3)), TWIST_COLOR, 6e-4)
         self._goal = scene3d.add_icosphere(
@@ -185,6 +173,17 @@ class _ArmView:
         )
         self._twist = self._arrow("twist", TWIST_COLOR)
         scene3d.add_label(f"{self._root}/tip/name", name, position=(0.0, 0.0, -STALK))
+
+    def _add_meshes(self) -> UrdfMeshes | None:
+        """Of an arm that a URDF describes; its links are drawn where that is not possible."""
+        chain = None if self._arm is None else self._arm.kinematics
+        if chain is None or chain.description is None:
+            return None
+        try:
+            return UrdfMeshes(self._scene3d, self._root, chain.description, ARM_COLOR)
+        except (OSError, ValueError) as error:
+            self.remark = f"its meshes are not shown: {error}"
+            return None
 
     def _line(self, name: str, points: Array, color: tuple[int, int, int], thickness: float) -> Any:
         return self._scene3d.add_line_segments(
@@ -226,9 +225,12 @@ class _ArmView:
     def _show_links(self, state: ArmState) -> None:
         chain = None if self._arm is None else self._arm.kinematics
         known = chain is not None and state.joints is not None and len(state.joints) == len(chain.names)
-        self._links.visible = known
+        self._links.visible = known and self._meshes is None
         if chain is not None and state.joints is not None and known:
-            self._links.points = chain.capsules(state.joints).ends
+            if self._meshes is not None:
+                self._meshes.show(chain.names, state.joints)
+            else:
+                self._links.points = chain.capsules(state.joints).ends
 
     def _show_path(self, state: ArmState, options: ViewOptions) -> None:
         self._path.visible = options.path and len(state.path) > 1
@@ -272,7 +274,7 @@ class _ArmView:
         limit = largest_shear(self._skin, X_fs[2, 3]) if self._skin is not None and options.friction else None
         self._friction.visible = limit is not None
         if limit is not None:
-            rim = limit * SHEAR_SCALE * np.stack([np.cos(_ROUND), np.sin(_ROUND), 0.0 * _ROUND], axis=1)
+            rim = limit * SHEAR_SCALE * np.stack([np.cos(ROUND), np.sin(ROUND), 0.0 * ROUND], axis=1)
             self._friction.points = np.stack([rim[:-1], rim[1:]], axis=1)
         if self._reference.visible and reference is not None:
             place(self._reference, T_base_f @ se3.pose_from_euler(reference))
@@ -295,38 +297,6 @@ def pose_at(state: ArmState, stamp_ns: int) -> Array | None:
         if row["stamp_ns"] <= stamp_ns:
             break
     return found
-
-
-def way_ahead(tip: Array, ahead: Array) -> Array:
-    """The way (n, 3) from the tip on: it is told twice a second, and the tip passes some points meanwhile."""
-    while len(ahead) > 1 and se3.norm(tip - ahead[1]) < max(
-        se3.norm(ahead[0] - ahead[1]), se3.norm(ahead[0] - tip)
-    ):
-        ahead = ahead[1:]
-    return np.concatenate([tip[None], ahead])
-
-
-def cone(mean: Array, cov: Array, scale: float, length: float = 0.02) -> Array:
-    """Segments (N, 2, 3) in {f}: the surface normal as it may be within two standard deviations, scaled.
-
-    `cov` (6, 6) as geometry_msgs has it: its rotation is fixed-axis in the sensor frame.
-    """
-    in_f = mean[:3, :3].T @ cov[3:, 3:] @ mean[:3, :3]
-    root = np.linalg.cholesky(in_f[:2, :2] + 1e-18 * np.eye(2))
-    tilts = 2.0 * scale * root @ np.stack([np.cos(_ROUND[:-1]), np.sin(_ROUND[:-1])])
-    angles = np.minimum(np.linalg.norm(tilts, axis=0), 1.5)
-    axes = tilts / np.maximum(np.linalg.norm(tilts, axis=0), 1e-12)
-    ends = -length * np.stack(
-        [np.sin(angles) * axes[1], -np.sin(angles) * axes[0], np.cos(angles)], axis=1
-    )  # outwards, turned about the axis
-    return np.stack([np.zeros_like(ends), ends], axis=1)
-
-
-def se3_of(R: Array, p: Array) -> Array:
-    """A pose (4, 4) of rotation and position."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, p
-    return T
 
 
 def _point(arrow: Any, start: Array, way: Array, wanted: bool) -> None:

@@ -131,7 +131,7 @@ class Page:
             self._motion.show(state, self.state.now_ns)
         if self._is_due("words", WORDS_PERIOD):
             set_html(self._words, state_in_words(state, self.view.skin(self.arm)))
-            set_html(self._troubles, troubles_in_words(self.state))
+            set_html(self._troubles, troubles_in_words(self.state, self.view.remarks))
             set_html(self._events, events_in_words(self.state))
 
     def _is_due(self, what: str, period: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any
 
@@ -113,9 +113,10 @@ def _task_lines(task: Any) -> list[str]:
     return [*lines, f"because {escape(task.reason)}"] if task.reason else lines
 
 
-def troubles_in_words(state: CellState) -> str:
-    """What nodes complain about, and what of their messages could not be read here."""
-    lines = [f"<b>{escape(node)}</b> {escape(text)}" for node, text in sorted(state.trouble.items())]
+def troubles_in_words(state: CellState, remarks: Mapping[str, str] | None = None) -> str:
+    """What nodes complain about, what of their messages could not be read, and remarks of arms, by name."""
+    told = {**state.trouble, **(remarks or {})}
+    lines = [f"<b>{escape(node)}</b> {escape(text)}" for node, text in sorted(told.items())]
     lines += [f"{count} messages on {escape(topic)} are none" for topic, count in state.refused.items()]
     return "<br>".join(lines) or "no node complains"
 

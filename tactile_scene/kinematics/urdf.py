@@ -40,6 +40,7 @@ class Description:
 
     Attributes
     ----------
+    path : of the file, beside which its meshes may lie
     text : the whole file
     root : its first link
     T_base_root : ndarray (4, 4)
@@ -47,6 +48,7 @@ class Description:
     joints : of all links; what slides is taken as fixed
     """
 
+    path: Path
     text: str
     root: str
     T_base_root: Array
@@ -83,10 +85,10 @@ def read_urdf(path: Path, base: str, flange: str) -> UrdfChain:
         raise UrdfError(f"{path}: holds <{root.tag}>, must hold <robot>; xacro has to be expanded")
     steps, turning, T = [], [], np.eye(4)
     for joint in _way(path, root, base, flange):
-        T = T @ _origin(joint)
+        T = T @ origin_of(joint)
         kind = joint.get("type")
         if kind in ("revolute", "continuous"):
-            to_axis = _z_to(_numbers(joint.find("axis"), "xyz", "1 0 0"))
+            to_axis = _z_to(three_numbers(joint.find("axis"), "xyz", "1 0 0"))
             steps.append(T @ to_axis)
             turning.append(joint)
             T = se3.inverse(to_axis)
@@ -109,16 +111,16 @@ def _description(path: Path, text: str, root: ElementTree.Element, base: str) ->
         first = parents.pop(first)
     T_root_base = np.eye(4)
     for joint in _way(path, root, first, base):
-        T_root_base = T_root_base @ _origin(joint)
-    return Description(text, first, se3.inverse(T_root_base), tuple(map(_link_joint, whole)))
+        T_root_base = T_root_base @ origin_of(joint)
+    return Description(path, text, first, se3.inverse(T_root_base), tuple(map(_link_joint, whole)))
 
 
 def _link_joint(joint: ElementTree.Element) -> LinkJoint:
     axis = None
     if joint.get("type") in ("revolute", "continuous"):
-        axis = _z_to(_numbers(joint.find("axis"), "xyz", "1 0 0"))[:3, 2]
+        axis = _z_to(three_numbers(joint.find("axis"), "xyz", "1 0 0"))[:3, 2]
     name, parent, child = str(joint.get("name")), _link(joint, "parent"), _link(joint, "child")
-    return LinkJoint(name, parent, child, _origin(joint), axis)
+    return LinkJoint(name, parent, child, origin_of(joint), axis)
 
 
 def _way(path: Path, root: ElementTree.Element, base: str, flange: str) -> list[ElementTree.Element]:
@@ -140,12 +142,15 @@ def _link(joint: ElementTree.Element, end: str) -> str:
     return str(element.get("link")) if element is not None else ""
 
 
-def _origin(joint: ElementTree.Element) -> Array:
-    origin = joint.find("origin")
-    return se3.pose_from_euler([*_numbers(origin, "xyz", "0 0 0"), *_numbers(origin, "rpy", "0 0 0")])
+def origin_of(item: ElementTree.Element) -> Array:
+    """The pose (4, 4) that the <origin> of a joint or a visual says; `UrdfError` where it is none."""
+    origin = item.find("origin")
+    xyz, rpy = (three_numbers(origin, key, "0 0 0") for key in ("xyz", "rpy"))
+    return se3.pose_from_euler([*xyz, *rpy])
 
 
-def _numbers(element: ElementTree.Element | None, key: str, default: str) -> Array:
+def three_numbers(element: ElementTree.Element | None, key: str, default: str) -> Array:
+    """Those of an attribute (3,), by default those of a text; `UrdfError` where they are none."""
     text = default if element is None else element.get(key, default)
     try:
         numbers = np.array([float(word) for word in text.split()])

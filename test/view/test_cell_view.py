@@ -9,7 +9,8 @@ from tactile_base import topics
 from tactile_bringup.launching.page_process import free_port
 from tactile_scene.scene_file import load_scene
 from tactile_view.cell_state import CellState
-from tactile_view.cell_view import SHEAR_SCALE, CellView, way_ahead
+from tactile_view.cell_view import SHEAR_SCALE, CellView
+from tactile_view.drawing import way_ahead
 from tactile_view.words import state_in_words
 
 SECONDS = 0.1
