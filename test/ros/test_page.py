@@ -25,9 +25,9 @@ def viewer(cell, tmp_path_factory):
 def field(viewer: Viewer, name: str):
     """The field in which the value of a setting is typed."""
     viewer.page.get_by_role("tab", name="Settings").click()
-    row = viewer.page.get_by_text(name, exact=True).locator("xpath=ancestor::*[.//input][1]")
-    row.first.wait_for(timeout=1e3 * PATIENCE)
-    return row.first.locator("input").last
+    row = viewer.row(name)
+    row.wait_for(timeout=1e3 * PATIENCE)
+    return row.locator("input").last
 
 
 def told(cell: Cell, viewer: Viewer, text: str) -> bool:

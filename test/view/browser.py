@@ -70,6 +70,19 @@ class Viewer:
         data = self.page.locator("canvas").first.screenshot()
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
 
+    def row(self, name: str):
+        """What stands beside a name, its input among it."""
+        return self.page.get_by_text(name, exact=True).locator("xpath=ancestor::*[.//input][1]").first
+
+    def choose(self, name: str, option: str) -> None:
+        """Another value of a list to choose from."""
+        self.row(name).locator("input").first.click()
+        self.page.get_by_role("option", name=option).click()
+
+    def images(self) -> str:
+        """What the images of the page hold now."""
+        return self.page.evaluate("[...document.querySelectorAll('img')].map(each => each.src).join()")
+
     def close(self) -> None:
         self.page.close()
         if self.process.poll() is None:

@@ -18,11 +18,6 @@ def viewer(tmp_path_factory):
         viewer.close()
 
 
-def image_of(viewer: Viewer) -> str:
-    """What the pictures of the page hold now."""
-    return viewer.page.evaluate("[...document.querySelectorAll('img')].map(each => each.src).join()")
-
-
 def test_the_scene_is_drawn_and_the_numbers_stand_beside_it(viewer):
     assert viewer.sees("follow") and viewer.sees("depth 3.00 mm")
     assert wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100), "the scene is empty"
@@ -33,21 +28,26 @@ def test_the_tactile_image_moves(viewer):
     viewer.page.get_by_text("play / pause").click()  # it may have come to its end: from the start again
     if "paused" in viewer.text():
         viewer.page.get_by_text("play / pause").click()
-    first = image_of(viewer)
-    assert wait(lambda: image_of(viewer) != first)
+    first = viewer.images()
+    assert wait(lambda: viewer.images() != first)
+
+
+def still(viewer: Viewer) -> bool:
+    """Whether the images stay as they are; at first one may be on its way to the browser."""
+    before = viewer.images()
+    viewer.page.wait_for_timeout(700)
+    return viewer.images() == before
 
 
 def test_pause_holds_it_and_a_frame_goes_on(viewer):
     if "paused" not in viewer.text():
         viewer.page.get_by_text("play / pause").click()
     assert viewer.sees("paused")
-    viewer.page.wait_for_timeout(500)
-    held = image_of(viewer)
-    viewer.page.wait_for_timeout(700)
-    assert image_of(viewer) == held
+    assert wait(lambda: still(viewer)), "it goes on"
+    held = viewer.images()
     for _ in range(7):  # an image each six exposures
         viewer.page.get_by_text("frame ▶").click()
-    assert wait(lambda: image_of(viewer) != held)
+    assert wait(lambda: viewer.images() != held)
 
 
 def test_the_phases_are_listed_with_their_times(viewer):
