@@ -29,7 +29,7 @@ from tactile_perception.datasets.conventions import (
 from tactile_perception.datasets.dataset import TactileFolder
 from tactile_perception.datasets.layout import DatasetReport
 from tactile_perception.datasets.statistics import LabelStatistics, label_statistics
-from tactile_perception.datasets.table import CONVENTIONS_NAME, read_conventions
+from tactile_perception.datasets.table import CONVENTIONS_NAME, ConventionSettings, read_conventions
 from tactile_perception.datasets.visibility import Visibility
 from tactile_perception.estimating.image import Image, ImageError, read_image
 from tactile_perception.estimating.labels import EULER_COMPONENTS
@@ -268,10 +268,12 @@ def _report_conventions(result: CheckResult) -> None:
     if found.order == "extrinsic":
         result.add("ok", "angles", f"they turn about {turned[found.order]} (t = {found.order_t:+.1f})")
     elif found.order:
+        flips = [content["flip"] for content, _ in found.corrections(ConventionSettings())]
+        signs = " or ".join(f"`flip: [{', '.join(names)}]`" for names in flips if names)
         result.add(
             "error", "angles",
             f"they turn about {turned[found.order]} (t = {found.order_t:+.1f}): import the folder by a "
-            "mapping file with the line `euler: intrinsic xyz` (tactile data import --mapping)",
+            f"mapping file that says `euler: intrinsic xyz`{f' and, for the signs, {signs}' if signs else ''}",
         )  # fmt: skip
     else:
         text = f"too few samples tell extrinsic from intrinsic order (t = {found.order_t:+.1f}, 3 needed)"

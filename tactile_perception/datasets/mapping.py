@@ -4,6 +4,7 @@
     image: frame                      # column with the image's name, or its path from the folder
     pose_of: sensor in surface        # or: surface in sensor, which is inverted
     euler: extrinsic xyz              # or: intrinsic zyx, ..
+    flip: [gamma]                     # as sign: -1 of its columns; signs come before what turns poses
     pose:
       z: {column: depth, unit: mm}
       alpha: {column: roll, unit: rad, sign: -1}
@@ -63,6 +64,7 @@ class TableMapping:
     image : column of the image's name; "" for a mapping without columns, of a table with known ones
     pose, shear : (6,) of x, y, z, alpha, beta, gamma; a label is their sum
     force : (3,)
+    flip : components whose sign is changed first
     euler : in which order the angles turn about their axes
     inverted : whether the table has the surface in the sensor
     table : name of the file; "": the known one
@@ -72,6 +74,7 @@ class TableMapping:
     pose: tuple[Column | None, ...] = (None,) * 6
     shear: tuple[Column | None, ...] = (None,) * 6
     force: tuple[Column | None, ...] = (None,) * 3
+    flip: tuple[str, ...] = ()
     euler: str = _EXTRINSIC
     inverted: bool = False
     table: str = ""
@@ -108,6 +111,8 @@ class TableMapping:
 
         Their sum is that of the table, converted as one pose; what is left of it beside the pose is shear.
         """
+        signs = np.where([name in self.flip for name in EULER_COMPONENTS], -1.0, 1.0)
+        pose, shear = signs * pose, signs * shear
         if self.euler == _EXTRINSIC and not self.inverted:
             return pose, shear
         contact = self._surface_contact_pose(pose)
@@ -128,12 +133,13 @@ class TableMapping:
 def read_mapping(path: Path) -> TableMapping:
     """A mapping file; `SettingError` says what is wrong in it, and in which line."""
     root = read_yaml(path)
-    root.allow("table", "image", "pose_of", "euler", "pose", "shear", "force")
+    root.allow("table", "image", "flip", "pose_of", "euler", "pose", "shear", "force")
     mapping = TableMapping(
         image=root.text("image", ""),
         pose=_columns(root.section("pose"), EULER_COMPONENTS),
         shear=_columns(root.section("shear"), EULER_COMPONENTS),
         force=_columns(root.section("force"), FORCE_COLUMNS),
+        flip=root.names("flip", list(EULER_COMPONENTS), ()),
         euler=root.choice("euler", _ORDERS, _EXTRINSIC),
         inverted=root.choice("pose_of", POSES, POSES[0]) == _INVERTED,
         table=root.text("table", ""),
@@ -145,8 +151,8 @@ def read_mapping(path: Path) -> TableMapping:
         root.fail("image is missing: the column with the image's name")
     if mapping.image and not mapping.labelled:
         root.fail("pose and shear name no column: at least one component must be labelled", "pose")
-    if not mapping.image and (mapping.euler, mapping.inverted) == (_EXTRINSIC, False):
-        root.fail("says nothing: neither image and pose, nor euler or pose_of that are not ours")
+    if not mapping.image and (mapping.euler, mapping.inverted, mapping.flip) == (_EXTRINSIC, False, ()):
+        root.fail("says nothing: neither image and pose, nor flip, euler or pose_of that are not ours")
     return mapping
 
 

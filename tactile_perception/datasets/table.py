@@ -136,10 +136,10 @@ def read_table(
         report.add("last row without a line end, so that it may be cut (left out)", names.pop())
         numbers.pop()
     whole = np.array(numbers).reshape(-1, 15)
-    pose, shear = mapping.converted(whole[:, :6], whole[:, 6:12])
+    factors = conventions.factors()  # signs and units first: a conversion takes what they make of the table
+    pose, shear = mapping.converted(factors * whole[:, :6], factors * whole[:, 6:12])
     _note_sums(path, pose, shear, report)
-    factors = conventions.factors()
-    return list(map(Row, names, factors * pose, factors * shear, whole[:, 12:])), mapping
+    return list(map(Row, names, pose, shear, whole[:, 12:])), mapping
 
 
 def read_header(path: Path) -> list[str]:

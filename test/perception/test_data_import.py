@@ -84,13 +84,14 @@ def mapping_file(tmp_path: Path, text: str) -> Path:
     inverted=st.booleans(),
     pose=st.lists(st.floats(-80, 80), min_size=6, max_size=6),
     shear=st.lists(st.floats(-5, 5), min_size=6, max_size=6),
+    flip=st.sets(st.sampled_from(EULER_COMPONENTS)),
 )
-def test_any_order_of_angles_and_inverted_poses_become_ours(euler, inverted, pose, shear):
+def test_any_order_of_angles_and_inverted_poses_become_ours(euler, inverted, pose, shear, flip):
     kind, axes = euler.split()
-    contact, slid = TableMapping(euler=euler, inverted=inverted).converted(
-        np.array([pose]), np.array([shear])
-    )
-    for ours, theirs in ((contact, np.array(pose)), (contact + slid, np.add(pose, shear))):
+    mapping = TableMapping(euler=euler, inverted=inverted, flip=tuple(flip))
+    contact, slid = mapping.converted(np.array([pose]), np.array([shear]))
+    signs = np.array([-1.0 if name in flip else 1.0 for name in EULER_COMPONENTS])
+    for ours, theirs in ((contact, signs * pose), (contact + slid, signs * np.add(pose, shear))):
         angles = np.radians([theirs[3 + "xyz".index(axis)] for axis in axes])
         T = np.eye(4)
         T[:3, :3] = euler2mat(*angles, axes=("s" if kind == "extrinsic" else "r") + axes)
@@ -131,6 +132,15 @@ force:
     assert imported.rows[0].force.tolist() == [0.0, 0.0, 7.5]
     assert said["images"] == {"kind": "gray", "width": 80, "height": 60, "circular": False}
     np.testing.assert_allclose(read_dataset(tmp_path / "ours").euler_mm_deg, EULER, atol=1e-12)
+
+
+def test_signs_and_units_of_a_folder_come_before_what_its_poses_are_turned_by(tmp_path):
+    folder = public_folder(tmp_path / "theirs")
+    (folder / "conventions.json").write_text('{"flip": ["beta"], "length_unit": "m"}')
+    mapping = read_mapping(mapping_file(tmp_path, "pose_of: surface in sensor"))
+    imported, _ = import_folder(folder, tmp_path / "ours", mapping)
+    T = surface_contact_pose(EULER[3] * [1e3, 1e3, 1e3, 1, -1, 1])
+    np.testing.assert_allclose(surface_contact_pose(imported.euler_mm_deg[3]), np.linalg.inv(T), atol=1e-9)
 
 
 def test_a_mapping_without_columns_turns_poses_of_a_known_table(tmp_path):
