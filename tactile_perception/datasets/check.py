@@ -270,10 +270,11 @@ def _report_conventions(result: CheckResult) -> None:
     elif found.order:
         flips = [content["flip"] for content, _ in found.corrections(ConventionSettings())]
         signs = " or ".join(f"`flip: [{', '.join(names)}]`" for names in flips if names)
+        also = f" and, for the signs, {signs}" if signs else ""
         result.add(
             "error", "angles",
             f"they turn about {turned[found.order]} (t = {found.order_t:+.1f}): import the folder by a "
-            f"mapping file that says `euler: intrinsic xyz`{f' and, for the signs, {signs}' if signs else ''}",
+            f"mapping file that says `euler: intrinsic xyz`{also}",
         )  # fmt: skip
     else:
         text = f"too few samples tell extrinsic from intrinsic order (t = {found.order_t:+.1f}, 3 needed)"
