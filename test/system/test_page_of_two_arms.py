@@ -2,6 +2,7 @@
 
 import signal
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +45,19 @@ def test_both_arms_are_there_and_the_image_of_each_that_feels_moves(tmp_path, ta
         try:
             launch.wait_for("ROS domain")
             domain = launch.output.split("ROS domain ")[1].split()[0]
-            viewer = Viewer(browser, tmp_path, "--port", "0", ROS_DOMAIN_ID=domain)
-            for arm in ("leader", "follower"):
-                viewer.choose("arm", arm)
-                assert viewer.sees(f"commanded by /{arm}/controller")
-                if arm in FEELS[task]:
-                    first = viewer.images()
-                    assert wait(lambda first=first: viewer.images() != first), launch.output
-            assert wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100), "it is empty"
-            viewer.close()
+            with closing(Viewer(browser, tmp_path, "--port", "0", ROS_DOMAIN_ID=domain)) as viewer:
+                check(viewer, FEELS[task], launch)
             launch.process.send_signal(signal.SIGINT)
             launch.end()
         finally:
             launch.kill()
+
+
+def check(viewer: Viewer, feels: tuple[str, ...], launch: Launched) -> None:
+    for arm in ("leader", "follower"):
+        viewer.choose("arm", arm)
+        assert viewer.sees(f"commanded by /{arm}/controller")
+        if arm in feels:
+            first = viewer.images()
+            assert wait(lambda first=first: viewer.images() != first), launch.output
+    assert wait(lambda: len(np.unique(viewer.picture().reshape(-1, 3), axis=0)) > 100), "it is empty"
