@@ -29,7 +29,7 @@ from tactile_wire.pose_numbers import numbers_from_pose
 
 Array = NDArray[Any]
 
-NOT_COMPARED = ("latency.sec", "latency.nanosec")  # of the machine, not of the filter
+NOT_COMPARED = ("latency.sec", "latency.nanosec", "novelty")  # of machine and images, not of the filter
 _OF_BELIEFS = sum(BeliefFlag)
 
 

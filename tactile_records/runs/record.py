@@ -307,8 +307,6 @@ def columns(prefix: str, value: Any) -> dict[str, Array]:
 
 
 def from_columns(kind: Any, prefix: str, arrays: dict[str, Array]) -> Any:
-    """The data class that `columns` took apart."""
+    """The data class that `columns` took apart; what older files lack is as by default."""
     names = {f.name: f"{prefix}/{f.name}" for f in dataclasses.fields(kind)}
-    return kind(
-        **{name: arrays[key] for name, key in names.items() if key in arrays}
-    )  # older ones have fewer
+    return kind(**{name: arrays[key] for name, key in names.items() if key in arrays})

@@ -16,6 +16,7 @@ that may differ.
 from __future__ import annotations
 
 import functools
+import math
 import sys
 from dataclasses import dataclass
 
@@ -177,7 +178,8 @@ class EstimatorNode(ManagedNode):
 
     def publish_diagnostics(self) -> None:
         """Add how unlike the training images the latest ones are."""
-        if self.active and (measure := self.perceive.estimator.metadata.novelty) is not None:
+        measure = self.perceive.estimator.metadata.novelty if self.active else None
+        if measure is not None and not math.isnan(self.novelty.mean):
             mean = f"{self.novelty.mean:.2f}, usual is up to {measure.usual:.2f}, foreign above 1"
             self.report.values["mean novelty of images"] = mean
             if complaint := self.novelty.complaint(measure.usual):

@@ -25,7 +25,7 @@ from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
 from tactile_records.replay.run import agreement, run_filter
 from tactile_records.replay.sweep import base_settings
-from tactile_records.runs.from_bag import read_arms
+from tactile_records.runs.from_bag import read_arms, stamp_of
 from tactile_records.runs.metrics import report
 from tactile_scene.scene_file import load_scene
 
@@ -137,6 +137,17 @@ def test_every_frame_is_estimated_or_counted_as_lost(finished):
     exposed = record.truth.stamp_ns
     within = exposed[(exposed >= start) & (exposed <= end)]
     assert np.setdiff1d(within, answered).size <= missing
+
+
+def test_images_of_the_sensor_of_the_training_are_usual_and_states_and_presences_say_so(finished):
+    launch, record, values = finished
+    assert 0.0 < values["novelty"]["mean"] < values["novelty"]["max"] < 0.7
+    stamps, novelties = record.presence.stamp_ns.tolist(), record.presence.novelty.tolist()
+    pairs = zip(stamps[1:], zip(novelties, novelties[1:], strict=False), strict=True)
+    possible = dict(pairs)  # an estimate comes before the presence of its image
+    states = [message for _, message in read_bag(launch.folder / "bag").decoded("/arm/contact/state")]
+    fitting = [state.novelty in possible[stamp_of(state)] for state in states if stamp_of(state) in possible]
+    assert len(fitting) > 300 and np.mean(fitting) > 0.9
 
 
 def test_every_estimate_becomes_a_belief_and_a_command_or_is_counted(finished):
