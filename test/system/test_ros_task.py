@@ -143,7 +143,7 @@ def test_images_of_the_sensor_of_the_training_are_usual_and_states_and_presences
     launch, record, values = finished
     assert 0.0 < values["novelty"]["mean"] < values["novelty"]["max"] < 0.7
     stamps, novelties = record.presence.stamp_ns.tolist(), record.presence.novelty.tolist()
-    pairs = zip(stamps[1:], zip(novelties, novelties[1:], strict=False), strict=True)
+    pairs = zip(stamps[1:], itertools.pairwise(novelties), strict=True)
     possible = dict(pairs)  # an estimate comes before the presence of its image
     states = [message for _, message in read_bag(launch.folder / "bag").decoded("/arm/contact/state")]
     fitting = [state.novelty in possible[stamp_of(state)] for state in states if stamp_of(state) in possible]
