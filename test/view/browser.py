@@ -50,8 +50,9 @@ class Viewer:
         assert found, self.said
         self.address = found[0]
         self.page = browser.new_page(viewport={"width": 1400, "height": 850})
+        self.page.set_default_timeout(1e3 * PATIENCE)
         self.page.goto(self.address)
-        self.page.wait_for_selector("canvas", timeout=1e3 * PATIENCE)
+        self.page.wait_for_selector("canvas")
 
     @property
     def said(self) -> str:

@@ -36,8 +36,9 @@ def test_a_reader_follows_strings_that_change_from_message_to_message():
     read = MessageReader(PRESENCE)
     for k in range(200):
         frame = "x" * (k % 90)
-        layout, numbers = read(serialized(make(PRESENCE, header(k, frame), 0.5, 0.25, True, False), PRESENCE))
-        assert layout.texts == {"header.frame_id": frame} and numbers == (0, k, 0.5, 0.25, True, False)
+        message = make(PRESENCE, header(k, frame), 0.5, 0.25, True, False, 0.75)
+        layout, numbers = read(serialized(message, PRESENCE))
+        assert layout.texts == {"header.frame_id": frame} and numbers == (0, k, 0.5, 0.25, True, False, 0.75)
 
 
 def test_what_stands_before_the_elements_of_a_sequence_is_read_without_them():
