@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         with Progress() as progress:
             result = check(folder, settings, progress.update)
         if arguments.out is not None:
-            write_check(result, arguments.out / part)
+            _write(result, arguments.out / part)
         show(result, console)
         if arguments.out is not None:
             say(console, f"pictures and check.json: {arguments.out / part}")
@@ -108,7 +108,7 @@ def write_conventions(result: CheckResult) -> str:
     return f"{path}: written; every reader applies it from now on: {contents[0]}"
 
 
-def write_check(result: CheckResult, folder: Path) -> None:
+def _write(result: CheckResult, folder: Path) -> None:
     """Write pictures and `check.json`."""
     from tactile_perception.datasets import check_plots
 

@@ -20,12 +20,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tactile_sim.planar_friction import FrictionModel
 
@@ -104,7 +103,7 @@ class _Numbers:
         path = np.column_stack([finger[:, 0], np.array([_planar(row[1:], where) for row in finger])])
         turned = np.interp(force[:, 0], path[:, 0], np.unwrap(path[:, 3]))
         clean = (force[:, 1:] - np.median(force[:_QUIET, 1:], axis=0)) @ _TURN.T
-        world = np.einsum("nij,nj->ni", _rotations(turned), clean)
+        world = np.einsum("nij,nj->ni", _rotation(turned), clean)
         block = _planar(poses[:7], where), _planar(poses[7:], where)
         return Push(*block, path, np.column_stack([force[:, 0], world]))
 
@@ -171,15 +170,11 @@ def slide_of(push: Push) -> Slide:
     return Slide(load, np.array([*(R_mid.T @ (ends[1] - ends[0])), turn]))
 
 
-def grip_of(pushes: Sequence[Push]) -> float:
-    """Friction of the finger at the edge: what 95 % of its forces along stay below, over those across."""
-    ratios = []
-    for push in pushes:
-        slide = slide_of(push)
-        _, normal, _ = _nearest_edge(_in_block(push.finger[-1, 1:3], push.after))
-        along = normal[0] * slide.load[1] - normal[1] * slide.load[0]
-        ratios.append(abs(along) / max(float(normal @ slide.load[:2]), 1e-9))
-    return float(np.quantile(ratios, 0.95))
+def slope_of(push: Push, slide: Slide) -> float:
+    """The finger's force along the edge over that across."""
+    force = slide.load[:2]
+    _, normal, _ = _nearest_edge(_in_block(push.finger[-1, 1:3], push.after))
+    return abs(float(_left_of(normal) @ force)) / max(float(normal @ force), 1e-9)
 
 
 def predicted_end(push: Push, model: FrictionModel, length: float, grip: float) -> Array:
@@ -204,7 +199,7 @@ def predicted_end(push: Push, model: FrictionModel, length: float, grip: float) 
         if deep <= 0.0:
             continue
         arm = edge - CENTER
-        force = np.stack([np.cos(tilts), np.sin(tilts)], axis=1) @ np.array([normal, [-normal[1], normal[0]]])
+        force = np.stack([np.cos(tilts), np.sin(tilts)], axis=1) @ np.stack([normal, _left_of(normal)])
         torque = (arm[0] * force[:, 1] - arm[1] * force[:, 0]) / length
         motion = model.motion(np.column_stack([force, torque])) / [1.0, 1.0, length]
         move = _following(motion, arm, normal, _rotation(pose[2]).T @ (after - before), deep)
@@ -220,13 +215,13 @@ def end_error(push: Push, found: Array) -> tuple[float, float]:
 
 def _following(motion: Array, arm: Array, normal: Array, wanted: Array, deep: float) -> Array:
     """Of the motions (n, 3) that forces in the cone make, that which takes the edge along with the finger."""
-    edge = motion[:, :2] + motion[:, 2:] * [-arm[1], arm[0]]
-    side = np.array([-normal[1], normal[0]])
+    edge = motion[:, :2] + motion[:, 2:] * _left_of(arm)
+    side = _left_of(normal)
     slope = (edge @ side) / np.maximum(edge @ normal, 1e-9)
     asked = float(wanted @ side) / max(float(wanted @ normal), 1e-9)
     order = np.argsort(slope)
     chosen = np.array([np.interp(asked, slope[order], motion[order, axis]) for axis in range(3)])
-    gone = float((chosen[:2] + chosen[2] * np.array([-arm[1], arm[0]])) @ normal)
+    gone = float((chosen[:2] + chosen[2] * _left_of(arm)) @ normal)
     return np.asarray(chosen * deep / max(gone, 1e-9))
 
 
@@ -251,12 +246,15 @@ def _in_block(point: Array, pose: Array) -> Array:
     return np.asarray(_rotation(pose[2]).T @ (point - pose[:2]))
 
 
-def _rotation(angle: float) -> Array:
-    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+def _rotation(angle: ArrayLike) -> Array:
+    """Of angles (...), as (..., 2, 2)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
 
 
-def _rotations(angles: Array) -> Array:
-    return np.moveaxis(np.array([[np.cos(angles), -np.sin(angles)], [np.sin(angles), np.cos(angles)]]), 2, 0)
+def _left_of(vector: Array) -> Array:
+    """A vector (2,) turned by 90 degrees."""
+    return np.array([-vector[1], vector[0]])
 
 
 def _wrapped(angle: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from collections import Counter
 from pathlib import Path
@@ -70,6 +71,18 @@ def decoded(data: bytes, what: str) -> Image:
     if image is None:
         raise ImageError(f"{what}: is not a readable image (truncated or of another format)")
     return np.asarray(image, np.uint8)
+
+
+def packed(image: Image) -> str:
+    """As text for a model's metadata: a PNG in base64."""
+    done, data = cv2.imencode(".png", image)
+    assert done
+    return base64.b64encode(data.tobytes()).decode()
+
+
+def unpacked(text: str, what: str) -> Image:
+    """The reverse; `ValueError` if it is not in base64, `ImageError` if it is no image."""
+    return decoded(base64.b64decode(text, validate=True), what)
 
 
 def list_images(folder: Path) -> set[str]:

@@ -9,7 +9,6 @@ turned by a few degrees, as of a camera that has come loose.
 
 from __future__ import annotations
 
-import base64
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_perception.estimating.image import Image, ImageError, decoded
+from tactile_perception.estimating.image import Image, ImageError, packed, unpacked
 from tactile_perception.estimating.preprocessing import PreprocessingSettings
 
 Array = NDArray[np.float64]
@@ -53,16 +52,14 @@ class Layout:
         return cls(np.rint(total / len(np.asarray(images))).astype(np.uint8))
 
     def to_text(self) -> str:
-        """As text for a model's metadata: a PNG in base64."""
-        done, data = cv2.imencode(".png", self.mean)
-        assert done
-        return base64.b64encode(data.tobytes()).decode()
+        """As text for a model's metadata."""
+        return packed(self.mean)
 
     @classmethod
     def from_text(cls, text: str, size: int) -> Layout:
         """The reverse; `LayoutError` unless it is an image (size, size)."""
         try:
-            mean = decoded(base64.b64decode(text, validate=True), "layout")
+            mean = unpacked(text, "layout")
         except (ImageError, ValueError) as error:
             raise LayoutError(f"layout: is no image in base64: {error}") from error
         if mean.shape != (size, size):

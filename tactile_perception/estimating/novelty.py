@@ -9,7 +9,7 @@ pixels of
 
 tells real sensors apart better than a density of the network's features, or than what a subspace of training
 images leaves over (docs/results/perception.md). It cannot tell an image that differs in nothing but how its
-markers lie among each other::
+markers lie among each other, and hardly a blur, which the features tell::
 
     novelty = Novelty.fit(images)         # of the training images
     novelty(preprocessor(image))          # 1: the limit, beyond which the image is not believed
@@ -17,18 +17,16 @@ markers lie among each other::
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.input_file import parse_json
-from tactile_perception.estimating.image import Image, ImageError, decoded
+from tactile_perception.estimating.image import Image, ImageError, packed, unpacked
 
 Array = NDArray[np.float32]
 
@@ -100,7 +98,7 @@ class Novelty:
 
     def to_text(self) -> str:
         """As JSON with PNGs in base64, for a model's metadata."""
-        images = {"mean": _packed(self.mean), "spread": _packed(self.spread)}
+        images = {"mean": packed(self.mean), "spread": packed(self.spread)}
         return json.dumps({**images, "limit": self.limit, "usual": self.usual})
 
     @classmethod
@@ -108,9 +106,7 @@ class Novelty:
         """The reverse; `NoveltyError` says what is wrong."""
         try:
             values = parse_json(text)
-            mean, spread = (
-                decoded(base64.b64decode(values[n], validate=True), n) for n in ("mean", "spread")
-            )
+            mean, spread = (unpacked(values[name], name) for name in ("mean", "spread"))
             limit, usual = float(values["limit"]), float(values["usual"])
         except (ImageError, ValueError, TypeError, KeyError) as error:
             raise NoveltyError(f"novelty: must hold mean, spread, limit and usual: {error!r}") from error
@@ -162,9 +158,3 @@ def _left_out(images: Image, total: NDArray, squares: NDArray, count: int) -> ND
     scaled = images * (1.0 / 255.0)
     mean, spread = _moments(total - scaled, squares - scaled**2, count - 1)
     return np.asarray((((scaled - mean) / (spread + FLOOR)) ** 2).mean(axis=(1, 2)))
-
-
-def _packed(image: Image) -> str:
-    done, data = cv2.imencode(".png", image)
-    assert done
-    return base64.b64encode(data.tobytes()).decode()
