@@ -27,11 +27,7 @@ class TravelSettings(Settings):
         4.0, lower=0.1, upper=50.0, unit="1/s", doc="speed per distance left when coming to the goal"
     )
     height: float = setting(
-        0.02,
-        lower=0.0,
-        upper=1.0,
-        unit="m",
-        doc="sideways moves are made so far above the goal (along -z)",
+        0.02, lower=0.0, upper=1.0, unit="m", doc="sideways moves are made so far above the goal (along -z)"
     )
     position_tolerance: float = setting(
         0.0002, lower=1e-6, upper=0.05, unit="m", doc="the goal is reached within this"

@@ -62,12 +62,7 @@ class UrRobotSettings(Settings):
     payload: float = setting(0.0, lower=0.0, upper=50.0, unit="kg", doc="as installed")
     kinematics: str = setting("", doc="file of the arm whose joints it tells (config/arms); empty: zeros")
     joints: tuple[float, ...] = setting(
-        (0.0,) * 6,
-        length=6,
-        lower=-10.0,
-        upper=10.0,
-        unit="rad",
-        doc="angles at the start",
+        (0.0,) * 6, length=6, lower=-10.0, upper=10.0, unit="rad", doc="angles at the start"
     )
 
     @property

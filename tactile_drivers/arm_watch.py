@@ -47,11 +47,7 @@ class ArmWatch:
     """
 
     def __init__(
-        self,
-        limits: ArmLimits,
-        safety: SafetySettings,
-        tracking: TrackingSettings,
-        clock: Callable[[], int],
+        self, limits: ArmLimits, safety: SafetySettings, tracking: TrackingSettings, clock: Callable[[], int]
     ) -> None:
         self._limits, self._safety, self._clock = limits, safety, clock
         self._monitor = TrackingMonitor(limits, tracking)

@@ -96,11 +96,7 @@ class JointListener:
     """
 
     def __init__(
-        self,
-        node: ManagedNode,
-        topic: str,
-        names: Sequence[str],
-        on_update: Callable[[], None] | None = None,
+        self, node: ManagedNode, topic: str, names: Sequence[str], on_update: Callable[[], None] | None = None
     ) -> None:
         self.state: ArmState | None = None
         self.rates: Array | None = None

@@ -104,10 +104,7 @@ class ManagedNode(LifecycleNode):
             "name of the arm, first part of its frames' names",
         )
         self.priority = declare_read_only(
-            self,
-            "priority",
-            0,
-            "SCHED_FIFO priority 1..99 of the process, and locked memory; 0: neither",
+            self, "priority", 0, "SCHED_FIFO priority 1..99 of the process, and locked memory; 0: neither"
         )
         if not 0 <= self.priority <= LARGEST_PRIORITY:
             raise SettingError(f"parameter priority = {self.priority}: must lie in [0, {LARGEST_PRIORITY}]")

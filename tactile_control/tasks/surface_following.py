@@ -84,11 +84,7 @@ class FollowingGoal(Goal):
         "the length is then a failure",
     )
     target_radius: float = setting(
-        0.002,
-        lower=1e-6,
-        upper=0.05,
-        unit="m",
-        doc="the target is reached within this",
+        0.002, lower=1e-6, upper=0.05, unit="m", doc="the target is reached within this"
     )
 
     def __post_init__(self) -> None:

@@ -22,14 +22,7 @@ from tactile_records.replay.settings import (
     recorded_group,
     recorded_settings,
 )
-from tactile_records.replay.topics import (
-    ARM_POSE_PARTS,
-    NO_STAMP,
-    POSE,
-    Messages,
-    ReplayError,
-    TopicReader,
-)
+from tactile_records.replay.topics import ARM_POSE_PARTS, NO_STAMP, POSE, Messages, ReplayError, TopicReader
 from tactile_records.replay.transforms import Recording, connected, follow_pose, poses_at
 from tactile_records.runs.record import TruthSeries
 from tactile_wire.pose_numbers import gaussians_from_numbers

@@ -104,12 +104,7 @@ _HOW = (
 
 def _runs(one: Comparison) -> Html:
     rows = [
-        (
-            group.name,
-            code(run.source),
-            run.identity["scene"],
-            run.identity["task_file"],
-        )
+        (group.name, code(run.source), run.identity["scene"], run.identity["task_file"])
         for group in one.groups
         for run in group.runs
     ]

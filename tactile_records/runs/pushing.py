@@ -248,11 +248,7 @@ def summary(values: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     if push["follower"] is not None:
         rows += [
             (f"{push['follower']}: contact kept", percent(push["follower_contact_fraction"]), "100 %"),
-            (
-                f"{push['follower']}: depth RMS",
-                text(push["follower_depth_rms_mm"], "mm", 2),
-                "",
-            ),
+            (f"{push['follower']}: depth RMS", text(push["follower_depth_rms_mm"], "mm", 2), ""),
         ]
     return rows + loop_rows(values)
 

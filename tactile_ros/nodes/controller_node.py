@@ -43,13 +43,7 @@ from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_state
 from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
-from tactile_ros.task_messages import (
-    feedback_message,
-    named_goal,
-    path_message,
-    status_bytes,
-    with_settings,
-)
+from tactile_ros.task_messages import feedback_message, named_goal, path_message, status_bytes, with_settings
 from tactile_ros.task_node import ZERO, Run, TaskNode
 from tactile_scene.arm_settings import WorkspaceSettings
 from tactile_wire.errors import MessageError
