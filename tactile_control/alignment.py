@@ -50,10 +50,7 @@ class AlignmentSettings(Settings):
         doc="the sideways velocity is clipped to +- this; the integral does not wind up meanwhile",
     )
     ewma_decay: float = setting(
-        0.5,
-        lower=0.0,
-        upper=0.999,
-        doc="weight of the past in the moving average of the error whose derivative is taken",
+        0.5, lower=0.0, upper=0.999, doc="weight of the past in the average whose derivative is taken"
     )
     reference_bearing_deg: float = setting(
         0.0, lower=-90.0, upper=90.0, unit="deg", doc="bearing of the target that is steered to"

@@ -43,9 +43,7 @@ class ServoingSettings(Settings):
         doc="feedback reference contact pose: Euler (x, y, z, alpha, beta, gamma) of X_fs'",
     )
     tangent_space: str = setting(
-        "local",
-        choices=SPACES,
-        doc="tangent space of the error and of the gains: local (the paper's) or global",
+        "local", choices=SPACES, doc="tangent space of error and gains: local (the paper's) or global"
     )
     free_shear: bool = setting(
         False,

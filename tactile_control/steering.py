@@ -62,11 +62,7 @@ class SteeringSettings(Settings):
         2.0, lower=0.0, upper=100.0, unit="1/m", doc="standard deviation of b, whose mean is zero then"
     )
     heading_deviation: float = setting(
-        0.02,
-        lower=1e-4,
-        upper=1.0,
-        unit="rad",
-        doc="standard deviation of a measured heading from the model's",
+        0.02, lower=1e-4, upper=1.0, unit="rad", doc="standard deviation of measured headings from the model"
     )
     correlation: float = setting(
         0.002, lower=1e-5, upper=0.1, unit="m", doc="way over which deviations of the heading are alike"

@@ -57,8 +57,7 @@ class SurfaceSettings(Settings):
         0.0, lower=0.0, upper=10.0, unit="rad/s", doc="and turns at most so fast during it"
     )
     rests_at_first: bool = setting(
-        True,
-        doc="until the task's own phase begins the surface stands still; false: it may move by then, too",
+        True, doc="until the task's own phase begins the surface stands still; false: it may move then, too"
     )
     yields: float = setting(
         0.0, lower=0.0, upper=0.1, unit="m",
@@ -68,22 +67,14 @@ class SurfaceSettings(Settings):
         25.0, lower=0.0, upper=1000.0, unit="1/m", doc="largest curvature of the surface: 1 / its radius"
     )
     depth_error: float = setting(
-        0.001,
-        lower=1e-5,
-        upper=0.05,
-        unit="m",
-        doc="two believed depths are wrong by at most so much together",
+        0.001, lower=1e-5, upper=0.05, unit="m", doc="two believed depths are wrong by at most so much in sum"
     )
     normal_error: float = setting(
         0.03, lower=0.0, upper=0.5, unit="rad",
         doc="a believed normal may be off by so much all the time: on a way slid that adds up to a depth",
     )  # fmt: skip
     angle_error: float = setting(
-        0.07,
-        lower=1e-3,
-        upper=1.0,
-        unit="rad",
-        doc="two believed normals are wrong by at most so much together",
+        0.07, lower=1e-3, upper=1.0, unit="rad", doc="two believed normals are wrong by so much at most"
     )
     shear_error: float = setting(
         0.003, lower=1e-4, upper=0.05, unit="m", doc="a contact slides at most so far against its own shear"

@@ -39,11 +39,7 @@ class WatchdogSettings(Settings):
         0.02, lower=0.0, upper=1.0, unit="s", doc="a stamp may lie this far ahead of the clock"
     )
     start_timeout: float = setting(
-        10.0,
-        lower=0.1,
-        upper=60.0,
-        unit="s",
-        doc="wait this long, at rest, for inputs that have not come yet",
+        10.0, lower=0.1, upper=60.0, unit="s", doc="wait so long, at rest, for inputs that have not come yet"
     )
 
     @cached_property

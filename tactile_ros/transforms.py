@@ -145,9 +145,8 @@ class BeliefInputSettings(Settings):
     """How long the node waits for what it needs, and how often it publishes its frame."""
 
     tf_timeout: float = setting(
-        0.05, lower=0.0, upper=5.0, unit="s",
-        doc="an input waits this long for the sensor's pose at its stamp",
-    )  # fmt: skip
+        0.05, lower=0.0, upper=5.0, unit="s", doc="an input waits so long for the sensor's pose at its stamp"
+    )
     age_limit: float = setting(
         0.25, lower=0.0, upper=60.0, unit="s",
         doc="longer silence of an input is reported in /diagnostics; 0: never",

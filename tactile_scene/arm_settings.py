@@ -93,11 +93,7 @@ class SafetySettings(WorkspaceSettings):
         doc="largest speed of an arm with a sensor of which nothing is heard; turning, of the tip's surface",
     )  # fmt: skip
     reaction_time: float = setting(
-        0.02,
-        lower=0.0,
-        upper=1.0,
-        unit="s",
-        doc="from a state of the arm until its driver follows the answer",
+        0.02, lower=0.0, upper=1.0, unit="s", doc="from a state of the arm until its driver follows it"
     )
     future_tolerance: float = setting(
         0.02, lower=0.0, upper=1.0, unit="s", doc="a command may be stamped this far ahead of the clock"

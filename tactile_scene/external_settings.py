@@ -41,8 +41,7 @@ class ExternalArmSettings(Settings):
     joint_prefix: str = setting("", doc="what its joints' names have in front of those of the kinematics")
     joint_states: str = setting("/joint_states", doc="topic of its arm's joints (sensor_msgs/msg/JointState)")
     publish_tool: bool = setting(
-        False,
-        doc="whether base -> tool is published here, as kinematics and joints say; else it is taken from /tf",
+        False, doc="whether base -> tool is published here, from kinematics and joints; else /tf has it"
     )
 
     def joint_order(self, names: Sequence[str]) -> list[int]:

@@ -121,11 +121,7 @@ class IdealSensorSettings(Settings):
         (0.0109, 0.0139, 0.0254), unit="rad", lower=0.0, upper=1.0, length=3, doc="standard deviation of phi"
     )
     shear_depths: tuple[float, ...] = setting(
-        (0.0, 0.5e-3, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3),
-        unit="m",
-        lower=0.0,
-        upper=0.1,
-        doc="depths of the two tables of limits",
+        (0.0, 0.5e-3, 1e-3, 2e-3, 3e-3, 4e-3, 5e-3), unit="m", lower=0.0, upper=0.1, doc="of the limits below"
     )
     shear_limits: tuple[float, ...] = setting(
         (0.0, 0.39e-3, 0.88e-3, 2.18e-3, 3.77e-3, 5.68e-3, 7.88e-3),

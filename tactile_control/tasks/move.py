@@ -48,9 +48,8 @@ class MoveGoal(Goal):
         (), lower=-20.0, upper=20.0, unit="m", doc="of its origin in the arm's base, 3 numbers"
     )
     rotation_deg: tuple[float, ...] = setting(
-        (), lower=-360.0, upper=360.0, unit="deg",
-        doc="its rotation in the base about fixed x, y, z, 3 numbers; none: as it is",
-    )  # fmt: skip
+        (), lower=-360.0, upper=360.0, unit="deg", doc="turns about fixed x, y, z of the base; none: as it is"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

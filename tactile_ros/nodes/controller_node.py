@@ -56,11 +56,7 @@ class ControllerTimingSettings(Settings):
     """When the controller acts without being asked by a belief."""
 
     watchdog_period: float = setting(
-        0.02,
-        lower=0.001,
-        upper=0.05,
-        unit="s",
-        doc="a step is made at the latest this long after the last one",
+        0.02, lower=0.001, upper=0.05, unit="s", doc="a step is made at least this often"
     )
     idle_period: float = setting(
         0.1, lower=0.01, upper=1.0, unit="s", doc="without a task a zero twist is sent this often"
