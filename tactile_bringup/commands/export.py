@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
     from tactile_base.console import lasting_console, say
     from tactile_base.whole_file import check_folder
-    from tactile_records.runs.read_runs import read_runs
+    from tactile_records.runs.from_bag import read_runs
 
     form, sources = arguments.form, arguments.runs_of
     if form in ("parquet", "lerobot") and importlib.util.find_spec("pyarrow") is None:

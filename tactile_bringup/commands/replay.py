@@ -21,7 +21,7 @@ from tactile_bringup.commands.changes import add_job_options, add_set_option, re
 
 if TYPE_CHECKING:
     from tactile_records.replay.inputs import Inputs
-    from tactile_records.replay.plan import Plan
+    from tactile_records.replay.kept import Plan
     from tactile_records.replay.report import RunResult
 
 EXIT_OK, EXIT_DIFFERS, EXIT_USAGE = 0, 1, 2

@@ -33,7 +33,7 @@ def register(subparsers: Any) -> None:
 @refusing("report", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code: 0 where the task was done, 1 where not, 2 without a record."""
-    from tactile_records.runs.read_runs import read_runs
+    from tactile_records.runs.from_bag import read_runs
     from tactile_records.runs.report import FILES
 
     source: Path = arguments.run_of

@@ -287,4 +287,4 @@ def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions
 def numbers_of(run: Run) -> dict[str, Any]:
     """All numbers of the arm that pushes."""
     pusher = next(record for record in run.values() if record.work == Pushing.work)
-    return report_of(pusher).numbers(pusher, run)
+    return report_of(pusher.task).numbers(pusher, run)

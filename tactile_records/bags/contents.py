@@ -196,6 +196,5 @@ class Bag:
         try:
             return typestore(type_name, text) if text else None
         except DefinitionDamaged as error:
-            damaged = f"the definition of {type_name} {error}; the installed one is taken"
-            self.problems.append(damaged)
+            self.problems.append(f"the definition of {type_name} {error}; the installed one is taken")
             return None

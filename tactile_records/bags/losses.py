@@ -97,11 +97,7 @@ class Losses:
             Topic -> messages that the middleware says to have lost.
         """
         more = {topic: count - self.lost[topic] for topic, count in told.items()}
-        gaps = [
-            self.miss(topic, count, self._newest_ns(topic), now_ns)
-            for topic, count in more.items()
-            if count > 0
-        ]
+        gaps = [self.miss(topic, n, self._newest_ns(topic), now_ns) for topic, n in more.items() if n > 0]
         for (topic, _), sender in self._senders.items():
             gaps += [Gap(topic, UNKNOWN, sender.last_ns, end_ns) for end_ns in self._doubts(sender)]
         return gaps
@@ -121,6 +117,4 @@ class Losses:
         return [Gap(topic, UNKNOWN, self._newest_ns(topic), now_ns) for topic in sorted(self.late)]
 
     def _newest_ns(self, topic: str) -> int:
-        return max(
-            (sender.last_ns for (name, _), sender in self._senders.items() if name == topic), default=0
-        )
+        return max((each.last_ns for (name, _), each in self._senders.items() if name == topic), default=0)

@@ -16,7 +16,6 @@ from bisect import bisect_left
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol
 
 import zstandard
 
@@ -27,20 +26,6 @@ from tactile_records.bags.sqlite import SeekingSqlite
 from tactile_records.bags.unpacking import Unpacker
 
 LARGEST_WHOLE = 1_000_000_000  # bytes
-
-
-class Part(Protocol):
-    """One file of a bag: the times of its first and last message (ns), and what is between."""
-
-    @property
-    def start_ns(self) -> int: ...
-
-    @property
-    def end_ns(self) -> int: ...
-
-    def between(
-        self, start_ns: int, stop_ns: int, names: Collection[str] | None = None
-    ) -> Iterator[Recorded]: ...
 
 
 class InMemory:
@@ -56,6 +41,9 @@ class InMemory:
         """Messages of these topics, or of all, with start <= time of reception < stop."""
         first, last = (bisect_left(self._messages, ns, key=received) for ns in (start_ns, stop_ns))
         return (m for m in self._messages[first:last] if names is None or m.topic in names)
+
+
+Part = SeekingMcap | SeekingSqlite | InMemory  # one file of a bag
 
 
 class SeekableBag:

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from tactile_base.stamps import SECOND_NS
 from tactile_records.calibrating import tip
 from tactile_records.calibrating.result import CalibrationError
-from tactile_records.calibrating.touches import poses_at, touches_of
+from tactile_records.calibrating.touches import touches_of
 from tactile_records.runs.euler_poses import inverses
 from tactile_records.runs.record import RunRecord
 
@@ -101,7 +101,7 @@ def contacts_of(record: RunRecord) -> tuple[Contact, ...]:
     estimate = record.estimate
     known = record.pose.stamp_ns.min() <= estimate.stamp_ns
     estimate = estimate.rows(known & (estimate.stamp_ns <= record.pose.stamp_ns.max()))
-    T = poses_at(record.pose, estimate.stamp_ns)
+    T = record.pose.at(estimate.stamp_ns)
     splits = np.flatnonzero(np.diff(estimate.stamp_ns) > _GAP) + 1
     each = zip(np.split(T, splits), np.split(estimate.mean, splits), strict=True)
     return tuple(_contact(T_one, mean, into) for T_one, mean in each if len(mean))

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from tactile_records.runs.record import PoseSeries, RunRecord
+from tactile_records.runs.record import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -42,18 +42,6 @@ class Touch:
     score: Array
 
 
-def poses_at(poses: PoseSeries, stamp_ns: Array) -> Array:
-    """T_base_sensor (N, 4, 4) at stamps within the series, between poses on a line and a great circle."""
-    stamps, first = np.unique(poses.stamp_ns, return_index=True)
-    T = poses.T_base_sensor[first]
-    seconds, wanted = (stamps - stamps[0]) * 1e-9, (np.asarray(stamp_ns) - stamps[0]) * 1e-9
-    out = np.tile(np.eye(4), (len(wanted), 1, 1))
-    out[:, :3, :3] = Slerp(seconds, Rotation.from_matrix(T[:, :3, :3]))(wanted).as_matrix()
-    for axis in range(3):
-        out[:, axis, 3] = np.interp(wanted, seconds, T[:, axis, 3])
-    return out
-
-
 def touches_of(record: RunRecord) -> list[Touch]:
     """All touches of a run, in their order; empty where its presence never changes."""
     presence = record.presence
@@ -61,7 +49,7 @@ def touches_of(record: RunRecord) -> list[Touch]:
         return []
     low, high = record.pose.stamp_ns.min(), record.pose.stamp_ns.max()
     presence = presence.rows((presence.stamp_ns >= low) & (presence.stamp_ns <= high))
-    T = poses_at(record.pose, presence.stamp_ns)
+    T = record.pose.at(presence.stamp_ns)
     begins = np.flatnonzero(presence.in_contact[1:] & ~presence.in_contact[:-1]) + 1
     groups = [group for begin in begins if (group := _beginning(T, presence.score, int(begin))) is not None]
     if not groups:

@@ -65,9 +65,7 @@ class _Axis:
         steps = np.diff(stamps) * 1e-9
         steps[(steps > GAP) | (steps < 0.0)] = GAP
         seconds = np.concatenate([np.zeros(min(1, len(stamps))), np.cumsum(steps)])
-        self.stamps, first = np.unique(
-            stamps, return_index=True
-        )  # of a stamp that comes twice the first time
+        self.stamps, first = np.unique(stamps, return_index=True)  # of one that comes twice the first time
         self.seconds = seconds[first]
         length = float(seconds[-1]) if len(seconds) else 0.0
         self.gap = max(0.9 * GAP, 3.0 * length / MOST_POINTS)  # s between points that are not joined

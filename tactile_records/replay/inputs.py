@@ -69,7 +69,7 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
     """Inputs of a bag that was read before; see `read_inputs`."""
     reader = TopicReader(bag)
     remarks: list[str] = []
-    names = sorted(name for name in reader.arm_names() if bag.counts.get(ESTIMATE.of(name).name))
+    names = sorted(arm for topic, count in bag.counts.items() if (arm := ESTIMATE.arm_of(topic)) and count)
     if not names:
         topics = ", ".join(sorted(bag.topics)) or "none"
         raise ReplayError(
@@ -103,12 +103,8 @@ def inputs_of(bag: Bag, base_frame: str = "") -> Inputs:
         remarks.insert(0, f"bag not complete: {bag.problem}")
     if not arms:
         raise ReplayError(f"{bag.folder}: no arm can be replayed: " + "; ".join(remarks))
-    return Inputs(bag, arms, remarks, _span_s(bag))
-
-
-def _span_s(bag: Bag) -> float:
     times = [message.received_ns for message in bag.messages]
-    return (max(times) - min(times)) * 1e-9 if times else 0.0
+    return Inputs(bag, arms, remarks, (max(times) - min(times)) * 1e-9 if times else 0.0)
 
 
 def _assign_epochs(recording: Recording, track: Track, limits: MotionLimits) -> list[str]:

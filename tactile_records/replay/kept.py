@@ -1,4 +1,7 @@
-"""Results of the runs of a sweep, kept until all of them are there: the same command goes on after an end."""
+"""What the runs of a sweep are to be, and their results.
+
+Those are kept until all of them are there: the same command goes on after an end.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,32 @@ import json
 import shutil
 import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tactile_base.whole_file import whole_file
-from tactile_records.replay.plan import Plan
+from tactile_filter.bayes_filter import FilterSettings
 from tactile_records.replay.report import RunResult
 from tactile_records.replay.run import Agreement
 from tactile_records.runs.record import BeliefSeries, columns, from_columns
 
 FOLDER = ".runs"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One run: its name, the bag that it writes, and the settings of each arm's filter.
+
+    `given` are the names of settings that do not follow the changes in the recording.
+    """
+
+    name: str
+    bag: Path
+    settings: Mapping[str, FilterSettings]
+    given: frozenset[str] = frozenset()
 
 
 class KeptRuns:

@@ -16,9 +16,8 @@ from tactile_filter.bayes_filter import FilterSettings
 from tactile_filter.filter_settings import load_filter_settings
 from tactile_records.bags.contents import Recorded
 from tactile_records.replay.inputs import Inputs
-from tactile_records.replay.kept import FOLDER, KeptRuns
+from tactile_records.replay.kept import FOLDER, KeptRuns, Plan
 from tactile_records.replay.output import write_bag
-from tactile_records.replay.plan import Plan
 from tactile_records.replay.report import RunResult
 from tactile_records.replay.run import agreement, run_filter, series_of, smooth_run
 from tactile_records.replay.settings import NAMES, recorded_settings

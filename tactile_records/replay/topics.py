@@ -94,10 +94,6 @@ class TopicReader:
         for order, message in enumerate(bag.messages):
             self._by_topic.setdefault(message.topic, []).append((order, message))
 
-    def arm_names(self) -> set[str]:
-        """Arms that estimates are published of."""
-        return {arm for topic in self.bag.types if (arm := ESTIMATE.arm_of(topic))}
-
     def with_places(self, *topics: str) -> list[tuple[int, Recorded]]:
         """The messages of some topics, with their places in the recording."""
         return [entry for name in topics for entry in self._by_topic.get(name, [])]

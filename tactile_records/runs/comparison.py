@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tactile_base.input_file import parse_json
+from tactile_records.runs.from_bag import of_arms, read_runs
 from tactile_records.runs.metrics import without_nan
-from tactile_records.runs.read_runs import of_arms, read_runs
 from tactile_records.runs.report import report_of
 from tactile_records.runs.settings_given import plain, settings_of
 
@@ -113,7 +113,7 @@ def _runs_of(source: Path) -> Iterator[ComparedRun]:
         return
     records = read_runs(source)
     for record in records.values():
-        values = without_nan(report_of(record).numbers(record, records))
+        values = without_nan(report_of(record.task).numbers(record, records))
         yield _of_report(str(source), {**values, "settings": record.settings})
 
 

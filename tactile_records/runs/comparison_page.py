@@ -26,7 +26,7 @@ from tactile_records.runs.comparison import (
 )
 from tactile_records.runs.figures import BELIEF, ESTIMATE, style
 from tactile_records.runs.page import code, shown
-from tactile_records.runs.report import REPORTS
+from tactile_records.runs.report import report_of
 
 PAGE, NUMBERS = "compare.html", "compare.json"
 MOST_PANELS = 12  # of the picture
@@ -47,7 +47,7 @@ class Comparison:
         self.groups = groups_of(runs)
         self.settings = differing_settings([group.runs[0] for group in self.groups])
         self.differences = differences(self.groups)
-        self._fields = _fields_of(runs[0].identity["task"])
+        self._fields = report_of(runs[0].identity["task"]).fields
 
     def meaning(self, number: str) -> str:
         """What a number of a report is, in words."""
@@ -58,10 +58,6 @@ class Comparison:
     def larger(self) -> list[Difference]:
         """Those that are larger than the spread."""
         return [found for found in self.differences if found.verdict == LARGER]
-
-
-def _fields_of(task: str) -> dict[str, str]:
-    return dict(REPORTS.load(task if task in REPORTS.names() else "trajectory").fields)
 
 
 def compared(runs: Sequence[ComparedRun]) -> list[Comparison]:

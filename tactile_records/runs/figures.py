@@ -6,9 +6,9 @@ band of two standard deviations, the reference green. Needs matplotlib; draws wi
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,8 @@ STYLE: dict[Any, Any] = {
     "legend.edgecolor": "none",
     "legend.fontsize": 9,
 }
+#: The look of all pictures.
+style = functools.partial(plt.rc_context, STYLE)
 LATENCY_REQUIREMENT = {"p50": 8.0, "p99": 25.0}  # ms
 
 
@@ -98,13 +100,6 @@ def reference_of(record: RunRecord) -> Array:
     """The reference contact pose (6,) at the end of the run; NaN where there was none."""
     known = np.isfinite(record.command.reference).all(axis=1)
     return np.asarray(record.command.reference[known][-1]) if known.any() else np.full(6, np.nan)
-
-
-@contextmanager
-def style() -> Iterator[None]:
-    """The look of all pictures."""
-    with plt.rc_context(STYLE):
-        yield
 
 
 # ---- contact ----

@@ -1,9 +1,10 @@
-"""Turns a recorded bag into a `RunRecord`: the streams of one arm as arrays, for metrics and figures."""
+"""Turns a recorded bag into a `RunRecord` of each arm, its streams as arrays; reads those kept, too."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,6 +45,20 @@ def read_arms(folder: Path) -> dict[str, RunRecord]:
     if not arms:
         raise ValueError(f"{folder}: no arm in this bag has a controller: there is no run to report on")
     return {arm: run_from_bag(bag, arm) for arm in arms}
+
+
+def of_arms(folder: Path, name: str) -> list[Path]:
+    """The files of that name in a folder of results: of one arm, or in a folder of each of several."""
+    return [folder / name] if (folder / name).exists() else sorted(folder.glob(f"*/{name}"))
+
+
+def read_runs(source: Path) -> dict[str, RunRecord]:
+    """Records by arm, of a bag, a run.npz, or a folder with one of an arm or of each.
+
+    `BagError` or `ValueError` where it is none of them, or damaged.
+    """
+    files = [source] if source.suffix == ".npz" else of_arms(source, "run.npz")
+    return {record.arm: record for record in map(RunRecord.load, files)} if files else read_arms(source)
 
 
 def run_from_bag(bag: Bag, arm: str) -> RunRecord:
@@ -93,11 +108,12 @@ def _rows_of_three(given: list[list[float] | None]) -> Array:
     return np.array([row or [np.nan] * 3 for row in given], dtype=float).reshape(-1, 3)
 
 
+@dataclass
 class _Rows:
     """Decoded messages of one arm, as rows of a series in the order of their stamps."""
 
-    def __init__(self, bag: Bag, arm: str) -> None:
-        self.bag, self.arm = bag, arm
+    bag: Bag
+    arm: str
 
     def rows(self, topic: str, row: Callable[[Any], R | None]) -> list[R]:
         """What `row` makes of each message, but None; a message of which it makes nothing is a problem."""
@@ -142,14 +158,8 @@ def transform_matrix(transform: Any) -> Array:
 
 
 def _matrix(position: Any, orientation: Any) -> Array:
-    q = np.array([orientation.w, orientation.x, orientation.y, orientation.z])
-    w, x, y, z = _finite(q / (np.linalg.norm(q) or np.nan), "its orientation")
     T = np.eye(4)
-    T[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
+    T[:3, :3] = se3.rotation_from_quaternion([getattr(orientation, axis) for axis in "xyzw"])
     T[:3, 3] = _finite(np.array([position.x, position.y, position.z]), "its position")
     return T
 
@@ -168,12 +178,8 @@ def truth_row(message: Any) -> dict[str, Any]:
     """Columns of `TruthSeries`."""
     T_fs = se3.pose_from_euler(np.asarray(message.euler))
     T_fs[2, 3] = message.depth
-    return {
-        "stamp_ns": stamp_of(message),
-        "T_fs": T_fs,
-        "slip_fraction": message.slip_fraction,
-        "in_contact": message.in_contact,
-    }
+    row = {"stamp_ns": stamp_of(message), "T_fs": T_fs}
+    return row | {name: getattr(message, name) for name in ("slip_fraction", "in_contact")}
 
 
 def gaussian_row(message: Any) -> dict[str, Any]:
@@ -198,18 +204,14 @@ def _belief_row(message: Any) -> dict[str, Any] | None:
 
 def _presence_row(message: Any) -> dict[str, Any]:
     novelty = getattr(message, "novelty", math.nan)  # earlier recordings have none
-    answer = {"score": message.score, "in_contact": message.in_contact, "novelty": novelty}
-    return {"stamp_ns": stamp_of(message), **answer}
+    row = {"stamp_ns": stamp_of(message), "score": message.score}
+    return row | {"in_contact": message.in_contact, "novelty": novelty}
 
 
 def _command_row(message: Any) -> dict[str, Any]:
     same = ("unlimited", "error", "feedforward", "reference", "phase", "goal")
-    return {
-        "stamp_ns": stamp_of(message),
-        "twist": message.limited,
-        **{name: getattr(message, name) for name in same},
-        "exposure_ns": _ns(message.belief_stamp),
-    }
+    row = {"stamp_ns": stamp_of(message), "twist": message.limited, "exposure_ns": _ns(message.belief_stamp)}
+    return row | {name: getattr(message, name) for name in same}
 
 
 def _arm_row(message: Any) -> dict[str, Any]:
@@ -245,9 +247,7 @@ def _latency(rows: _Rows) -> tuple[dict[str, StageSeries], dict[str, int]]:
         if frames:
             by_stage.setdefault(stage, []).extend(frames)
     series, lost = {}, {}
-    for stage in sorted(
-        filter(by_stage.get, by_stage), key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)
-    ):
+    for stage in sorted(by_stage, key=lambda name: STAGES.index(name) if name in STAGES else len(STAGES)):
         stamps, seconds_each, counts = zip(*sorted(by_stage[stage]), strict=True)
         series[stage] = StageSeries(np.array(stamps), np.array(seconds_each))
         lost[stage] = max(counts) - counts[0]

@@ -148,15 +148,6 @@ def normal_angle(X_fs: Array, reference: Array) -> Array:
     return angle
 
 
-def depth_sigma(series: GaussianSeries) -> Array:
-    """Standard deviation (N,) m of the depth of X_fs under the left covariance of X_sf = X_fs^-1.
-
-    X_fs = mean^-1 exp(-eps^), so its position moves by -R_fs rho.
-    """
-    row = inverses(series.mean)[:, 2, :3]
-    return np.sqrt(np.einsum("ni,nij,nj->n", row, series.cov[:, :3, :3], row))
-
-
 def oscillation(record: RunRecord) -> dict[str, float]:
     """Strongest sinusoid above `OSCILLATION_ABOVE` in true depth and tilt, of all paths, once settled."""
     found = {"depth_mm": 0.0, "depth_hz": np.nan, "normal_deg": 0.0, "normal_hz": np.nan}
@@ -292,7 +283,7 @@ def _consistency(record: RunRecord) -> dict[str, float | int]:
     belief = record.belief
     mine, true = _matched(record, belief)
     error = depth_of(inverses(belief.mean[mine])) - depth_of(record.truth.T_fs[true])
-    within = np.abs(error) <= 2.0 * depth_sigma(belief)[mine]
+    within = np.abs(error) <= 2.0 * euler_sigmas(belief.rows(mine))[:, 2]
     with_nis = np.isfinite(belief.nis[mine]) & (belief.nis_dof[mine] > 0)
     per_dof = belief.nis[mine][with_nis] / belief.nis_dof[mine][with_nis]
     return {

@@ -57,7 +57,7 @@ def _ends(values: Mapping[str, dict[str, Any]]) -> Iterator[Html]:
 def _summary(run: Run, values: Mapping[str, dict[str, Any]]) -> Html:
     rows = []
     for arm, numbers in values.items():
-        for name, value, wanted in report_of(run[arm]).summary(numbers):
+        for name, value, wanted in report_of(run[arm].task).summary(numbers):
             met = is_met(value, wanted)
             mark = "" if met is None else element("span", "yes" if met else "no", class_=_CLASS[met])
             rows.append((f"{arm}: {name}" if len(run) > 1 else name, value, wanted, mark))
@@ -86,7 +86,7 @@ def _number(text: str) -> float | None:
 
 
 def _pictures(record: RunRecord, place: Path) -> Iterator[Html]:
-    there = [place / name for name in report_of(record).pictures if (place / name).exists()]
+    there = [place / name for name in report_of(record.task).pictures if (place / name).exists()]
     for path in there:
         yield picture(path, f"{path.stem.replace('_', ' ')} of {record.arm}")
     if not there:

@@ -24,7 +24,6 @@ from tactile_records.runs.figures import BELIEF, CONTACT_PICTURES, REFERENCE, SU
 from tactile_records.runs.metrics import depth_of, largest, loop_rows, percent, rms, task_row, text
 from tactile_records.runs.record import RunRecord
 from tactile_records.runs.report import Run, TaskReport
-from tactile_records.runs.tracking import poses_at
 
 Array = NDArray[Any]
 
@@ -87,7 +86,7 @@ class Contacts:
 
 def contacts(record: RunRecord, stamp_ns: Array, X_fs: Array) -> Contacts:
     """Contacts of an arm with these contact poses (N, 4, 4) at these stamps."""
-    T = record.T_world_base @ poses_at(record.pose, stamp_ns) if len(stamp_ns) else np.zeros((0, 4, 4))
+    T = record.T_world_base @ record.pose.at(stamp_ns)
     inward = np.einsum("nij,nj->ni", T[:, :3, :3], X_fs[:, 2, :3])  # {f}'s z axis in the world
     return Contacts(
         stamp_ns,
@@ -144,7 +143,7 @@ def body_poses(record: RunRecord) -> tuple[Array, Array, bool]:
     if not len(belief) or not len(record.loose.outline) or len(record.pose) < 2:
         return np.zeros(0, np.int64), np.zeros((0, 4, 4)), False
     stamps, X_fs = _within(record, belief.stamp_ns, inverses(belief.mean))
-    T_world_contact = record.T_world_base @ poses_at(record.pose, stamps) @ inverses(X_fs)
+    T_world_contact = record.T_world_base @ record.pose.at(stamps) @ inverses(X_fs)
     return stamps, T_world_contact @ (se3.inverse(T_world_contact[0]) @ record.loose.T_world_start), False
 
 

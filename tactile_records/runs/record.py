@@ -24,6 +24,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_geometry import se3
+
 Array = NDArray[Any]
 T = TypeVar("T", bound="Series")
 
@@ -70,6 +72,14 @@ class PoseSeries(Series):
     """The sensor in the arm's base, as the arm reported it."""
 
     T_base_sensor: Array = _array(4, 4)
+
+    def at(self, stamp_ns: Array) -> Array:
+        """The poses (N, 4, 4) at stamps within the series, interpolated on SE(3)."""
+        after = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self) - 1)
+        first, second = self.stamp_ns[after - 1], self.stamp_ns[after]
+        part = (stamp_ns - first) / np.maximum(second - first, 1)
+        pairs = zip(self.T_base_sensor[after - 1], self.T_base_sensor[after], part, strict=True)
+        return np.array([se3.interpolate(a, b, float(u)) for a, b, u in pairs]).reshape(-1, 4, 4)
 
 
 @dataclass

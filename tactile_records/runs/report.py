@@ -55,9 +55,9 @@ REPORTS: Registry[TaskReport] = Registry(
 )
 
 
-def report_of(record: RunRecord) -> TaskReport:
-    """The report of an arm's task."""
-    return REPORTS.load(record.task if record.task in REPORTS.names() else "trajectory")
+def report_of(task: str) -> TaskReport:
+    """The report of a task."""
+    return REPORTS.load(task if task in REPORTS.names() else "trajectory")
 
 
 def write_reports(run: Run, folder: Path) -> dict[str, dict[str, Any]]:
@@ -92,7 +92,7 @@ def places(run: Run, folder: Path) -> dict[str, Path]:
 def write_numbers(run: Run, arm: str, path: Path) -> dict[str, Any]:
     """Write one arm's numbers, with its settings and its origin (`RunRecord`), and return the numbers."""
     record = run[arm]
-    values: dict[str, Any] = metrics.without_nan(report_of(record).numbers(record, run))
+    values: dict[str, Any] = metrics.without_nan(report_of(record.task).numbers(record, run))
     kept = {"settings": record.settings, "origin": record.origin}
     path.write_text(json.dumps(values | kept, indent=2) + "\n")
     return values
@@ -102,13 +102,13 @@ def write_pictures(run: Run, arm: str, folder: Path) -> list[Path]:
     """Draw one arm's pictures; returns their paths."""
     from tactile_records.runs.figures import draw_all  # matplotlib takes a second to load
 
-    return draw_all(report_of(run[arm]).pictures, run, arm, folder)
+    return draw_all(report_of(run[arm].task).pictures, run, arm, folder)
 
 
 def summary(run: Run, values: Mapping[str, dict[str, Any]]) -> list[tuple[str, str, str]]:
     """What a person wants to see first, of all arms: (name, value with unit, requirement)."""
     rows = []
     for arm, numbers in values.items():
-        for name, value, requirement in report_of(run[arm]).summary(numbers):
+        for name, value, requirement in report_of(run[arm].task).summary(numbers):
             rows.append((f"{arm}: {name}" if len(run) > 1 else name, value, requirement))
     return rows

@@ -8,10 +8,8 @@ from tactile_records.runs.record import LooseBody, SurfaceMesh
 from tactile_scene.motions import CARRIED, FIXED
 from tactile_scene.scene import Scene
 
-LARGEST_BODY, STEPS = (
-    0.5,
-    100,
-)  # m from its origin where the search for its outline begins, and how long it is
+# m from its origin where the search for its outline begins, and how long it is
+LARGEST_BODY, STEPS = 0.5, 100
 
 
 def surface_mesh(scene: Scene, arm: str, n: int = 60) -> SurfaceMesh:

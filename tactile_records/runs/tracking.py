@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.stamps import SECOND_NS
 from tactile_geometry import se3
 from tactile_records.runs.record import PoseSeries, RunRecord
 
@@ -55,10 +56,9 @@ class Tracking:
         The delay at which the correlation with the velocity of the target is largest, by a parabola through
         the three points about it.
         """
-        seconds = (self.stamp_ns - self.stamp_ns[0]) * 1e-9 if len(self) else np.zeros(0)
-        if not len(self) or seconds[-1] < 4.0 * LONGEST_LAG:
+        if not len(self) or self.stamp_ns[-1] - self.stamp_ns[0] < 4.0 * LONGEST_LAG * SECOND_NS:
             return np.nan, np.nan
-        wanted, made = (_velocities(seconds, T) for T in (self.T_world_target, self.T_world_follower))
+        wanted, made = (_velocities(self.stamp_ns, T) for T in (self.T_world_target, self.T_world_follower))
         return _delay(wanted[:, :3], made[:, :3]), _delay(wanted[:, 3:], made[:, 3:])
 
 
@@ -76,30 +76,16 @@ def tracking(follower: RunRecord, leader: RunRecord) -> Tracking:
         moving &= (stamps >= leader.pose.stamp_ns[0]) & (stamps <= leader.pose.stamp_ns[-1])
     stamps = stamps[moving]
     T_follower = follower.T_world_base @ follower.pose.T_base_sensor[moving]
-    T_leader = leader.T_world_base @ poses_at(leader.pose, stamps)
+    T_leader = leader.T_world_base @ leader.pose.at(stamps)
     kept = se3.inverse(T_leader[0]) @ T_follower[0] if len(stamps) else np.eye(4)
     return Tracking(stamps, T_leader, T_follower, T_leader @ kept, leader.goal_at(stamps), leader.goals)
 
 
-def poses_at(series: PoseSeries, stamp_ns: Array) -> Array:
-    """The poses (N, 4, 4) at stamps within the series, interpolated on SE(3)."""
-    if not len(stamp_ns):
-        return np.zeros((0, 4, 4))
-    after = np.clip(np.searchsorted(series.stamp_ns, stamp_ns), 1, len(series) - 1)
-    first, second = series.stamp_ns[after - 1], series.stamp_ns[after]
-    part = (stamp_ns - first) / np.maximum(second - first, 1)
-    pairs = zip(series.T_base_sensor[after - 1], series.T_base_sensor[after], part, strict=True)
-    return np.array([se3.interpolate(a, b, float(u)) for a, b, u in pairs])
-
-
-def _velocities(seconds: Array, T: Array) -> Array:
+def _velocities(stamp_ns: Array, T: Array) -> Array:
     """Velocity of the origin and angular velocity (M, 6), along fixed axes, every `STEP` s."""
-    even = np.arange(0.0, seconds[-1], STEP)
-    index = np.clip(np.searchsorted(seconds, even), 1, len(seconds) - 1)
-    part = np.clip((even - seconds[index - 1]) / np.diff(seconds)[index - 1], 0.0, 1.0)
-    poses = [se3.interpolate(T[i - 1], T[i], float(u)) for i, u in zip(index, part, strict=True)]
+    even = np.arange(stamp_ns[0], stamp_ns[-1], round(STEP * SECOND_NS))
     velocities = []
-    for a, b in itertools.pairwise(poses):
+    for a, b in itertools.pairwise(PoseSeries(stamp_ns, T).at(even)):
         turn = se3.log(se3.inverse(a) @ b)[3:]
         velocities.append(np.concatenate([b[:3, 3] - a[:3, 3], a[:3, :3] @ turn]) / STEP)
     return np.array(velocities)

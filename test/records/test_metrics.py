@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 from tactile_geometry import se3
-from tactile_records.runs.metrics import (
-    REPORT_FIELDS,
-    depth_sigma,
-    report,
-    strongest_sinusoid,
-)
+from tactile_records.runs.euler_poses import euler_sigmas
+from tactile_records.runs.metrics import REPORT_FIELDS, report, strongest_sinusoid
 from tactile_records.runs.record import (
     BeliefSeries,
     CommandSeries,
@@ -146,7 +142,7 @@ def test_a_slow_trend_is_no_oscillation():
     assert strongest_sinusoid(stamps, 0.3 * seconds + 0.05 * seconds**2)[0] < 1e-6
 
 
-def test_depth_sigma_is_that_of_the_sampled_depths():
+def test_the_deviation_of_depth_is_that_of_the_sampled_depths():
     rng = np.random.default_rng(1)
     X_sf = se3.inverse(se3.pose_from_euler(np.array([0.002, -0.001, 0.003, 0.3, -0.2, 0.1])))
     half = rng.standard_normal((6, 6)) * 1e-4
@@ -154,7 +150,7 @@ def test_depth_sigma_is_that_of_the_sampled_depths():
     sampled = [
         se3.inverse(se3.exp(eps) @ X_sf)[2, 3] for eps in rng.multivariate_normal(np.zeros(6), cov, size=4000)
     ]
-    expected = depth_sigma(GaussianSeries([0], X_sf[None], cov[None]))[0]
+    expected = euler_sigmas(GaussianSeries([0], X_sf[None], cov[None]))[0, 2]
     assert np.std(sampled) == pytest.approx(expected, rel=0.05)
 
 
