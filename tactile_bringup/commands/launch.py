@@ -153,11 +153,13 @@ def launch(
 
 def launch_graph(graph: Graph, folder: Path, console: Console, manner: Manner) -> Outcome:
     """Launch a graph that was loaded before."""
+    from tactile_bringup.launching.foxglove_layout import write_layout
     from tactile_bringup.launching.launcher import Launcher
     from tactile_bringup.launching.progress import Display
     from tactile_bringup.launching.view import write_view
 
     write_view(graph, folder)
+    write_layout(graph, folder)
     live = console.is_terminal and not manner.headless
     with Display(console, live) as display:
         return Launcher(graph, folder.absolute(), display, manner).run()
