@@ -1,42 +1,41 @@
 """Surface following over and over, as real nodes: what grows with time, process by process.
 
-A task of many equal goals runs on the simulated ramp, recorded; every ten seconds memory, threads and file
-descriptors of each process and the shared memory in use are read. The table has their means over each sixth
-of the time, and the latency from exposure to command over the same, from the bag::
+The same nodes do the task on the simulated ramp again and again, recorded; every ten seconds memory, threads
+and file descriptors of each process and the shared memory in use are read. The table has their means over
+each sixth of the time, and the latency from exposure to command over the same, from the bag. With `--client`
+a client of `tactile foxglove` takes all topics, and each second all nodes are asked for all parameters::
 
-    python bench/graph/endurance.py [--minutes 60] [--priority 0] [--out out/endurance]
+    python bench/graph/endurance.py [--minutes 60] [--priority 0] [--client] [--out out/endurance]
 """
 
+import contextlib
+import json
 import os
+import re
 import subprocess
 import sys
+import threading
 import time
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import yaml
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from shared import Table, parser, percentiles
 
-from tactile_base.config_paths import config_path
+from tactile_bringup.launching.environment import free_domain_id
+from tactile_bringup.launching.operator import Operator, OperatorError
+from tactile_bringup.timing import LAUNCH
 from tactile_records.runs.from_bag import read_arms
 
 PERIOD, PARTS = 10.0, 6
-GOAL_SECONDS = 24.0  # about: way there, path and way back
-
-
-def task_file(folder: Path, minutes: float) -> Path:
-    """The shipped task with its one goal on the ramp as often as the time has room for."""
-    task = yaml.safe_load((config_path("tasks/surface_following.yaml")).read_text())
-    goals = task["scenes"]["ramp"]["follower"]["goals"]
-    count = max(1, round(60 * minutes / GOAL_SECONDS))
-    repeated = [goals[0] | {"name": f"ramp_{number:03d}"} for number in range(count)]
-    task["scenes"] = {"ramp": {"follower": {"goals": repeated}}}
-    path = folder / "surface_following.yaml"
-    path.write_text(yaml.safe_dump(task))
-    return path
+SCENE = ["surface_following", "--scene", "ramp", "--headless"]
 
 
 def look(folder: Path) -> dict[str, tuple[float, int, int]]:
@@ -46,14 +45,11 @@ def look(folder: Path) -> dict[str, tuple[float, int, int]]:
         process = Path("/proc", pid)
         try:
             words = process.joinpath("cmdline").read_bytes().decode(errors="replace").split("\0")
-            if str(folder) not in " ".join(words) and "tactile_ros.nodes" not in " ".join(words):
-                continue
-            if str(folder) not in process.joinpath("environ").read_bytes().decode(errors="replace"):
+            marked = str(folder) in process.joinpath("environ").read_bytes().decode(errors="replace")
+            if not marked or words[1:2] != ["-m"]:
                 continue
             status = dict(line.split(":", 1) for line in process.joinpath("status").read_text().splitlines())
-            name = next(
-                (word.rsplit(".", 1)[-1] for word in words if "tactile_ros.nodes" in word), "launcher"
-            )
+            name = words[2].rsplit(".", 1)[-1].replace("cli", words[3])
             memory, threads = int(status["VmRSS"].split()[0]) / 1024, int(status["Threads"])
             found[f"{name} {pid}"] = (memory, threads, len(os.listdir(process / "fd")))
         except (OSError, KeyError):  # it has ended
@@ -67,20 +63,53 @@ def table(samples: list[dict[str, tuple[float, int, int]]]) -> None:
     heads = ("process", *(f"part {n + 1}: MB, threads, descriptors" for n in range(PARTS)))
     printed = Table(heads, f"means, a look every {PERIOD:g} s", timed=True)
     parts = np.array_split(np.array(samples), PARTS)
-    for name in samples[-1]:
+    for name in filter(samples[0].__contains__, samples[-1]):
         for_each = (np.array([look[name] for look in part if name in look]).reshape(-1, 3) for part in parts)
         printed.row(name.split()[0], *(", ".join(f"{v:.1f}" for v in one.mean(axis=0)) for one in for_each))
 
 
 def latencies(bag: Path) -> None:
-    """Median and p99 from exposure to command in each part, and how many goals were begun."""
+    """Median and p99 from exposure to command in each part, and how often there was one."""
     (record,) = read_arms(bag).values()
     commands = record.command.rows(record.command.exposure_ns > 0)
     first = np.unique(commands.exposure_ns, return_index=True)[1]
     ms = (commands.stamp_ns[first] - commands.exposure_ns[first]) / 1e6
     cells = ["{:.1f}, {:.1f}".format(*percentiles(part)) for part in np.array_split(ms, PARTS)]
     print("| latency p50, p99 (ms) | " + " | ".join(cells) + " |")
-    print(f"\n{len(np.unique(record.command.goal))} goals, {len(ms)} beliefs acted on; {record.success=}")
+    print(f"\n{len(ms)} beliefs acted on")
+
+
+def take_all(address: str, count: Counter[str]) -> None:
+    """A client of `tactile foxglove` that wants every topic, until that ends."""
+    with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None) as socket:
+        with contextlib.suppress(ConnectionClosed):
+            for message in socket:
+                count["messages"] += isinstance(message, bytes)
+                channels = () if isinstance(message, bytes) else json.loads(message).get("channels", ())
+                if channels:
+                    time.sleep(0.1)  # foxglove-sdk 0.30 refuses what is asked for while it is being offered
+                    wanted = [{"id": channel["id"], "channelId": channel["id"]} for channel in channels]
+                    socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+
+def ask_all(domain: int, bridge: subprocess.Popen[str], count: Counter[str]) -> None:
+    """Each second all parameters of all nodes, until the bridge ends."""
+    with Operator(domain, looks=False) as operator:
+        while bridge.poll() is None:
+            operator.find(1.0, lambda: False)
+            for node in operator.nodes_with_parameters():
+                with contextlib.suppress(OperatorError):  # it starts, or has ended
+                    count["parameters"] += len(operator.parameters(node))
+
+
+def client(domain: int, variables: dict[str, str], count: Counter[str]) -> subprocess.Popen[str]:
+    """Both of them beside this thread; returns the bridge, with which they end."""
+    command = [*LAUNCH[:-1], "foxglove", "--port", "0"]
+    bridge = subprocess.Popen(command, stdout=subprocess.PIPE, env=variables, text=True)
+    address = re.search(r"ws://[\d.:]+", bridge.stdout.readline())[0]  # type: ignore
+    threading.Thread(target=take_all, args=(address, count)).start()
+    threading.Thread(target=ask_all, args=(domain, bridge, count)).start()
+    return bridge
 
 
 def main() -> int:
@@ -88,20 +117,34 @@ def main() -> int:
     given = parser(__doc__ or "")
     given.add_argument("--minutes", type=float, default=60.0)
     given.add_argument("--priority", type=int, default=0, help="of the nodes, as in tactile launch")
+    given.add_argument("--client", action="store_true", help="with a client and questions, see above")
     given.add_argument("--out", type=Path, default=Path("out/endurance"))
     arguments = given.parse_args()
     folder = arguments.out.resolve()
     folder.mkdir(parents=True, exist_ok=False)
-    task, run, bag = task_file(folder, arguments.minutes), folder / "run", folder / "bag"
-    command = [sys.executable, "-m", "tactile_bringup.cli", "launch", str(task), "--scene", "ramp"]
-    command += ["--headless", "--out", str(run), "--record", str(bag), "--priority", str(arguments.priority)]
-    variables = os.environ | {"ENDURANCE": str(folder)}  # by which its processes are known again
-    samples = []
+    run, bag, domain = folder / "run", folder / "bag", free_domain_id()
+    # by ENDURANCE its processes are known again
+    variables = os.environ | {"ENDURANCE": str(folder), "ROS_DOMAIN_ID": str(domain)}
+    command = [*LAUNCH, *SCENE, "--nodes-only", "--out", str(run), "--record", str(bag)]
+    command += ["--priority", str(arguments.priority)]
+    samples, count = [], Counter[str]()
+    end = time.monotonic() + 60 * arguments.minutes
     with (folder / "log").open("w") as log:
-        launched = subprocess.Popen(command, stdout=log, stderr=log, env=variables)
-        while launched.poll() is None:
+        written: dict[str, Any] = {"stdout": log, "stderr": log, "env": variables}
+        launched = subprocess.Popen(command, **written)
+        bridge = client(domain, variables, count) if arguments.client else None
+        doing = [*LAUNCH[:-1], "run", *SCENE]
+        task = subprocess.Popen(doing, **written)
+        while time.monotonic() < end and launched.poll() is None:
+            if task.poll() is not None:
+                count[f"runs that ended with {task.returncode}"] += 1
+                task = subprocess.Popen(doing, **written)
             time.sleep(PERIOD)
             samples.append(look(folder))
+        for process in filter(None, (task, bridge, launched)):
+            process.terminate()
+            process.wait()
+    print(dict(count))
     settled = samples[3:-3]  # neither while it starts nor while it ends
     table(settled)
     latencies(bag)
