@@ -102,7 +102,8 @@ def return_to_surface(
     load : (3,)
         f_x, f_y (N) and m (N m) about the centre of friction, if the foot stays where it is.
     stiffness : ndarray (3, 3)
-        How fast the load falls as the foot moves: symmetric, not negative.
+        How fast the load falls as the foot moves. Symmetric but for springs that slip, whose friction falls
+        with their press.
     force, torque : float
         Half axes F (N) and M (N m) of the ellipsoid, positive.
 

@@ -4,7 +4,8 @@ Quasi-static and planar: the friction of the floor carries the forces of the tip
 surface (`limit_surface`); beyond it the object moves along the surface's normal until the skins of the tips,
 which the motion relaxes, press no more than that. A tip's force is what its sensor measured at the last
 exposure (or the skin's curves say), carried on by the skin's stiffness as tip and object have moved since,
-at most to the friction of the skin.
+at most to the friction of the skin. All of a step is solved at once, by Newton's method with the tangent of
+tips that slip; one in which no motion balances is an error (`ValueError`).
 
 The floor presses with the weight less what the tips lift, centred where the moments of weight and tips
 balance: pushed at a height h the pressure runs ahead of the centre of gravity by mu h. Its centre is that of

@@ -33,11 +33,11 @@ class SkinForces(Settings):
 
     friction_tip: float = setting(0.9, lower=0.0, upper=5.0, doc="between object and the tip's skin")
     skin_force: float = setting(
-        1.69, unit="N", lower=0.0, upper=1000.0, doc="normal force of the tip at a depth of 6 mm"
+        1.69, unit="N", lower=0.0, upper=1e4, doc="normal force of the tip at a depth of 6 mm"
     )
     skin_exponent: float = setting(1.68, lower=1.0, upper=3.0, doc="of the normal force over depth")
     skin_shear: float = setting(
-        211.0, unit="N/m", lower=0.0, upper=1e6, doc="of the tip, tangential, at 6 mm"
+        211.0, unit="N/m", lower=0.0, upper=1e7, doc="of the tip, tangential, at 6 mm"
     )
     skin_shear_exponent: float = setting(0.47, lower=0.0, upper=3.0, doc="of that stiffness over depth")
 

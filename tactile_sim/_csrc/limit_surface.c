@@ -3,10 +3,11 @@
 #include <math.h>
 #include <string.h>
 
+#include "vec3.h"
+
 #define NEWTON_STEPS 60
 #define CONVERGED 1e-12
-#define SWEEPS 30
-#define UNHELD 1e-9  // of the stiffest direction: no spring
+#define UNHELD 1e12  // over the stiffest spring's: a motion as large is held by none
 
 
 static double inside_edge(const double edge[5], const double point[2]) {
@@ -45,86 +46,74 @@ double foot_edge_share(const Foot* foot, const double center[2]) {
 }
 
 
-// Eigenvalues and eigenvectors (columns) of a symmetric matrix, which is lost: Jacobi's rotations.
-static void eigen3(double value[3], double vector[9], double a[9]) {
-  for (int i = 0; i < 9; i++) { vector[i] = i % 4 == 0; }
-  for (int sweep = 0; sweep < SWEEPS; sweep++) {
-    int turned = 0;
-    for (int k = 0; k < 3; k++) {
-      int p = k == 2 ? 1 : 0, q = k == 0 ? 1 : 2;
-      double off = a[3 * p + q];
-      if (fabs(off) <= 1e-18 * sqrt(fabs(a[4 * p]) * fabs(a[4 * q])) || off == 0) { continue; }
-      turned = 1;
-      double theta = (a[4 * q] - a[4 * p]) / (2 * off);
-      double t = (theta < 0 ? -1 : 1) / (fabs(theta) + sqrt(theta * theta + 1));
-      double c = 1 / sqrt(t * t + 1), s = t * c;
-      int r = 3 - p - q;
-      double rp = a[3 * r + p], rq = a[3 * r + q];
-      a[4 * p] -= t * off;
-      a[4 * q] += t * off;
-      a[3 * p + q] = a[3 * q + p] = 0;
-      a[3 * r + p] = a[3 * p + r] = c * rp - s * rq;
-      a[3 * r + q] = a[3 * q + r] = s * rp + c * rq;
-      for (int i = 0; i < 3; i++) {
-        double vp = vector[3 * i + p], vq = vector[3 * i + q];
-        vector[3 * i + p] = c * vp - s * vq;
-        vector[3 * i + q] = s * vp + c * vq;
-      }
+// x of A x = b, by elimination with the largest pivot; A and b are lost. Returns 0 where A is singular.
+static int solve3(double x[3], double a[9], double b[3]) {
+  for (int k = 0; k < 3; k++) {
+    int top = k;
+    for (int i = k + 1; i < 3; i++) {
+      if (fabs(a[3 * i + k]) > fabs(a[3 * top + k])) { top = i; }
     }
-    if (!turned) { break; }
+    if (a[3 * top + k] == 0) { return 0; }
+    for (int j = 0; j < 3; j++) {
+      double moved = a[3 * k + j];
+      a[3 * k + j] = a[3 * top + j];
+      a[3 * top + j] = moved;
+    }
+    double moved = b[k];
+    b[k] = b[top];
+    b[top] = moved;
+    for (int i = k + 1; i < 3; i++) {
+      double part = a[3 * i + k] / a[4 * k];
+      for (int j = k; j < 3; j++) { a[3 * i + j] -= part * a[3 * k + j]; }
+      b[i] -= part * b[k];
+    }
   }
-  for (int i = 0; i < 3; i++) { value[i] = a[4 * i]; }
+  for (int k = 2; k >= 0; k--) {
+    double rest = b[k];
+    for (int j = k + 1; j < 3; j++) { rest -= a[3 * k + j] * x[j]; }
+    x[k] = rest / a[4 * k];
+  }
+  return 1;
 }
 
 
-// The x > 0 at which sum(squares / (1 + x softness)^2) = 1, by Newton's method; negative where
-// there is none.
-static double multiplier(const double squares[3], const double softness[3], double largest) {
-  double unheld = 0, x = 0;
-  for (int i = 0; i < 3; i++) {
-    if (softness[i] <= UNHELD * largest) { unheld += squares[i]; }
-  }
-  if (unheld >= 1) { return -1; }
-  for (int step = 0; step < NEWTON_STEPS; step++) {
-    double total = 0, slope = 0;
-    for (int i = 0; i < 3; i++) {
-      double grown = 1 + x * softness[i], part = squares[i] / (grown * grown);
-      total += part;
-      slope += 2 * part * softness[i] / grown;
-    }
-    // in 1 / sqrt(sum) the root is nearly a line: converges in a few steps from any start
-    double change = 2 * total * (sqrt(total) - 1) / slope;
-    x += change;
-    if (fabs(total - 1) < CONVERGED || fabs(change) < CONVERGED * x) { break; }
-  }
-  return x;
+// (1 + x A)^-1 b
+static int relaxed(double res[3], const double a[9], double x, const double b[3]) {
+  double grown[9], rest[3] = {b[0], b[1], b[2]};
+  for (int i = 0; i < 9; i++) { grown[i] = (i % 4 == 0) + x * a[i]; }
+  return solve3(res, grown, rest);
 }
 
 
+// In units of the half axes the motion is x times the load that is left, u(x) = (1 + x A)^-1 b: the
+// least x > 0 at which u has length 1, by Newton's method on 1 / |u|, which is nearly a line in x.
 int limit_surface_return(double motion[3], double left[3], const double load[3],
                          const double stiffness[9], double force, double torque) {
-  double scale[3] = {1 / force, 1 / force, 1 / torque}, used[3], scaled[9], softness[3], axes[9];
+  double scale[3] = {1 / force, 1 / force, 1 / torque}, b[3], a[9], u[3], pulled[3], slope[3];
   memset(motion, 0, 3 * sizeof(double));
   memcpy(left, load, 3 * sizeof(double));
-  for (int i = 0; i < 3; i++) { used[i] = scale[i] * load[i]; }
-  if (used[0] * used[0] + used[1] * used[1] + used[2] * used[2] <= 1) { return 1; }
-
-  for (int i = 0; i < 9; i++) { scaled[i] = scale[i / 3] * stiffness[i] * scale[i % 3]; }
-  eigen3(softness, axes, scaled);
-  double part[3], squares[3], held[3], largest = 0;
-  for (int i = 0; i < 3; i++) {
-    part[i] = axes[i] * used[0] + axes[3 + i] * used[1] + axes[6 + i] * used[2];
-    squares[i] = part[i] * part[i];
-    held[i] = fmax(softness[i], 0);
-    largest = fmax(largest, fabs(softness[i]));
+  for (int i = 0; i < 3; i++) { b[i] = scale[i] * load[i]; }
+  if (dot3(b, b) <= 1) { return 1; }
+  double x = 0, stiffest = 0;
+  for (int i = 0; i < 9; i++) {
+    a[i] = scale[i / 3] * stiffness[i] * scale[i % 3];
+    stiffest = fmax(stiffest, fabs(a[i]));
   }
-  double x = multiplier(squares, held, largest);
-  if (x < 0) { return 0; }
-  for (int i = 0; i < 3; i++) { part[i] /= 1 + x * softness[i]; }
+  for (int step = 0;; step++) {
+    if (!relaxed(u, a, x, b)) { return 0; }
+    double square = dot3(u, u);
+    for (int i = 0; i < 3; i++) { pulled[i] = dot3(a + 3 * i, u); }
+    if (fabs(square - 1) < CONVERGED) { break; }
+    if (step == NEWTON_STEPS || !relaxed(slope, a, x, pulled)) { return 0; }
+    double falls = dot3(u, slope);
+    if (falls <= 0) { return 0; }
+    double change = square * (sqrt(square) - 1) / falls;
+    x += change;
+    if (x < 0 || x * stiffest > UNHELD) { return 0; }
+  }
   for (int i = 0; i < 3; i++) {
-    double rest = axes[3 * i] * part[0] + axes[3 * i + 1] * part[1] + axes[3 * i + 2] * part[2];
-    motion[i] = x * scale[i] * rest;
-    left[i] = rest / scale[i];
+    motion[i] = x * scale[i] * u[i];
+    left[i] = u[i] / scale[i];
   }
   return 1;
 }

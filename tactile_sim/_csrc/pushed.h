@@ -18,6 +18,10 @@ typedef struct {
 typedef struct {
   double force[3], point[3], normal[3], along, across;
   int slips;
+  double matter[3];  // the tip's, at the contact
+  double stuck[3];   // the force if the tip did not slip
+  double shear[3];   // of a tip that slips, unit vector; what is left of its stiffness to turn it, N/m
+  double turning;
 } Touch;
 
 typedef struct {
@@ -42,7 +46,7 @@ void pushed_tip(Tip* tip, const double T_tool_sensor[16], const double T_body_se
                 double across);
 
 // Move until friction carries the pushes of `count` tips, and find where the floor presses then;
-// `touch` are the pushes there, T_world_tool one pose a tip. Returns 0 where no motion does.
+// `touch` are the pushes there, T_world_tool one pose a tip. Returns 0 where no motion was found.
 int pushed_step(Pushed* body, Touch* touch, const Tip* tip, const double* const* T_world_tool,
                 int count);
 

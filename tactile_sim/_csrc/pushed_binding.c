@@ -107,11 +107,6 @@ static PyObject* tip(PyObject* self, PyObject* const* args, Py_ssize_t count) {
 }
 
 
-static PyObject* unheld(void) {
-  return PyErr_Format(PyExc_ValueError, "the load exceeds friction where no spring holds the foot");
-}
-
-
 static PyObject* touches_of(const Touch* touch, int count) {
   PyObject* res = PyList_New(count);
   for (int i = 0; res && i < count; i++, touch++) {
@@ -155,7 +150,12 @@ static PyObject* step(PyObject* self, PyObject* const* args, Py_ssize_t count) {
     }
     memcpy(tip + i, PyBytes_AS_STRING(known), sizeof(Tip));
   }
-  if (!pushed_step(body, touch, tip, tools, tips)) { return unheld(); }
+  if (!pushed_step(body, touch, tip, tools, tips)) {
+    return PyErr_Format(PyExc_ValueError,
+                        "pushed object: no motion found after which the floor's friction balances "
+                        "its %d tips; take shorter steps, a softer skin or less friction_tip",
+                        tips);
+  }
   if (body->edge_friction > 0 && (body->inside < 0 || body->tilted > 0)) {
     return touches_of(touch, tips);
   }
@@ -295,7 +295,9 @@ static PyObject* py_return_to_surface(PyObject* self, PyObject* const* args, Py_
   }
   for (int i = 0; i < 2; i++) { axes[i] = PyFloat_AsDouble(args[2 + i]); }
   if (PyErr_Occurred()) { return NULL; }
-  if (!limit_surface_return(motion, left, load, stiffness, axes[0], axes[1])) { return unheld(); }
+  if (!limit_surface_return(motion, left, load, stiffness, axes[0], axes[1])) {
+    return PyErr_Format(PyExc_ValueError, "the load exceeds friction where no spring holds the foot");
+  }
   return Py_BuildValue("NN", new_array(motion, 3, 0), new_array(left, 3, 0));
 }
 
