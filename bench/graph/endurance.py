@@ -54,7 +54,10 @@ def look(folder: Path) -> dict[str, tuple[float, int, int]]:
             found[f"{name} {pid}"] = (memory, threads, len(os.listdir(process / "fd")))
         except (OSError, KeyError):  # it has ended
             continue
-    shared = sum(path.stat().st_size for path in Path("/dev/shm").glob("fastdds_*"))
+    shared = 0
+    for path in Path("/dev/shm").glob("fastdds_*"):
+        with contextlib.suppress(FileNotFoundError):  # gone by now
+            shared += path.stat().st_size
     return found | {"shared memory": (shared / 2**20, 0, 0)}
 
 

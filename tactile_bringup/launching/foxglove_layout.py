@@ -32,8 +32,8 @@ from tactile_scene.camera import COMPRESSED
 
 FILE = "foxglove.json"
 INFO = 2  # of the levels of a log panel
-#: Euler surface contact poses (`tactile_base.topics.STATE`): title, elements and how they are shown.
-CONTACT = (("position in the surface's frame (m)", "xyz", 0, ""), ("angles (deg)", "αβγ", 3, ".@rad2deg"))
+#: Elements of an Euler surface contact pose: title, names, first. Plots over time turn no rad into deg.
+CONTACT = (("position on the surface (m)", "xyz", 0), ("angles to the surface (rad)", "αβγ", 3))
 
 
 def write_layout(graph: Graph, folder: Path) -> Path:
@@ -56,7 +56,7 @@ def layout(graph: Graph) -> dict[str, Any]:
         of_arm = {f"{kind}!{arm}_{name}": values for kind, name, values in _panels_of(graph, arm)}
         panels |= of_arm
         tabs = [tab["layout"] for values in of_arm.values() for tab in values.get("tabs", ())]
-        columns.append(_split("column", [panel for panel in of_arm if panel not in tabs]))
+        columns.append(_split("column", [panel for panel in of_arm if panel not in tabs], 28))
     return {
         "configById": panels,
         "globalVariables": {},
@@ -94,7 +94,7 @@ def _scene(graph: Graph) -> dict[str, Any]:
         "followTf": (sensor_frame if _feels(graph, first) else tool_frame)(first),
         "followMode": "follow-position",
         "cameraState": {"distance": 0.4, "phi": 65, "thetaOffset": 45, "near": 0.01, "far": 100},
-        "scene": {"transforms": {"axisScale": 0.03, "showLabel": False}},
+        "scene": {"transforms": {"axisScale": 0.03, "showLabel": False, "lineWidth": 0}},
         "topics": {topic: {"visible": True, **look} for topic, look in seen.items()},
     }
 
@@ -108,14 +108,12 @@ def _panels_of(graph: Graph, arm: str) -> list[tuple[str, str, dict[str, Any]]]:
         states[f"{PRESENCE.of(arm).name}.in_contact"] = "contact"
     panels.append(("StateTransitions", "states", {"paths": _paths(states), **_title(f"{arm}: phase")}))
     if _feels(graph, arm):
-        for title, letters, first, change in CONTACT:
+        for title, letters, first in CONTACT:
+            fields = {f"{STATE.of(arm).name}.euler": "", f"{status}.reference": " ref."}
             curves = {
-                f"{topic}.{field}[{first + number}]{change}": f"{letter} {who}"
+                f"{field}[{first + number}]": f"{letter}{what}"
+                for field, what in fields.items()
                 for number, letter in enumerate(letters)
-                for topic, field, who in (
-                    (STATE.of(arm).name, "euler", "believed"),
-                    (status, "reference", "wanted"),
-                )
             }
             panels.append(("Plot", f"contact{first}", _plot(curves, f"{arm}: {title}")))
     twist = {f"{status}.limited[{number}]": f"v{letter}" for number, letter in enumerate("xyz")}
@@ -129,7 +127,7 @@ def _images(graph: Graph, arm: str) -> list[tuple[str, str, dict[str, Any]]]:
         return shown
     tabs = [
         {"title": title, "layout": f"{kind}!{arm}_{name}"}
-        for title, (kind, name, _) in zip(("live", "recorded"), shown, strict=True)
+        for title, (kind, name, _) in zip(("live", "in the recording"), shown, strict=True)
     ]
     return [("Tab", "images", {"activeTabIdx": 0, "tabs": tabs}), *shown]
 
@@ -152,7 +150,7 @@ def _image(topic: Topic) -> dict[str, Any]:
 
 
 def _plot(curves: dict[str, str], title: str) -> dict[str, Any]:
-    return {"paths": _paths(curves), "legendDisplay": "floating", "showLegend": True, **_title(title)}
+    return {"paths": _paths(curves), "legendDisplay": "left", "sidebarDimension": 75, **_title(title)}
 
 
 def _paths(labels: dict[str, str]) -> list[dict[str, Any]]:
