@@ -18,6 +18,8 @@ GET_STATE = "get_state"
 NODE_SERVICES = (*_PARAMETERS, *_SET, *_LIFECYCLE, GET_STATE)
 #: Who starts a task (`tactile launch`, `tactile run`): a plain node, which hears what arms do.
 CLIENT = "/tactile_launch"
+#: Who looks (`tactile view`, `tactile foxglove`): plain nodes that hear what is said, and send nothing.
+VIEW, FOXGLOVE = "/tactile_view", "/tactile_foxglove"
 LAUNCH_LOG = "tactile_launch"  # what it is called in /rosout
 ARM = "arm"
 LAST_ZEROS = "last_zeros"  # a plain node beside that of an arm which moves by joint velocities

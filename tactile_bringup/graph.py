@@ -348,7 +348,7 @@ def _recorder(
         "scene": scene.name + " (rehearsed)" * options.rehearse,
         "scene_file": str(scene.path.absolute()),
         "seed": str(options.seed),
-        "roles": json.dumps({plan.arm: _role_note(plan, scene.arms[plan.arm]) for plan in plans}),
+        "roles": json.dumps({plan.arm: role_note(plan, scene.arms[plan.arm]) for plan in plans}),
         "parameters": json.dumps({node.full_name: node.parameters for node in nodes}),
         "origin": json.dumps(origin()),
     }
@@ -361,7 +361,7 @@ def _recorder(
     return _node(RECORDER, "/", parameters)
 
 
-def _role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
+def role_note(plan: ArmPlan, arm: ArmScene) -> dict[str, Any]:
     """What is kept with a recording of what an arm was to do."""
     return {
         "role": plan.role.name,

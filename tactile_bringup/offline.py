@@ -55,6 +55,7 @@ DEPTH_DIFFERENCE = ImageCheckSettings().depth_difference  # m, as the estimator 
 START_NS = SECOND_NS  # stamp of the cell's first state; 0 stands for "no stamp" in records
 
 Progress = Callable[[str, str, Command], None]
+Log = Callable[[RunRecord], RunLog]
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,7 @@ def run_arms_offline(
     task: Task | str = "surface_following",
     options: OfflineOptions | None = None,
     progress: Progress | None = None,
+    log: Log = RunLog,
 ) -> dict[str, RunRecord]:
     """Run all goals of a task on a scene and return what happened to each arm.
 
@@ -122,13 +124,14 @@ def run_arms_offline(
     scene, task
         Loaded, or by name (config/scenes, config/tasks).
     progress : called with arm, goal and command after each step of a controller
+    log : makes the log of each arm, as `OfflineBag.log` does
     """
     options = options or OfflineOptions()
     scene = load_scene(scene) if isinstance(scene, str) else scene
     if options.fidelity is not None:
         scene = scene.with_fidelity(options.fidelity, **options.sensor)
     task = load_task(task_path(task), scene.name, goals_of=scene.goals_of) if isinstance(task, str) else task
-    return _OfflineLoop(scene, task, options, progress).run()
+    return _OfflineLoop(scene, task, options, progress, log).run()
 
 
 def _given(controller: SettingGroups, options: OfflineOptions) -> dict[str, dict[str, Any]]:
@@ -145,7 +148,9 @@ def _given(controller: SettingGroups, options: OfflineOptions) -> dict[str, dict
 class _OfflineLoop:
     """The cell and all arms with a role, on the cell's clock."""
 
-    def __init__(self, scene: Scene, task: Task, options: OfflineOptions, progress: Progress | None) -> None:
+    def __init__(
+        self, scene: Scene, task: Task, options: OfflineOptions, progress: Progress | None, log: Log
+    ) -> None:
         self.options, self.progress = options, progress
         plans = arm_plans(task, scene, options.arm, options.goals)
         if not any(goal.goal.ends for plan in plans for goal in plan.goals):
@@ -159,10 +164,11 @@ class _OfflineLoop:
         views = {arm: view for arm, (_, view) in seeing.items() if view is not None}
         self.cell = Cell(scene, options.seed, START_NS, views)
         self.arms = {
-            plan.arm: _OfflineArm(scene, task.name, plan, self.cell, options, number, seeing[plan.arm][0])
+            plan.arm: _OfflineArm(
+                scene, task.name, plan, self.cell, options, number, seeing[plan.arm][0], log
+            )
             for number, plan in enumerate(plans)
         }
-
         for name, arm in self.arms.items():
             arm.partners = self.sequence.partners(name)
         self.work_ns: int | None = None  # since when all arms are at their work
@@ -258,6 +264,7 @@ class _OfflineArm:
         options: OfflineOptions,
         number: int,
         perceive: Perception | None,
+        log: Log,
     ) -> None:
         self.plan, self.cell, self.options = plan, cell, options
         self.safe = SafeArm(scene.arms[plan.arm], lambda: cell.stamp_ns)
@@ -269,7 +276,7 @@ class _OfflineArm:
         self.perceive = perceive
         self.filter = ContactFilter(options.filter, TACTIP)
         self.random = np.random.default_rng([options.seed, number] if number else options.seed)
-        self.log = RunLog(
+        self.log = log(
             RunRecord(
                 scene=scene.name,
                 task=plan.role.task,
@@ -345,7 +352,7 @@ class _OfflineArm:
             return
         pose = StampedPose(state.stamp_ns, state.T_base_controlled)
         self.inputs = TaskInputs(self.inputs.belief, self.inputs.presence, pose)
-        self.log.pose(pose, state.twist)
+        self.log.state(state)
         if state.mode is ArmMode.FAULT:
             self._abort(state.reason)
 
@@ -379,6 +386,7 @@ class _OfflineArm:
         self.traceback = self.traceback or self.task.traceback
         self.safe.command(now_ns, command.twist, self.plan.role.name)
         self.log.command(now_ns, self.goal, command)
+        self.log.ahead(now_ns, self.task.ahead)
         return command
 
     def expose(self) -> None:
@@ -387,7 +395,7 @@ class _OfflineArm:
             return
         frame = self.cell.expose(self.plan.arm)
         percept = self._percept(frame)
-        self.log.truth(frame.stamp_ns, frame.truth)
+        self.log.exposure(frame)
         if self.loose:
             self.log.body(frame.stamp_ns, self.cell.T_world_body(self.loose))
         if percept is None:  # as if there had been no exposure

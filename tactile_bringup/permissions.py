@@ -18,11 +18,13 @@ from tactile_base.node_topics import (
     ARM,
     CLIENT,
     EVERY_NODE,
+    FOXGLOVE,
     GET_STATE,
     LAST_ZEROS,
     NODE_SERVICES,
     NODES,
     TRANSITION_EVENT,
+    VIEW,
     Part,
 )
 from tactile_base.topics import Topic
@@ -80,9 +82,14 @@ def enclaves(graph: Graph, scene: Scene) -> dict[str, list[Profile]]:
     client.publish = operator.publish = {topics.ESTOP.name, topics.PARAMETER_EVENTS.name, topics.ROSOUT.name}
     operator.subscribe = set().union(*(node.publish for node in nodes))
     operator.request = set().union(*(node.reply for node in nodes))
-    for person in (client, operator):
-        person.reply = {f"{_full(person)}/{name}" for name in NODE_SERVICES}
-    return {**found, CLIENT: [client], OPERATOR: [operator]}
+    lookers = [Profile("/", name.strip("/"), {topics.PARAMETER_EVENTS.name}) for name in (VIEW, FOXGLOVE)]
+    told = {topic.of(arm).name for arm in graph.arms for topic in (topics.TASK_STATUS, topics.TASK_FEEDBACK)}
+    for looker in lookers:
+        looker.subscribe = operator.subscribe | operator.publish | told
+    others = [client, operator, *lookers]
+    for plain in others:
+        plain.reply = {f"{_full(plain)}/{name}" for name in NODE_SERVICES}
+    return {**found, **{_full(plain): [plain] for plain in others}}
 
 
 def write_permissions(

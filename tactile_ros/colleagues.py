@@ -17,8 +17,8 @@ from tactile_control.partners import Partners
 from tactile_control.phases import DONE, FAILED, StampedPose
 from tactile_geometry import se3
 from tactile_msgs.msg import ControllerStatus
+from tactile_records.messages import IDLE
 from tactile_ros.qos import DIAGNOSTICS, STATE
-from tactile_ros.task_messages import IDLE
 from tactile_wire.cdr import MessageReader, layout_of
 from tactile_wire.message_definitions import type_fields
 

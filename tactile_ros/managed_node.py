@@ -35,7 +35,7 @@ from tactile_base.stamps import NANOSECOND
 from tactile_filter.events import FUTURE_NS
 from tactile_ros.commander import Commander
 from tactile_ros.diagnostics import Diagnostics, InputWatch
-from tactile_ros.message_bytes import LONGEST_SAID, header_of
+from tactile_ros.message_bytes import header_of
 from tactile_ros.parameters import (
     SettingsParameters,
     declare_read_only,
@@ -45,6 +45,7 @@ from tactile_ros.parameters import (
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
 from tactile_ros.scheduling import freeze_gc
 from tactile_wire.errors import MessageError
+from tactile_wire.packing import LONGEST_SAID
 
 Result = TransitionCallbackReturn
 

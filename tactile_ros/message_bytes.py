@@ -1,9 +1,7 @@
 """Messages as the bytes that travel, for those that a node sends or takes at the rate of the camera.
 
-Python's message classes cost 0.1 to 0.3 ms a message, once to build it and once to convert it, and more on a
-core that has just woken up. A `Layout` packs or reads all numbers of a message at once; where they are is
-known from the message's definition (`tactile_wire.cdr`). An image is copied once each way, where the
-message classes make three copies: 1 ms of 3.5 for 640x480.
+Why by bytes: see `tactile_wire.packing`. An image is copied once each way, where the message classes make
+three copies: 1 ms of 3.5 for 640x480.
 """
 
 from __future__ import annotations
@@ -19,23 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import serialize_message
 
 from tactile_base.stamps import SECOND_NS
-from tactile_geometry.gaussian import ros_from_left
 from tactile_msgs.msg import ContactState
-from tactile_perception.estimating.encodings import MONO8, decompressed
+from tactile_perception.estimating.encodings import decompressed
 from tactile_perception.estimating.image import ImageError
 from tactile_ros.conversions import checked_image
-from tactile_wire import cdr
+from tactile_wire import cdr, packing
 from tactile_wire.cdr import Number
 from tactile_wire.errors import MessageError
 from tactile_wire.message_definitions import type_fields
-from tactile_wire.pose_numbers import numbers_from_pose
+from tactile_wire.packing import FRAME
 
 Array = NDArray[np.float64]
 
-FRAME = "header.frame_id"
 _HEADER_END = cdr.HEADER + 12  # where the frame's name begins: after its stamp and its length
 LONGEST_NAME = 200  # characters of what people and nodes call themselves and their goals
-LONGEST_SAID = 1000  # characters of a text that nodes send
 STAMP_NUMBERS = 2  # sec and nanosec, which a message with a header starts with
 
 
@@ -164,15 +159,6 @@ def compressed_from_bytes(data: bytes) -> ReceivedCompressed:
     return ReceivedCompressed(sec * SECOND_NS + nanosec, head.texts["format"], file)
 
 
-def bytes_from_array(stamp_ns: int, frame_id: str, image: NDArray[np.uint8]) -> bytes:
-    """Serialized Image, mono8, of a gray image (height, width) uint8."""
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise MessageError(f"image: must be uint8 (height, width), is {image.dtype} {image.shape}")
-    height, width = image.shape
-    head = _head(frame_id, image.size).pack(*split_stamp(stamp_ns), height, width, 0, width)
-    return b"".join((head, np.ascontiguousarray(image).data))
-
-
 def image_from_bytes(data: bytes) -> ReceivedImage:
     """The fields of a serialized Image; raises `MessageError` for cut bytes."""
     layout, (sec, nanosec, height, width, _, step) = _read_head(data)
@@ -181,28 +167,9 @@ def image_from_bytes(data: bytes) -> ReceivedImage:
     return ReceivedImage(stamp_ns, height, width, encoding, step, pixels)
 
 
-@functools.lru_cache(maxsize=16)
-def _head(frame_id: str, size: int) -> cdr.Layout:
-    """What stands before the pixels."""
-    texts = {FRAME: frame_id, "encoding": MONO8}
-    return cdr.blank_layout(IMAGE, texts, {PIXELS: size}).before(PIXELS)
-
-
 def headed_bytes(message_type: Any, stamp_ns: int, frame_id: str, *numbers: Number, **texts: str) -> bytes:
-    """A message with a header: its numbers in the order of the definition, its texts by name.
-
-    Long ones are cut: they are sent many times a second, and kept for whoever has missed them.
-    """
-    if any(len(text) > LONGEST_SAID for text in texts.values()):
-        texts = {name: text[:LONGEST_SAID] for name, text in texts.items()}
-    return _headed_layout(message_type, frame_id, **texts).pack(*split_stamp(stamp_ns), *numbers)
-
-
-@functools.lru_cache(maxsize=64)
-def _headed_layout(message_type: Any, frame_id: str, **texts: str) -> Layout:
-    example = message_type(**texts)
-    example.header.frame_id = frame_id
-    return Layout(example)
+    """As `packing.headed_bytes`, of a message class."""
+    return packing.headed_bytes(type_name(message_type), stamp_ns, frame_id, *numbers, **texts)
 
 
 @dataclass(frozen=True)
@@ -229,18 +196,6 @@ def command_from_bytes(data: bytes) -> ReceivedCommand:
 def twist_bytes(stamp_ns: int, frame_id: str, twist: ArrayLike) -> bytes:
     """TwistStamped of [v, omega] (6,) in `frame_id`."""
     return headed_bytes(TwistStamped, stamp_ns, frame_id, *np.asarray(twist, dtype=np.float64).tolist())
-
-
-def gaussian_bytes(stamp_ns: int, frame_id: str, mean: Array, cov: Array) -> bytes:
-    """PoseWithCovarianceStamped of a mean (4, 4) with left covariance (6, 6), both in `frame_id`."""
-    ros = ros_from_left(cov, mean[:3, 3])
-    numbers = (*numbers_from_pose(mean).tolist(), *ros.ravel().tolist())
-    return headed_bytes(PoseWithCovarianceStamped, stamp_ns, frame_id, *numbers)
-
-
-def split_stamp(stamp_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds of a stamp; negative ones become zero, which ROS reads as 'none'."""
-    return divmod(max(int(stamp_ns), 0), SECOND_NS)
 
 
 def type_name(message_type: Any) -> str:

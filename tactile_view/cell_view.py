@@ -18,12 +18,12 @@ from tactile_geometry.gaussian import ros_from_left
 from tactile_scene.scene import ArmScene, Scene
 from tactile_sim.skin_force import SkinModel, largest_shear
 from tactile_view.cell_state import ArmState, CellState
-from tactile_view.drawing import ROUND, cone, dome, place, se3_of, way_ahead
+from tactile_view.drawing import ROUND, STALK, cone, dome, look_from, place, se3_of, way_ahead
 from tactile_view.urdf_meshes import UrdfMeshes
 
 Array = NDArray[Any]
 
-TIP_RADIUS, STALK = 0.020, 0.12  # m, where no scene says it; from the centre of the dome to the flange
+TIP_RADIUS = 0.020  # m, where no scene says it
 ARM_COLOR, TIP_COLOR, BODY_COLOR, PATH_COLOR = (90, 96, 104), (235, 120, 40), (130, 145, 160), (40, 110, 200)
 BELIEF_COLOR, TRUTH_COLOR, SHEAR_COLOR, TWIST_COLOR = (
     (30, 120, 220),
@@ -31,7 +31,6 @@ BELIEF_COLOR, TRUTH_COLOR, SHEAR_COLOR, TWIST_COLOR = (
     (200, 30, 120),
     (120, 60, 200),
 )
-EYE = np.array([0.13, -0.20, 0.11])  # m, from what is looked at
 FIELD = 0.75  # rad, of the camera
 LINK = 0.07  # m, thickness of a link
 SHEAR_SCALE = 10.0  # an arrow of 10 mm is a shear of 1 mm
@@ -66,8 +65,8 @@ class CellView:
             section_color=(200, 200, 200), position=(0.0, 0.0, -1e-3),
         )  # fmt: skip
         self.set_scene(scene)
-        middle = self.middle(CellState())
-        server.initial_camera.position = tuple((middle + EYE).tolist())
+        eye, middle = look_from(self.tips(CellState()))
+        server.initial_camera.position = tuple(eye.tolist())
         server.initial_camera.look_at = tuple(middle.tolist())
         server.initial_camera.near, server.initial_camera.fov = 1e-3, FIELD
 
@@ -88,16 +87,16 @@ class CellView:
         place(node, self._scene.T_world_body(name))
         return node
 
-    def middle(self, state: CellState) -> Array:
-        """What to look at, in the world (3,): the middle of the tips."""
+    def tips(self, state: CellState) -> list[Array]:
+        """Where the sensors are, T_world_sensor (4, 4), or will start; none where nobody knows."""
         tips = [
-            arm.T_world_base @ pose["T_base_sensor"]
+            np.asarray(arm.T_world_base @ pose["T_base_sensor"])
             for arm in state.arms.values()
             if (pose := arm.newest("pose")) is not None
         ]
         if not tips and self._scene is not None:
             tips = [arm.T_world_start for arm in self._scene.arms.values()]
-        return np.mean([T[:3, 3] for T in tips], axis=0) if tips else np.zeros(3)
+        return tips
 
     def skin(self, arm: str) -> SkinModel | None:
         """The skin of an arm's sensor as it is simulated; None of a real one, and where nobody says."""

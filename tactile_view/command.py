@@ -87,8 +87,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Serve the page until a signal; returns the exit code."""
     _require("viser", "viser")
     from tactile_base.console import lasting_console, say
-    from tactile_base.end_signals import signals_into
+    from tactile_base.end_signals import end_with_launcher, signals_into
 
+    end_with_launcher()
     console, signals = lasting_console(), list[int]()
     os.nice(NICENESS)
     page = _page(arguments)

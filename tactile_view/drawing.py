@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,10 @@ from tactile_geometry import se3
 
 Array = NDArray[Any]
 
+STALK = 0.12  # m, from the centre of the dome to the flange
+EYE = np.array([0.13, -0.20, 0.11])  # m, from what is looked at
+AROUND = np.radians([0, *(sign * angle for angle in range(20, 181, 20) for sign in (1, -1))])
+TOUCH, FREE = 0.02, 0.04  # m, from the centre of a dome to what it touches; from a line of sight to a stalk
 ROUND = np.linspace(0.0, 2.0 * np.pi, 25)
 
 
@@ -64,3 +69,23 @@ def se3_of(R: Array, p: Array) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, p
     return T
+
+
+def look_from(tips: Sequence[Array]) -> tuple[Array, Array]:
+    """Where to look from and at (3,): the middle of tips (N, 4, 4), no stalk before what a tip touches."""
+    if not len(tips):
+        return EYE, np.zeros(3)
+    centres, axes = np.array([T[:3, 3] for T in tips]), np.array([T[:3, 2] for T in tips])
+    middle, contacts = centres.mean(axis=0), centres + TOUCH * axes
+    stalks = (centres - np.linspace(0.25, 1.0, 16)[:, None, None] * STALK * axes).reshape(-1, 3)
+    part = np.linspace(0.0, 1.0, 40)[:, None, None]
+
+    def room(eye: Array) -> float:
+        """The least distance of a line of sight from a stalk, as far as more of it is of use."""
+        sights = (eye + part * (contacts - eye)).reshape(-1, 1, 3)
+        return min(FREE, float(np.linalg.norm(sights - stalks, axis=2).min()))
+
+    size = max(1.0, float(np.linalg.norm(centres - middle, axis=1).max()) / 0.06)
+    turns = (se3.pose_from_euler([0.0, 0.0, 0.0, 0.0, 0.0, angle])[:3, :3] for angle in AROUND)
+    eyes = [middle + size * (turn @ EYE) for turn in turns]
+    return max(eyes, key=room), middle

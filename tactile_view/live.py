@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from tactile_base import topics
+from tactile_base.node_topics import VIEW
 from tactile_base.topics import LATCHED, Topic
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_bringup.launching.operator import Operator, OperatorError
@@ -36,7 +37,7 @@ class LiveGraph(GraphClient):
     types = staticmethod(installed_types)
 
     def __init__(self, domain_id: int, state: CellState) -> None:
-        super().__init__("/tactile_view", domain_id)
+        super().__init__(VIEW, domain_id)
         self._state, self._heard, self._found_at, self._looked_at = state, dict[str, Any](), -LOOK, -KEPT
         for topic in ALWAYS:
             self._listen(topic)

@@ -9,13 +9,15 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import numpy as np
 import viser
 
 from tactile_bringup.launching.page_process import free_port
 from tactile_scene.scene import Scene
 from tactile_view.cell_state import CellState
-from tactile_view.cell_view import EYE, CellView
+from tactile_view.cell_view import CellView
 from tactile_view.door import only_own_pages
+from tactile_view.drawing import look_from
 from tactile_view.panels import BeliefPanel, MotionPanel, TouchPanel
 from tactile_view.words import events_in_words, set_html, state_in_words, troubles_in_words
 
@@ -143,13 +145,17 @@ class Page:
 
     def _follow(self) -> None:
         """Have each new page look at the tips, and move its camera as they move."""
-        middle = self.view.middle(self.state)
+        tips = self.view.tips(self.state)
+        if not tips:
+            return
+        middle = np.mean(tips, axis=0)[:3, 3]
         for number, client in self.server.get_clients().items():
             if client.camera.update_timestamp == 0.0:
                 continue  # it has yet to say where it looks from
-            before, self._followed[number] = self._followed.get(number), middle
+            count, before = self._followed.get(number, (0, middle))
+            self._followed[number] = len(tips), middle
             with client.atomic():
-                if before is None:
-                    client.camera.position, client.camera.look_at = middle + EYE, middle
+                if count != len(tips):
+                    client.camera.position, client.camera.look_at = look_from(tips)
                 elif self.follow.value and (abs(middle - before) > 1e-5).any():
                     client.camera.position = client.camera.position + (middle - before)

@@ -1,4 +1,4 @@
-"""Recording: a bag as messages in time, which is played, paused and sought.
+"""Recording: a bag as messages in time, which is played, paused and sought, also while it is written.
 
 What is shown is read when its time comes, so that the bag may be larger than the memory. What the whole
 recording tells beside its numbers is gathered little by little, meanwhile.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from itertools import chain, groupby, islice, repeat
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from tactile_view.cell_state import WINDOW, CellState
 
 MOST_AT_ONCE = 20_000  # messages in one step; further ones come with the next
 MOST_EVENTS = 20_000  # of a recording, the latest
+LOOK, STILL = 0.5, 5.0  # s, between looks for what is new; without anything new it is written no more
 MOMENT, BETWEEN = SECOND_NS // 2, SECOND_NS // 60
 LASTING = {topics.TF_STATIC.name}
 _OFTEN = tuple(f"/{name}" for name, _ in STREAMS.values())
@@ -46,14 +47,15 @@ class Recording:
         if not any(name.endswith(_TOLD_BY_ARMS) for name in self.bag.types):
             listed = ", ".join(sorted(self.bag.types)) or "none"
             raise BagError(f"{folder}: holds no arm's status, so there is nothing to show; topics: {listed}")
-        self.start_ns, self.end_ns = self._bag.start_ns, self._bag.end_ns
-        self.playing, self.speed = True, 1.0
+        self.start_ns, self.playing, self.speed = self._bag.start_ns, True, 1.0
         self.now_ns, self._shown_at = self.start_ns, time.monotonic()
+        self._looked_at = self._grew_at = time.monotonic()
         self._next: Recorded | None = None
         self._coming = self._after(self.start_ns - 1)
         self._lasting: list[Recorded] = []
         self._told = CellState(self.types, MOST_EVENTS)
-        self._looking, self.looked_through = self._look_through(), 0.0
+        self._looked_ns, self.looked_through = self.start_ns, 0.0
+        self._looking = self._look_through()
 
     def types(self, type_name: str) -> Any:
         """A type as the bag defines it, else as it is installed."""
@@ -70,6 +72,16 @@ class Recording:
         return (self.now_ns - self.start_ns) / SECOND_NS
 
     @property
+    def end_ns(self) -> int:
+        """Time of the last message, up to now."""
+        return self._bag.end_ns
+
+    @property
+    def growing(self) -> bool:
+        """Whether it is still written, as far as that can be seen."""
+        return self._bag.open_ended and time.monotonic() - self._grew_at < STILL
+
+    @property
     def duration(self) -> float:
         """How long the recording is, s."""
         return (self.end_ns - self.start_ns) / SECOND_NS
@@ -77,13 +89,14 @@ class Recording:
     def poll(self, timeout_s: float, looked_at: bool = True) -> None:
         """Go on by the time that has passed, if somebody looks, and gather events for so long."""
         end = time.monotonic() + timeout_s
+        self._look_again()
         while time.monotonic() < end and self.look_on():
             pass
         time.sleep(max(0.0, end - time.monotonic()))
         passed, self._shown_at = time.monotonic() - self._shown_at, time.monotonic()
         if self.playing and looked_at:
             self.now_ns = min(self.end_ns, self.now_ns + round(passed * self.speed * SECOND_NS))
-            self.playing = self.now_ns < self.end_ns
+            self.playing = self.now_ns < self.end_ns or self.growing
         self._give(self.now_ns)
 
     def seek(self, seconds: float) -> None:
@@ -116,14 +129,26 @@ class Recording:
 
     def look_on(self) -> bool:
         """Gather a few more events; False once all are."""
-        return next(self._looking, False)
+        return next(self._looking)
+
+    def _look_again(self) -> None:
+        """Take in what was written since, now and then."""
+        now = time.monotonic()
+        if now - self._looked_at > LOOK:
+            self._looked_at = now
+            if self._bag.look_again():
+                self._grew_at = now
 
     def _stamps(self, start_ns: int, last_ns: int, names: set[str] | None) -> list[int]:
         return sorted({message.received_ns for message in self._bag.between(start_ns, last_ns + 1, names)})
 
     def _after(self, ns: int) -> Iterator[Recorded | None]:
-        """What comes after a time; None for ever behind it."""
-        return chain(self._bag.between(ns + 1, self.end_ns + 1), repeat(None))
+        """What comes after a time; None where nothing is, or not yet."""
+        while True:
+            end = self.end_ns
+            yield from self._bag.between(ns + 1, end + 1)
+            ns = max(ns, end)
+            yield None
 
     def _give(self, until_ns: int) -> None:
         for _ in range(MOST_AT_ONCE):
@@ -145,9 +170,16 @@ class Recording:
             yield message
 
     def _look_through(self) -> Iterator[bool]:
-        """What the whole recording tells beside its numbers, and what lasts."""
+        """What the whole recording tells beside its numbers, and what lasts; False where nothing is left."""
         names = {name for name in self.bag.types if name in LASTING or tells(name)}
-        for count, message in enumerate(self._bag.between(self.start_ns, self.end_ns + 1, names)):
+        while True:
+            if self._looked_ns <= (end := self.end_ns):
+                yield from self._look_from(self._looked_ns, end, names)
+            self._looked_ns, self.looked_through = end + 1, 1.0
+            yield False
+
+    def _look_from(self, start_ns: int, end_ns: int, names: set[str]) -> Iterator[bool]:
+        for count, message in enumerate(self._bag.between(start_ns, end_ns + 1, names)):
             if message.topic in LASTING:
                 self._lasting.append(message)
                 if message.received_ns < self.now_ns:  # what is shown was sought before this was found
@@ -155,6 +187,5 @@ class Recording:
             else:
                 self._told.take(*message[:4])
             if count % 20 == 0:
-                self.looked_through = (message.received_ns - self.start_ns) / (self.end_ns - self.start_ns)
+                self.looked_through = (message.received_ns - self.start_ns) / max(1, end_ns - self.start_ns)
                 yield True
-        self.looked_through = 1.0

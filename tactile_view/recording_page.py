@@ -74,6 +74,8 @@ class RecordingPage(Page):
         set_html(self._paused, "" if recording.playing else "paused")
         if self._is_due("time line", MARKS_PERIOD):
             self._show_events()
+        if self._time.max < recording.duration:
+            self._time.max = round(recording.duration, 2)
         if abs(self._time.value - recording.seconds) > 0.1:
             self._time.value = round(recording.seconds, 2)
 
@@ -87,7 +89,8 @@ class RecordingPage(Page):
         more = [f"{left} more"] if left > 0 else []
         more += [f"{part:.0%} of the recording looked through so far"] if part < 1.0 else []
         set_html(self._listed, "<br>".join([*listed(events[:MOST_LISTED], recording.start_ns), *more]))
-        set_html(self._problem, f"<span style='color:#c01c1c'>{escape(recording.bag.problem)}</span>")
+        problem = f"<span style='color:#c01c1c'>{escape(recording.bag.problem)}</span>"
+        set_html(self._problem, "still being written" if recording.growing else problem)
 
 
 def timeline(events: list[Event], start_ns: int, length: float) -> str:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,11 +16,13 @@ from tactile_base.console import say
 from tactile_base.progress import Progress
 from tactile_base.whole_file import room_for_results
 from tactile_bringup.commands.changes import refusing
-from tactile_bringup.commands.launch import TASK_HELP, add_task_options
+from tactile_bringup.commands.launch import TASK_HELP, add_task_options, add_view_option
 from tactile_scene.simulation import FIDELITIES
 
 if TYPE_CHECKING:
-    from tactile_bringup.offline import OfflineOptions
+    from tactile_bringup.offline import Log, OfflineOptions
+    from tactile_bringup.offline_bag import OfflineBag
+    from tactile_bringup.run_sequence import ArmPlan
     from tactile_control.phases import Command
     from tactile_control.task_file import Task
     from tactile_records.runs.report import Run
@@ -25,6 +30,7 @@ if TYPE_CHECKING:
 
 
 ERRORS = "errors.log"  # tracebacks, beside the results
+BAG = "bag"
 
 
 def register(subparsers: Any) -> None:
@@ -41,24 +47,43 @@ def register(subparsers: Any) -> None:
     add("--arm", metavar="NAME", help="run this arm only (default: all with a role)")
     add("--latency", type=float, default=10.0, help="exposure to command in ms (default: 10)")
     add("--out", type=Path, help="folder for report, pictures and record (default: out/simulate)")
+    add_view_option(parser)
     parser.set_defaults(run=_simulate)
 
 
 @refusing("simulate", status=2)
 def _simulate(arguments: argparse.Namespace) -> int:
-    from tactile_bringup.offline import run_arms_offline
     from tactile_bringup.run_sequence import arm_plans
     from tactile_bringup.scene_check import check_bodies
+    from tactile_records.runs.log import RunLog
     from tactile_records.runs.report import FILES
 
     folder = arguments.out or Path("out") / "simulate"
-    room_for_results(folder, *FILES)
+    room_for_results(folder, *FILES, f"{BAG}/*")
     scene, task, options = prepared(arguments)
     options = replace(options, latency=arguments.latency * 1e-3, arm=arguments.arm)
     remarks = check_bodies(scene)
     for remark in remarks:
         say(Console(stderr=True), remark, "yellow")
     plans = arm_plans(task, scene, options.arm, options.goals)
+
+    def delivered(log: Log) -> int:
+        run = _run(scene, task, options, plans, log)
+        for record in run.values():
+            record.result |= {"complaints": remarks} if remarks else {}
+        return deliver(run, folder)
+
+    if not arguments.view:
+        return delivered(RunLog)
+    from tactile_bringup.offline_bag import OfflineBag
+
+    return _viewed(OfflineBag(folder / BAG, scene, task.name, plans, options.seed), folder, delivered)
+
+
+def _run(scene: Scene, task: Task, options: OfflineOptions, plans: list[ArmPlan], log: Log) -> Run:
+    """The run, with its progress on a terminal."""
+    from tactile_bringup.offline import run_arms_offline
+
     ends = {(plan.arm, goal.name): goal.goal.ends for plan in plans for goal in plan.goals}
     with Progress() as progress:
 
@@ -66,10 +91,23 @@ def _simulate(arguments: argparse.Namespace) -> int:
             done, total = (command.progress, 1.0) if ends[arm, goal] else (0.0, None)
             progress.update(f"{arm} {goal}", done, total, state=command.phase)
 
-        run = run_arms_offline(scene, task, options, show if progress.console.is_terminal else None)
-    for record in run.values():
-        record.result |= {"complaints": remarks} if remarks else {}
-    return deliver(run, folder)
+        return run_arms_offline(scene, task, options, show if progress.console.is_terminal else None, log)
+
+
+def _viewed(bag: OfflineBag, folder: Path, delivered: Callable[[Log], int]) -> int:
+    """Have a run be on a page, which shows its recording while it grows, and stays until Ctrl-C."""
+    from tactile_bringup.launching.page_process import served_page
+
+    console, log = Console(stderr=True), folder / "view.log"
+    with served_page(os.environ, log, bag.folder) as page:
+        say(console, f"page: {page.address}, in a few seconds")
+        with bag:
+            code = delivered(bag.log)
+        say(console, f"the run stays on {page.address}; Ctrl-C ends the page")
+        with contextlib.suppress(KeyboardInterrupt):
+            page.process.wait()
+            say(console, f"the page has ended by itself: see {log}", "yellow")
+    return code
 
 
 def prepared(arguments: argparse.Namespace) -> tuple[Scene, Task, OfflineOptions]:

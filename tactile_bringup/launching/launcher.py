@@ -177,8 +177,8 @@ class Launcher:
         self._runner.wait_until_active()
         self._worked = True
         if self.manner.view:
-            address = beside.enter_context(served_page(self._environment.variables, self.logs / "view.log"))
-            self.display.say(f"page: {address}, in a few seconds")
+            page = beside.enter_context(served_page(self._environment.variables, self.logs / "view.log"))
+            self.display.say(f"page: {page.address}, in a few seconds")
         if self.manner.waits:
             self._runner.wait()
         self._runner.run()

@@ -1,13 +1,17 @@
-"""The page in the browser as a process beside a launch."""
+"""The page in the browser as a process beside a launch, or beside a run without ROS."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
+
+from tactile_base.end_signals import LAUNCHER
 
 HOST = "127.0.0.1"
 ENDS = 5.0  # s, until it is killed
@@ -20,18 +24,25 @@ def free_port(host: str) -> int:
         return int(probe.getsockname()[1])
 
 
+class ServedPage(NamedTuple):
+    """Where a page is served, and by whom."""
+
+    address: str
+    process: subprocess.Popen[bytes]
+
+
 @contextlib.contextmanager
-def served_page(variables: Mapping[str, str], log: Path) -> Iterator[str]:
-    """`tactile view` in the ROS domain of these variables; gives its address, and ends it in the end."""
+def served_page(variables: Mapping[str, str], log: Path, *bag: Path) -> Iterator[ServedPage]:
+    """`tactile view` of a recording, or else of the ROS domain of these variables; it is ended in the end."""
     port = free_port(HOST)
-    command = [sys.executable, "-m", "tactile_bringup.cli", "view", "--port", str(port)]
+    command = [sys.executable, "-m", "tactile_bringup.cli", "view", *map(str, bag), "--port", str(port)]
     with log.open("w") as file:
         process = subprocess.Popen(
-            command, env=dict(variables), stdin=subprocess.DEVNULL, stdout=file, stderr=file,
-            start_new_session=True,
+            command, env={**variables, LAUNCHER: str(os.getpid())}, stdin=subprocess.DEVNULL, stdout=file,
+            stderr=file, start_new_session=True,
         )  # fmt: skip
     try:
-        yield f"http://{HOST}:{port}"
+        yield ServedPage(f"http://{HOST}:{port}", process)
     finally:
         process.terminate()
         try:

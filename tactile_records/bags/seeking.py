@@ -53,8 +53,8 @@ class SeekableBag:
     ----------
     contents : Bag
         Note, topics, types and problems; neither messages nor counts.
-    start_ns, end_ns : int
-        Times of the first and the last message.
+    start_ns : int
+        Time of the first message.
 
     Raises
     ------
@@ -71,8 +71,24 @@ class SeekableBag:
         if not self._parts:
             raise BagError(f"{folder}: nothing in it can be read ({bag.problem or 'it holds no message'})")
         self.start_ns = min(part.start_ns for part in self._parts)
-        self.end_ns = max(part.end_ns for part in self._parts)
         bag.note = {str(key): str(value) for key, value in information["custom_data"].items()}
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last message."""
+        return max(part.end_ns for part in self._parts)
+
+    @property
+    def open_ended(self) -> bool:
+        """Whether it is still written, or its writer was killed."""
+        return any(part.open_ended for part in self._growing())
+
+    def look_again(self) -> bool:
+        """Take in what was written since the last look; whether that was anything."""
+        return sum(part.look_again() for part in self._growing()) > 0
+
+    def _growing(self) -> Iterator[SeekingMcap]:
+        return (part for part in self._parts if isinstance(part, SeekingMcap))
 
     def between(
         self, start_ns: int, stop_ns: int, names: Collection[str] | None = None

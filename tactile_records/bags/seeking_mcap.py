@@ -11,7 +11,7 @@ import os
 import struct
 from bisect import bisect_left
 from collections import OrderedDict
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -57,6 +57,11 @@ class FileBytes:
     def __len__(self) -> int:
         return self._size
 
+    def look_again(self) -> bool:
+        """Whether the file is larger than when this was asked last."""
+        before, self._size = self._size, os.fstat(self._stream.fileno()).st_size
+        return self._size > before
+
     def __getitem__(self, part: slice) -> bytes:
         start, stop, _ = part.indices(self._size)
         return os.pread(self._stream.fileno(), max(0, stop - start), start)
@@ -72,8 +77,12 @@ class SeekingMcap(McapReader):
     """
 
     def __init__(self, file: Path, bag: Bag) -> None:
-        super().__init__(FileBytes(file), file.name, bag, Unpacker(0))
+        self._file = FileBytes(file)
+        super().__init__(self._file, file.name, bag, Unpacker(0))
         self.places: list[Place] = []
+        self._position = len(MCAP0_MAGIC)  # how far it was scanned
+        self._latest: Place | None = None  # that was found
+        self._early_end = ""
         self._kept: OrderedDict[int, list[Recorded]] = OrderedDict()
         self._size = 0  # of what is kept, bytes
         self._told: set[int] = set()  # places whose damage was told
@@ -93,11 +102,32 @@ class SeekingMcap(McapReader):
         if not self._starts():
             return False
         self._read_summary()
+        counted = self._statistics is not None and self._statistics.chunk_count == len(self._chunks) > 0
+        self._list(self._list_chunks if counted else self._scan)
+        return bool(self._channels) or not self._bag.problems
+
+    def look_again(self) -> bool:
+        """List also what was written since; whether that was anything."""
+        if not (self.open_ended and self._file.look_again()):
+            return False
+        self._bag.problems.remove(self._early_end)
+        self._early_end = ""
+        for place in self.places:
+            if place.kind == "part" or place is self._latest:  # more of it may be there now
+                self._size -= _cost(self._kept.pop(place.at, []))
+        self.places = [place for place in self.places if place.kind != "part"]
+        self._read_summary()
+        self._list(self._scan)
+        return True
+
+    @property
+    def open_ended(self) -> bool:
+        """Whether its end is missing, as long as it is written."""
+        return bool(self._early_end)
+
+    def _list(self, look: Callable[[], None]) -> None:
         try:
-            if self._statistics is not None and self._statistics.chunk_count == len(self._chunks) > 0:
-                self._list_chunks()
-            else:
-                self._scan()
+            look()
         except DAMAGE as error:
             self._report(f"damaged, shown as far as it goes: {text_of(error)}")
         for place in self.places:
@@ -106,7 +136,6 @@ class SeekingMcap(McapReader):
                 found = self._messages(place)
                 place.end_ns = found[-1].received_ns if found else 0
         self.places = sorted((place for place in self.places if place.end_ns), key=attrgetter("start_ns"))
-        return bool(self._channels) or not self._bag.problems
 
     def between(
         self, start_ns: int, stop_ns: int, names: Collection[str] | None = None
@@ -142,38 +171,50 @@ class SeekingMcap(McapReader):
             self._take(Opcode.METADATA, index.offset, index.offset + index.length)
 
     def _scan(self) -> None:
-        """From record to record; of chunks only their times are read, and which channels they have."""
-        position, size, whole, opcode = len(MCAP0_MAGIC), len(self._data), True, 0
-        while whole and opcode != Opcode.DATA_END and position + MESSAGE.size <= size:
-            head = self._data[position : position + MESSAGE.size]
+        """From record to record; of chunks only their times are read, and which channels they have.
+
+        It goes on where it ended the last time, with the record that was not whole then.
+        """
+        size, whole, opcode = len(self._data), True, 0
+        while whole and opcode != Opcode.DATA_END and self._position + MESSAGE.size <= size:
+            at = self._position
+            head = self._data[at : at + MESSAGE.size]
             opcode, length = RECORD.unpack_from(head)
-            at, position = position, position + RECORD.size + length
-            whole = opcode in OPCODES and position <= size
+            stop = at + RECORD.size + length
+            whole = opcode in OPCODES and stop <= size
             if opcode == Opcode.CHUNK and (whole or size - at < ALLOWED):
                 start_ns, end_ns = _SPAN.unpack_from(head, RECORD.size)
                 kind = "chunk" if whole else "part"
-                self.places.append(Place(at, min(position, size), start_ns, end_ns, kind))
-            elif whole and opcode == Opcode.MESSAGE_INDEX and self.places:
-                self.places[-1].channels.update(_CHANNEL.unpack_from(head, RECORD.size))
+                self._add(Place(at, min(stop, size), start_ns, end_ns, kind))
+            elif whole and opcode == Opcode.MESSAGE_INDEX and self._latest is not None:
+                self._latest.channels.update(_CHANNEL.unpack_from(head, RECORD.size))
             elif whole and opcode == Opcode.MESSAGE:
-                self._add_message(at, position, head)
+                self._add_message(at, stop, head)
             elif whole and opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-                self._take(opcode, at, position)
+                self._take(opcode, at, stop)
+            self._position = stop if whole else at
         if not self._has_end:
             self._report(f"the file ends early, after {size} bytes and {WITHOUT_FOOTER}")
+            self._early_end = self._bag.problems[-1]
         elif not whole:
-            self._report(f"damaged near byte {at} of {size}: no record of MCAP; the rest is not shown")
+            self._report(
+                f"damaged near byte {self._position} of {size}: no record of MCAP; the rest is not shown"
+            )
 
     def _add_message(self, at: int, stop: int, head: bytes) -> None:
         """One outside of a chunk; adjacent ones make a place."""
         channel, _, received_ns, _ = MESSAGE.unpack(head)[2:]
-        last = self.places[-1] if self.places else None
+        last = self._latest
         if last is None or last.kind != "run" or last.stop != at or at - last.at > RUN:
-            last = Place(at, stop, received_ns, received_ns, "run")
-            self.places.append(last)
+            last = self._add(Place(at, stop, received_ns, received_ns, "run"))
         last.stop = stop
         last.start_ns, last.end_ns = min(last.start_ns, received_ns), max(last.end_ns, received_ns)
         last.channels.add(channel)
+
+    def _add(self, place: Place) -> Place:
+        self.places.append(place)
+        self._latest = place
+        return place
 
     # ---- what is in it ----
 

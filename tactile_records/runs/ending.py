@@ -11,9 +11,10 @@ from tactile_base.process_limits import OVERLOADED
 from tactile_base.stamps import SECOND_NS
 from tactile_base.topics import CONTROLLER_STATUS, DIAGNOSTICS, ROSOUT
 from tactile_records.bags.contents import Bag
+from tactile_records.messages import IDLE
 from tactile_records.runs.record import RunRecord
 
-DONE, IDLE = "done", "idle"  # phases
+DONE = "done"  # phase
 CANCELLED = "cancelled"  # the reason of a goal that was
 LEVEL_OK = 0  # of diagnostic_msgs/DiagnosticStatus
 BEFORE, AFTER = 3.0, 0.5  # s about the end of a goal in which a complaint may say why

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_base.stamps import SECOND_NS
-from tactile_control.phases import Command, StampedPose
+from tactile_control.phases import Command
 from tactile_filter.belief import Belief, BeliefFlag
 from tactile_perception.estimating.perceive import Percept
 from tactile_records.runs.metrics import COMMAND_STAGE
 from tactile_records.runs.record import Event, RunRecord, Series, StageSeries
-from tactile_sim.frame import Truth
+from tactile_scene.arm import ArmState
+from tactile_sim.frame import Frame
 
 Array = NDArray[Any]
 S = TypeVar("S", bound=Series)
@@ -34,14 +35,15 @@ class RunLog:
         self._rows: defaultdict[str, list[tuple[Any, ...]]] = defaultdict(list)  # by the record's stream
         self._latency: list[tuple[int, float]] = []
 
-    def pose(self, pose: StampedPose, twist: Array) -> None:
+    def state(self, state: ArmState) -> None:
         """What the arm reports."""
-        self._rows["pose"].append((pose.stamp_ns, pose.T))
-        self._rows["arm_twist"].append((pose.stamp_ns, twist))
+        self._rows["pose"].append((state.stamp_ns, state.T_base_controlled))
+        self._rows["arm_twist"].append((state.stamp_ns, state.twist))
 
-    def truth(self, stamp_ns: int, truth: Truth) -> None:
-        """What the simulation knows of an exposure."""
-        self._rows["truth"].append((stamp_ns, truth.T_fs, truth.slip_fraction, truth.in_contact))
+    def exposure(self, frame: Frame) -> None:
+        """An exposure, and what the simulation knows of it."""
+        truth = frame.truth
+        self._rows["truth"].append((frame.stamp_ns, truth.T_fs, truth.slip_fraction, truth.in_contact))
 
     def body(self, stamp_ns: int, T_world_body: Array) -> None:
         """Where the simulation has the body that the arm touches and a motion model moves."""
@@ -64,6 +66,9 @@ class RunLog:
         """What the controller sends; `goal` is the index of the goal under way."""
         row = (command.twist, command.unlimited, command.error, command.feedforward, command.reference)
         self._rows["command"].append((now_ns, *row, command.phase, goal, command.exposure_ns))
+
+    def ahead(self, now_ns: int, ahead: Callable[[], Sequence[Array]]) -> None:
+        """Where the task leads: poses (4, 4) in the base; a record does not keep it."""
 
     def latency(self, exposure_ns: int, now_ns: int) -> None:
         """When the controller answered an exposure."""

@@ -42,6 +42,7 @@ from tactile_drivers.safety import SafeArm
 from tactile_filter.contact_bounds import ContactBounds
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmCommand, ArmStatus, ContactState
+from tactile_records.messages import arm_status_bytes, pose_bytes
 from tactile_ros.conversions import header, transform_stamped
 from tactile_ros.external_arm import ExternalArm, external_settings
 from tactile_ros.joint_states import JointListener, JointPublisher
@@ -52,9 +53,7 @@ from tactile_ros.message_bytes import (
     STATE_XI,
     Layout,
     command_from_bytes,
-    headed_bytes,
     read_state,
-    split_stamp,
     twist_bytes,
 )
 from tactile_ros.parameters import SettingsParameters, fixed_settings
@@ -65,6 +64,7 @@ from tactile_scene.external_settings import ExternalArmSettings
 from tactile_scene.scene import EXTERNAL, SIM, ArmScene, Scene
 from tactile_scene.scene_file import load_scene
 from tactile_wire.errors import MessageError
+from tactile_wire.packing import split_stamp
 from tactile_wire.pose_numbers import numbers_from_pose
 
 DOUBLE_STARTS = 30.0  # s, at most, for the simulated cell to start the double of an arm
@@ -293,17 +293,11 @@ class ArmNode(ManagedNode):
             self.report.complain("fault", f"{self.arm}: {state.mode.name.lower()}: {state.reason}")
         if state.remark:
             self.warn("remark", f"{self.arm}: {state.remark}", period=5.0)
-        numbers = numbers_from_pose(state.T_base_controlled).tolist()
-        self.pose_out.publish(headed_bytes(PoseStamped, state.stamp_ns, self.base_frame, *numbers))
+        self.pose_out.publish(pose_bytes(state, self.base_frame))
         self.limited_out.publish(twist_bytes(state.stamp_ns, self.frame, state.twist))
         if self.joints is not None:
             self.joints.publish(state)
-        numbers = int(state.mode), state.command_age, state.limited, *state.twist.tolist()
-        texts = {
-            name: getattr(state, name)
-            for name in ("reason", "owner", "limited_by", "refused", "refused_source", "remark")
-        }
-        self.status_out.publish(headed_bytes(ArmStatus, state.stamp_ns, self.base_frame, *numbers, **texts))
+        self.status_out.publish(arm_status_bytes(state, self.base_frame))
 
     # ---- commands ----
 

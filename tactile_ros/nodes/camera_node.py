@@ -16,9 +16,9 @@ from sensor_msgs.msg import Image
 from tactile_base.raised import defined_in
 from tactile_base.settings import Settings, setting
 from tactile_base.topics import IMAGE as IMAGE_TOPIC
+from tactile_records.messages import bytes_from_array
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode
-from tactile_ros.message_bytes import bytes_from_array
 from tactile_ros.nodes.arm_node import arm_of_scene
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import IMAGE

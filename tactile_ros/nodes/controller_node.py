@@ -35,6 +35,7 @@ from tactile_geometry import se3
 from tactile_geometry.transform_buffer import TransformUnavailable
 from tactile_msgs.action import RunTask
 from tactile_msgs.msg import ContactState
+from tactile_records.messages import status_bytes
 from tactile_ros.colleagues import listen_to_partners
 from tactile_ros.image_input import ImageTopicSettings, PosedImages, subscribe_images
 from tactile_ros.latency import LatencyPublisher
@@ -43,7 +44,7 @@ from tactile_ros.message_bytes import STATE_FLAGS, STATE_XI, read_state
 from tactile_ros.parameters import GroupParameters, SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
-from tactile_ros.task_messages import feedback_message, named_goal, path_message, status_bytes, with_settings
+from tactile_ros.task_messages import feedback_message, named_goal, path_message, with_settings
 from tactile_ros.task_node import ZERO, Run, TaskNode
 from tactile_scene.arm_settings import WorkspaceSettings
 from tactile_wire.errors import MessageError

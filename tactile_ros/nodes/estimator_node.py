@@ -37,11 +37,12 @@ from tactile_perception.estimating.presence import ContactPresence, PresenceSett
 from tactile_ros.image_input import ImageTopicSettings, Received, subscribe_images
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode
-from tactile_ros.message_bytes import gaussian_bytes, headed_bytes
+from tactile_ros.message_bytes import headed_bytes
 from tactile_ros.parameters import SettingsParameters
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
 from tactile_wire.errors import MessageError
+from tactile_wire.packing import gaussian_bytes
 
 #: Counters of what has been dropped.
 LONGEST_GAP = 600 * SECOND_NS  # a longer one between two stamps is another time, not lost images

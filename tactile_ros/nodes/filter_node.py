@@ -20,7 +20,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from numpy.typing import NDArray
 
 from tactile_base import topics
-from tactile_base.stamps import parts_from_ns
 from tactile_filter.bayes_filter import Belief, ContactFilter, FilterSettings
 from tactile_filter.consistency import ConsistencyMonitor, ConsistencySettings
 from tactile_filter.contact_bounds import ContactBounds
@@ -28,9 +27,10 @@ from tactile_filter.events import Event, measurement_join, says_no_contact
 from tactile_geometry.gaussian import UNUSABLE, PoseGaussian
 from tactile_geometry.transform_buffer import MotionLimits, TransformUnavailable
 from tactile_msgs.msg import ContactPresence, ContactState
+from tactile_records.messages import state_bytes
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter
-from tactile_ros.message_bytes import HeadedReader, gaussian_bytes, headed_bytes, read_gaussian
+from tactile_ros.message_bytes import HeadedReader, read_gaussian
 from tactile_ros.parameters import SettingsParameters, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -42,6 +42,7 @@ from tactile_ros.transforms import (
     serve_reset,
 )
 from tactile_wire.errors import MessageError
+from tactile_wire.packing import gaussian_bytes
 from tactile_wire.pose_numbers import gaussian_from_numbers
 
 PRESENCE, ESTIMATE = topics.PRESENCE.name, topics.ESTIMATE.name
@@ -235,29 +236,6 @@ class FilterNode(ManagedNode):
         self.no_contact_ns = -1
         self.still, self.novelty = False, math.nan  # of the last presence
         self.frame_out.clear()
-
-
-def state_bytes(
-    belief: Belief, frame_id: str, emitted_ns: int, still: bool = False, novelty: float = math.nan
-) -> bytes:
-    """ContactState of a belief; NaN where it holds nothing. `still` and `novelty` are of the images."""
-    xi, euler = belief.vectors()
-    latency = parts_from_ns(emitted_ns - belief.stamp_ns)
-    return headed_bytes(
-        ContactState,
-        belief.stamp_ns,
-        frame_id,
-        *xi.tolist(),
-        *belief.cov.ravel().tolist(),
-        *euler.tolist(),
-        belief.nis,
-        belief.nis_dof,
-        int(belief.flags) | (ContactState.STILL if still else 0),
-        belief.rejected,
-        belief.inflation,
-        novelty,
-        *latency,
-    )
 
 
 def main() -> int:

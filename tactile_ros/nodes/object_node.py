@@ -35,7 +35,7 @@ from tactile_geometry.transform_buffer import MotionLimits
 from tactile_msgs.msg import ContactState
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ManagedNode, lost_counter
-from tactile_ros.message_bytes import STATE_FLAGS, gaussian_bytes, read_gaussian, read_state
+from tactile_ros.message_bytes import STATE_FLAGS, read_gaussian, read_state
 from tactile_ros.parameters import SettingsParameters, declare_read_only, fixed_settings
 from tactile_ros.qos import STATE
 from tactile_ros.run_nodes import run
@@ -47,6 +47,7 @@ from tactile_ros.transforms import (
     serve_reset,
 )
 from tactile_wire.errors import MessageError
+from tactile_wire.packing import gaussian_bytes
 from tactile_wire.pose_numbers import gaussian_from_numbers
 
 MERGE_PERIOD = 0.005  # s; how late a deadline may be kept

@@ -32,12 +32,12 @@ from tactile_base.stamps import SECOND_NS
 from tactile_doubles.rehearsal import DOUBLES, Double, FollowedArm, doubled, rehearsed
 from tactile_doubles.reported import ReportedDouble
 from tactile_drivers.arm_distance import neighbours
-from tactile_geometry import se3
 from tactile_msgs.msg import ContactPresence, ContactTruth
+from tactile_records.messages import truth_bytes
 from tactile_ros.conversions import pose_from_matrix, transform_stamped
 from tactile_ros.latency import LatencyPublisher
 from tactile_ros.managed_node import ConfigurationError, ManagedNode
-from tactile_ros.message_bytes import Layout, gaussian_bytes, headed_bytes, split_stamp, transforms_from_bytes
+from tactile_ros.message_bytes import Layout, headed_bytes, transforms_from_bytes
 from tactile_ros.nodes.arm_node import ArmNode
 from tactile_ros.nodes.camera_node import CameraNode
 from tactile_ros.parameters import SettingsParameters
@@ -50,6 +50,7 @@ from tactile_scene.scene import SIM, Scene
 from tactile_scene.scene_file import load_scene
 from tactile_sim.cell import Cell
 from tactile_sim.frame import Frame
+from tactile_wire.packing import gaussian_bytes, split_stamp
 from tactile_wire.pose_numbers import numbers_from_pose, pose_from_numbers
 
 START_DELAY = 0.1  # s
@@ -352,27 +353,6 @@ def with_camera_rate(scene: Scene, camera_rate: float) -> Scene:
             arms[name] = dataclasses.replace(arm, sensor=dataclasses.replace(arm.sensor, settings=settings))
     simulation = dataclasses.replace(scene.simulation, rate=steps)
     return dataclasses.replace(scene, arms=arms, simulation=simulation)
-
-
-def truth_bytes(frame: Frame, base_frame: str) -> bytes:
-    """ContactTruth message of a frame."""
-    truth = frame.truth
-    valid = bool(np.isfinite(truth.T_fs).all())
-    return headed_bytes(
-        ContactTruth,
-        frame.stamp_ns,
-        base_frame,
-        truth.in_contact,
-        truth.depth,
-        truth.normal_angle,
-        *(se3.euler_from_pose(truth.T_fs) if valid else np.full(6, np.nan)).tolist(),
-        *np.asarray(truth.shear).tolist(),
-        truth.slip_fraction,
-        truth.normal_force,
-        *numbers_from_pose(frame.T_base_sensor).tolist(),
-        *truth.point.tolist(),
-        *truth.normal.tolist(),
-    )
 
 
 def main() -> int:

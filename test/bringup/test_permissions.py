@@ -42,7 +42,8 @@ def test_each_process_and_who_stops_and_starts_by_hand_has_an_enclave(pushing):
     arms = ElementTree.parse(pushing / "policies.xml").getroot().iter("enclave")
     named = {enclave.get("path") for enclave in arms}
     nodes = {f"/{arm}/{name}" for arm in ("leader", "follower") for name in NODES}
-    assert named == nodes | {"/sim", "/object", "/recorder", "/tactile_launch", "/operator"}
+    plain = {"/tactile_launch", "/operator", "/tactile_view", "/tactile_foxglove"}
+    assert named == nodes | {"/sim", "/object", "/recorder"} | plain
     assert set(rights(pushing, "publish")) == named
 
 
@@ -56,6 +57,9 @@ def test_what_moves_and_stops_an_arm_is_for_those_alone_whose_part_it_is(pushing
     assert holders(pushing, "publish", "rt/leader/contact/state") == {"/leader/filter"}
     assert holders(pushing, "publish", "rt/leader/tactile/image") == {"/sim"}
     assert holders(pushing, "subscribe", "rt/estop") >= {"/sim", "/recorder"}
+    for looker in ("/tactile_view", "/tactile_foxglove"):
+        written = rights(pushing, "publish")[looker] - {"ros_discovery_info", "rt/parameter_events"}
+        assert all(name == f"rr{looker}/{name.rpartition('/')[2]}" for name in written), "it sends nothing"
     everything = set().union(*rights(pushing, "publish").values())
     assert not any("*" in name or "?" in name for name in everything)
 

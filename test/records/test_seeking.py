@@ -169,6 +169,32 @@ def test_a_file_that_ends_within_a_chunk_is_read_up_to_there_and_that_is_told(tm
     assert "its writer was killed, or still writes" in bag.contents.problem
 
 
+@pytest.mark.parametrize("options", [{}, {"index_types": IndexType.NONE}, {"use_chunking": False}])
+def test_what_is_written_after_it_was_opened_is_taken_in_and_nothing_twice(tmp_path, options):
+    """Cut anywhere, also within records, as a reader finds it whose writer is at work."""
+    whole = mcap(tmp_path / "whole.mcap", **options).read_bytes()
+    file, at, lengths = tmp_path / "run.mcap", 9000, random.Random(5)
+    file.write_bytes(whole[:at])
+    bag = SeekableBag(file)
+    seen = rows(bag)
+    while at < len(whole):
+        assert bag.open_ended and bag.contents.problem.count("ends early") == 1
+        assert not bag.look_again()
+        more = whole[at : at + lengths.randrange(1, 5000)]
+        at += len(more)
+        with file.open("ab") as stream:
+            stream.write(more)
+        assert bag.look_again()
+        before, seen = seen, rows(bag)
+        assert set(before) <= set(seen) and len(seen) == len(set(seen)) >= len(before)
+    assert sorted(seen) == expected(0, 2**62) and bag.end_ns == seen[-1][0]
+    assert not bag.open_ended and not bag.look_again() and bag.contents.problem == ""
+
+
+def rows(bag: SeekableBag) -> list[tuple[int, str, bytes]]:
+    return [(m.received_ns, m.topic, m.data) for m in bag.between(0, 2**62)]
+
+
 def test_what_is_none_is_refused(tmp_path):
     (tmp_path / "run.mcap").write_bytes(b"no bag at all")
     with pytest.raises(BagError, match=r"nothing in it can be read \(run.mcap: is not an MCAP file"):

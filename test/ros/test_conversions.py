@@ -13,17 +13,17 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 
 from tactile_geometry import se3
+from tactile_records.messages import bytes_from_array
 from tactile_ros.conversions import array_from_image, matrix_from_pose, pose_from_matrix
 from tactile_ros.message_bytes import (
     HeadedReader,
-    bytes_from_array,
     command_from_bytes,
-    gaussian_bytes,
     image_from_bytes,
     read_gaussian,
     twist_bytes,
 )
 from tactile_wire.errors import MessageError
+from tactile_wire.packing import gaussian_bytes
 from tactile_wire.pose_numbers import gaussian_from_numbers, pose_from_numbers
 
 RNG = np.random.default_rng(7)

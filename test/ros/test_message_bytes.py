@@ -16,22 +16,21 @@ from tf2_msgs.msg import TFMessage
 
 from tactile_geometry import se3
 from tactile_msgs.msg import ArmStatus, ContactPresence, ContactState, ContactTruth, ControllerStatus
+from tactile_records.messages import bytes_from_array
 from tactile_ros.conversions import (
     transform_stamped,
 )
 from tactile_ros.message_bytes import (
-    LONGEST_SAID,
     HeadedReader,
     Layout,
-    bytes_from_array,
     command_from_bytes,
-    gaussian_bytes,
     headed_bytes,
     image_from_bytes,
     transforms_from_bytes,
     twist_bytes,
 )
 from tactile_wire.errors import MessageError
+from tactile_wire.packing import LONGEST_SAID, gaussian_bytes
 
 STORE = get_typestore(Stores.LATEST)
 HEADED = [PoseWithCovarianceStamped, TwistStamped, ContactPresence, ContactState, ContactTruth]

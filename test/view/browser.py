@@ -34,29 +34,22 @@ def chromium() -> Iterator:
         browser.close()
 
 
-class Viewer:
-    """`tactile view` as a process, and a page of it."""
+class Opened:
+    """A page in the browser, of whoever serves it; it may be there a little after its address is said."""
 
-    def __init__(self, browser, folder: Path, *words: str, **variables: str) -> None:
-        import os
+    def __init__(self, browser, address: str) -> None:
+        from playwright.sync_api import Error
 
-        self.output = folder / "view.txt"
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tactile_bringup.cli", "view", *words],
-            env={**os.environ, **variables}, stdout=self.output.open("w"), stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        assert wait(lambda: "open http" in self.said or self.process.poll() is not None), self.said
-        found = re.search(r"http://[\d.]+:\d+", self.said)
-        assert found, self.said
-        self.address = found[0]
         self.page = browser.new_page(viewport={"width": 1400, "height": 850})
         self.page.set_default_timeout(1e3 * PATIENCE)
-        self.page.goto(self.address)
-        self.page.wait_for_selector("canvas")
 
-    @property
-    def said(self) -> str:
-        return self.output.read_text()
+        def there() -> bool:
+            with contextlib.suppress(Error):
+                return self.page.goto(address) is not None
+            return False
+
+        assert wait(there), address
+        self.page.wait_for_selector("canvas")
 
     def text(self) -> str:
         return self.page.inner_text("body")
@@ -86,6 +79,31 @@ class Viewer:
 
     def close(self) -> None:
         self.page.close()
+
+
+class Viewer(Opened):
+    """`tactile view` as a process, and a page of it."""
+
+    def __init__(self, browser, folder: Path, *words: str, **variables: str) -> None:
+        import os
+
+        self.output = folder / "view.txt"
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tactile_bringup.cli", "view", *words],
+            env={**os.environ, **variables}, stdout=self.output.open("w"), stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        assert wait(lambda: "open http" in self.said or self.process.poll() is not None), self.said
+        found = re.search(r"http://[\d.]+:\d+", self.said)
+        assert found, self.said
+        self.address = found[0]
+        super().__init__(browser, self.address)
+
+    @property
+    def said(self) -> str:
+        return self.output.read_text()
+
+    def close(self) -> None:
+        super().close()
         if self.process.poll() is None:
             self.process.terminate()
             try:

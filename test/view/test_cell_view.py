@@ -10,7 +10,7 @@ from tactile_bringup.launching.page_process import free_port
 from tactile_scene.scene_file import load_scene
 from tactile_view.cell_state import CellState
 from tactile_view.cell_view import SHEAR_SCALE, CellView
-from tactile_view.drawing import way_ahead
+from tactile_view.drawing import STALK, look_from, way_ahead
 from tactile_view.words import state_in_words
 
 SECONDS = 0.1
@@ -52,6 +52,21 @@ def test_the_way_ahead_leads_from_the_tip_to_the_goal_until_the_task_has_none(se
     )
     view.show(state)
     assert not line.visible and not goal.visible
+
+
+@pytest.mark.parametrize("scene", ["ramp", "tracking_cube", "pushing", "dual_pushing", "two_arms"])
+def test_no_stalk_stands_before_a_contact_when_a_page_is_opened(server, scene):
+    tips = CellView(server, load_scene(scene)).tips(CellState())
+    eye, middle = look_from(tips)
+    np.testing.assert_allclose(middle, np.mean([T[:3, 3] for T in tips], axis=0), atol=1e-12)
+    for T in tips:
+        contact = T[:3, 3] + 0.02 * T[:3, 2]
+        for other in tips:
+            for away in np.linspace(0.03, STALK, 50):  # the nearest point of the line of sight
+                point = other[:3, 3] - away * other[:3, 2]
+                way = contact - eye
+                part = np.clip((point - eye) @ way / (way @ way), 0.0, 1.0)
+                assert np.linalg.norm(eye + part * way - point) > 0.02, "a stalk is 25 mm thick"
 
 
 def test_points_that_the_tip_has_passed_are_not_gone_back_to():

@@ -1,7 +1,7 @@
 """A recording on the page: played, sought, stepped, and refused in words where there is nothing to show."""
 
 import pytest
-from cell_messages import DEPTH, RATE, START, record
+from cell_messages import DEPTH, RATE, START, TOPICS, messages, record
 
 from tactile_records.bags.reader import BagError
 from tactile_records.bags.writer import BagWriter
@@ -85,6 +85,55 @@ def test_a_bag_without_our_topics_is_refused_with_those_that_it_has(tmp_path):
         bag.write(other.name, packed(other.type, data="hello"), START)
     with pytest.raises(BagError, match="nothing to show; topics: /chatter"):
         Recording(tmp_path / "bag", CellState())
+
+
+def test_a_bag_that_is_written_is_played_on_as_it_grows(tmp_path, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(module.time, "sleep", lambda seconds: None)
+    told, state = list(messages(3.0)), CellState()
+    with BagWriter(tmp_path / "bag", TOPICS) as bag:
+
+        def go_on(seconds: float) -> None:
+            while told and told[0][3] <= START + seconds * 1e9:
+                topic, _, data, ns = told.pop(0)
+                bag.write(topic, data, ns)
+            bag.flush()
+            clock[0] += 1.0
+            recording.poll(0.0)
+
+        bag.write(*told.pop(0)[::2], START)
+        bag.flush()
+        recording = Recording(tmp_path / "bag", state)
+        recording.poll(0.0)
+        assert recording.duration == 0.0 and recording.playing and recording.growing
+        for seconds in (0.2, 1.0, 2.0):  # it is slower than it was, then as fast
+            go_on(seconds)
+            assert recording.duration == pytest.approx(seconds, abs=1.5 / RATE)
+            assert recording.seconds == pytest.approx(seconds, abs=1.5 / RATE) and recording.playing
+            assert depth(state) == DEPTH
+        go_on(3.0)
+    while recording.look_on():
+        pass
+    assert [event.text for event in recording.events] == ["arm: approach", "arm: follow"]
+    clock[0] += 1.0
+    recording.poll(0.0)
+    assert recording.bag.problem == "" and not recording.growing and not recording.playing
+    assert state.now_ns == recording.end_ns
+
+
+def test_a_bag_whose_writer_was_killed_is_played_to_its_end(bag, tmp_path, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    file = next(bag.glob("*.mcap"))
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    recording = Recording(cut, CellState())
+    recording.seek(recording.duration)
+    assert recording.playing and recording.growing
+    clock[0] += module.STILL + 1.0
+    recording.poll(0.0)
+    assert not recording.playing and not recording.growing
 
 
 def test_a_bag_that_is_cut_is_shown_as_far_as_it_goes(bag, tmp_path):
