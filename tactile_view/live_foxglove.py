@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
 import foxglove
+from rclpy.qos import DurabilityPolicy
 
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_ros.conversions import message_class
@@ -86,7 +87,11 @@ class FoxgloveBridge(GraphClient):
             )
 
     def _count(self, topic: str, more: int) -> None:
+        """Hear a topic while it has readers, and one that is said once anew for each of them."""
         self._readers[topic] = self._readers.get(topic, 0) + more
+        heard = self._heard.get(topic)
+        if heard is not None and (self._readers[topic] <= 0 or (more > 0 and _is_latched(heard))):
+            self._node.destroy_subscription(self._heard.pop(topic))
         if self._readers[topic] > 0 and topic not in self._heard:
             self._heard[topic] = self._node.create_subscription(
                 message_class(self._types[topic]),
@@ -95,5 +100,7 @@ class FoxgloveBridge(GraphClient):
                 reader_profile(self._node.get_publishers_info_by_topic(topic)),
                 raw=True,
             )
-        elif self._readers[topic] <= 0 and topic in self._heard:
-            self._node.destroy_subscription(self._heard.pop(topic))
+
+
+def _is_latched(subscription: Any) -> bool:
+    return bool(subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)

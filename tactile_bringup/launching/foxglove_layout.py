@@ -127,7 +127,7 @@ def _images(graph: Graph, arm: str) -> list[tuple[str, str, dict[str, Any]]]:
         return shown
     tabs = [
         {"title": title, "layout": f"{kind}!{arm}_{name}"}
-        for title, (kind, name, _) in zip(("live", "in the recording"), shown, strict=True)
+        for title, (kind, name, _) in zip(("live", "recorded"), shown, strict=True)
     ]
     return [("Tab", "images", {"activeTabIdx": 0, "tabs": tabs}), *shown]
 

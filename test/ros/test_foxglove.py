@@ -11,6 +11,7 @@ import threading
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import String
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -83,6 +84,21 @@ def test_a_topic_comes_with_its_definition_and_messages_as_they_are(shared_graph
     assert len(client.data[0]) == len(serialize_message(message))
     assert deserialize_message(client.data[0], PoseStamped) == message
     client.socket.close()
+
+
+def test_who_comes_late_gets_what_was_said_once(shared_graph, address):
+    out = shared_graph.node.create_publisher(String, "/arm/robot_description", qos.LATCHED)
+    out.publish(String(data="once"))
+    clients = []
+    for _ in range(2):  # the second to a topic that is heard already
+        client = Client(address)
+        clients.append(client)
+        assert shared_graph.wait(lambda client=client: "/arm/robot_description" in client.channels)
+        client.subscribe("/arm/robot_description")
+        assert shared_graph.wait(lambda client=client: bool(client.data))
+        assert deserialize_message(client.data[0], String) == String(data="once")
+    for client in clients:
+        client.socket.close()
 
 
 def test_nothing_can_be_sent(address):

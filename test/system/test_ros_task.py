@@ -103,6 +103,11 @@ def test_the_task_is_done_and_nothing_is_left(finished):
     assert record.result["bag_complete"] and values["succeeded"]
 
 
+def test_what_foxglove_shows_of_a_run_stands_beside_its_logs(finished):
+    (layout,) = finished[0].folder.glob("*/foxglove.json")
+    assert "/arm/contact/state.euler[2]" in layout.read_text()
+
+
 def test_a_recorded_run_has_a_report(finished, tmp_path):
     launch, _, values = finished
     assert main(["report", str(launch.folder / "bag"), "--out", str(tmp_path)]) == 0
