@@ -41,7 +41,12 @@ _Touch = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], fl
 def foot_inside(foot: _Foot, point: ArrayLike, /) -> tuple[float, int]: ...
 def foot_edge_share(foot: _Foot, point: ArrayLike, /) -> float: ...
 def return_to_surface(
-    load: ArrayLike, stiffness: ArrayLike, force: float, torque: float, /
+    load: ArrayLike,
+    stiffness: ArrayLike,
+    force: float,
+    torque: float,
+    floor: tuple[str, ArrayLike, float] | None = None,
+    /,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 def point_contact_drag(
     anchor: ArrayLike,
@@ -84,6 +89,7 @@ class PushedBody:
         edge_friction: float,
         edge_way: float,
         friction_tip: float,
+        floor: tuple[str, ArrayLike, float] | None = None,
     ) -> None: ...
     def tip(
         self,

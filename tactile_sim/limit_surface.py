@@ -90,7 +90,11 @@ class Foot:
 
 
 def return_to_surface(
-    load: Sequence[float], stiffness: Array, force: float, torque: float
+    load: Sequence[float],
+    stiffness: Array,
+    force: float,
+    torque: float,
+    model: tuple[str, Array, float] | None = None,
 ) -> tuple[Array, Array]:
     """How a foot on springs moves until it carries the rest of its load.
 
@@ -106,6 +110,8 @@ def return_to_surface(
         with their press.
     force, torque : float
         Half axes F (N) and M (N m) of the ellipsoid, positive.
+    model : tuple, optional
+        A `floor_models.FloorModel` in place of the ellipsoid, with friction `force` in all.
 
     Returns
     -------
@@ -119,7 +125,7 @@ def return_to_surface(
     ValueError
         If what springs do not hold exceeds the ellipsoid: no position of the foot carries the load.
     """
-    return _contact.return_to_surface(load, stiffness, force, torque)
+    return _contact.return_to_surface(load, stiffness, force, torque, model)
 
 
 def _hull(points: Array) -> Array:

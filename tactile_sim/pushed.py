@@ -1,7 +1,7 @@
 """An object that stands on the floor z = 0 and is pushed over it by the tips of one or more arms.
 
-Quasi-static and planar: the friction of the floor carries the forces of the tips up to an ellipsoidal limit
-surface (`limit_surface`); beyond it the object moves along the surface's normal until the skins of the tips,
+Quasi-static and planar: the friction of the floor carries the forces of the tips up to its limit surface, an
+ellipsoid (`limit_surface`) or what `floor_models` has in its place; beyond it the object moves along the surface's normal until the skins of the tips,
 which the motion relaxes, press no more than that. A tip's force is what its sensor measured at the last
 exposure (or the skin's curves say), carried on by the skin's stiffness as tip and object have moved since,
 at most to the friction of the skin. All of a step is solved at once, by Newton's method with the tangent of
@@ -14,8 +14,8 @@ friction, plus `center_of_friction` for a floor or foot that is not even.
 Where a scene says so (`edge_friction`), the leading edge catches and the object can topple: `toppling`. All
 else of a step is in C (`_csrc/pushed.c`).
 
-Assumed: no inertia; one friction for sticking and sliding; the shape of the limit surface that of an even
-pressure, whose centre alone moves (docs/simulator.md says what this is off by); the skin's torsion
+Assumed: no inertia; one friction for sticking and sliding; an ellipsoid's or polynomial's shape is that of an
+even pressure, whose centre alone moves (docs/simulator.md says what this is off by); the skin's torsion
 presses nothing.
 """
 
@@ -33,6 +33,7 @@ from tactile_base.settings import SettingError, Settings, setting
 from tactile_geometry import se3
 from tactile_scene.shapes.surface import Surface
 from tactile_sim._contact import PushedBody
+from tactile_sim.floor_models import MODELS, floor_model
 from tactile_sim.held import GRAVITY
 from tactile_sim.limit_surface import Foot
 from tactile_sim.skin_force import SkinForces
@@ -72,6 +73,19 @@ class PushedSettings(SkinForces):
         (0.0, 0.0), unit="m", lower=-0.1, upper=0.1, length=2,
         doc="of floor and foot, off the centre of pressure, along the world's x and y at the start",
     )  # fmt: skip
+    model: str = setting(
+        "ellipsoid", choices=MODELS,
+        doc="of the floor's friction: an ellipsoid, Coulomb's law at points, or a convex polynomial",
+    )  # fmt: skip
+    points: tuple[float, ...] = setting(
+        (), unit="m", lower=-1.0, upper=1.0,
+        doc="x, y of each point that it stands on, in the body, one after the other; empty: all over the foot",
+    )  # fmt: skip
+    polynomial: tuple[float, ...] = setting(
+        (), lower=-1e6, upper=1e6,
+        doc="xx, xy, xm, yy, ym, mm of each A in sum of (load' A load)^2 = 1, one after the other; load is "
+        "(f_x, f_y, m / radius of gyration) over the friction, in the body",
+    )  # fmt: skip
     edge_friction: float = setting(
         0.0, lower=0.0, upper=5.0,
         doc="of the leading edge where it catches on the floor, so that the object can topple; 0: never",
@@ -93,13 +107,20 @@ class Pushed:
             raise SettingError(f"body '{body.name}': motion 'pushed' cannot have carried_by")
         self.settings = s = settings
         self.foot = _foot(scene, body)
+        turn = scene.T_world_body(body.name)[:2, :2]
+        try:
+            model = floor_model(s.model, self.foot, s.points, s.polynomial, turn)
+            if s.model == "points" and s.points:
+                self.foot = Foot.around(model[1])
+        except SettingError as error:
+            raise SettingError(f"body '{body.name}': {error}") from None
         self._T_tool_sensor = {name: arm.T_tool_controlled for name, arm in scene.arms.items()}
         self._T = scene.T_world_body(body.name).copy()
         self._weight = s.mass * -GRAVITY[2]
         self._tips: dict[str, tuple[int, bytes]] = {}  # by arm, stamp of the exposure and what C keeps of it
         self._body = PushedBody(
             self.foot.numbers, self.foot.arm, self._T, s.center_of_gravity, self._weight, s.friction,
-            s.center_of_friction, s.edge_friction, s.edge_way, s.friction_tip,
+            s.center_of_friction, s.edge_friction, s.edge_way, s.friction_tip, model,
         )  # fmt: skip
         if self.foot.inside(self.pressure) <= 0:
             raise SettingError(

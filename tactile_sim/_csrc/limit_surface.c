@@ -46,32 +46,31 @@ double foot_edge_share(const Foot* foot, const double center[2]) {
 }
 
 
-// x of A x = b, by elimination with the largest pivot; A and b are lost. Returns 0 where A is singular.
-static int solve3(double x[3], double a[9], double b[3]) {
-  for (int k = 0; k < 3; k++) {
+int solve_linear(double* x, double* a, double* b, int n) {
+  for (int k = 0; k < n; k++) {
     int top = k;
-    for (int i = k + 1; i < 3; i++) {
-      if (fabs(a[3 * i + k]) > fabs(a[3 * top + k])) { top = i; }
+    for (int i = k + 1; i < n; i++) {
+      if (fabs(a[n * i + k]) > fabs(a[n * top + k])) { top = i; }
     }
-    if (a[3 * top + k] == 0) { return 0; }
-    for (int j = 0; j < 3; j++) {
-      double moved = a[3 * k + j];
-      a[3 * k + j] = a[3 * top + j];
-      a[3 * top + j] = moved;
+    if (a[n * top + k] == 0) { return 0; }
+    for (int j = 0; j < n; j++) {
+      double moved = a[n * k + j];
+      a[n * k + j] = a[n * top + j];
+      a[n * top + j] = moved;
     }
     double moved = b[k];
     b[k] = b[top];
     b[top] = moved;
-    for (int i = k + 1; i < 3; i++) {
-      double part = a[3 * i + k] / a[4 * k];
-      for (int j = k; j < 3; j++) { a[3 * i + j] -= part * a[3 * k + j]; }
+    for (int i = k + 1; i < n; i++) {
+      double part = a[n * i + k] / a[n * k + k];
+      for (int j = k; j < n; j++) { a[n * i + j] -= part * a[n * k + j]; }
       b[i] -= part * b[k];
     }
   }
-  for (int k = 2; k >= 0; k--) {
+  for (int k = n - 1; k >= 0; k--) {
     double rest = b[k];
-    for (int j = k + 1; j < 3; j++) { rest -= a[3 * k + j] * x[j]; }
-    x[k] = rest / a[4 * k];
+    for (int j = k + 1; j < n; j++) { rest -= a[n * k + j] * x[j]; }
+    x[k] = rest / a[n * k + k];
   }
   return 1;
 }
@@ -81,36 +80,45 @@ static int solve3(double x[3], double a[9], double b[3]) {
 static int relaxed(double res[3], const double a[9], double x, const double b[3]) {
   double grown[9], rest[3] = {b[0], b[1], b[2]};
   for (int i = 0; i < 9; i++) { grown[i] = (i % 4 == 0) + x * a[i]; }
-  return solve3(res, grown, rest);
+  return solve_linear(res, grown, rest, 3);
 }
 
 
-// In units of the half axes the motion is x times the load that is left, u(x) = (1 + x A)^-1 b: the
-// least x > 0 at which u has length 1, by Newton's method on 1 / |u|, which is nearly a line in x.
+int relax_onto(double* x, double u[3], const double b[3], const double a[9], const double m[9]) {
+  double softness[9], slope[3], pulled[3], normal[3], stiffest = 0;
+  *x = 0;
+  for (int i = 0; i < 9; i++) {
+    const double *row = a + i / 3 * 3, *column = m + i % 3;
+    softness[i] = row[0] * column[0] + row[1] * column[3] + row[2] * column[6];
+    stiffest = fmax(stiffest, fabs(softness[i]));
+  }
+  for (int step = 0;; step++) {
+    if (!relaxed(u, softness, *x, b)) { return 0; }
+    for (int i = 0; i < 3; i++) {
+      pulled[i] = dot3(softness + 3 * i, u);
+      normal[i] = dot3(m + 3 * i, u);
+    }
+    double square = dot3(u, normal);
+    if (fabs(square - 1) < CONVERGED) { return 1; }
+    if (step == NEWTON_STEPS || !relaxed(slope, softness, *x, pulled)) { return 0; }
+    double falls = dot3(normal, slope);
+    if (falls <= 0) { return 0; }
+    *x += square * (sqrt(square) - 1) / falls;  // in 1 / sqrt(square) it is nearly a line
+    if (*x < 0 || *x * stiffest > UNHELD) { return 0; }
+  }
+}
+
+
 int limit_surface_return(double motion[3], double left[3], const double load[3],
                          const double stiffness[9], double force, double torque) {
-  double scale[3] = {1 / force, 1 / force, 1 / torque}, b[3], a[9], u[3], pulled[3], slope[3];
+  static const double round[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  double scale[3] = {1 / force, 1 / force, 1 / torque}, b[3], a[9], u[3], x;
   memset(motion, 0, 3 * sizeof(double));
   memcpy(left, load, 3 * sizeof(double));
   for (int i = 0; i < 3; i++) { b[i] = scale[i] * load[i]; }
   if (dot3(b, b) <= 1) { return 1; }
-  double x = 0, stiffest = 0;
-  for (int i = 0; i < 9; i++) {
-    a[i] = scale[i / 3] * stiffness[i] * scale[i % 3];
-    stiffest = fmax(stiffest, fabs(a[i]));
-  }
-  for (int step = 0;; step++) {
-    if (!relaxed(u, a, x, b)) { return 0; }
-    double square = dot3(u, u);
-    for (int i = 0; i < 3; i++) { pulled[i] = dot3(a + 3 * i, u); }
-    if (fabs(square - 1) < CONVERGED) { break; }
-    if (step == NEWTON_STEPS || !relaxed(slope, a, x, pulled)) { return 0; }
-    double falls = dot3(u, slope);
-    if (falls <= 0) { return 0; }
-    double change = square * (sqrt(square) - 1) / falls;
-    x += change;
-    if (x < 0 || x * stiffest > UNHELD) { return 0; }
-  }
+  for (int i = 0; i < 9; i++) { a[i] = scale[i / 3] * stiffness[i] * scale[i % 3]; }
+  if (!relax_onto(&x, u, b, a, round)) { return 0; }
   for (int i = 0; i < 3; i++) {
     motion[i] = x * scale[i] * u[i];
     left[i] = u[i] / scale[i];

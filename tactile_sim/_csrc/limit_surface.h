@@ -18,6 +18,14 @@ double foot_inside(int* edge, const Foot* foot, const double point[2]);
 // Part of the load on the edge that a centre of pressure is ahead to.
 double foot_edge_share(const Foot* foot, const double center[2]);
 
+// x (n) of A x = b, by elimination with the largest pivot; A and b are lost. Returns 0 where A is
+// singular.
+int solve_linear(double* x, double* a, double* b, int n);
+
+// The least x > 0 for which the load that springs A leave of b after a motion x M u, which is
+// u = (1 + x A M)^-1 b, lies on the ellipsoid u M u = 1. Returns 0 where there is none.
+int relax_onto(double* x, double u[3], const double b[3], const double a[9], const double m[9]);
+
 // Motion of a foot on springs until it carries the rest of its load, and that load; returns 0 where
 // no position of the foot carries it.
 int limit_surface_return(double motion[3], double left[3], const double load[3],

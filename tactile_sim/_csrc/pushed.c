@@ -140,23 +140,31 @@ static void stiffness_of(double res[9], const Touch* touch, int count, const dou
 }
 
 
-// The object before a step, and the floor's friction on it.
+// The object before a step, and the floor's friction on it, about a center in the world.
 typedef struct {
-  double T[16], upright[16], turn, center[2], force, torque;
+  double T[16], upright[16], turn, center[2];
+  Floor floor;
 } Start;
 
 static Start start_of(const Pushed* body) {
   Start start;
-  double pressed[2], off[2];
+  double at[2];
   memcpy(start.T, body->T, sizeof(start.T));
   memcpy(start.upright, body->upright, sizeof(start.upright));
   start.turn = body->turn;
-  turned(pressed, body->turn, body->pressure);
-  turned(off, body->turn, body->center_of_friction);
-  start.center[0] = body->upright[3] + pressed[0] + off[0];
-  start.center[1] = body->upright[7] + pressed[1] + off[1];
-  start.force = body->friction * body->load * body->weight;
-  start.torque = start.force * (body->tilted > 0 ? body->tilted : body->arm);
+  start.floor.model = body->floor;
+  start.floor.turn = body->turn;
+  for (int i = 0; i < 2; i++) {
+    start.floor.center[i] = body->pressure[i] + body->center_of_friction[i];
+  }
+  turned(at, body->turn, start.floor.center);
+  for (int i = 0; i < 2; i++) { start.center[i] = body->upright[4 * i + 3] + at[i]; }
+  start.floor.force = body->friction * body->load * body->weight;
+  start.floor.torque = start.floor.force * body->arm;
+  if (body->tilted > 0) {
+    start.floor.model.kind = ELLIPSOID;
+    start.floor.torque = start.floor.force * body->tilted;
+  }
   return start;
 }
 
@@ -194,7 +202,8 @@ static void push_after(double load[3], double center[2], const double motion[3],
 // Returns 0 where it did not get there.
 static int balance(double motion[3], double share, int stuck, const Start* start, Pushed* body, Touch* touch,
                    const Tip* tip, const double* const* T_world_tool, int count) {
-  double force = share * start->force, torque = share * start->torque, load[3], center[2];
+  Floor floor = start->floor;
+  double load[3], center[2], force = floor.force *= share, torque = floor.torque *= share;
   push_after(load, center, motion, start, body, touch, tip, T_world_tool, count);
   for (int step = 0; step < NEWTON_STEPS; step++) {
     int found = 0;
@@ -203,7 +212,7 @@ static int balance(double motion[3], double share, int stuck, const Start* start
       if (sticks) { load_of(load, touch, count, center, 1); }
       stiffness_of(stiffness, touch, count, center, body->friction_tip, sticks);
       for (int i = 0; i < 3; i++) { at[i] = load[i] + dot3(stiffness + 3 * i, motion); }
-      found = limit_surface_return(next, left, at, stiffness, force, torque);
+      found = floor_return(next, left, at, stiffness, &floor);
     }
     if (!found) { return 0; }
     memcpy(motion, next, sizeof(next));
@@ -228,7 +237,7 @@ static int slide(Pushed* body, Touch* touch, const Tip* tip, const double* const
   }
   double still[3] = {0}, step = 0.5;
   push_after(load, center, still, &start, body, touch, tip, T_world_tool, count);
-  double share = hypot(hypot(load[0], load[1]) / start.force, load[2] / start.torque);
+  double share = 2 * hypot(hypot(load[0], load[1]) / start.floor.force, load[2] / start.floor.torque);
   for (int stage = 0; stage < STAGES; stage++) {
     double next = fmax(1, share * step);
     memcpy(motion, still, sizeof(motion));

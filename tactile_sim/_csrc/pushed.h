@@ -4,6 +4,7 @@
 #ifndef TACTILE_DRIVERS_SIM_PUSHED_H_
 #define TACTILE_DRIVERS_SIM_PUSHED_H_
 
+#include "floor.h"
 #include "limit_surface.h"
 
 // A sensor's contact as of its last exposure, from which its force is carried on.
@@ -27,6 +28,7 @@ typedef struct {
 typedef struct {
   // what it is
   Foot foot;
+  FloorModel floor;
   double arm;  // of friction over the foot, m
   double center_of_gravity[3], weight, friction_foot, center_of_friction[2];
   double edge_friction, edge_way, friction_tip;

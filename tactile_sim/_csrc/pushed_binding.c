@@ -14,6 +14,7 @@
 
 typedef struct {
   PyObject_HEAD PyObject* edges;  // holds the foot's numbers
+  PyObject* numbers;              // and these the floor's
   Pushed body;
 } PushedObject;
 
@@ -39,6 +40,35 @@ static PyObject* read_foot(Foot* foot, PyObject* parts) {
 }
 
 
+// the model of a floor: its kind, its numbers (n, 2) or (n, 9), its length; returns the array that
+// holds the numbers, None for an ellipsoid, or NULL with an error set
+static PyObject* read_floor(FloorModel* model, PyObject* parts) {
+  static const char* kinds[] = {"ellipsoid", "points", "polynomial"};
+  const char* kind;
+  PyObject* numbers;
+  *model = (FloorModel){.kind = ELLIPSOID};
+  if (!parts || parts == Py_None) { return Py_NewRef(Py_None); }
+  if (!PyTuple_Check(parts)) { return PyErr_Format(PyExc_TypeError, "floor: must be a tuple"); }
+  if (!PyArg_ParseTuple(parts, "sOd", &kind, &numbers, &model->length)) { return NULL; }
+  while (model->kind <= POLYNOMIAL && strcmp(kind, kinds[model->kind])) { model->kind++; }
+  if (model->kind > POLYNOMIAL) { return PyErr_Format(PyExc_ValueError, "floor: no '%s'", kind); }
+  if (model->kind == ELLIPSOID) { return Py_NewRef(Py_None); }
+  PyArrayObject* array = (PyArrayObject*)PyArray_FROM_OTF(numbers, NPY_DOUBLE, NPY_ARRAY_IN_ARRAY);
+  if (!array) { return NULL; }
+  int width = model->kind == POINTS ? 2 : 9;
+  if (PyArray_NDIM(array) != 2 || PyArray_DIM(array, 1) != width || PyArray_DIM(array, 0) < 1 ||
+      PyArray_DIM(array, 0) > MOST_POINTS || !(model->length > 0)) {
+    Py_DECREF(array);
+    return PyErr_Format(PyExc_ValueError,
+                        "floor: must have numbers (n, %d), n up to %d, and a length above 0", width,
+                        MOST_POINTS);
+  }
+  model->count = (int)PyArray_DIM(array, 0);
+  model->numbers = PyArray_DATA(array);
+  return (PyObject*)array;
+}
+
+
 static int init(PyObject* self, PyObject* args, PyObject* keywords) {
   static char* names[] = {"foot",
                           "arm",
@@ -50,12 +80,13 @@ static int init(PyObject* self, PyObject* args, PyObject* keywords) {
                           "edge_friction",
                           "edge_way",
                           "friction_tip",
+                          "floor",
                           NULL};
-  PyObject *foot, *pose, *gravity, *off;
+  PyObject *foot, *pose, *gravity, *off, *floor = NULL;
   Pushed b = {0};
-  if (!PyArg_ParseTupleAndKeywords(args, keywords, "OdOOddOddd", names, &foot, &b.arm, &pose,
+  if (!PyArg_ParseTupleAndKeywords(args, keywords, "OdOOddOddd|O", names, &foot, &b.arm, &pose,
                                    &gravity, &b.weight, &b.friction_foot, &off, &b.edge_friction,
-                                   &b.edge_way, &b.friction_tip) ||
+                                   &b.edge_way, &b.friction_tip, &floor) ||
       !read_pose(b.T, pose, "T_world_body") ||
       !read_finite(b.center_of_gravity, gravity, 3, 0, "center_of_gravity") ||
       !read_finite(b.center_of_friction, off, 2, 0, "center_of_friction")) {
@@ -63,6 +94,11 @@ static int init(PyObject* self, PyObject* args, PyObject* keywords) {
   }
   PyObject* held = read_foot(&b.foot, foot);
   if (!held) { return -1; }
+  PyObject* numbers = read_floor(&b.floor, floor);
+  if (!numbers) {
+    Py_DECREF(held);
+    return -1;
+  }
   const double* g = b.center_of_gravity;
   for (int i = 0; i < 2; i++) {
     b.pressure[i] = b.T[4 * i] * g[0] + b.T[4 * i + 1] * g[1] + b.T[4 * i + 2] * g[2];
@@ -73,12 +109,14 @@ static int init(PyObject* self, PyObject* args, PyObject* keywords) {
   PushedObject* object = (PushedObject*)self;
   object->body = b;
   Py_XSETREF(object->edges, held);
+  Py_XSETREF(object->numbers, numbers);
   return 0;
 }
 
 
 static void release(PyObject* self) {
   Py_XDECREF(((PushedObject*)self)->edges);
+  Py_XDECREF(((PushedObject*)self)->numbers);
   Py_TYPE(self)->tp_free(self);
 }
 
@@ -284,18 +322,24 @@ static PyObject* py_foot_edge_share(PyObject* self, PyObject* const* args, Py_ss
 
 
 static PyObject* py_return_to_surface(PyObject* self, PyObject* const* args, Py_ssize_t count) {
-  double load[3], stiffness[9], axes[2], motion[3], left[3];
+  double load[3], stiffness[9], motion[3], left[3];
+  Floor floor = {0};
   (void)self;
-  if (count != 4) {
-    return PyErr_Format(PyExc_TypeError, "return_to_surface takes 4 arguments, got %zd", count);
+  if (count != 4 && count != 5) {
+    return PyErr_Format(PyExc_TypeError, "return_to_surface takes 4 or 5 arguments, got %zd",
+                        count);
   }
-  if (!read_finite(load, args[0], 3, 0, "load") ||
+  floor.force = PyFloat_AsDouble(args[2]);
+  floor.torque = PyFloat_AsDouble(args[3]);
+  if (PyErr_Occurred() || !read_finite(load, args[0], 3, 0, "load") ||
       !read_finite(stiffness, args[1], 3, 3, "stiffness")) {
     return NULL;
   }
-  for (int i = 0; i < 2; i++) { axes[i] = PyFloat_AsDouble(args[2 + i]); }
-  if (PyErr_Occurred()) { return NULL; }
-  if (!limit_surface_return(motion, left, load, stiffness, axes[0], axes[1])) {
+  PyObject* numbers = read_floor(&floor.model, count == 5 ? args[4] : NULL);
+  if (!numbers) { return NULL; }
+  int found = floor_return(motion, left, load, stiffness, &floor);
+  Py_DECREF(numbers);
+  if (!found) {
     return PyErr_Format(PyExc_ValueError, "the load exceeds friction where no spring holds the foot");
   }
   return Py_BuildValue("NN", new_array(motion, 3, 0), new_array(left, 3, 0));
