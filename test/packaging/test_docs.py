@@ -253,15 +253,6 @@ def test_each_fault_has_its_test_and_a_row_of_the_reference(root: Path, referenc
 # ---- examples of plug-ins ----
 
 
-def write_files(page: Path, folder: Path) -> None:
-    """Write the files that a page shows into a folder."""
-    blocks = re.findall(r"^```\w+\n# ([\w./-]+\.\w+)\n(.*?)^```", page.read_text(), re.M | re.S)
-    for name, text in blocks:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-
-
 def install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the packages of a folder as good as installed."""
     for project in folder.glob("*/pyproject.toml"):
@@ -272,13 +263,18 @@ def install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def examples(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the packages of the pages on tasks and on drivers, and the folder examples/."""
-    write_files(root / "docs" / "add_a_task.md", tmp_path)
+    """A folder with what `tactile new` writes for drivers, and the folder examples/."""
     write_package("arm", "my_arm", tmp_path)
     write_package("camera", "my_camera", tmp_path)
     shutil.copytree(root / "examples", tmp_path, dirs_exist_ok=True)
     install(tmp_path, monkeypatch)
     return tmp_path
+
+
+def test_the_page_on_tasks_shows_what_stands_in_the_example(root: Path):
+    shown = re.findall(r"^```python\n(.*?)^```", (root / "docs" / "add_a_task.md").read_text(), re.M | re.S)
+    files = "".join(path.read_text() for path in sorted((root / "examples" / "my_tasks").glob("*.py")))
+    assert len(shown) == 4 and all(text in files for text in shown)
 
 
 def test_the_task_of_the_docs_runs_and_reports(examples: Path, tmp_path: Path):

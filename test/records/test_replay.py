@@ -22,8 +22,7 @@ from tactile_filter.belief import invalid_belief
 from tactile_records.bags.contents import Gap
 from tactile_records.bags.reader import read_bag
 from tactile_records.replay.inputs import read_inputs
-from tactile_records.replay.kept import KeptRuns
-from tactile_records.replay.kept import Plan
+from tactile_records.replay.kept import KeptRuns, Plan
 from tactile_records.replay.report import RunResult
 from tactile_records.replay.run import Agreement, agreement, run_filter
 from tactile_records.replay.sweep import SINGLE, make_plans
