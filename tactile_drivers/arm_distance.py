@@ -59,7 +59,8 @@ class Neighbour:
         if state.joints is None or not rates.any():
             return 1.0, ""
         other = self._state_of_other()
-        if other is None or other.joints is None or self._silent(state, other):
+        silence_ns = _SILENCE * SECOND_NS
+        if other is None or other.joints is None or abs(state.stamp_ns - other.stamp_ns) > silence_ns:
             return 0.0, f"no joints of {self.name}"
         late = max(0, state.stamp_ns - other.stamp_ns) / SECOND_NS  # it was further away then
         half, lead = self._stopping(twist, delay + late)
@@ -94,17 +95,11 @@ class Neighbour:
         moved = np.abs(q - before) @ self._own.spans + np.abs(q_other - other_before) @ self._other.spans
         return bool(distance - moved > needed)
 
-    def _silent(self, state: ArmState, other: ArmState) -> bool:
-        return abs(state.stamp_ns - other.stamp_ns) > _SILENCE * SECOND_NS
-
     def _stopping(self, twist: Array, delay: float) -> tuple[float, float]:
         """Times (s): what a point goes on is its speed times both, the first less the slower the twist."""
         limits = self._limits
         linear, angular = limits.linear_acceleration, limits.angular_acceleration
-        half = max(
-            float(np.linalg.norm(twist[:3])) / (2.0 * linear),
-            float(np.linalg.norm(twist[3:])) / (2.0 * angular),
-        )
+        half = max(se3.norm(twist[:3]) / (2.0 * linear), se3.norm(twist[3:]) / (2.0 * angular))
         return half, delay + max(linear / limits.linear_jerk, angular / limits.angular_jerk) / 2.0
 
 

@@ -22,10 +22,7 @@ from tactile_scene.kinematics.joint_limits import Kinematics
 Array = NDArray[np.float64]
 
 _OFF, _TURNED = 0.02, 0.05  # m, rad, by which an arm may differ from its kinematics
-_AVERAGED, _COUNTED = (
-    0.3,
-    0.02,
-)  # s, over which the lateness of states is averaged, and counted at most of each
+_AVERAGED, _COUNTED = 0.3, 0.02  # s, over which states' lateness is averaged, and counted at most of each
 
 DOES_NOT_STOP = "THE ARM DOES NOT STOP"  # how the loudest reason begins
 

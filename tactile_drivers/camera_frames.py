@@ -182,12 +182,10 @@ def gray_frame(raw: Pixels, form: str, width: int, height: int) -> Pixels:
         rows = height * 3 // 2 if form == "NV12" else height
         channels = 2 if form in _LUMA_BYTE else 1
         if raw.dtype != np.uint8 or raw.size != rows * width * channels:
-            raise FrameRefused(
-                f"of another size: {raw.dtype} {raw.shape} is no {form} of {width}x{height} pixels"
-            )
+            what = f"{raw.dtype} {raw.shape} is no {form} of {width}x{height} pixels"
+            raise FrameRefused(f"of another size: {what}")
         image = np.ascontiguousarray(raw.reshape(rows, width, channels)[:height, :, _LUMA_BYTE.get(form, 0)])
     if image.shape != (height, width):
-        raise FrameRefused(
-            f"of another size: {image.shape[1]}x{image.shape[0]} pixels, must be {width}x{height}"
-        )
+        found = f"{image.shape[1]}x{image.shape[0]}"
+        raise FrameRefused(f"of another size: {found} pixels, must be {width}x{height}")
     return image

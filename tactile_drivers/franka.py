@@ -156,7 +156,9 @@ class FrankaArm:
                     self._look()
             except (franky.Exception, RuntimeError) as error:
                 if self._last is None:
-                    self._tell_failure(in_words(error))
+                    with self._changed:
+                        self._failed, self._robot = in_words(error), None
+                        self._changed.notify_all()
                     return
                 self._lose(in_words(error))
             with self._changed:
@@ -165,11 +167,6 @@ class FrankaArm:
                     max(0.0, due - time.monotonic()),
                 )
         self._disconnect()
-
-    def _tell_failure(self, reason: str) -> None:
-        with self._changed:
-            self._failed, self._robot = reason, None
-            self._changed.notify_all()
 
     def _disconnect(self) -> None:
         """Bring the arm to rest, and end the connection."""
@@ -302,11 +299,8 @@ class FrankaArm:
 
     def _too_fast(self, state: Any) -> str:
         """Whether the arm is faster than it can have been asked to be; '' if it is not."""
-        twist = self._twist_of(state)
-        for part, most in (
-            (twist[:3], self._limits.linear_velocity),
-            (twist[3:], self._limits.angular_velocity),
-        ):
+        twist, limits = self._twist_of(state), self._limits
+        for part, most in (twist[:3], limits.linear_velocity), (twist[3:], limits.angular_velocity):
             if (speed := se3.norm(part)) > _TOO_FAST * most:
                 return f"the arm moves at {speed:.3g}, {_TOO_FAST:g} times its limit of {most:g}"
         return ""

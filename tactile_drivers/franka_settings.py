@@ -20,9 +20,8 @@ DOCUMENTED = {
     PANDA: ((1.7, 2.5), (13.0, 25.0), (6500.0, 12500.0)),
 }
 _PERIOD = 1e-3  # s, between commands
-WATCHDOG = (
-    20 * _PERIOD
-)  # s: so many missing in a row end a motion (FCI documentation, Robot limits and behavior)
+#: s: so many missing in a row end a motion (FCI documentation, Robot limits and behavior)
+WATCHDOG = 20 * _PERIOD
 #: Of a step in a command what passes libfranka's low-pass filter (100 Hz) in a period: T / (T + 1 / 2 pi f).
 _FILTERED = _PERIOD / (_PERIOD + 1.0 / (2.0 * np.pi * 100.0))
 

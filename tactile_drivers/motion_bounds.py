@@ -65,30 +65,19 @@ class MotionBounds:
         self, state: ArmState, twist: Array, kinematics: Kinematics | None
     ) -> tuple[Array, list[str]]:
         """The part of a twist (6,) that the arm may make in a state, and what makes it less."""
-        out, less = _native.bounded(
-            twist, self._room, self._boxes, state.T_base_controlled, self._felt(state.stamp_ns)
-        )
+        felt = None
+        if self._contact is not None and not self._is_old(self._contact[0], state.stamp_ns):
+            felt = self._contact[1]
+        out, less = _native.bounded(twist, self._room, self._boxes, state.T_base_controlled, felt)
         reasons = [self._reasons[number] for number in less]
-        if self._is_numb(state.stamp_ns):
+        if self._tip_radius and (self._felt_ns is None or self._is_old(self._felt_ns, state.stamp_ns)):
             out, crawls = self._crawling(out)
             reasons += [f"no word of the contact: {self._settings.crawl_speed:g} m/s"] * crawls
         part, reason = self._joints_allow(state, out, kinematics)
         return (part * out, [*reasons, reason]) if part < 1.0 else (out, reasons)
 
-    def _felt(self, stamp_ns: int) -> Array | None:
-        """T_base_feature (4, 4) of the contact that bounds the motion at a stamp; None where none does."""
-        if self._contact is None or self._is_old(self._contact[0], stamp_ns):
-            return None
-        return self._contact[1]
-
     def _is_old(self, felt_ns: int, stamp_ns: int) -> bool:
         return stamp_ns - felt_ns > self._settings.contact_memory * SECOND_NS
-
-    def _is_numb(self, stamp_ns: int) -> bool:
-        """Whether the arm has a sensor of which nothing is known now."""
-        if not self._tip_radius:
-            return False
-        return self._felt_ns is None or self._is_old(self._felt_ns, stamp_ns)
 
     def _crawling(self, twist: Array) -> tuple[Array, bool]:
         """What an arm makes of a twist that feels nothing, out of a contact all and the rest slowly."""

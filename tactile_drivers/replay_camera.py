@@ -57,12 +57,8 @@ class ReplayCamera:
     @property
     def status(self) -> CameraStatus:
         """See `Camera`."""
-        values = {
-            "recording": str(self._path),
-            "frames shown": str(self._shown),
-            "frames lost": str(self._late),
-        }
-        return CameraStatus(self._fault, (), values)
+        values = {"recording": self._path, "frames shown": self._shown, "frames lost": self._late}
+        return CameraStatus(self._fault, (), {name: str(value) for name, value in values.items()})
 
     def close(self) -> None:
         """Show no more."""
@@ -90,10 +86,8 @@ class ReplayCamera:
 def pictures(path: Path) -> Iterator[Pixels]:
     """Gray pictures of a video file, or of a folder in the order of the numbers in their names."""
     if path.is_dir():
-        names = sorted(
-            (n for n in path.iterdir() if n.suffix.lower() in SUFFIXES and n.is_file()), key=_order
-        )
-        found = (cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in names)
+        names = (n for n in path.iterdir() if n.suffix.lower() in SUFFIXES and n.is_file())
+        found = (cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in sorted(names, key=_order))
         yield from (np.asarray(picture, np.uint8) for picture in found if picture is not None)
     elif path.is_file():
         capture = cv2.VideoCapture(str(path))

@@ -177,11 +177,6 @@ class SafeArm:
             driver.stop(why)
         self.halt(why)  # again: a command may have been on its way
 
-    @property
-    def estopped(self) -> bool:
-        """Whether an emergency stop is in force."""
-        return bool(self._estop)
-
     def reset(self) -> None:
         """Leave an emergency stop, an alarm and a fault; the arm moves no earlier than after a zero command.
 
@@ -314,7 +309,8 @@ class SafeArm:
         """The driver's state with what the stage knows."""
         in_force = self._in_force_ns is not None
         age = (state.stamp_ns - self._in_force_ns) / SECOND_NS if self._in_force_ns is not None else -1.0
-        mode, reason = self._told_mode(state.mode), self._why(state)
+        mode = ArmMode.ESTOP if self._estop else ArmMode.FAULT if self.alarm else state.mode
+        reason = self._why(state)
         refused, source = self._refused
         if reason and refused and mode in (ArmMode.STOPPING, ArmMode.RESTING):
             reason = f"{reason}; last refused: {refused}"
@@ -330,9 +326,6 @@ class SafeArm:
             refused_source=source,
             remark=self._remarks(),
         )
-
-    def _told_mode(self, mode: ArmMode) -> ArmMode:
-        return ArmMode.ESTOP if self._estop else ArmMode.FAULT if self.alarm else mode
 
     def _why(self, state: ArmState) -> str:
         """Why the arm does what it does; first of all that it does not stop."""
@@ -368,7 +361,8 @@ class SafeArm:
         """Pass on as much of the command in force as the bounds allow, if that is news to the driver."""
         if self.driver is None or self.state is None or (self._in_force_ns is None and not self._stopping):
             return
-        target, self._limited_by = self._bounded(self._wanted)
+        target, less = self._bounds.allowed(self.state, self._wanted, self._kinematics)
+        self._limited_by = "; ".join(less)
         if not self.driver.keeps_limits:
             self._profile.advance(dt, target)
             target = self._profile.twist
@@ -378,9 +372,3 @@ class SafeArm:
             self._calls("command", self.driver.command, self._in_force_ns or self.state.stamp_ns, target)
             self._sent, self._sent_ns = target, self._in_force_ns
             self._watch.told(target)
-
-    def _bounded(self, twist: Array) -> tuple[Array, str]:
-        """The part of a twist that is followed, and what makes it less ('' where nothing does)."""
-        assert self.state is not None
-        out, reasons = self._bounds.allowed(self.state, twist, self._kinematics)
-        return out, "; ".join(reasons)

@@ -138,15 +138,9 @@ class TrackingMonitor:
         told, reported = self._told, self._reported
         largest = np.maximum(np.abs(told.low), np.abs(told.high))
         fastest = se3.norm(largest[:3]), se3.norm(largest[3:])
-        sample = _Sample(
-            state.stamp_ns,
-            state.T_base_controlled,
-            (told.way_low, told.way_high),
-            (reported.way_low, reported.way_high),
-            fastest,
-        )
-        self._samples.append(sample)
-        return sample
+        ways = (told.way_low, told.way_high), (reported.way_low, reported.way_high)
+        self._samples.append(_Sample(state.stamp_ns, state.T_base_controlled, *ways, fastest))
+        return self._samples[-1]
 
     def _compared(self, now: _Sample) -> Deviation | None:
         samples, window_ns = self._samples, round(self.settings.window * SECOND_NS)
@@ -172,7 +166,8 @@ class TrackingMonitor:
         elif self._unfit_since is None:
             self._unfit_since = now.stamp_ns
         elif now.stamp_ns - self._unfit_since >= _LASTS * SECOND_NS:
-            return Deviation(_disagreeing(seconds, reported, way), by_itself=False)
+            said = f"in {seconds * 1e3:.0f} ms its speeds say that it went {_words(reported, way)}"
+            return Deviation(f"{said}, its poses {_words(way, reported)}", by_itself=False)
         return self._short_of(now.stamp_ns, seconds, told, way, allowed)
 
     def _short_of(
@@ -225,13 +220,6 @@ def _beyond(difference: Array, allowed: Array) -> bool:
 
 def _otherwise(seconds: float, told: Array, way: Array) -> str:
     return f"in {seconds * 1e3:.0f} ms it was told to go {_words(told, way)}, and went {_words(way, told)}"
-
-
-def _disagreeing(seconds: float, reported: Array, way: Array) -> str:
-    return (
-        f"in {seconds * 1e3:.0f} ms its speeds say that it went {_words(reported, way)}, "
-        f"its poses {_words(way, reported)}"
-    )
 
 
 def _words(way: Array, other: Array) -> str:

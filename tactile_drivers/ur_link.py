@@ -96,13 +96,6 @@ def in_words(error: Exception) -> str:
     return next((words for part, words in _WORDS if part.lower() in text.lower()), text or repr(error))
 
 
-def _lower_priority() -> None:
-    """Let the threads that ur_rtde has by now go before this one, which spins while it waits for them."""
-    if os.sched_getscheduler(0) == os.SCHED_FIFO:
-        ahead = os.sched_getparam(0).sched_priority
-        os.sched_setparam(0, os.sched_param(max(1, ahead - 1)))
-
-
 class _Link:
     """ur_rtde, connected, with its program on the controller and that one's watchdog set."""
 
@@ -125,7 +118,10 @@ class _Link:
         if upper:
             flags |= RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
         self._control = RTDEControlInterface(host, rate, flags)
-        _lower_priority()
+        if os.sched_getscheduler(0) == os.SCHED_FIFO:
+            # the threads that ur_rtde has by now go before this one, which spins while it waits for them
+            ahead = os.sched_getparam(0).sched_priority
+            os.sched_setparam(0, os.sched_param(max(1, ahead - 1)))
         self._watch()
         self._version = version
         self.facts = self._facts()

@@ -146,17 +146,8 @@ class UvcCamera:
         return capture
 
     def _new_intake(self, lost: int) -> FrameIntake:
-        settings = self.settings
-        return FrameIntake(
-            settings.width,
-            settings.height,
-            settings.format,
-            self.rate,
-            settings.delay,
-            settings.least_contrast,
-            settings.repeats,
-            lost,
-        )
+        s = self.settings
+        return FrameIntake(s.width, s.height, s.format, self.rate, s.delay, s.least_contrast, s.repeats, lost)
 
     def _run(self, capture: Capture | None) -> None:
         while capture is not None:
@@ -208,16 +199,13 @@ class UvcCamera:
             "frames lost": str(intake.lost),
             "times plugged in again": str(self._returns),
         }
-        values |= {
-            f"frames refused, {why}": str(count) for why, count in sorted(dict(intake.refused).items())
-        }
-        found = intake.intervals()
-        if found is not None:
-            rate, spread, largest = found
+        refused = sorted(dict(intake.refused).items())
+        values |= {f"frames refused, {why}": str(count) for why, count in refused}
+        if (found := intake.intervals()) is not None:
+            rate, *deviations = found
+            spread, largest = (f"{1e3 * each:.3f}" for each in deviations)
             values["rate, measured (Hz)"] = f"{rate:.2f}"
-            values["interval, standard and largest deviation (ms)"] = (
-                f"{spread * 1e3:.3f} {largest * 1e3:.3f}"
-            )
+            values["interval, standard and largest deviation (ms)"] = f"{spread} {largest}"
         return values
 
 
@@ -250,9 +238,7 @@ def pinned(capture: Capture, settings: UvcCameraSettings, rate: float) -> Iterat
 
 
 def _check_stream(capture: Capture, settings: UvcCameraSettings, rate: float) -> None:
-    width, height = (
-        int(capture.get(control)) for control in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-    )
+    width, height = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
     code = int(capture.get(cv2.CAP_PROP_FOURCC))
     form = code.to_bytes(4, "little", signed=code < 0).decode("ascii", "replace").strip()
     given = capture.get(cv2.CAP_PROP_FPS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactile_base.stamps import SECOND_NS
-from tactile_drivers.clock_offset import ClockOffset
+from tactile_drivers.commanded_motion import ClockOffset
 
 FLOOR = 0.0003  # s: the smallest delay, which nobody can know
 

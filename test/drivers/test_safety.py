@@ -212,7 +212,7 @@ def test_a_fault_that_the_arm_does_not_leave_says_why_and_an_emergency_stop_stay
     with pytest.raises(RuntimeError, match="door is open"):
         cell.safe.reset()
     cell.step()
-    assert cell.safe.estopped and "emergency stop" in cell.drive(ALONG, 1)
+    assert cell.safe.state.mode is ArmMode.ESTOP and "emergency stop" in cell.drive(ALONG, 1)
 
 
 def estopped(cell):
