@@ -103,39 +103,14 @@ class IgnoresStop(LyingDriver):
         return self._last
 
 
-class MovesByItself(LyingDriver):
-    """20 mm/s, whatever it is told: another program commands it, too."""
+def _making(does: Callable[[Array], Array]) -> type[LyingDriver]:
+    """A driver that makes that of each twist that it is told."""
 
-    def does(self, told: Array) -> Array | None:
-        return np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
+    class Making(LyingDriver):
+        def does(self, told: Array) -> Array | None:
+            return does(told)
 
-
-class MovesSideways(LyingDriver):
-    """50 mm/s sideways besides what it is told, as long as it is told something."""
-
-    def does(self, told: Array) -> Array | None:
-        return told + np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0]) if np.any(told) else told
-
-
-class FlippedY(LyingDriver):
-    """Along y it goes the other way."""
-
-    def does(self, told: Array) -> Array | None:
-        return told * [1.0, -1.0, 1.0, 1.0, 1.0, 1.0]
-
-
-class DoubleSpeed(LyingDriver):
-    """Twice as fast."""
-
-    def does(self, told: Array) -> Array | None:
-        return 2.0 * told
-
-
-class ServoOff(LyingDriver):
-    """It does not move."""
-
-    def does(self, told: Array) -> Array | None:
-        return _REST
+    return Making
 
 
 class LosesCommands(LyingDriver):
@@ -192,11 +167,13 @@ class PoseJumps(LyingDriver):
 #: Drivers that lie, by name.
 ARM_LIES: dict[str, type[LyingDriver]] = {
     "ignores_stop": IgnoresStop,
-    "moves_by_itself": MovesByItself,
-    "moves_sideways": MovesSideways,
-    "flipped_y": FlippedY,
-    "double_speed": DoubleSpeed,
-    "servo_off": ServoOff,
+    # 20 mm/s, whatever it is told: another program commands it, too
+    "moves_by_itself": _making(lambda told: np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])),
+    # 50 mm/s sideways besides what it is told, as long as it is told something
+    "moves_sideways": _making(lambda told: told + np.array([0.05 * np.any(told), 0.0, 0.0, 0.0, 0.0, 0.0])),
+    "flipped_y": _making(lambda told: told * [1.0, -1.0, 1.0, 1.0, 1.0, 1.0]),
+    "double_speed": _making(lambda told: 2.0 * told),
+    "servo_off": _making(lambda told: _REST),
     "loses_commands": LosesCommands,
     "frozen_pose": FrozenPose,
     "frozen_pose_alone": FrozenPoseAlone,

@@ -1,6 +1,6 @@
 """Cameras that lie: images that do not show what the sensor feels now, for tests of what believes them.
 
-Each is a class with a name in `LYING_CAMERAS`, called with a true image, gray (rows, columns) uint8, for the
+Each has a name in `LYING_CAMERAS`, and is called with a true image, gray (rows, columns) uint8, for the
 one that it gives in its place. It may remember what it was shown before it began to lie (`see`)::
 
     camera = LYING_CAMERAS["frozen"](seed=1)
@@ -19,7 +19,9 @@ does. What they give is fixed by the seed and by what they were shown.
 
 from __future__ import annotations
 
+import functools
 from collections import deque
+from collections.abc import Callable
 from typing import ClassVar
 
 import cv2
@@ -34,21 +36,21 @@ _PACKET = 1024  # bytes of a USB packet that is lost
 _SENSOR_NOISE = 2.0  # standard deviation, gray levels
 
 
+Lie = Callable[["LyingCamera", Image], Image]
+
+
 class LyingCamera:
-    """One that tells the truth; others override `__call__`, and `see` where they remember."""
+    """What it gives for an image `lie` says; one that remembers overrides `__call__` and `see`."""
 
-    #: What is the matter with it, for people.
-    doc: ClassVar[str] = "gives what it sees"
-
-    def __init__(self, seed: int = 0) -> None:
-        self.random = np.random.default_rng(seed)
+    def __init__(self, seed: int = 0, lie: Lie | None = None) -> None:
+        self.random, self._lie = np.random.default_rng(seed), lie
 
     def see(self, image: Image) -> None:
         """Take a true image before the lie begins."""
 
     def __call__(self, image: Image) -> Image:
         """What it gives for a true image."""
-        return image
+        return image if self._lie is None else self._lie(self, image)
 
     def noisy(self, image: NDArray) -> Image:
         """Gray levels with the noise of a camera's sensor, anew each time."""
@@ -56,48 +58,39 @@ class LyingCamera:
         return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
 
 
-class Mirrored(LyingCamera):
-    """As `hflip` of a camera's controls, or a driver with another idea of columns."""
-
-    doc = "left and right exchanged"
-
-    def __call__(self, image: Image) -> Image:
-        return np.ascontiguousarray(image[:, ::-1])
-
-
-class UpsideDown(LyingCamera):
-    """As `vflip`."""
-
-    doc = "above and below exchanged"
-
-    def __call__(self, image: Image) -> Image:
-        return np.ascontiguousarray(image[::-1])
-
-
-class Turned180(LyingCamera):
-    """A camera that was mounted the other way round."""
-
-    doc = "turned by 180 degrees"
-
-    def __call__(self, image: Image) -> Image:
-        return np.ascontiguousarray(image[::-1, ::-1])
-
-
-class Turned90(LyingCamera):
+def _turned_90(camera: LyingCamera, image: Image) -> Image:
     """About the image's middle, as large as before: what lies outside is lost, what is missing is black."""
+    rows, columns = image.shape
+    turn = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), 90.0, 1.0)
+    return np.asarray(cv2.warpAffine(image, turn, (columns, rows)), np.uint8)
 
-    doc = "turned by 90 degrees"
 
-    def __call__(self, image: Image) -> Image:
+def _patch(level: float) -> Lie:
+    """A seventh of the image, in its middle, shows nothing but a gray level."""
+
+    def lie(camera: LyingCamera, image: Image) -> Image:
         rows, columns = image.shape
-        turn = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), 90.0, 1.0)
-        return np.asarray(cv2.warpAffine(image, turn, (columns, rows)), np.uint8)
+        side = round((rows * columns / 7.0) ** 0.5)
+        top, left = (rows - side) // 2, (columns - side) // 2
+        result = image.copy()
+        result[top : top + side, left : left + side] = camera.noisy(np.full((side, side), level))
+        return result
+
+    return lie
+
+
+def _shifted(camera: LyingCamera, image: Image) -> Image:
+    shift = np.array([[1.0, 0.0, 40.0], [0.0, 1.0, 30.0]])
+    return np.asarray(cv2.warpAffine(image, shift, image.shape[::-1]), np.uint8)
+
+
+def _torn(camera: LyingCamera, image: Image) -> Image:
+    data = torn(jpeg(image), camera.random)
+    return simplejpeg.decode_jpeg(data, "GRAY", strict=False)[:, :, 0]
 
 
 class Frozen(LyingCamera):
     """A driver or a frame grabber that hands out one buffer for ever, with fresh stamps."""
-
-    doc = "one picture for ever, to the bit"
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__(seed)
@@ -115,94 +108,13 @@ class Frozen(LyingCamera):
 class FrozenNoisy(Frozen):
     """A scene that stands still before a camera that works: the tip has come off, or a mirror is stuck."""
 
-    doc = "one scene for ever, each image with noise of its own"
-
     def __call__(self, image: Image) -> Image:
         return self.noisy(super().__call__(image))
-
-
-class Noise(LyingCamera):
-    """Of an analog input without a signal."""
-
-    doc = "noise of all gray levels"
-
-    def __call__(self, image: Image) -> Image:
-        return self.random.integers(0, 256, image.shape, dtype=np.uint8)
-
-
-class Black(LyingCamera):
-    """A lamp or a lens cap."""
-
-    doc = "black, with the sensor's noise"
-
-    def __call__(self, image: Image) -> Image:
-        return self.noisy(np.zeros(image.shape))
-
-
-class Grey(LyingCamera):
-    """A covered lens, a saturated sensor."""
-
-    doc = "one gray, with the sensor's noise"
-
-    def __call__(self, image: Image) -> Image:
-        return self.noisy(np.full(image.shape, 128.0))
-
-
-class Patch(LyingCamera):
-    """Dirt on the lens, a drop of gel: a seventh of the image, in its middle, shows nothing."""
-
-    doc = "a seventh of it even and dark"
-    level: ClassVar[float] = 10.0
-
-    def __call__(self, image: Image) -> Image:
-        rows, columns = image.shape
-        side = round((rows * columns / 7.0) ** 0.5)
-        top, left = (rows - side) // 2, (columns - side) // 2
-        result = image.copy()
-        result[top : top + side, left : left + side] = self.noisy(np.full((side, side), self.level))
-        return result
-
-
-class Glare(Patch):
-    """A lamp that is mirrored in the gel."""
-
-    doc = "a seventh of it even and bright"
-    level = 240.0
-
-
-class Defocused(LyingCamera):
-    """A lens that has turned: edges blurred by 4 px, where 2 are still called sharp (docs/own_camera.md)."""
-
-    doc = "blurred by 4 px"
-
-    def __call__(self, image: Image) -> Image:
-        return self.noisy(cv2.GaussianBlur(image, (0, 0), 4.0))
-
-
-class Shifted(LyingCamera):
-    """Another crop, or a camera that was knocked."""
-
-    doc = "shifted by 40 columns and 30 rows"
-
-    def __call__(self, image: Image) -> Image:
-        shift = np.array([[1.0, 0.0, 40.0], [0.0, 1.0, 30.0]])
-        return np.asarray(cv2.warpAffine(image, shift, image.shape[::-1]), np.uint8)
-
-
-class Torn(LyingCamera):
-    """Each frame a JPEG of which a USB packet was lost, from a decoder that says nothing of it."""
-
-    doc = "a packet of each JPEG lost"
-
-    def __call__(self, image: Image) -> Image:
-        data = torn(jpeg(image), self.random)
-        return simplejpeg.decode_jpeg(data, "GRAY", strict=False)[:, :, 0]
 
 
 class Replayed(LyingCamera):
     """A recording in place of the camera: the last second before the lie, over and over."""
 
-    doc = "the last second, over and over"
     length: ClassVar[int] = 60
 
     def __init__(self, seed: int = 0) -> None:
@@ -221,22 +133,29 @@ class Replayed(LyingCamera):
         return shown.copy()
 
 
-#: By name.
-LYING_CAMERAS: dict[str, type[LyingCamera]] = {
-    "mirrored": Mirrored,
-    "upside_down": UpsideDown,
-    "turned_180": Turned180,
-    "turned_90": Turned90,
+def _of(lie: Lie) -> Callable[..., LyingCamera]:
+    return functools.partial(LyingCamera, lie=lie)
+
+
+#: By name; what leads to such images in a real cell stands beside.
+LYING_CAMERAS: dict[str, Callable[..., LyingCamera]] = {
+    "mirrored": _of(lambda camera, image: image[:, ::-1].copy()),  # `hflip`, another idea of columns
+    "upside_down": _of(lambda camera, image: image[::-1].copy()),  # `vflip`
+    "turned_180": _of(lambda camera, image: image[::-1, ::-1].copy()),  # mounted the other way round
+    "turned_90": _of(_turned_90),
     "frozen": Frozen,
     "frozen_noisy": FrozenNoisy,
-    "noise": Noise,
-    "black": Black,
-    "grey": Grey,
-    "patch": Patch,
-    "glare": Glare,
-    "defocused": Defocused,
-    "shifted": Shifted,
-    "torn": Torn,
+    # an analog input without a signal
+    "noise": _of(lambda camera, image: camera.random.integers(0, 256, image.shape, dtype=np.uint8)),
+    "black": _of(lambda camera, image: camera.noisy(np.zeros(image.shape))),  # a lamp or a lens cap
+    # a covered lens, a saturated sensor
+    "grey": _of(lambda camera, image: camera.noisy(np.full(image.shape, 128.0))),
+    "patch": _of(_patch(10.0)),  # dirt on the lens, a drop of gel
+    "glare": _of(_patch(240.0)),  # a lamp that is mirrored in the gel
+    # a lens that has turned: edges blurred by 4 px, where 2 are still called sharp (docs/own_camera.md)
+    "defocused": _of(lambda camera, image: camera.noisy(cv2.GaussianBlur(image, (0, 0), 4.0))),
+    "shifted": _of(_shifted),  # another crop, or a camera that was knocked
+    "torn": _of(_torn),  # a USB packet of each JPEG was lost, and the decoder says nothing of it
     "replayed": Replayed,
 }
 

@@ -4,8 +4,8 @@ Each is a `Lies` for the loop without ROS and changes the estimates of X_sf alon
 there is contact stays what it was. Components are those of the Euler surface contact pose X_fs, (x, y, z,
 alpha, beta, gamma): shear, depth, tilts and twist. The same seed gives the same noise, arm by arm::
 
-    lies = Drifting((0, 0, 1e-3, 0, 0, 0), begins=5.0)     # the depth is told 1 mm deeper each second
-    lies = Flipped("z")
+    lies = drifting((0, 0, 1e-3, 0, 0, 0), begins=5.0)     # the depth is told 1 mm deeper each second
+    lies = scaled(-1.0, "z")
     run_arms_offline("plane", options=OfflineOptions(fidelity="fitted", lies=lies))
 
 `LYING_ESTIMATES` has one of each kind, by name, as tests and benches take them.
@@ -16,6 +16,7 @@ from __future__ import annotations
 import zlib
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,7 @@ from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
 
 Array = NDArray[np.float64]
+Change = Callable[[str, float, Array], Array]
 
 COMPONENTS = ("x", "y", "z", "alpha", "beta", "gamma")
 
@@ -70,95 +72,64 @@ class LyingEstimates(Lies):
 
 
 class LyingPoses(LyingEstimates):
-    """Base of those that change the pose and keep the covariance: `euler` says how."""
-
-    def lie(self, arm: str, since: float, estimate: PoseGaussian) -> PoseGaussian:
-        """See `LyingEstimates`."""
-        euler = self.euler(arm, since, se3.euler_from_pose(se3.inverse(estimate.mean)))
-        return PoseGaussian(se3.inverse(se3.pose_from_euler(euler)), estimate.cov)
-
-    @abstractmethod
-    def euler(self, arm: str, since: float, euler: Array) -> Array:
-        """What is told for the Euler contact pose (6,), m and rad."""
-
-
-class Drifting(LyingPoses):
-    """The pose wanders off at constant rates (6,), m/s and rad/s."""
-
-    def __init__(self, rates: ArrayLike, begins: float = 0.0, arm: str = "") -> None:
-        super().__init__(begins, arm)
-        self.rates = _six("rates", rates)
-
-    def euler(self, arm: str, since: float, euler: Array) -> Array:
-        """See `LyingPoses`."""
-        return euler + since * self.rates
-
-
-class Offset(LyingPoses):
-    """The pose is off by as much (6,), m and rad, all the time."""
-
-    def __init__(self, offset: ArrayLike, begins: float = 0.0, arm: str = "") -> None:
-        super().__init__(begins, arm)
-        self.offset = _six("offset", offset)
-
-    def euler(self, arm: str, since: float, euler: Array) -> Array:
-        """See `LyingPoses`."""
-        return euler + self.offset
-
-
-class Scaled(LyingPoses):
-    """Some components are told too large or too small, or with the other sign.
+    """The pose is made into another one and keeps its covariance.
 
     Parameters
     ----------
-    factor : float
-        By what they are multiplied.
-    components : str
-        Some of `COMPONENTS`, with spaces between them; empty: all.
+    change : callable
+        Of arm, seconds since the lie began and Euler contact pose (6,), m and rad: what is told for that.
     """
 
-    def __init__(self, factor: float, components: str = "", begins: float = 0.0, arm: str = "") -> None:
-        super().__init__(begins, arm)
-        chosen = components.split() or COMPONENTS
-        unknown = [name for name in chosen if name not in COMPONENTS]
-        if unknown:
-            raise ValueError(f"components: {', '.join(unknown)} unknown, must be of {' '.join(COMPONENTS)}")
-        self.factors = np.where([name in chosen for name in COMPONENTS], factor, 1.0)
+    def __init__(self, change: Change, begins: float = 0.0, arm: str = "", seed: int = 0) -> None:
+        super().__init__(begins, arm, seed)
+        self.change = change
 
-    def euler(self, arm: str, since: float, euler: Array) -> Array:
-        """See `LyingPoses`."""
-        return self.factors * euler
+    def lie(self, arm: str, since: float, estimate: PoseGaussian) -> PoseGaussian:
+        """See `LyingEstimates`."""
+        euler = self.change(arm, since, se3.euler_from_pose(se3.inverse(estimate.mean)))
+        return PoseGaussian(se3.inverse(se3.pose_from_euler(euler)), estimate.cov)
 
 
-class Flipped(Scaled):
-    """Some components have the other sign. Images mirrored left to right lead to "x beta gamma"."""
+def drifting(rates: ArrayLike, begins: float = 0.0, arm: str = "") -> LyingPoses:
+    """The pose wanders off at constant rates (6,), m/s and rad/s."""
+    given = _six("rates", rates)
+    return LyingPoses(lambda arm, since, euler: euler + since * given, begins, arm)
 
-    def __init__(self, components: str, begins: float = 0.0, arm: str = "") -> None:
-        super().__init__(-1.0, components, begins, arm)
+
+def offset(by: ArrayLike, begins: float = 0.0, arm: str = "") -> LyingPoses:
+    """The pose is off by as much (6,), m and rad, all the time."""
+    given = _six("offset", by)
+    return LyingPoses(lambda arm, since, euler: euler + given, begins, arm)
 
 
-class Turned(LyingPoses):
+def scaled(factor: float, components: str = "", begins: float = 0.0, arm: str = "") -> LyingPoses:
+    """Some components (of `COMPONENTS`, with spaces between; empty: all) are told times a factor.
+
+    With -1 they have the other sign: images mirrored left to right lead to that of "x beta gamma".
+    """
+    chosen = components.split() or COMPONENTS
+    if unknown := [name for name in chosen if name not in COMPONENTS]:
+        raise ValueError(f"components: {', '.join(unknown)} unknown, must be of {' '.join(COMPONENTS)}")
+    factors = np.where([name in chosen for name in COMPONENTS], factor, 1.0)
+    return LyingPoses(lambda arm, since, euler: factors * euler, begins, arm)
+
+
+def turned(angle: float, begins: float = 0.0, arm: str = "") -> LyingPoses:
     """What a model says of images that are turned by an angle (rad) about the sensor's axis."""
+    T = se3.exp([0.0, 0.0, 0.0, 0.0, 0.0, angle])
 
-    def __init__(self, angle: float, begins: float = 0.0, arm: str = "") -> None:
-        super().__init__(begins, arm)
-        self._turn = se3.exp([0.0, 0.0, 0.0, 0.0, 0.0, angle])
+    def change(arm: str, since: float, euler: Array) -> Array:
+        return se3.euler_from_pose(T @ se3.pose_from_euler(euler) @ se3.inverse(T))
 
-    def euler(self, arm: str, since: float, euler: Array) -> Array:
-        """See `LyingPoses`."""
-        return se3.euler_from_pose(self._turn @ se3.pose_from_euler(euler) @ se3.inverse(self._turn))
+    return LyingPoses(change, begins, arm)
 
 
 class Noisy(LyingPoses):
     """Normal noise of these standard deviations (6,), m and rad, new in each estimate, that nobody tells."""
 
     def __init__(self, sigma: ArrayLike, begins: float = 0.0, arm: str = "", seed: int = 0) -> None:
-        super().__init__(begins, arm, seed)
-        self.sigma = _six("sigma", sigma)
-
-    def euler(self, arm: str, since: float, euler: Array) -> Array:
-        """See `LyingPoses`."""
-        return euler + self.drawn(arm, self.sigma)
+        given = _six("sigma", sigma)
+        super().__init__(lambda arm, since, euler: euler + self.drawn(arm, given), begins, arm, seed)
 
 
 class Frozen(Noisy):
@@ -219,41 +190,29 @@ def _alone(component: str, value: float) -> Sequence[float]:
 Make = Callable[[float, str], LyingEstimates]
 
 
-def _drifting(component: str, rate: float) -> Make:
-    return lambda begins, arm: Drifting(_alone(component, rate), begins, arm)
-
-
-def _flipped(component: str) -> Make:
-    return lambda begins, arm: Flipped(component, begins, arm)
-
-
-def _covariance(change: Callable[[Array], Array]) -> Make:
-    return lambda begins, arm: LyingCovariance(change, begins, arm)
-
-
 def _kinds() -> dict[str, Make]:
     kinds: dict[str, Make] = {}
     for name in COMPONENTS:
         rate = 1e-3 if name in "xyz" else np.radians(3.0)
-        kinds[f"{name} drifts up"] = _drifting(name, rate)
-        kinds[f"{name} drifts down"] = _drifting(name, -rate)
-        kinds[f"{name} flipped"] = _flipped(name)
-    quiet = [2e-5] * 3 + [1e-3] * 3
+        kinds[f"{name} drifts up"] = partial(drifting, _alone(name, rate))
+        kinds[f"{name} drifts down"] = partial(drifting, _alone(name, -rate))
+        kinds[f"{name} flipped"] = partial(scaled, -1.0, name)
     kinds |= {
-        "tilts flipped": _flipped("alpha beta"),
-        "images mirrored": _flipped("x beta gamma"),
-        "images turned by 90 degrees": lambda begins, arm: Turned(np.pi / 2, begins, arm),
-        "images turned by 180 degrees": lambda begins, arm: Turned(np.pi, begins, arm),
-        "5 mm of noise": lambda begins, arm: Noisy([5e-3] * 3 + [0.0] * 3, begins, arm),
-        "10 degrees of noise": lambda begins, arm: Noisy([0.0] * 3 + [0.17] * 3, begins, arm),
-        "twice as large": lambda begins, arm: Scaled(2.0, "", begins, arm),
-        "half as large": lambda begins, arm: Scaled(0.5, "", begins, arm),
-        "frozen": lambda begins, arm: Frozen(np.zeros(6), begins, arm),
-        "frozen with noise": lambda begins, arm: Frozen(quiet, begins, arm),
-        "2 mm too deep": lambda begins, arm: Offset(_alone("z", 2e-3), begins, arm),
-        "2 mm too shallow": lambda begins, arm: Offset(_alone("z", -2e-3), begins, arm),
+        "tilts flipped": partial(scaled, -1.0, "alpha beta"),
+        "images mirrored": partial(scaled, -1.0, "x beta gamma"),
+        "images turned by 90 degrees": partial(turned, np.pi / 2),
+        "images turned by 180 degrees": partial(turned, np.pi),
+        "5 mm of noise": partial(Noisy, [5e-3] * 3 + [0.0] * 3),
+        "10 degrees of noise": partial(Noisy, [0.0] * 3 + [0.17] * 3),
+        "twice as large": partial(scaled, 2.0, ""),
+        "half as large": partial(scaled, 0.5, ""),
+        "frozen": partial(Frozen, np.zeros(6)),
+        "frozen with noise": partial(Frozen, [2e-5] * 3 + [1e-3] * 3),
+        "2 mm too deep": partial(offset, _alone("z", 2e-3)),
+        "2 mm too shallow": partial(offset, _alone("z", -2e-3)),
     }
-    return kinds | {f"covariance {name}": _covariance(change) for name, change in REFUSED_COVARIANCES.items()}
+    refused = REFUSED_COVARIANCES.items()
+    return kinds | {f"covariance {name}": partial(LyingCovariance, change) for name, change in refused}
 
 
 #: One of each kind, made of when it begins (s) and of whom (an arm; empty: all).

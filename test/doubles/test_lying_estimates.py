@@ -6,14 +6,13 @@ import pytest
 from tactile_doubles.lying_estimates import (
     LYING_ESTIMATES,
     REFUSED_COVARIANCES,
-    Drifting,
-    Flipped,
     Frozen,
     LyingCovariance,
     Noisy,
-    Offset,
-    Scaled,
-    Turned,
+    drifting,
+    offset,
+    scaled,
+    turned,
 )
 from tactile_geometry import se3
 from tactile_geometry.gaussian import PoseGaussian
@@ -44,23 +43,23 @@ def test_a_lie_is_about_one_arm_from_its_beginning_on_and_no_contact_stays_none(
 
 
 def test_a_drift_grows_with_time():
-    lie = Drifting([0, 0, 1e-3, 0, 0.01, 0], begins=2.0)
+    lie = drifting([0, 0, 1e-3, 0, 0.01, 0], begins=2.0)
     assert told(lie, 4.0) == pytest.approx(np.add(EULER, [0, 0, 2e-3, 0, 0.02, 0]))
 
 
 def test_signs_scales_and_offsets_are_of_the_components_that_are_named():
-    assert told(Flipped("z beta"), 1.0) == pytest.approx(EULER * [1, 1, -1, 1, -1, 1])
-    assert told(Scaled(2.0), 1.0) == pytest.approx(2.0 * EULER)
-    assert told(Offset([0, 0, 2e-3, 0, 0, 0]), 1.0) == pytest.approx(np.add(EULER, [0, 0, 2e-3, 0, 0, 0]))
+    assert told(scaled(-1.0, "z beta"), 1.0) == pytest.approx(EULER * [1, 1, -1, 1, -1, 1])
+    assert told(scaled(2.0), 1.0) == pytest.approx(2.0 * EULER)
+    assert told(offset([0, 0, 2e-3, 0, 0, 0]), 1.0) == pytest.approx(np.add(EULER, [0, 0, 2e-3, 0, 0, 0]))
     with pytest.raises(ValueError, match="depth unknown, must be of x y z alpha beta gamma"):
-        Flipped("depth")
+        scaled(-1.0, "depth")
     with pytest.raises(ValueError, match=r"offset: must be 6 numbers .* has shape \(3,\)"):
-        Offset([0, 0, 1])
+        offset([0, 0, 1])
 
 
 def test_images_that_are_turned_turn_shear_and_tilt_and_leave_depth_and_twist():
     small = np.array([1e-3, 0.0, 3e-3, 1e-3, 0.0, 0.0])
-    assert told(Turned(np.pi / 2), 1.0, estimate(small)) == pytest.approx(
+    assert told(turned(np.pi / 2), 1.0, estimate(small)) == pytest.approx(
         [0.0, 1e-3, 3e-3, 0.0, 1e-3, 0.0], abs=1e-9
     )
 

@@ -142,7 +142,6 @@ def test_lies_are_the_same_for_the_same_seed_and_leave_what_they_are_shown_as_it
         given.append([camera(image) for image in images[2:]])
     assert np.array_equal(given[0], given[1]) and np.array_equal(images, kept)
     assert given[0][0].shape == (120, 160) and given[0][0].dtype == np.uint8
-    assert LYING_CAMERAS[kind].doc
 
 
 @pytest.mark.slow
