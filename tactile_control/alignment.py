@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
-from tactile_control.pid import CHANNELS, PidSettings, TangentPid
+from tactile_control.pid import CHANNELS, FEEDBACK, PidSettings, TangentPid
 from tactile_geometry import se3
 
 Array = NDArray[np.float64]
@@ -126,7 +126,7 @@ class AlignmentController:
         """
         error, velocity = np.zeros((2, 6))
         error[CHANNEL] = self.settings.reference_bearing_deg - bearing.angle_deg
-        feedback = self.pid.update(stamp_ns, error, hold_integral).feedback
+        feedback = self.pid.update(stamp_ns, error, hold_integral)[FEEDBACK]
         if bearing.distance >= self.settings.cutoff_distance:
             velocity[CHANNEL] = feedback[CHANNEL] * MM
         return velocity

@@ -178,9 +178,8 @@ class InContact(ContactPhase):
         check = min(self.task.checks, key=lambda check: (check.pace(), -check.doubt))
         self.task.pace = pace = check.pace()
         if pace == 0.0:
-            raise PhaseFailed(
-                self.task.explained(check.contradiction) if check.unheard else check.contradiction
-            )
+            why = check.contradiction
+            raise PhaseFailed(self.task.explained(why) if check.unheard else why)
         if pace < 1.0 and not waiting:
             waiting = f"slower: what is believed of the contact nears a limit ({check.doubt:.0%} of it)"
         slowed = pace * twist

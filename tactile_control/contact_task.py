@@ -301,12 +301,8 @@ class ContactTask(PhaseMachine):
         servo = self._servo if isinstance(self.current_phase, InContact) else None
         said: dict[str, Any] = {"hold": self._hold if isinstance(self.current_phase, Servo) else None}
         if servo is not None and self.belief is not None:
-            said |= {
-                "error": servo.error,
-                "feedforward": servo.feedforward,
-                "reference": servo.reference,
-                "exposure_ns": self.belief.stamp_ns,
-            }
+            said |= {"error": servo.error, "feedforward": servo.feedforward, "reference": servo.reference}
+            said["exposure_ns"] = self.belief.stamp_ns
         return said
 
     def progress(self) -> float:

@@ -42,10 +42,6 @@ class LimitedTwist:
     twist: Array
     reason: str
 
-    @property
-    def limited(self) -> bool:
-        return self.reason != ""
-
 
 class TwistLimiter:
     """Scales v and omega each to its largest norm and bounds the change of each by acceleration times time.
@@ -71,14 +67,9 @@ class TwistLimiter:
         """The twist to send at `now_ns`; the last one again where no time has passed since."""
         target, refused = _finite(wanted)
         dt, limits = self._elapsed(now_ns), self.settings
-        self.twist, done = _laws.limit_twist(
-            self.twist,
-            target,
-            limits.linear_speed,
-            limits.linear_acceleration * dt,
-            limits.angular_speed,
-            limits.angular_acceleration * dt,
-        )
+        linear = limits.linear_speed, limits.linear_acceleration * dt
+        angular = limits.angular_speed, limits.angular_acceleration * dt
+        self.twist, done = _laws.limit_twist(self.twist, target, *linear, *angular)
         return LimitedTwist(self.twist.copy(), self._reason(target, done, refused) if done or refused else "")
 
     def _reason(self, wanted: Array, done: int, refused: str) -> str:

@@ -51,10 +51,7 @@ class Waypoint:
 
     def reached(self, T_base_sensor: Array) -> bool:
         position, rotation = pose_difference(T_base_sensor, self.T_base_goal)
-        return bool(
-            np.linalg.norm(position) <= self.position_tolerance
-            and np.linalg.norm(rotation) <= self.angle_tolerance
-        )
+        return se3.norm(position) <= self.position_tolerance and se3.norm(rotation) <= self.angle_tolerance
 
 
 def pose_difference(T_base_sensor: Array, T_base_goal: Array) -> tuple[Array, Array]:

@@ -13,7 +13,6 @@ Integral and derivative are backward Euler; the derivative is that of an exponen
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +27,7 @@ Array = NDArray[np.float64]
 CHANNELS = ("rho_x", "rho_y", "rho_z", "phi_x", "phi_y", "phi_z")
 SPACES = ("local", "global")
 _INTEGRAL, _TRANSFER = 0, 4  # rows of the state that C advances
+FEEDBACK, PROPORTIONAL, INTEGRAL, DERIVATIVE, TRANSFER = range(5)  # rows of what a step gives
 #: Beyond this (m, rad, m/s, rad/s) is no error and no velocity, but a fault; with any gains all stays finite.
 LARGEST_INPUT = 1e3
 
@@ -88,44 +88,6 @@ class PidSettings(Settings):
     )
 
 
-class PidOutput(NamedTuple):
-    """One step of a `TangentPid`, in the tangent space of the error.
-
-    Attributes
-    ----------
-    parts : ndarray (5, 6)
-        The feedback, and the terms that it is the sum of before it is clipped: proportional, integral,
-        derivative, and what is left of the gains before.
-    """
-
-    parts: Array
-
-    @property
-    def feedback(self) -> Array:
-        """The output (6,)."""
-        return self.parts[0]
-
-    @property
-    def proportional(self) -> Array:
-        """Its proportional term (6,)."""
-        return self.parts[1]
-
-    @property
-    def integral(self) -> Array:
-        """Its integral term (6,)."""
-        return self.parts[2]
-
-    @property
-    def derivative(self) -> Array:
-        """Its derivative term (6,)."""
-        return self.parts[3]
-
-    @property
-    def saturated(self) -> NDArray[np.bool_]:
-        """Which channels of the feedback are clipped."""
-        return np.asarray(self.feedback != self.parts[1:].sum(axis=0))
-
-
 def tangent_error(X: Array, X_reference: Array, space: str = "local") -> Array:
     """Error (6,) from X to X_reference, in the local (`X^-1 X*`) or global (`X* X^-1`) tangent space."""
     if space == "local":
@@ -138,11 +100,6 @@ def tangent_error(X: Array, X_reference: Array, space: str = "local") -> Array:
 def to_local(control: Array, X: Array, space: str) -> Array:
     """A control signal (6,) computed in `space`, in the local tangent space at X (what a robot takes)."""
     return control if space == "local" else se3.adjoint(se3.inverse(X)) @ control
-
-
-def to_global(control: Array, X: Array) -> Array:
-    """A control signal (6,) of the local tangent space at X, in the global one."""
-    return se3.adjoint(X) @ control
 
 
 class TangentPid:
@@ -178,8 +135,11 @@ class TangentPid:
             self._state[_TRANSFER] = 0.0
             self._state[_TRANSFER] = before - _laws.pid_law(self._state, self._gains)
 
-    def update(self, stamp_ns: int, error: ArrayLike, hold_integral: bool = False) -> PidOutput:
-        """Advance to `stamp_ns` with the error (6,) measured there; return the feedback.
+    def update(self, stamp_ns: int, error: ArrayLike, hold_integral: bool = False) -> Array:
+        """Advance to `stamp_ns` with the error (6,) measured there.
+
+        Returns the feedback, and the terms that it is the sum of before it is clipped (5, 6): proportional,
+        integral, derivative, and what is left of the gains before.
 
         Parameters
         ----------
@@ -195,10 +155,8 @@ class TangentPid:
         error = checked_vector("error", error)
         dt, gap = self._elapsed(stamp_ns)
         self.stamp_ns, s = stamp_ns, self.settings
-        return PidOutput(
-            _laws.pid_step(
-                self._state, self._gains, error, dt, gap, not hold_integral, s.ewma_decay, s.transfer_time
-            )
+        return _laws.pid_step(
+            self._state, self._gains, error, dt, gap, not hold_integral, s.ewma_decay, s.transfer_time
         )
 
     def _elapsed(self, stamp_ns: int) -> tuple[float, bool]:

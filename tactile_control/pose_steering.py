@@ -47,7 +47,7 @@ def curvature(end: Array, turn: float, reach: float, crab: float, straight: floa
         if abs(bearing) > 0.5 * math.pi:
             return math.copysign(TIGHTEST, bearing)
         return (6.0 * math.sin(bearing) - 2.0 * math.sin(turn)) / math.hypot(*way)
-    beside = -float(way @ _across(course))
+    beside = -(way @ np.array([math.cos(course), -math.sin(course)]))
     return -(beside / line - 2.0 * _wrapped(turn)) / line
 
 
@@ -66,10 +66,6 @@ def largest_curvature(end: Array, turn: float, reach: float, straight: float) ->
 
 def _along(angle: float) -> Array:
     return np.array([math.sin(angle), math.cos(angle)])
-
-
-def _across(angle: float) -> Array:
-    return np.array([math.cos(angle), -math.sin(angle)])
 
 
 def _wrapped(angle: float) -> float:

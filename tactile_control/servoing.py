@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_base.settings import Settings, setting
 from tactile_control.pid import (
+    FEEDBACK,
     SPACES,
-    PidOutput,
     PidSettings,
     TangentPid,
     checked_vector,
@@ -66,15 +66,12 @@ class ServoingOutput:
         Reference velocity mapped into {s} by Ad(X_ss').
     reference : ndarray (6,)
         The reference contact pose in force, Euler (x, y, z, alpha, beta, gamma) of X_fs', m and rad.
-    pid : PidOutput
-        The feedback's parts, in the tangent space of the gains.
     """
 
     twist: Array
     error: Array
     feedforward: Array
     reference: Array
-    pid: PidOutput
 
 
 class ServoingController:
@@ -112,10 +109,10 @@ class ServoingController:
         X_ss_ref = se3.between(X_fs, X_reference)
         error = se3.log(X_ss_ref)
         law_error = error if space == "local" else tangent_error(X_fs, X_reference, space)
-        pid = self.pid.update(stamp_ns, law_error, hold_integral)
+        feedback = self.pid.update(stamp_ns, law_error, hold_integral)[FEEDBACK]
         feedforward = se3.carry(X_ss_ref, velocity)
-        twist = to_local(pid.feedback, X_fs, space) + feedforward
-        return ServoingOutput(twist, error, feedforward, reference, pid)
+        twist = to_local(feedback, X_fs, space) + feedforward
+        return ServoingOutput(twist, error, feedforward, reference)
 
     def reference_for(self, X_fs: Array) -> tuple[Array, Array]:
         """The reference contact pose for an observed one (4, 4): Euler (6,), m and rad, and X_fs' (4, 4)."""

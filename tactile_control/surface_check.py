@@ -197,8 +197,7 @@ class SurfaceCheck(Check):
         self._last: tuple[list[float], list[float]] | None = None  # centre and normal
         self._into = self._slid = self._offset = self._refused = 0.0
         self._above = 0.0
-        self._stamp_ns = 0
-        self._begin_ns = 0
+        self._stamp_ns = self._begin_ns = 0
         self._gathered: list[float] = [0.0] * 4
         self._sums: list[Array] = []
         self._number = 0
@@ -288,9 +287,8 @@ class SurfaceCheck(Check):
             self._sheared += sheared
             self._twisted += twisted
         self._before = middle
-        row = [part * value for value in self._gathered]
-        row += [self._sheared, self._twisted, *middle.normal]
-        now = np.array(row)
+        gathered = (part * value for value in self._gathered)
+        now = np.array([*gathered, self._sheared, self._twisted, *middle.normal])
         self._number = 0
         self._compare(now)
         self._look_at_depth(now[_OFFSET] + now[_INTO])
@@ -318,9 +316,8 @@ class SurfaceCheck(Check):
         pressed = np.clip(now[_INTO] - kept[:, _INTO], 0.0, settings.yields)
         self._judge(np.abs(apart) / np.where(apart < 0.0, room + pressed, room), self._depth_text, now)
         angle = np.arccos(np.clip(kept[:, _NORMAL] @ now[_NORMAL], -1.0, 1.0))
-        self._judge(
-            angle / (settings.angle_error + settings.curvature * slid + turned), self._normal_text, now
-        )
+        room = settings.angle_error + settings.curvature * slid + turned
+        self._judge(angle / room, self._normal_text, now)
         back = (kept[:, _SHEARED] - now[_SHEARED]) / (settings.shear_error + moved)
         self._judge(back, self._shear_text, now)
         back = (kept[:, _TWISTED] - now[_TWISTED]) / (settings.twist_error + turned)
@@ -354,10 +351,8 @@ class SurfaceCheck(Check):
         self._rate = apart / since
         if abs(apart - expected) > JUMP * self.settings.depth_error + room:
             way = "deeper" if apart > 0.0 else "less deep"
-            self._doubt(
-                2.0,
-                lambda: f"within {since:.2f} s the contact went {abs(apart) * 1e3:.1f} mm {way} by itself",
-            )
+            went = f"{abs(apart) * 1e3:.1f} mm {way}"
+            self._doubt(2.0, lambda: f"within {since:.2f} s the contact went {went} by itself")
 
     # ---- in words ----
 

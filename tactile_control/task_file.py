@@ -314,8 +314,7 @@ def _changed(task: Task, change: str) -> Task:
         raise SettingError(f"--set {change}: must have the form ROLE.GROUP.NAME=VALUE")
     name, group, key = parts
     role = task.role(name)
-    changed = dataclasses.replace(
-        role, settings=role.settings.merged({group: {key: value}}, f"--set {change}")
-    )
+    settings = role.settings.merged({group: {key: value}}, f"--set {change}")
+    changed = dataclasses.replace(role, settings=settings)
     roles = tuple(changed if item is role else item for item in task.roles)
     return dataclasses.replace(task, roles=roles)

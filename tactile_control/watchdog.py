@@ -99,7 +99,8 @@ class Watchdog:
         if self._since_ns is None:
             self._since_ns = now_ns
         elapsed = (now_ns - self._since_ns) * NANOSECOND
-        scale = self._ramp(max(elapsed, self._overdue(now_ns, stamps_ns)))
+        ramp, overdue = self.settings.ramp_time, max(elapsed, self._overdue(now_ns, stamps_ns))
+        scale = max(0.0, 1.0 - overdue / ramp) if ramp > 0.0 else 0.0
         failed = scale == 0.0 and elapsed >= self.settings.patience
         return WatchdogState(scale, "; ".join(reasons), other, failed)
 
@@ -116,15 +117,6 @@ class Watchdog:
 
     def _overdue(self, now_ns: int, stamps_ns: Mapping[str, int | None]) -> float:
         """For how long an input has been too old, s; it may have been so before anybody looked."""
-        return max(
-            (
-                (now_ns - stamp) * NANOSECOND - self.settings.limits[name]
-                for name, stamp in stamps_ns.items()
-                if stamp is not None
-            ),
-            default=0.0,
-        )
-
-    def _ramp(self, elapsed: float) -> float:
-        ramp = self.settings.ramp_time
-        return max(0.0, 1.0 - elapsed / ramp) if ramp > 0.0 else 0.0
+        limits, stamps = self.settings.limits, stamps_ns.items()
+        late = [(now_ns - at) * NANOSECOND - limits[name] for name, at in stamps if at is not None]
+        return max(late, default=0.0)

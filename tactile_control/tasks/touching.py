@@ -218,12 +218,13 @@ class Touching(PhaseMachine):
         self.seen_ns = 0  # when contact was seen last
 
     def make_phases(self) -> Iterable[Phase[Any]]:
+        def slow() -> TravelSettings:
+            return self.settings.travel.replaced(speed=self.settings.task.speed)
+
         return (
             GoToPose(self, leads_to=OVER, needs=("pose", "presence")),
             Over(self, OVER, TOUCH, goal=lambda: self.above(0.0), what="a place over the surface"),
-            Touch(
-                self, TOUCH, PRESS, goal=lambda: self.above(2.0 * self.settings.task.search), pace=self._slow
-            ),
+            Touch(self, TOUCH, PRESS, goal=lambda: self.above(2.0 * self.settings.task.search), pace=slow),
             Press(self, PRESS, RETREAT),
             Stopping(self),
             LiftOff(self, RETREAT, OVER, goal=self._lifted),
@@ -284,9 +285,6 @@ class Touching(PhaseMachine):
         T = np.asarray(self.T_base_start @ X)
         T[:3, 3] += self.T_base_start[:3, 2] * further
         return T
-
-    def _slow(self) -> TravelSettings:
-        return self.settings.travel.replaced(speed=self.settings.task.speed)
 
     def _lifted(self) -> Array:
         """Straight off the surface from where it is; the last time to the height of the start."""

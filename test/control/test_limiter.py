@@ -26,7 +26,7 @@ def test_a_twist_within_the_limits_passes_unchanged():
     wanted = np.array([0.01, 0.02, 0.0, 0.1, 0.0, 0.2])
     out = settled(wanted)
     np.testing.assert_array_equal(out.twist, wanted)
-    assert not out.limited
+    assert not out.reason
 
 
 def test_speed_is_limited_by_norm_and_keeps_its_direction():
