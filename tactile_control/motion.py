@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.array_math import NUMBERS
 from tactile_base.settings import Settings, setting
 from tactile_geometry import se3
 
@@ -123,11 +125,9 @@ class Odometer:
         self._last = None
 
 
-def smooth_ramp(elapsed: float, duration: float) -> float:
-    """0 to 1 over `duration` s with zero slope at both ends."""
-    if duration <= 0.0 or elapsed >= duration:
-        return 1.0
-    x = max(0.0, elapsed / duration)
+def smooth_ramp(elapsed: Any, duration: float, math: Any = NUMBERS) -> Any:
+    """0 to 1 over `duration` s with zero slope at both ends; of many with arrays and their `math`."""
+    x = math.clip(elapsed / duration if duration > 0.0 else 0.0 * elapsed + 1.0, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)
 
 

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 SkinModel = TacTipSettings | IdealSensorSettings
 
-_REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper holds objects at
+REFERENCE_DEPTH = 6e-3  # m, of the skin's two curves: the depth that the paper holds objects at
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class SkinForces(Settings):
 
     def normal_force(self, depth: float) -> float:
         """Of the tip (N) at a depth (m) of its skin."""
-        return self.skin_force * max(depth / _REFERENCE_DEPTH, 0.0) ** self.skin_exponent
+        return self.skin_force * max(depth / REFERENCE_DEPTH, 0.0) ** self.skin_exponent
 
     def normal_stiffness(self, depth: float, force: float) -> float:
         """Of the tip's skin along the normal (N/m) at a depth (m) where it presses with a force (N)."""
@@ -51,13 +51,13 @@ class SkinForces(Settings):
 
     def shear_stiffness(self, depth: float) -> float:
         """Of the tip's skin across the normal (N/m) at a depth (m)."""
-        return self.skin_shear * max(depth / _REFERENCE_DEPTH, 0.0) ** self.skin_shear_exponent
+        return self.skin_shear * max(depth / REFERENCE_DEPTH, 0.0) ** self.skin_shear_exponent
 
     def depth(self, normal_force: float) -> float:
         """Of the tip (m) at a normal force (N)."""
         if normal_force <= 0 or self.skin_force == 0:
             return 0.0
-        return _REFERENCE_DEPTH * float((normal_force / self.skin_force) ** (1 / self.skin_exponent))
+        return REFERENCE_DEPTH * float((normal_force / self.skin_force) ** (1 / self.skin_exponent))
 
     def force_on_body(self, contact: BodyContact) -> Array:
         """Force (3,) N of a sensor on the body, in its frame: what it models, else by depth and shear."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,8 +62,13 @@ def _register_pushing(kinds: Any) -> None:
     add("--seed", type=natural_int, default=0, metavar="N", help="number of the first trial (0)")
     add("--objects", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
     add("--floors", nargs="+", default=(), metavar="NAME", help="(default: all of the table)")
-    add("--controller", default="paper", metavar="NAME", help="paper or tuned (default: paper)")
-    add("--fidelity", default="ideal", metavar="NAME", help="of the sensors (default: ideal)")
+    add("--controller", default="paper", metavar="NAME", help="paper, tuned or predictive (default: paper)")
+    add("--fidelity", default="ideal", metavar="NAME",
+        help="of the sensors; plane: ideal ones, all trials side by side in the plane (default: ideal)",
+    )  # fmt: skip
+    add("--device", default="numpy", metavar="NAME",
+        help="of fidelity plane: numpy, or torch or jax where installed, as torch:cuda (default: numpy)",
+    )  # fmt: skip
     add("--filter", default="", metavar="NAME", help="one of config/filters, or a file")
     add("--latency", type=float, default=10.0, metavar="MS", help="exposure to command in ms (default: 10)")
     add_set_option(parser, "a setting on top of the files, again and again", "ROLE.GROUP.NAME=VALUE")
@@ -114,7 +120,7 @@ def run_real_pushes(arguments: argparse.Namespace) -> int:
 @refusing("experiment", status=2)
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns the exit code."""
-    from tactile_bringup.experiments.pushing import Common
+    from tactile_bringup.experiments.pushing import PLANE, Common
 
     table, trials_of = _asked(arguments)
     common = Common(
@@ -131,6 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_folder(folder)
     first, count = arguments.seed, arguments.trials
     if arguments.trial is not None:
+        if common.fidelity == PLANE:
+            raise ValueError("--trial: the plane keeps no record to look at; choose --fidelity ideal")
         return _look_at(_named(trials_of, common, arguments.trial), folder)
     trials = trials_of(common, range(first, first + count))
     try:
@@ -175,20 +183,29 @@ def _run_missing(
     trials: list[Trial], common: Common, folder: Path, arguments: argparse.Namespace
 ) -> list[Row]:
     """Run what is not done yet; the rows of all."""
+    from tactile_base.array_math import array_math
     from tactile_base.jobs import JobRows, run_jobs
-    from tactile_bringup.experiments.pushing import check_trial, trial_row
+    from tactile_bringup.experiments.pushing import PLANE, check_trial, trial_row
+    from tactile_bringup.experiments.pushing_plane import batches, plane_rows
     from tactile_records.collecting.parameters import check_same_run
 
     check_trial(trials[0])
+    array_math(arguments.device)
     check_same_run(folder, {"experiment": arguments.what, **dataclasses.asdict(common)})
     rows = JobRows(folder / "trials.jsonl")
     missing = rows.missing(trials)
     with Progress() as progress:
         if len(missing) < len(trials):
             progress.say(f"{len(trials) - len(missing)} of {len(trials)} trials are done already")
-        made = run_jobs(trial_row, missing, workers_of(arguments), progress.say)
-        for done in progress.counted(made, "trials", len(missing), "trials"):
-            rows.add(done.result())
+        workers, tell = workers_of(arguments), progress.say
+        made: Iterator[Row]
+        if common.fidelity == PLANE:
+            jobs = batches(missing, arguments.device)
+            made = (row for done in run_jobs(plane_rows, jobs, workers, tell) for row in done.result())
+        else:
+            made = (done.result() for done in run_jobs(trial_row, missing, workers, tell))
+        for row in progress.counted(made, "trials", len(missing), "trials"):
+            rows.add(row)
     return rows.of(trials)
 
 

@@ -36,6 +36,8 @@ from tactile_sim.motions import make_motion
 from tactile_sim.pushing_scene import PushedProfiles, PushVariation, read_profiles
 
 TABLES, MAPS = "experiments/lloyd_lepora_pushing.yaml", "experiments/pushing_maps.yaml"
+#: All trials side by side in the plane of the floor, with ideal sensors: `pushing_plane`.
+PLANE = "plane"
 NUMBERS = ("succeeded", "reason", "contact_fraction", "slip_fraction", "work_s", "wall_s")  # of a report
 
 
@@ -277,8 +279,9 @@ def task_of(common: Common) -> Task:
 def _loaded(common: Common) -> tuple[Scene, Task, PushedProfiles, OfflineOptions]:
     """What is the same for all trials."""
     fidelity = common.fidelity
-    if fidelity is not None and fidelity not in FIDELITIES:
-        raise SettingError(f"fidelity: {unknown_name(fidelity, FIDELITIES)}")
+    if fidelity is not None and fidelity not in (*FIDELITIES, PLANE):
+        raise SettingError(f"fidelity: {unknown_name(fidelity, (*FIDELITIES, PLANE))}")
+    fidelity = "ideal" if fidelity == PLANE else fidelity
     scene, task = load_scene(table_of(common.table).scene), task_of(common)
     options = OfflineOptions(arm=common.arm or None, filter=load_filter_settings(common.filter))
     return scene if fidelity is None else scene.with_fidelity(fidelity), task, read_profiles(), options

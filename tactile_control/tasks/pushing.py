@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_base.array_math import NUMBERS
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_control.alignment import AlignmentController, AlignmentSettings, Bearing, target_bearing
 from tactile_control.contact_phases import INTO_CONTACT
@@ -69,9 +71,9 @@ class PushSettings(Settings):
                 f"stop_depth: must be more than slow_depth ({self.slow_depth:g} m), is {self.stop_depth:g}"
             )
 
-    def pace(self, depth: float) -> float:
+    def pace(self, depth: Any, math: Any = NUMBERS) -> Any:
         """How much of the speed is left at a believed depth (m): 1, less from `slow_depth` on, -0.5."""
-        return min(max((self.stop_depth - depth) / (self.stop_depth - self.slow_depth), BACK), 1.0)
+        return math.clip((self.stop_depth - depth) / (self.stop_depth - self.slow_depth), BACK, 1.0)
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,7 @@ class Pushing(ContactTask):
         down = T_base_sensor[:3, 0]
         self.steering.model.update(T_base_sensor[:3, 3], (T_base_sensor @ belief.T)[:3, 2], down)
         if not self.goal.direction:
-            return self.steering.step(bearing.position, speed)
+            return self.steering.step(bearing.position, speed, self.settings.task.tip_radius)
         return self.steering.step_to_pose(*self._end(bearing, T_base_reference), speed)
 
     def finished(self, elapsed: float) -> bool:

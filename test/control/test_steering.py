@@ -69,13 +69,13 @@ def test_without_sideways_motion_what_was_learnt_of_the_turning_is_forgotten():
 def test_the_sideways_velocity_changes_its_sign_where_the_bearing_answers_the_other_way():
     """1 / r = alpha / r0: at a = 10 / m, 100 mm from the target."""
     steering = SteeringController(SteeringSettings(turning=10.0))
-    far, at, near = (steering.step(np.array([0.0, 0.002, z]), 0.0)[1] for z in (0.2, 0.1, 0.05))
+    far, at, near = (steering.step(np.array([0.0, 0.002, z]), 0.0, 0.02)[1] for z in (0.2, 0.1, 0.05))
     assert far < 0.0 < near and abs(at) < 1e-12
 
 
 def test_the_sideways_velocity_is_clipped():
     steering = SteeringController(SteeringSettings(limit=0.012))
-    assert steering.step(np.array([0.0, -0.3, 0.3]), 0.01)[1] == 0.012
+    assert steering.step(np.array([0.0, -0.3, 0.3]), 0.01, 0.02)[1] == 0.012
 
 
 @pytest.mark.parametrize("drift", [-2.0, 2.0])
