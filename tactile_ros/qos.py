@@ -65,12 +65,16 @@ def writer_profile(profile: QoSProfile) -> QoSProfile:
     return _profile(RECORDED) if reliable and volatile else profile
 
 
-def reader_profile(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """What all of a topic's publishers can serve, for a topic that may be anybody's."""
-    offered = [info.qos_profile for info in publishers]
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-    kept = [profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered]
-    return _profile(LATENCY.depth, reliable, latched=bool(kept) and all(kept))
+def viewer_profile(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
+    """How somebody looks at a topic that may be anybody's.
+
+    What is said once is there for him, too. Of all else he gets the newest, and no publisher keeps for him what
+    he has missed: a reliable one that was too slow on a busy machine saw what was 5 minutes old, for which nodes
+    grew by hundreds of MB.
+    """
+    offered = [info.qos_profile.durability for info in publishers]
+    kept = bool(offered) and all(durability == DurabilityPolicy.TRANSIENT_LOCAL for durability in offered)
+    return _profile(LATENCY.depth, reliable=kept, latched=kept)
 
 
 def recorder_profile(topic: Topic) -> QoSProfile:

@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy
 
 from tactile_bringup.launching.graph_client import GraphClient
 from tactile_ros.conversions import message_class
-from tactile_ros.qos import reader_profile
+from tactile_ros.qos import viewer_profile
 from tactile_wire.errors import DefinitionDamaged, DefinitionMissing
 from tactile_wire.message_definitions import message_definition
 
@@ -97,7 +97,7 @@ class FoxgloveBridge(GraphClient):
                 message_class(self._types[topic]),
                 topic,
                 self._channels[topic].log,
-                reader_profile(self._node.get_publishers_info_by_topic(topic)),
+                viewer_profile(self._node.get_publishers_info_by_topic(topic)),
                 raw=True,
             )
 

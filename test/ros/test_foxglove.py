@@ -10,6 +10,7 @@ import threading
 
 import pytest
 from geometry_msgs.msg import PoseStamped
+from rclpy.qos import ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 from websockets.exceptions import ConnectionClosed
@@ -61,6 +62,17 @@ class Client:
         self.socket.send(json.dumps({"op": SUBSCRIBE, "subscriptions": wanted}))
 
 
+def heard_as(graph, topic):
+    """The quality of service with which the bridge hears a topic."""
+    readers = graph.node.get_subscriptions_info_by_topic
+
+    def of_bridge():
+        return [info for info in readers(topic) if info.node_name == "tactile_foxglove"]
+
+    assert graph.wait(lambda: bool(of_bridge()))
+    return of_bridge()[0].qos_profile
+
+
 def test_a_topic_comes_with_its_definition_and_messages_as_they_are(shared_graph, address):
     out = shared_graph.node.create_publisher(PoseStamped, "/arm/arm/pose", qos.STATE)
     client = Client(address)
@@ -72,6 +84,8 @@ def test_a_topic_comes_with_its_definition_and_messages_as_they_are(shared_graph
         and "MSG: geometry_msgs/Pose" in channel["schema"]
     )
     client.subscribe("/arm/arm/pose")
+    # no publisher keeps for it what it has missed
+    assert heard_as(shared_graph, "/arm/arm/pose").reliability == ReliabilityPolicy.BEST_EFFORT
     message = PoseStamped(header=header(1_700_000_000_000_000_000, "arm/base"))
     message.pose.position.x = 0.25
 
