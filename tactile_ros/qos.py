@@ -68,9 +68,9 @@ def writer_profile(profile: QoSProfile) -> QoSProfile:
 def viewer_profile(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
     """How somebody looks at a topic that may be anybody's.
 
-    What is said once is there for him, too. Of all else he gets the newest, and no publisher keeps for him what
-    he has missed: a reliable one that was too slow on a busy machine saw what was 5 minutes old, for which nodes
-    grew by hundreds of MB.
+    What is said once is there for him, too. Of all else he gets the newest, and no publisher keeps for him
+    what he has missed: for a reliable one that was too slow on a busy machine nodes kept what was 5 minutes
+    old, and grew by hundreds of MB.
     """
     offered = [info.qos_profile.durability for info in publishers]
     kept = bool(offered) and all(durability == DurabilityPolicy.TRANSIENT_LOCAL for durability in offered)

@@ -84,15 +84,15 @@ def latencies(bag: Path) -> None:
 
 def take_all(address: str, count: Counter[str]) -> None:
     """A client of `tactile foxglove` that wants every topic, until that ends."""
-    with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None) as socket:
-        with contextlib.suppress(ConnectionClosed):
-            for message in socket:
-                count["messages"] += isinstance(message, bytes)
-                channels = () if isinstance(message, bytes) else json.loads(message).get("channels", ())
-                if channels:
-                    time.sleep(0.1)  # foxglove-sdk 0.30 refuses what is asked for while it is being offered
-                    wanted = [{"id": channel["id"], "channelId": channel["id"]} for channel in channels]
-                    socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+    socket = connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None)
+    with contextlib.suppress(ConnectionClosed), socket:
+        for message in socket:
+            count["messages"] += isinstance(message, bytes)
+            channels = () if isinstance(message, bytes) else json.loads(message).get("channels", ())
+            if channels:
+                time.sleep(0.1)  # foxglove-sdk 0.30 refuses what is asked for while it is being offered
+                wanted = [{"id": channel["id"], "channelId": channel["id"]} for channel in channels]
+                socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
 
 def ask_all(domain: int, bridge: subprocess.Popen[str], count: Counter[str]) -> None:
