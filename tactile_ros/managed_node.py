@@ -21,10 +21,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 
@@ -40,6 +42,7 @@ from tactile_ros.parameters import (
     SettingsParameters,
     declare_read_only,
     fixed_settings,
+    meant,
     refusing_unknown_types,
 )
 from tactile_ros.qos import DIAGNOSTICS, writer_profile
@@ -271,6 +274,11 @@ class ManagedNode(LifecycleNode):
         if srv_type in (SetParameters, SetParametersAtomically):
             callback = refusing_unknown_types(callback)
         return super().create_service(srv_type, srv_name, callback, **kwargs)
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter[Any]]) -> SetParametersResult:
+        """As rclpy's, for values as tools mean them (`parameters.meant`)."""
+        given = meant(self, parameter_list)
+        return super().set_parameters_atomically(given) if given else SetParametersResult(successful=True)
 
     def serve(self, service_type: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """Offer a service while the node is configured."""

@@ -153,6 +153,40 @@ def refusing_unknown_types(serve: Callable[[Any, Any], Any]) -> Callable[[Any, A
     return answer
 
 
+def meant(node: Node, parameters: Sequence[Parameter[Any]]) -> list[Parameter[Any]]:
+    """What is to be set by parameters of the types that tools guess; a read-only one that stays is left out.
+
+    `ros2 param load` and `set` guess from text (`rclpy.parameter.get_parameter_value`): to them 1e-05 and inf
+    are strings, and [] holds bools. So what `ros2 param dump` writes is taken as it was.
+    """
+    found = []
+    for given in parameters:
+        if node.has_parameter(given.name):
+            now = node.get_parameter(given.name)
+            given = _as_type(given, now.type_)
+            same = given.type_ is now.type_ and _plain(given.value) == _plain(now.value)
+            if same and node.describe_parameter(given.name).read_only:
+                continue
+        found.append(given)
+    return found
+
+
+def _as_type(given: Parameter[Any], kind: Parameter.Type) -> Parameter[Any]:
+    """The value as one of a type, where it is a text of numbers or empty; else as it is, to be refused."""
+    value, types = given.value, Parameter.Type
+    try:
+        if kind is types.DOUBLE and given.type_ is types.STRING:
+            value = float(value)
+        elif kind is types.DOUBLE_ARRAY and given.type_ in (types.STRING, types.STRING_ARRAY):
+            texts = value.strip("[]").split(",") if isinstance(value, str) else value
+            value = [float(text) for text in texts]
+        elif not (given.type_ is types.BOOL_ARRAY and len(value) == 0 and kind.name.endswith("_ARRAY")):
+            return given
+    except ValueError:
+        return given
+    return Parameter(given.name, kind, value)
+
+
 def declare_read_only(node: Node, name: str, default: Any, description: str) -> Any:
     """Declare a parameter that is fixed once the node runs, and return its value."""
     descriptor = ParameterDescriptor(description=description, read_only=True)

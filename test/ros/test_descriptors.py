@@ -10,12 +10,14 @@ import math
 
 import pytest
 import rclpy
+import yaml
 from all_settings import all_settings
-from rclpy.parameter import Parameter
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rclpy.parameter import Parameter, get_parameter_value
 
 from tactile_base.settings import SettingError, Settings, setting
 from tactile_bringup.launching.environment import ros_environment
-from tactile_ros.parameters import SettingsParameters
+from tactile_ros.parameters import SettingsParameters, meant
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +87,38 @@ def test_rqt_reconfigure_can_show_every_setting_of_ours(node):
             as_rqt_shows(node.describe_parameter(name), node.get_parameter(name).value)
             count += 1
     assert count > 250
+
+
+def test_values_lie_in_their_ranges_and_come_back_from_a_dump_as_they_were(node):
+    """As ros2param writes and reads them (ros2cli, ros2param/verb/dump.py; rclpy.parameter on loading)."""
+    count = 0
+    for kind in filter(has_defaults, all_settings()):
+        fixed = [field.name for field in dataclasses.fields(kind)][::2]
+        prefix = f"dumped.{kind.__module__}.{kind.__qualname__}".replace("_", "")
+        settings = SettingsParameters(node, kind(), prefix=prefix, read_only=fixed)
+        for field in dataclasses.fields(kind):
+            name = f"{prefix}.{field.name}"
+            about, value = node.describe_parameter(name), node.get_parameter(name).value
+            for found in (*about.floating_point_range, *about.integer_range):
+                assert found.from_value <= value <= found.to_value and found.step == 0, name
+            dumped = yaml.dump(list(value) if about.type > Parameter.Type.STRING.value else value)
+            loaded = ParameterMsg(name=name, value=get_parameter_value(str(yaml.safe_load(dumped))))
+            given = meant(node, [Parameter.from_parameter_msg(loaded)])
+            assert bool(given) != about.read_only, name
+            answer = node.set_parameters_atomically(given)
+            assert answer.successful, answer.reason
+            count += 1
+        assert settings.value == kind()
+    assert count > 250
+
+
+@pytest.mark.parametrize("text", ["fast", "[1.0, two]", "[]", "[true]"])
+def test_a_text_that_is_no_number_is_refused_as_it_is(node, text):
+    name = f"text{len(node.list_parameters([], 0).names)}"
+    node.declare_parameter(name, 1.0)
+    message = ParameterMsg(name=name, value=get_parameter_value(text))
+    answer = node.set_parameters_atomically(meant(node, [Parameter.from_parameter_msg(message)]))
+    assert not answer.successful and node.get_parameter(name).value == 1.0
 
 
 def test_a_range_is_said_where_it_can_be_and_always_in_words(node):

@@ -7,8 +7,9 @@ import textwrap
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.parameter import Parameter
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rcl_interfaces.srv import ListParameters, SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter, get_parameter_value
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int64
 
@@ -209,6 +210,22 @@ def test_a_parameter_of_a_type_that_is_none_is_refused_and_the_node_goes_on(toy,
     assert "gain is of type 192" in results[0].reason
     assert toy.get_parameter("toy", "gain") == 1.0
     assert toy.set_parameter("toy", "gain", 2.0).successful
+
+
+def test_what_is_dumped_is_taken_as_it_is_and_nothing_else_of_what_is_read_only(toy):
+    """`ros2 param load` sets each parameter of a dump again, of the type that its text looks like."""
+    names = toy.call(ListParameters, "toy/list_parameters", ListParameters.Request()).result.names
+    values = {name: toy.get_parameter("toy", name) for name in names}
+    request = SetParameters.Request()
+    for name, value in values.items():
+        plain = value if isinstance(value, bool | int | float | str) else list(value)
+        request.parameters.append(ParameterMsg(name=name, value=get_parameter_value(str(plain))))
+    results = toy.call(SetParameters, "toy/set_parameters", request).results
+    assert [each.reason for each in results if not each.successful] == [] and len(results) > 10
+    assert {name: toy.get_parameter("toy", name) for name in names} == values
+    assert not toy.set_parameter("toy", "priority", 1).successful
+    assert toy.set_parameter("toy", "gain", "1e-05").successful
+    assert toy.get_parameter("toy", "gain") == 1e-5
 
 
 @pytest.mark.parametrize("transition", [{"id": 200}, {"id": 3}, {"label": "fly"}], ids=str)
