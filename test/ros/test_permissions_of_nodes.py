@@ -4,8 +4,11 @@ import pytest
 from rclpy.node import NodeNameNonExistentError
 
 from tactile_bringup.graph import GraphOptions, load_graph
+from tactile_bringup.launching.operator import Operator
 from tactile_bringup.permissions import enclaves
 from tactile_scene.scene_file import load_scene
+from tactile_view.cell_state import CellState, shown_topics
+from tactile_view.live import LiveGraph
 
 
 def dds_names(graph, namespace: str, node: str) -> tuple[set[str], set[str]]:
@@ -58,6 +61,33 @@ def test_no_node_says_or_hears_what_its_permissions_do_not_allow(graph, task, tm
             assert read <= profile.heard(), (full, read - profile.heard())
             compared += 1
     assert compared == len(graph.nodes())
+
+
+def test_who_looks_and_who_acts_by_hand_stay_within_theirs(graph):
+    described = load_graph("surface_following", None, GraphOptions())
+    allowed = enclaves(described, load_scene(str(described.scene_file)))
+    graph.start("tactile_ros.nodes.filter_node")
+    graph.start("tactile_ros.nodes.controller_node")
+    domain = graph.context.get_domain_id()
+    with LiveGraph(domain, CellState()) as page, Operator(domain) as operator:
+        operator.find(1.0)
+        operator.set_parameter("/arm/filter", "patience", 0.3)
+        operator.cancel("arm")
+        operator.stop()
+        shown = {f"rt{topic.name}" for topic in shown_topics("arm")}
+        for name in ("tactile_view", "operator"):
+            (profile,) = allowed[f"/{name}"]
+            wanted = shown if name == "tactile_view" else set()
+
+            def seen(name=name, wanted=wanted) -> bool:
+                page.poll(0.05, True)
+                names = dds_names(graph, "/", name)
+                return len(names[1]) > 8 and wanted <= names[1]
+
+            assert graph.wait(seen), dds_names(graph, "/", name)
+            written, read = dds_names(graph, "/", name)
+            assert written <= profile.published(), written - profile.published()
+            assert read <= profile.heard(), read - profile.heard()
 
 
 VELOCITIES = """\
