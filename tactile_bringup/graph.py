@@ -308,7 +308,7 @@ def _transport(arm: ArmScene, prefix: str = "") -> dict[str, Any]:
 
 
 def _controller(plan: ArmPlan, arm: ArmScene, plans: Sequence[ArmPlan]) -> NodeProcess:
-    parameters: dict[str, Any] = {"task": plan.role.task, "controlled_frame": arm.controlled_frame}
+    parameters: dict[str, Any] = {"task_name": plan.role.task, "controlled_frame": arm.controlled_frame}
     for corner in ("workspace_lower", "workspace_upper"):
         parameters[f"space.{corner}"] = list(getattr(arm.safety, corner))
     parameters |= plan.role.settings.dotted()

@@ -75,7 +75,9 @@ def controller_text(groups: Groups, kind: str) -> str:
 
 def _controllers(tuning: Tuning) -> dict[str, str]:
     """Node -> kind of task, of the controllers with settings that differ and that a file can hold."""
-    kinds = {node: kind for node in tuning.nodes if (kind := tuning.now.get((node, "task"))) in TASKS.names()}
+    kinds = {
+        node: kind for node in tuning.nodes if (kind := tuning.now.get((node, "task_name"))) in TASKS.names()
+    }
     return {node: kind for node, kind in kinds.items() if _groups(tuning, node, kind, only_different=True)}
 
 

@@ -57,9 +57,7 @@ class Batch:
 
 def batches(trials: Sequence[Trial], device: str = "numpy") -> list[Batch]:
     """The trials in as many as run side by side."""
-    return [
-        Batch(tuple(trials[k : k + SIDE_BY_SIDE]), device) for k in range(0, len(trials), SIDE_BY_SIDE)
-    ]
+    return [Batch(tuple(trials[k : k + SIDE_BY_SIDE]), device) for k in range(0, len(trials), SIDE_BY_SIDE)]
 
 
 def plane_rows(batch: Batch) -> list[Row]:

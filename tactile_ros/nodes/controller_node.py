@@ -76,7 +76,7 @@ class ControllerNode(TaskNode):
 
     def __init__(self) -> None:
         super().__init__("controller")
-        self.task = declare_read_only(self, "task", "surface_following", "the kind of task that it runs")
+        self.task = declare_read_only(self, "task_name", "surface_following", "the kind of task that it runs")
         self.task_type = TASKS.load(self.task)
         self.timing = SettingsParameters(
             self, ControllerTimingSettings(), prefix="timing", read_only=("watchdog_period", "partner_age")

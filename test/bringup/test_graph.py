@@ -294,7 +294,7 @@ def test_chosen_goals_controller_and_changes_reach_plans_and_nodes():
     graph = load_graph("surface_following", "dome", options)
     assert [goal.name for goal in graph.plans[0].goals] == ["theta_2"]
     given = graph.node("/arm/controller").parameters
-    assert (given["task"], given["controlled_frame"]) == ("surface_following", "tactile_sensor")
+    assert (given["task_name"], given["controlled_frame"]) == ("surface_following", "tactile_sensor")
     assert (given["task.speed"], given["pid.ewma_decay"], given["pid.ki"][3]) == (0.02, 0.7, 0.1)
 
 
@@ -308,4 +308,4 @@ def test_an_arm_that_only_moves_has_a_controller_of_its_tool_and_nothing_that_fe
     graph = load_graph(str(task), str(scene))
     assert names(graph) == ["/sim", "/mover/controller"]
     given = graph.node("/mover/controller").parameters
-    assert (given["task"], given["controlled_frame"]) == ("trajectory", "tool")
+    assert (given["task_name"], given["controlled_frame"]) == ("trajectory", "tool")

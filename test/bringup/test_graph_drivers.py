@@ -108,7 +108,7 @@ def test_a_calibration_by_touch_runs_on_the_graph_of_any_arm_with_the_settings_o
     graph = build_graph(task.name, scene, arm_plans(task, scene), GraphOptions())
     assert names(graph) == ["/arm/arm", "/arm/camera", *CHAIN]
     parameters = graph.node("/arm/controller").parameters
-    assert parameters["task"] == "touching" and parameters["watchdog.patience"] == 5.0
+    assert parameters["task_name"] == "touching" and parameters["watchdog.patience"] == 5.0
     (plan,) = graph.plans
     assert plan.goals[0].start is not None and plan.goals[0].goal.periods == 20
 

@@ -8,14 +8,16 @@ from tactile_base.settings import SettingError
 from tactile_bringup.tuning import OTHER_SET, RuntimeSetting, Tuning, runtime_setting
 
 NODE = "/arm/controller"
-DEPTH, KP, TASK = (NODE, "task.depth"), (NODE, "pid.kp"), (NODE, "task")
+DEPTH, KP, TASK = (NODE, "task.depth"), (NODE, "pid.kp"), (NODE, "task_name")
 
 
 @pytest.fixture
 def tuning() -> Tuning:
     tuning = Tuning()
-    values = {"task.depth": 0.003, "pid.kp": (1.0, 2.0), "task": "pushing"}
-    found = [RuntimeSetting(NODE, name, value, value, fixed=name == "task") for name, value in values.items()]
+    values = {"task.depth": 0.003, "pid.kp": (1.0, 2.0), "task_name": "pushing"}
+    found = [
+        RuntimeSetting(NODE, name, value, value, fixed=name == "task_name") for name, value in values.items()
+    ]
     tuning.found(NODE, found)
     return tuning
 
@@ -132,7 +134,7 @@ def test_what_differs_is_told_against_what_the_node_was_started_with(tuning):
 
 
 def test_what_cannot_change_is_not_asked_for(tuning):
-    with pytest.raises(SettingError, match=f"task: cannot change while {NODE} runs"):
+    with pytest.raises(SettingError, match=f"task_name: cannot change while {NODE} runs"):
         tuning.change({TASK: "move"})
 
 

@@ -24,7 +24,7 @@ def graph_of(task, **now) -> Tuning:
     role = task.roles[-1]
     groups = dataclasses.asdict(role.settings)
     values = {f"{group}.{name}": plain(v) for group, of in groups.items() for name, v in of.items()}
-    values |= {"task": role.task, "timing.watchdog_period": 0.01}
+    values |= {"task_name": role.task, "timing.watchdog_period": 0.01}
     add(tuning, f"/{(role.arms or ('arm',))[0]}/controller", values, now)
     add(tuning, "/arm/filter", dataclasses.asdict(FilterSettings()) | {"inputs.tf_rate": 15.0}, now)
     add(tuning, "/sim", {"scene": str(config_path(f"scenes/{task.scene}.yaml"))}, {})

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Pose, PoseArray, Quaternion
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import ListParameters
 from tf2_msgs.msg import TFMessage
 
 from tactile_drivers.ownership import REST_FIRST
@@ -122,6 +123,14 @@ def running(shared_graph):
 def world(running):
     running.restart()
     return running
+
+
+def test_no_parameter_has_the_name_of_a_group_of_others(world):
+    """`ros2 param dump` nests names at their dots, and ends with an error where one is both."""
+    names = world.graph.call(
+        ListParameters, "controller/list_parameters", ListParameters.Request()
+    ).result.names
+    assert len(names) > 100 and not [name for name in names if any(n.startswith(f"{name}.") for n in names)]
 
 
 def test_without_a_goal_the_twist_is_zero(world):

@@ -27,7 +27,7 @@ START[:3, 3] = [0.3, 0.1, RADIUS + 0.012]
 FRAME = contact_frame(np.eye(4), START, RADIUS)
 LABEL = ("shear_x", "shear_y", "pose_z", "pose_Rx", "pose_Ry", "shear_Rz")
 QUICK = {
-    "task": "data_collection",
+    "task_name": "data_collection",
     "timing.watchdog_period": 0.008,
     "motion.settle_time": 0.05,
     "motion.air_speed": 0.1,

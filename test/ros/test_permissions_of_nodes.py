@@ -71,7 +71,7 @@ def test_who_looks_and_who_acts_by_hand_stay_within_theirs(graph):
     domain = graph.context.get_domain_id()
     with LiveGraph(domain, CellState()) as page, Operator(domain) as operator:
         operator.find(1.0)
-        operator.set_parameter("/arm/filter", "patience", 0.3)
+        operator.set_parameter("/arm/filter", "gate_probability", 0.9999)
         operator.cancel("arm")
         operator.stop()
         shown = {f"rt{topic.name}" for topic in shown_topics("arm")}

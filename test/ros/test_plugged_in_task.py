@@ -40,7 +40,7 @@ def package(tmp_path: Path) -> Path:
 def test_a_task_of_another_package_runs_by_its_name(graph, package):
     path = os.pathsep.join([str(package), graph.variables.get("PYTHONPATH", "")])
     graph.variables = {**graph.variables, "PYTHONPATH": path}
-    graph.start(CONTROLLER, {**FAST, "task": "hold"})
+    graph.start(CONTROLLER, {**FAST, "task_name": "hold"})
     world = World(graph)
     world.restart()
     assert "this controller was started for it" in world.refusal(), "surface following is another task"
@@ -54,7 +54,7 @@ def test_a_task_of_another_package_runs_by_its_name(graph, package):
 
 
 def test_a_move_of_an_arm_with_a_sensor_ends_where_it_touches_something(graph):
-    graph.start(CONTROLLER, {"task": "move", "travel.timeout": 600.0, "watchdog.start_timeout": 60.0})
+    graph.start(CONTROLLER, {"task_name": "move", "travel.timeout": 600.0, "watchdog.start_timeout": 60.0})
     world = World(graph)
     world.restart()
     world.in_contact = False
@@ -67,7 +67,7 @@ def test_a_move_of_an_arm_with_a_sensor_ends_where_it_touches_something(graph):
 
 
 def test_a_task_that_does_not_exist_ends_the_process_and_lists_those_there_are(graph):
-    process = graph.start(CONTROLLER, {"task": "surface_folowing"}, wait=False)
+    process = graph.start(CONTROLLER, {"task_name": "surface_folowing"}, wait=False)
     assert graph.wait(lambda: process.poll() is not None)
     assert process.returncode == 1
     assert "did you mean 'surface_following'" in graph.log(CONTROLLER).read_text()

@@ -10,7 +10,7 @@ def controller(graph, folder, task):
     """The world of a controller that runs this task, of another package."""
     (folder / "site").mkdir()
     graph.import_from(installed(folder / "site", ERRORS))
-    graph.start(CONTROLLER, {**FAST, "task": task})
+    graph.start(CONTROLLER, {**FAST, "task_name": task})
     world = World(graph)
     assert graph.wait(lambda: bool(world.twists) and bool(world.statuses))
     return world
@@ -43,7 +43,7 @@ def test_a_task_without_a_step_to_give_fails_and_the_node_goes_on(graph, tmp_pat
 
 
 def test_nobody_says_how_much_is_done_of_a_goal_that_does_not_end_by_itself(graph):
-    graph.start(CONTROLLER, {**FAST, "task": "object_tracking"})
+    graph.start(CONTROLLER, {**FAST, "task_name": "object_tracking"})
     world = World(graph)
     assert graph.wait(lambda: bool(world.twists) and bool(world.statuses))
     handle = world.send(task="object_tracking", goal="{}")

@@ -97,4 +97,4 @@ def test_its_task_file_runs_without_ros(package):
 
 def test_its_graph_has_a_controller_for_it(package):
     given = load_graph(str(package / "hold.yaml")).node("/arm/controller").parameters
-    assert (given["task"], given["task.sideways"]) == ("hold", 0.002)
+    assert (given["task_name"], given["task.sideways"]) == ("hold", 0.002)
